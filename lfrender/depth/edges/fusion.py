@@ -11,8 +11,7 @@ from .geometry import LensArray, PointGrid
 
 __all__ = ["fuse_pixel_depths"]
 
-# Lenses whose pixels vote, and depths of a scene point, at most.
-_VIEWS = 9
+# Depths of a scene point, at most.
 _DEPTHS = 8
 # Points of a row that share a list of depths.
 _TOGETHER = 4
@@ -84,7 +83,7 @@ def _list_depths(surface, v, first, end, reach, gap, depths):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda pixels, lenses, surface, *_: len(surface))
-def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach,
+def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, voters,
                       out):  # fmt: skip
     """Fill `out` with the nearest depth that most of the central lenses show at each scene point.
 
@@ -100,11 +99,13 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
     grid : PointGrid
     several : (rows, columns) bool
         Points that have several depths within `reach`; only they are filled.
+    voters : int
+        Lenses nearest to a point, whose pixels vote.
     out : (rows * f, columns * f) float32 [px]
         The same on a grid that is finer by a whole factor; each value of `surface` is the middle of f x f points.
     """
     fine = out.shape[0] // surface.shape[0]
-    near, distance2, depths = np.empty(_VIEWS, np.int64), np.empty(_VIEWS), np.empty(_DEPTHS)
+    near, distance2, depths = np.empty(voters, np.int64), np.empty(voters), np.empty(_DEPTHS)
     for v in range(begin, end):
         number, listed = 0, 0
         for u in range(surface.shape[1]):

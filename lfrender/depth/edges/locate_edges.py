@@ -81,7 +81,7 @@ def _fuse(
     several = cv2.dilate(surface, around) - cv2.erode(surface, around) > lenses.gap
     fused: NDArray[np.float32] = np.empty((finer * len(surface), finer * surface.shape[1]), np.float32)
     cv2.resize(surface, fused.shape[::-1], fused, interpolation=cv2.INTER_LINEAR)
-    fuse_pixel_depths(pixels, lenses, surface, grid, several, reach, fused)
+    fuse_pixel_depths(pixels, lenses, surface, grid, several, reach, settings.voters, fused)
     return fused
 
 

@@ -25,8 +25,10 @@ _POWERS = np.add.outer(np.arange(4), np.arange(4)) <= 3
 _DEPENDENT = 1e-6
 # Pairs of lenses per independent measurement: both directions, two lenses each.
 _DEPENDENT_PAIRS = 4
-# Rounds of the robust fit, at most; one that changes no residual by this share of the tolerance is the last.
-_ROUNDS, _SETTLED = 8, 0.01
+# Rounds of the robust fit, at most.
+_ROUNDS = 8
+# A round that changes no residual by this share of the tolerance is the last.
+_SETTLED = 0.01
 
 
 @dataclass(frozen=True)

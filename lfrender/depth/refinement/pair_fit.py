@@ -64,8 +64,6 @@ _Constants = namedtuple("_Constants", "shading_change likely_blur largest_drift 
 # filter, the last by an integral over all frequencies.
 _SLOPE_NOISE, _DIFFERENCE_NOISE = np.float32(17 / 144), np.float32(0.5)
 _CORRELATED_SIGNAL, _CORRELATED_NOISE = np.float32(4.0), np.float32(1.62)
-# [px] left out at the rim in any case: slopes of smaller microimages read beyond it.
-_LEAST_RIM = 0.3
 # Brightness (white = 1) below which tone curves are linear, as that of sRGB.
 _LINEAR = np.float32(0.04)
 
@@ -256,7 +254,7 @@ def _fit_pairs(
 
 def usable_radius(gray: GrayFlat, settings: RefinementSettings = REFINEMENT) -> float:
     """Radius [px] within which the pixels of a microimage, smoothed and with their slopes, are its own."""
-    return gray.radius - max(settings.rim * gray.pitch, _LEAST_RIM)
+    return gray.radius - max(settings.rim * gray.pitch, settings.least_rim)
 
 
 def fit_pairs(

@@ -17,6 +17,7 @@ class RefinementSettings:
     likely_blur: float = 2e-3  # [pitch^2] usual half difference of blur variances of two lens types; weak prior
     largest_drift: float = 2.5  # [px] farther from its start a fit has gone over to another optimum
     rim: float = 0.03  # [pitch] left out at the rim, where smoothing and slopes read beyond
+    least_rim: float = 0.3  # [px] left out in any case; else planes of 6 px pitch are resolved, 11 % wrong
     # Fits of planes
     rounds: int = 4  # of robust weights; half of them where start values are good
     outlier: float = 3.0  # [standard deviations] scale of the robust loss; twice as far off is another surface
