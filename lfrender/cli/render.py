@@ -185,7 +185,7 @@ def render(
             capture.report.warn(TOO_LITTLE.format("--scale"))
         picture = run_traditional(pixels, calibration) if traditional else run(pixels, calibration, depth, **options)
     if save_blur:
-        _save_blur(save_blur, calibration, picture, capture)
+        _save_blur(save_blur, calibration, picture)
     from ..output.picture import eight_bits as to_eight_bits
     from ..output.picture import needs_eight_bits
 
@@ -206,10 +206,14 @@ def render(
     )  # fmt: skip
 
 
-def _save_blur(path: Path, calibration: Calibration, picture: Rendering, capture: CaptureInput) -> None:
+def _save_blur(path: Path, calibration: Calibration, picture: Rendering) -> None:
+    from lfcal import FlatError
+
     if picture.defocus is None:
-        capture.report.warn("the blur of the microlenses could not be measured: too few of them have a depth")
-        return
+        raise FlatError(
+            "the blur of the microlenses could not be measured: too few of them have a depth; "
+            "leave out --save-blur, or take a flat with more texture"
+        )
     replace(calibration, lens_blur=picture.defocus.blur).save(path)
 
 

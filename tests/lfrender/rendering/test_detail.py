@@ -142,3 +142,17 @@ def test_the_command_restores_detail(tmp_path):
     assert result.exit_code == 0, result.output
     np.testing.assert_array_equal(cv2.imread(str(out))[..., ::-1], picture("natural").image)
     assert load(known).lens_blur.discs.shape[0] == 1
+
+
+def test_a_blur_that_cannot_be_measured_is_an_error_and_nothing_is_written(tmp_path):
+    shot, depth = capture()
+    cv2.imwrite(str(tmp_path / "flat.png"), shot.flat[..., ::-1])
+    shot.truth.calibration.save(tmp_path / "camera.json")
+    few = np.where(np.arange(len(depth.patch_size)) < 3, depth.patch_size, np.nan)
+    reason = np.where(np.isfinite(few), 0, 1).astype(np.int8)
+    replace(depth, patch_size=few, reason=reason).save(tmp_path / "depth.npz")
+    out, known = tmp_path / "picture.png", tmp_path / "known.json"
+    given = ["render", str(tmp_path / "flat.png"), "-c", str(tmp_path / "camera.json"), "-o", str(out), "--quiet"]
+    result = CliRunner().invoke(main, [*given, "--depth", str(tmp_path / "depth.npz"), "--save-blur", str(known)])
+    assert result.exit_code == 2 and "could not be measured" in result.output
+    assert not out.exists() and not known.exists()
