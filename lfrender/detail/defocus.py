@@ -87,7 +87,7 @@ def measure_defocus(
     if not len(sizes):
         return None
     types, pitch = calibration.lens_types, calibration.lattice.pitch
-    grid = _Grid.make(settings)
+    grid = _tried(settings)[0]
     cost = np.zeros((1 if types is None else types.count, *grid.shape))
     shared = _add_priors(cost, calibration, grid, settings)
     ratios = np.quantile(sizes / pitch, settings.kept_depths)
@@ -131,6 +131,15 @@ class _Grid:
     @property
     def shape(self) -> tuple[int, int, int, int]:
         return len(self.slopes), len(self.softness), len(self.apertures), len(self.foci)
+
+
+@lru_cache(1)
+def _tried(settings: DefocusSettings) -> tuple[_Grid, NDArray[np.int64], NDArray[np.float64]]:
+    """The grid; for each of the tabulated `s / D`, the order of its discs by diameter, and these [pitch]."""
+    grid = _Grid.make(settings)
+    wide = (grid.apertures[:, None] * np.abs(_RATIOS[:, None, None] - grid.foci)).reshape(len(_RATIOS), -1)
+    order = np.argsort(wide, 1)
+    return grid, order, np.take_along_axis(wide, order, 1)
 
 
 @lru_cache(16)
@@ -236,11 +245,9 @@ def _summarise(
         errors = np.maximum(errors, settings.least_error) * np.sqrt(len(kept))
         focus = spread(np.broadcast_to(grid.foci, chance.shape[1:]))
         kept = LensBlur(float(aperture[0]), float(aperture_error[0]), *focus, kept, means, errors)
-    discs = np.zeros((len(cost), len(_RATIOS)))
-    for n, ratio in enumerate(_RATIOS):
-        wide = disc(ratio).ravel()
-        order = np.argsort(wide)
-        reached = np.cumsum(chance.reshape(len(cost), -1)[:, order], 1)
-        discs[:, n] = wide[order][np.minimum((reached < settings.lower).sum(1), len(order) - 1)]
+    _, order, wide = _tried(settings)
+    reached = np.cumsum(chance.reshape(len(cost), -1)[:, order], 2)
+    last = np.minimum((reached < settings.lower).sum(2), order.shape[1] - 1)
+    discs = pitch * wide[np.arange(len(order)), last]
     table = tuple(tuple(float(d) for d in one) for one in discs)
     return Defocus(kept, table, float(np.sqrt(noise)))

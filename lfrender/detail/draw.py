@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.surface import edge_step, sample_surface_at
+from ..data.surface import nearest_patch_size
 from ..flat.gray_flat import white_level
+from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
 from .filters import make_filters
 from .restore import restore_detail
@@ -27,7 +28,7 @@ def draw_detail(
     """As `RenderPlan.draw`, (rows, columns, C) float32."""
     wide = left, top, _, _ = plan.expand_part(part, HALO)
     shape = wide[3] - top, wide[2] - left, pixels.shape[2]
-    image, valid = plan.blend_part(pixels, corner, wide, np.empty(shape, np.float32))
+    image, valid = plan.blend_part(pixels, corner, wide, allocate_pooled(shape, np.float32))
     image = _restore(plan, pixels, wide, image, valid)
     inside = slice(part[1] - top, part[3] - top), slice(part[0] - left, part[2] - left)
     return np.ascontiguousarray(image[inside]), np.ascontiguousarray(valid[inside])
@@ -66,8 +67,9 @@ def _restore(
         plan, ("filters", channels),
         lambda: make_filters(defocus, plan.calibration, plan.scale, plan.reach, plan.blur, channels, depths),
     )  # fmt: skip
-    first = plan.affine[:, 2] + plan.spacing * np.array(part[:2])
-    shown = sample_surface_at(plan.surface, edge_step(pitch), image.shape[:2], first, plan.spacing)
+    first, (left, top, right, bottom) = plan.affine[:, 2], part
+    x, y = (first[k] + plan.spacing * np.arange(*ends) for k, ends in enumerate(((left, right), (top, bottom))))
+    shown = nearest_patch_size(plan.surface, x, y)
     white, encoded = white_level(pixels, plan.calibration), is_encoded(pixels.dtype)
     return restore_detail(image, valid, shown, filters, white, encoded, pitch, plan_border(plan, part))
 
@@ -76,7 +78,8 @@ def plan_border(plan: RenderPlan, part: Part) -> NDArray[np.float32]:
     """(rows, columns) of a part of the picture: 0 at the border of the whole, where few lenses are averaged, else 1."""
     columns, rows = plan.size
     beside = [
-        np.minimum(np.arange(low, high) + 0.5, total - 0.5 - np.arange(low, high)) / (RESTORE.border * plan.scale)
+        np.minimum(np.arange(low, high) + 0.5, total - 0.5 - np.arange(low, high)) / (RESTORE.border * plan.scale) - 1
         for low, high, total in ((part[1], part[3], rows), (part[0], part[2], columns))
     ]
-    return np.clip(np.minimum(beside[0][:, None], beside[1]) - 1, 0, 1).astype(np.float32)
+    across, along = (np.clip(one, 0, 1).astype(np.float32) for one in beside)
+    return np.minimum(across[:, None], along)

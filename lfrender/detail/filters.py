@@ -83,27 +83,26 @@ def make_filters(
     bands = _bands(fx, fy)
     powers = 10 ** np.arange(*settings.powers)
     ratios = np.geomspace(settings.least_ratio, settings.largest_ratio, settings.levels)
-    gains = np.zeros((len(powers), 2 * len(ratios), len(bands)))
-    power, noise = np.ones((2, 2 * len(ratios), len(bands) - 1))
     step = ratios[1] / ratios[0]
-    for n, ratio in enumerate((*-ratios, *ratios)):
-        ends = np.sort((ratio * step, ratio / step)) * calibration.lattice.pitch
-        first_or_last = abs(ratio) in (ratios[0], ratios[-1])
-        if not first_or_last and (ends[0] > depths[1] or ends[1] < depths[0]):
-            continue
-        level = _Level.of(float(ratio), defocus, calibration, scale, reach, blur, settings)
-        left, scene = zip(*(level.left(fx + x, fy + y) for x, y in _FOLDS[: level.folds]), strict=True)
-        seen = left[0] ** 2 * scene[0]
-        alias = sum((one**2 * there for one, there in zip(left[1:], scene[1:], strict=True)), np.zeros_like(seen))
-        grain = channels * level.grain(fx, fy)
-        power[n] = ((seen + alias) * bands[1:] ** 2).mean(1)
-        noise[n] = (grain * bands[1:] ** 2).mean(1)
-        pixel = np.sinc(fx) * np.sinc(fy) * level.pixel(fx, fy) ** settings.kept
-        known = seen * (1 + level.contradiction(fx, fy)) + alias
-        # Never blurrier than it is but by noise.
-        wanted = np.maximum(np.maximum(pixel, left[0]) * left[0] * scene[0], known)
-        fitted = _fit(bands, powers[:, None] * wanted, powers[:, None] * known + grain, settings)
-        gains[:, n] = level.trusted * fitted
+    ratios = np.concatenate([-ratios, ratios])
+    gains = np.zeros((len(powers), len(ratios), len(bands)))
+    power, noise = np.ones((2, len(ratios), len(bands) - 1))
+    some = _is_near(ratios, step, np.array(depths) / calibration.lattice.pitch)
+    levels = _Levels.of(ratios[some], defocus, calibration, scale, reach, blur, settings)
+    shown, *folded = (levels.left(fx + x, fy + y) for x, y in _FOLDS)
+    left, scene = shown
+    seen = left**2 * scene
+    alias = levels.coarse[:, None] * sum((one**2 * there for one, there in folded), np.zeros_like(seen))
+    grain = channels * levels.grain(fx, fy)
+    power[some] = (seen + alias) @ bands[1:].T ** 2 / len(fx)
+    noise[some] = grain @ bands[1:].T ** 2 / len(fx)
+    pixel = np.sinc(fx) * np.sinc(fy) * levels.pixel(fx, fy) ** settings.kept
+    known = seen * (1 + levels.contradiction(fx, fy)) + alias
+    # Never blurrier than it is but by noise.
+    wanted = np.maximum(np.maximum(pixel, left) * left * scene, known)
+    gains[:, some] = levels.trusted[:, None] * _fit(
+        bands, powers[:, None, None] * wanted, powers[:, None, None] * known + grain, settings
+    )
     fine = np.arange(round(settings.largest_ratio * settings.per_ratio) + 1) / settings.per_ratio
     at = np.log(np.maximum(fine, settings.least_ratio) / settings.least_ratio) / np.log(step)
     near = np.concatenate([at, at + settings.levels])
@@ -121,66 +120,76 @@ def make_filters(
     )
 
 
-@dataclass(frozen=True)
-class _Level:
-    """How a picture shows a scene at one `s / D`. Frequencies are in cycles per pixel of the picture."""
+def _is_near(ratios: _Table, step: float, depths: _Table) -> NDArray[np.bool_]:
+    """Which of the `s / D` a picture with these ends of its depths needs; the last of either sign, for all beyond."""
+    size = np.abs(ratios)
+    ends = np.sort((ratios * step, ratios / step), 0)
+    last = (size == size.min()) | (size == size.max())
+    return last | ((ends[0] <= depths[1]) & (ends[1] >= depths[0]))
 
-    grown: float  # side of a pixel of the flat [px of the picture]
-    discs: _Table  # (types,) diameters [px of the picture]
-    shares: _Table  # (types,) weights of the types, whose sum is 1
-    apart: float  # side of the square over which a coarse picture is averaged [px of the picture]
-    trusted: float  # 0 where too few lenses are averaged, 1 where enough
-    variance: float  # of the noise of a picture's pixel with the light of white, were it one of the flat
+
+@dataclass(frozen=True)
+class _Levels:
+    """How a picture shows a scene at several `s / D`. Frequencies (f,) are in cycles per pixel of the picture."""
+
+    grown: _Table  # (n, 1) side of a pixel of the flat [px of the picture]
+    discs: _Table  # (n, types) diameters [px of the picture]
+    shares: _Table  # (n, types) weights of the types, whose sum is 1
+    apart: _Table  # (n, 1) side of the square over which a coarse picture is averaged [px of the picture]
+    trusted: _Table  # (n,) 0 where too few lenses are averaged, 1 where enough
+    variance: _Table  # (n, 1) of the noise of a picture's pixel with the light of white, were it one of the flat
     settings: RestoreSettings
 
     @classmethod
     def of(
-        cls, ratio: float, defocus: Defocus, calibration: Calibration, scale: float, reach: float, blur: float,
+        cls, ratios: _Table, defocus: Defocus, calibration: Calibration, scale: float, reach: float, blur: float,
         settings: RestoreSettings,
-    ) -> _Level:  # fmt: skip
-        lattice = calibration.lattice
-        grown = scale / (abs(ratio) * lattice.pitch)
-        discs = defocus.diameters(ratio) * grown
+    ) -> _Levels:  # fmt: skip
+        lattice, size = calibration.lattice, np.abs(ratios)
+        grown = scale / (size * lattice.pitch)
+        discs = np.stack([defocus.diameters(float(ratio)) for ratio in ratios]) * grown[:, None]
         weights = focus_weights(calibration.lens_types)[1]
-        shares = weights[:, round((min(max(ratio, -1.0), 1.0) + 1) / 2 * (weights.shape[1] - 1))].astype(float)
-        shares = shares if len(shares) == len(discs) else np.ones(len(discs))
-        shares = shares / shares.sum()
-        limit = min(lattice.radius / abs(ratio), reach * lattice.pitch)
+        at = np.rint((np.clip(ratios, -1, 1) + 1) / 2 * (weights.shape[1] - 1)).astype(int)
+        shares = weights[:, at].T.astype(float) if len(weights) == discs.shape[1] else np.ones(discs.shape)
+        shares /= shares.sum(1, keepdims=True)
+        limit = np.minimum(lattice.radius / size, reach * lattice.pitch)
         # Lenses count less toward the rim: as three quarters of all.
-        averaged = max(0.75 * np.pi * limit**2 / abs(float(np.linalg.det(lattice.basis))), 1.0)
+        averaged = np.maximum(0.75 * np.pi * limit**2 / abs(float(np.linalg.det(lattice.basis))), 1.0)
         low, high = settings.few_views
         # Pictures that are little coarser than the flat are read once per pixel.
-        apart = np.sqrt(max(1 - (blur * scale) ** 2 - grown**2, 0.0)) if blur > 0 else 0.0
-        even = max(averaged / (len(shares) * float((shares**2).sum())), 1.0)
-        trusted = float(np.clip((averaged - low) / (high - low), 0, 1))
-        return cls(grown, discs, shares, apart, trusted, defocus.noise**2 / even, settings)
+        apart = np.sqrt(np.maximum(1 - (blur * scale) ** 2 - grown**2, 0.0)) if blur > 0 else np.zeros_like(grown)
+        even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)
+        trusted = np.clip((averaged - low) / (high - low), 0, 1)
+        return cls(grown[:, None], discs, shares, apart[:, None], trusted, (defocus.noise**2 / even)[:, None], settings)
 
     @property
-    def folds(self) -> int:
-        """How many of `_FOLDS` reach the picture: more than one where it is not finer than the flat."""
-        return len(_FOLDS) if self.grown < self.settings.oversampled else 1
+    def coarse(self) -> NDArray[np.bool_]:
+        """(n,) whether the picture is not finer than the flat, so that `_FOLDS` reach it."""
+        return self.grown[:, 0] < self.settings.oversampled
 
     def pixel(self, fx: _Table, fy: _Table) -> _Table:
-        """Transfer function of a pixel of the flat."""
-        return np.asarray(np.sinc(fx * min(self.grown, 1.0)) * np.sinc(fy * min(self.grown, 1.0)))
+        """(n, f) transfer function of a pixel of the flat."""
+        side = np.minimum(self.grown, 1.0)
+        return np.asarray(np.sinc(fx * side) * np.sinc(fy * side))
 
     def _read(self, fx: _Table, fy: _Table) -> _Table:
         read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
         return np.asarray(read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart))
 
     def left(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
-        """What is left of each frequency of a scene, and the power that is expected of it."""
+        """(n, f) what is left of each frequency of a scene, and (f,) the power that is expected of it."""
         frequency = np.hypot(fx, fy)
-        disc = self.shares @ _disc(frequency, self.discs)
+        periods = self.discs[..., None] * frequency
+        disc = (self.shares[..., None] * np.interp(periods, *_tabulated_disc())).sum(1)
         shown = disc * np.sinc(fx * self.grown) * np.sinc(fy * self.grown) * self._read(fx, fy)
         return shown, np.maximum(frequency, 0.01) ** -self.settings.slope
 
     def grain(self, fx: _Table, fy: _Table) -> _Table:
-        """Power of the noise of one channel of a picture with the light of white, of one for each channel."""
+        """(n, f) power of the noise of one channel of a picture with the light of white, of one for each channel."""
         return np.asarray(self.variance * self.grown**2 * self._read(fx, fy) ** 2)
 
     def contradiction(self, fx: _Table, fy: _Table) -> _Table:
-        """Share of the power in which lenses differ."""
+        """(n, f) share of the power in which lenses differ."""
         return np.asarray((self.settings.contradiction * self.grown * np.hypot(fx, fy)) ** 4)
 
 
@@ -188,11 +197,6 @@ class _Level:
 def _tabulated_disc() -> tuple[_Table, _Table]:
     periods = np.linspace(0, 20, 2001)
     return periods, disc_transfer(periods, 1.0)
-
-
-def _disc(frequency: _Table, diameters: _Table) -> _Table:
-    """(diameters, f): transfer functions of discs, from a table."""
-    return np.interp(diameters[:, None] * frequency, *_tabulated_disc())
 
 
 def _between(table: _Table, at: _Table, axis: int) -> _Table:
@@ -213,12 +217,12 @@ def _bands(fx: _Table, fy: _Table) -> _Table:
 
 
 def _fit(bands: _Table, wanted: _Table, weight: _Table, settings: RestoreSettings) -> _Table:
-    """(powers, bands): gains beyond the band's own of least mean square error, of `wanted / weight` (powers, f)."""
+    """(p, n, bands): gains beyond the band's own of least mean square error, of `wanted / weight` (p, n, f)."""
     pairs = (bands[:, None] * bands).reshape(-1, bands.shape[1])
-    normal = (weight @ pairs.T).reshape(len(weight), len(bands), len(bands))
+    normal = (weight @ pairs.T).reshape(*weight.shape[:2], len(bands), len(bands))
     right = (wanted - weight) @ bands.T
-    size = np.trace(normal, axis1=1, axis2=2)
-    normal += np.eye(len(bands)) * (settings.ridge * size)[:, None, None]
+    size = np.trace(normal, axis1=2, axis2=3)
+    normal += np.eye(len(bands)) * (settings.ridge * size)[..., None, None]
     gains = np.linalg.solve(normal, right[..., None])[..., 0]
-    largest = np.abs(gains).max(1, keepdims=True)
+    largest = np.abs(gains).max(-1, keepdims=True)
     return np.asarray(gains * np.minimum(1, settings.largest_gain / np.maximum(largest, 1e-9)))

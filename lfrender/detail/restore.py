@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
 
-from ..runtime.buffers import allocate_scratch
+from ..runtime.buffers import allocate_pooled
 from .filters import DetailFilters
 from .settings import AVERAGING, RESTORE, SMOOTHING, RestoreSettings
 
 __all__ = ["convolve", "off_edges", "restore_detail", "smooth_picture"]
 
 _SOFT_EDGE = (1, 0.25)
-# Bands whose power is measured; the finest is mostly noise.
-_MEASURED = len(SMOOTHING) - 1
+# Rows that are restored together.
+_STRIP = 128
 
 
 def restore_detail(
@@ -54,20 +54,6 @@ def restore_detail(
     -------
     (h, w, C) float32
     """
-    height, width, channels = image.shape
-    values = image.reshape(height, -1)
-    layers = allocate_scratch("bands", (len(SMOOTHING) + 1, height, width * channels), np.float32)
-    _to_light(values, np.float32(1 / white), encoded, layers[0])
-    for k, (step, side) in enumerate(SMOOTHING):
-        _smooth(layers[k], channels, step, np.float32(side), layers[k + 1])
-    power = allocate_scratch("band power", (_MEASURED, height, width), np.float32)
-    _band_power(layers, channels, np.float32(1 / channels), power)
-    spare = allocate_scratch("smoothed power", power.shape, np.float32)
-    for step, side in AVERAGING:
-        for one, smoothed in zip(power, spare, strict=True):
-            _smooth(one, 1, step, np.float32(side), smoothed)
-        power, spare = spare, power
-    allowed = off_edges(valid, patch_size, pitch, settings) * inner
     numbers = np.array(
         [
             filters.per_ratio / pitch, filters.weakest, filters.per_octave, settings.overshoot,
@@ -76,10 +62,13 @@ def restore_detail(
         np.float32,
     )  # fmt: skip
     coarse = filters.power[:, 1:].sum(1)
-    expected = np.column_stack([filters.noise, 1 / filters.power[:, 0], 1 / coarse]).astype(np.float32)
-    out = np.empty_like(values)
-    _add_bands(values, layers, power, patch_size, allowed, filters.gains, expected, numbers, out)
-    return out.reshape(image.shape)
+    expected = np.vstack([filters.noise.T, 1 / filters.power[:, 0], 1 / coarse]).astype(np.float32)
+    allowed = off_edges(valid, patch_size, pitch, settings) * inner
+    steps, sides = (np.array(each) for each in zip(*SMOOTHING, *AVERAGING, strict=True))
+    sides, bands = sides.astype(np.float32), len(SMOOTHING)
+    out = allocate_pooled(image.shape, np.float32)
+    _restore_rows(image, patch_size, allowed, filters.gains, expected, numbers, steps, sides, bands, out)
+    return out
 
 
 def off_edges(
@@ -93,17 +82,18 @@ def off_edges(
     spread = cv2.dilate(patch_size, around) - cv2.erode(patch_size, around)
     level = (spread <= settings.edge * pitch).astype(np.float32)
     soft = np.empty_like(level)
-    _smooth(level, 1, _SOFT_EDGE[0], np.float32(_SOFT_EDGE[1]), soft)
+    _smooth(level, _SOFT_EDGE[0], np.float32(_SOFT_EDGE[1]), soft)
     reach = 2 * sum(step for step, _ in SMOOTHING) + 1
     return soft * cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8))
 
 
 def smooth_picture(image: NDArray[np.float32], side: float) -> NDArray[np.float32]:
     """A picture (h, w, C) averaged with its neighbours, which have the weight `side` along each axis."""
-    rows = np.ascontiguousarray(image, np.float32).reshape(len(image), -1)
-    out = np.empty_like(rows)
-    _smooth(rows, image.shape[2], 1, np.float32(side), out)
-    return out.reshape(image.shape)
+    planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
+    out = np.empty_like(planes)
+    for one, smoothed in zip(planes, out, strict=True):
+        _smooth(one, 1, np.float32(side), smoothed)
+    return np.ascontiguousarray(out.transpose(1, 2, 0))
 
 
 def convolve(image: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -117,24 +107,25 @@ def convolve(image: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray
 
 # Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector loop takes together.
 @njit(cache=True, nogil=True, share=lambda image, *_: len(image))
-def _smooth(begin, end, image, channels, step, side, out):
-    """Average `image` (h, w * channels) with three taps along each axis, the outer ones `step` away."""
-    height, wide = image.shape
-    middle, far = np.float32(1) - side - side, step * channels
-    line = np.empty(wide, np.float32)
+def _smooth(begin, end, image, step, side, out):
+    """Average `image` (h, w) with three taps along each axis, the outer ones `step` away."""
+    line = np.empty(image.shape[1] + 2 * step, np.float32)
     for y in range(begin, end):
-        above, here, below, into = image[max(y - step, 0)], image[y], image[min(y + step, height - 1)], out[y]
-        for k in range(wide):
-            line[k] = middle * here[k] + side * (above[k] + below[k])
-        inside = max(wide - 2 * far, 0)
-        before, own, after, target = line[:inside], line[far:], line[2 * far :], into[far:]
-        for k in range(inside):
-            target[k] = middle * own[k] + side * (before[k] + after[k])
-        for end_k in range(min(2 * far, wide)):
-            k = end_k if end_k < far or inside == 0 else wide - 2 * far + end_k
-            c = k % channels
-            left, right = max(k - far, c), min(k + far, wide - channels + c)
-            into[k] = middle * line[k] + side * (line[left] + line[right])
+        above, below = max(y - step, 0), min(y + step, len(image) - 1)
+        _smooth_row(image[above], image[y], image[below], step, side, line, out[y])
+
+
+@njit(cache=True, nogil=True)
+def _smooth_row(above, here, below, step, side, line, out):
+    """A row of `_smooth`; `line` is scratch."""
+    width, middle = len(here), np.float32(1) - side - side
+    before, own, after = line[:width], line[step : step + width], line[2 * step :]
+    for x in range(width):
+        own[x] = middle * here[x] + side * (above[x] + below[x])
+    for k in range(step):
+        line[k], line[step + width + k] = own[0], own[width - 1]
+    for x in range(width):
+        out[x] = middle * own[x] + side * (before[x] + after[x])
 
 
 @njit(cache=True, nogil=True, share=lambda image, kernel, channels, out: len(out))
@@ -152,137 +143,165 @@ def _convolve(begin, end, image, kernel, channels, out):
                         into[k] += weight * moved[k]
 
 
-@njit(cache=True, nogil=True, share=lambda image, *_: len(image))
-def _to_light(begin, end, image, unit, encoded, out):
-    """`image` times `unit`, squared where it is `encoded`."""
-    for y in range(begin, end):
-        here, into = image[y], out[y]
-        for k in range(len(here)):
-            value = here[k] * unit
-            into[k] = value * value if encoded else value
-
-
-@njit(cache=True, nogil=True, share=lambda layers, channels, unit, out: out.shape[1])
-def _band_power(begin, end, layers, channels, unit, out):
-    """(bands, h, w) mean square over the channels of each band but the finest, times `unit`."""
-    square = np.empty(layers.shape[2], np.float32)
-    for y in range(begin, end):
-        for band in range(len(out)):
-            upper, lower, into = layers[band + 1, y], layers[band + 2, y], out[band, y]
-            for k in range(len(square)):
-                difference = upper[k] - lower[k]
-                square[k] = difference * difference
-            _sum_channels(square, channels, unit, into)
+@njit(
+    cache=True, nogil=True, error_model="numpy", share=lambda image, *_: (len(image) + _STRIP - 1) // _STRIP
+)  # fmt: skip
+def _restore_rows(begin, end, image, patch_size, allowed, gains, expected, numbers, steps, sides, bands, out):
+    """Restore strips of rows. Of each smoothing only the last rows are kept, which stay in the processor's cache."""
+    height, width, channels = image.shape
+    halo = steps.sum()
+    kept = halo + 2
+    layers = np.zeros((bands + 1, channels, kept, width), np.float32)
+    powers = np.zeros((len(steps) - bands + 1, bands - 1, kept, width), np.float32)
+    scratch, kinds = np.empty(width + 2 * steps.max(), np.float32), np.empty(width, np.uint32)
+    lines = np.empty((10, width), np.float32)
+    for strip in range(begin, end):
+        top, bottom = strip * _STRIP, min((strip + 1) * _STRIP, height)
+        first = max(top - halo, 0)
+        for newest in range(first, bottom + halo):
+            if newest < height:
+                _to_light(image[newest], numbers, newest % kept, layers[0])
+            # Each smoothing lags behind the one before it by its step.
+            y = newest
+            for k in range(bands):
+                y -= steps[k]
+                if first <= y < height:
+                    _smooth_planes(layers[k], y, first, height, steps[k], sides[k], scratch, layers[k + 1])
+            if first <= y < height:
+                _find_power(layers, y % kept, powers[0])
+            for k in range(bands, len(steps)):
+                y -= steps[k]
+                if first <= y < height:
+                    seen, smoothed = powers[k - bands], powers[k - bands + 1]
+                    _smooth_planes(seen, y, first, height, steps[k], sides[k], scratch, smoothed)
+            if top <= y < bottom:
+                above, at, below = max(y - 1, 0) % kept, y % kept, min(y + 1, height - 1) % kept
+                share = allowed[y]
+                _find_factors(layers[-1], powers[-1], at, patch_size[y], share, gains, expected, numbers, kinds, lines)
+                for c in range(channels):
+                    _add_row(layers, c, at, lines)
+                    _store_row(layers[0, c], above, at, below, share, numbers, image[y], c, lines, out[y])
 
 
 @njit(cache=True, nogil=True)
-def _sum_channels(line, channels, unit, out):
-    """`out` (w,) the sum over the channels of `line` (w * channels), times `unit`."""
-    if channels == 3:
-        for x in range(len(out)):
-            out[x] = (line[3 * x] + line[3 * x + 1] + line[3 * x + 2]) * unit
-    else:
-        for x in range(len(out)):
-            total = np.float32(0)
-            for k in range(x * channels, (x + 1) * channels):
-                total += line[k]
-            out[x] = total * unit
+def _smooth_planes(planes, y, first, height, step, side, scratch, out):
+    """Row `y` of `out` (n, kept, w), those of `planes` smoothed, which hold rows from `first` on."""
+    kept = planes.shape[1]
+    above, at, below = max(y - step, first) % kept, y % kept, min(y + step, height - 1) % kept
+    for n in range(len(planes)):
+        _smooth_row(planes[n, above], planes[n, at], planes[n, below], step, side, scratch, out[n, at])
 
 
-@njit(cache=True, nogil=True)
-def _repeat(values, channels, out):
-    """`out` (w * channels) each of `values` (w,) for all channels."""
-    if channels == 3:
-        for x in range(len(values)):
-            value = values[x]
-            out[3 * x], out[3 * x + 1], out[3 * x + 2] = value, value, value
-    else:
-        for x in range(len(values)):
-            for k in range(x * channels, (x + 1) * channels):
-                out[k] = values[x]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _to_light(image, numbers, at, out):
+    """Row `at` of the planes (C, kept, w): a row of the picture (w, C) with white as one, squared if it is encoded."""
+    unit, encoded = np.float32(1) / numbers[5], numbers[6] > 0
+    for c in range(len(out)):
+        into = out[c, at]
+        for x in range(len(image)):
+            value = image[x, c] * unit
+            into[x] = value * value if encoded else value
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda image, layers, power, *_: len(image))
-def _add_bands(begin, end, image, layers, power, patch_size, allowed, gains, expected, numbers, out):
-    """Add to each pixel the bands with the gains of its patch size and power, or what noise leaves of them.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _find_power(layers, at, out):
+    """Row `at` of `out` (bands, kept, w): mean square over the channels of each band but the finest."""
+    unit = np.float32(1) / np.float32(layers.shape[1])
+    for band in range(len(out)):
+        into = out[band, at]
+        for x in range(len(into)):
+            into[x] = 0
+        for c in range(layers.shape[1]):
+            upper, lower = layers[band + 1, c, at], layers[band + 2, c, at]
+            for x in range(len(into)):
+                difference = upper[x] - lower[x]
+                into[x] += difference * difference * unit
 
-    Values stay in the range of their neighbours in `image`, but for the overshoot.
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _find_factors(coarsest, power, at, sizes, share, gains, expected, numbers, kinds, lines):
+    """Lines 0 to 3: what is added of each band, from row `at` of the coarsest layer and the power.
+
+    `kinds` and the other lines are scratch.
     """
-    height, width = patch_size.shape
-    channels = layers.shape[2] // width
-    wide = channels * width
-    steps, levels = gains.shape[0], gains.shape[1] // 2
-    per_level, weakest, per_power, overshoot, darkest, white = numbers[:6]
+    steps, levels, width = gains.shape[0], gains.shape[1] // 2, len(sizes)
+    per_level, weakest, per_power, darkest = numbers[0], numbers[1], numbers[2], numbers[4]
     zero, one, tiny, half = np.float32(0), np.float32(1), np.float32(1e-20), np.float32(0.5)
-    per_channel, encoded = one / np.float32(channels), numbers[6] > 0
-    added, strengths = np.zeros((3, width), np.float32), np.empty(width, np.float32)
-    levels_at, shares = np.empty(width, np.int64), np.empty(width, np.float32)
-    lights, line = np.empty(width, np.float32), np.empty(wide, np.float32)
-    factors, repeated = np.zeros((4, width), np.float32), np.zeros((4, wide), np.float32)
-    least, most = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    above_zero = half + np.float32(levels)
+    last_level, last_step, channels = np.float32(levels - 1), np.float32(steps - 1), len(coarsest)
+    f0, f1, f2, f3, light, strength, part = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5], lines[6]
+    light[:] = zero
+    for c in range(channels):
+        row = coarsest[c, at]
+        for x in range(width):
+            light[x] += row[x]
+    for x in range(width):
+        light[x] = max(light[x] / np.float32(channels), darkest)
+    for x in range(width):
+        s = sizes[x]
+        kinds[x] = np.uint32(min(abs(s) * per_level, last_level) + (above_zero if s > 0 else half))
+    for band in range(3):
+        seen, rest, above, noise = power[band, at], lines[1 + band], lines[7 + band], expected[band]
+        for x in range(width):
+            above[x] = max(seen[x] - light[x] * noise[kinds[x]], zero)
+        for x in range(width):
+            rest[x] = above[x] / max(seen[x], tiny) - one
+    fine, middle, coarse, per_fine, per_coarse = lines[7], lines[8], lines[9], expected[3], expected[4]
+    for x in range(width):
+        fine[x] *= per_fine[kinds[x]]
+    for x in range(width):
+        strength[x] = max(fine[x], (middle[x] + coarse[x]) * per_coarse[kinds[x]])
+    # Less of it where fine detail is weaker than the coarse predicts; there noise alone is taken away.
+    for x in range(width):
+        part[x] = share[x] * fine[x] / max(strength[x], tiny)
+    for x in range(width):
+        strength[x] = max(strength[x] / light[x], tiny)
     # The bits of a number above zero grow with its logarithm.
-    logarithms, per_bit = strengths.view(np.int32), per_power / np.float32(1 << 23)
-    for y in range(begin, end):
-        sizes, share, into = patch_size[y], allowed[y], out[y]
-        p1, p2, p3 = power[0, y], power[1, y], power[2, y]
-        g0, g1, g2, g3, g4 = layers[0, y], layers[1, y], layers[2, y], layers[3, y], layers[4, y]
-        _sum_channels(g4, channels, per_channel, lights)
-        for x in range(width):
-            light = max(lights[x], darkest)
-            s = sizes[x]
-            n = int(min(abs(s) * per_level, np.float32(levels - 1)) + half) + (levels if s > 0 else 0)
-            told = expected[n]
-            v1, v2, v3 = p1[x], p2[x], p3[x]
-            s1, s2, s3 = v1 - light * told[0], v2 - light * told[1], v3 - light * told[2]
-            s1, s2, s3 = max(s1, zero), max(s2, zero), max(s3, zero)
-            fine = s1 * told[3]
-            strength = max(fine, (s2 + s3) * told[4])
-            # Less of it where fine detail is weaker than the coarse predicts; there noise alone is taken away.
-            part = share[x] * fine / max(strength, tiny)
-            rest = share[x] - part
-            added[0, x], added[1, x] = rest * (s1 / max(v1, tiny) - one), rest * (s2 / max(v2, tiny) - one)
-            added[2, x] = rest * (s3 / max(v3, tiny) - one)
-            strengths[x], levels_at[x], shares[x] = max(strength / light, tiny), n, part
-        for x in range(width):
-            row = np.float32(logarithms[x]) * per_bit - weakest
-            gain = gains[int(min(max(row, zero), np.float32(steps - 1)) + half), levels_at[x]]
-            part = shares[x]
-            factors[0, x], factors[1, x] = part * gain[0] + added[0, x], part * gain[1] + added[0, x]
-            factors[2, x], factors[3, x] = part * gain[2] + added[1, x], part * gain[3] + added[2, x]
-        for band in range(4):
-            _repeat(factors[band], channels, repeated[band])
-        fa, fb, fc, fd = repeated[0], repeated[1], repeated[2], repeated[3]
-        for k in range(wide):
-            u0, u1, u2, u3, u4 = g0[k], g1[k], g2[k], g3[k], g4[k]
-            line[k] = max(u0 + fa[k] * (u0 - u1) + fb[k] * (u1 - u2) + fc[k] * (u2 - u3) + fd[k] * (u3 - u4), zero)
-        if encoded:
-            for k in range(wide):
-                line[k] = np.sqrt(line[k])
-        _find_range(image[max(y - 1, 0)], image[y], image[min(y + 1, height - 1)], channels, least, most)
-        for k in range(wide):
-            beyond = overshoot * (most[k] - least[k])
-            into[k] = min(max(line[k] * white, least[k] - beyond), most[k] + beyond)
-        for x in range(width):
-            if share[x] == 0:
-                for k in range(x * channels, (x + 1) * channels):
-                    into[k] = image[y, k]
+    logarithm, per_bit = strength.view(np.int32), per_power / np.float32(1 << 23)
+    for x in range(width):
+        row = np.float32(logarithm[x]) * per_bit - weakest
+        gain = gains[np.uint32(min(max(row, zero), last_step) + half), kinds[x]]
+        taken, rest = part[x], share[x] - part[x]
+        noise = rest * f1[x]
+        f0[x], f1[x] = taken * gain[0] + noise, taken * gain[1] + noise
+        f2[x], f3[x] = taken * gain[2] + rest * f2[x], taken * gain[3] + rest * f3[x]
 
 
 @njit(cache=True, nogil=True)
-def _find_range(above, here, below, channels, least, most):
-    """Least and most value of each channel among 3 x 3 pixels, of three rows."""
-    wide = len(here)
-    low, high = np.empty(wide, np.float32), np.empty(wide, np.float32)
-    for k in range(wide):
-        low[k] = min(here[k], min(above[k], below[k]))
-        high[k] = max(here[k], max(above[k], below[k]))
-    inside = max(wide - 2 * channels, 0)
-    into_low, into_high = least[channels:], most[channels:]
-    low1, low2, high1, high2 = low[channels:], low[2 * channels :], high[channels:], high[2 * channels :]
-    for k in range(inside):
-        into_low[k] = min(low[k], min(low1[k], low2[k]))
-        into_high[k] = max(high[k], max(high1[k], high2[k]))
-    for c in range(channels):
-        last = wide - channels + c
-        for k, other in ((c, min(c + channels, last)), (last, max(last - channels, c))):
-            least[k], most[k] = min(low[k], low[other]), max(high[k], high[other])
+def _add_row(layers, c, at, lines):
+    """Line 4: row `at` of a channel with the bands added."""
+    light, own = lines[4], layers[0, c, at]
+    for x in range(len(light)):
+        light[x] = own[x]
+    for band in range(4):
+        factor, upper, lower = lines[band], layers[band, c, at], layers[band + 1, c, at]
+        for x in range(len(light)):
+            light[x] += factor[x] * (upper[x] - lower[x])
+
+
+@njit(cache=True, nogil=True)
+def _store_row(plane, row_above, row, row_below, share, numbers, image, c, lines, out):
+    """Line 4 as values, in the range of their neighbours in three rows of `plane` but for the overshoot."""
+    overshoot, white, encoded, zero = numbers[3], numbers[5], numbers[6] > 0, np.float32(0)
+    above, here, below, width = plane[row_above], plane[row], plane[row_below], plane.shape[1]
+    light, low, high, least, most = lines[4], lines[5], lines[6], lines[7], lines[8]
+    for x in range(width):
+        low[x] = min(here[x], min(above[x], below[x]))
+        high[x] = max(here[x], max(above[x], below[x]))
+    low1, low2, high1, high2, into_low, into_high = low[1:], low[2:], high[1:], high[2:], least[1:], most[1:]
+    for x in range(width - 2):
+        into_low[x] = min(low[x], min(low1[x], low2[x]))
+    for x in range(width - 2):
+        into_high[x] = max(high[x], max(high1[x], high2[x]))
+    for x, other in ((0, min(1, width - 1)), (width - 1, max(width - 2, 0))):
+        least[x], most[x] = min(low[x], low[other]), max(high[x], high[other])
+    if encoded:
+        for x in range(width):
+            light[x] = np.sqrt(max(light[x], zero))
+        for x in range(width):
+            least[x], most[x] = np.sqrt(least[x]), np.sqrt(most[x])
+    for x in range(width):
+        beyond = overshoot * (most[x] - least[x])
+        light[x] = min(max(light[x], least[x] - beyond), most[x] + beyond) * white
+    for x in range(width):
+        out[x, c] = light[x] if share[x] > zero else image[x, c]

@@ -134,15 +134,16 @@ def _spectra(
     for place in places:
         inside &= (place > side / 2 + 1).all(1) & (place < np.array(lattice.image_size) - side / 2 - 3).all(1)
     window, rings, _ = analysis(side)
-    spectra, light = [], np.zeros(int(inside.sum()))
-    for place in places:
-        seen = _read(look, place[inside], side) / np.float32(white)
-        mean = (seen * window).sum((1, 2)) / window.sum()
-        light += mean / 2
-        spectra.append(np.fft.rfft2((seen - mean[:, None, None]) * window).reshape(len(seen), -1))
+    seen = _read(look, np.concatenate([place[inside] for place in places]), side) / np.float32(white)
+    mean = np.tensordot(seen, window / window.sum())
+    light = (mean[: len(mean) // 2] + mean[len(mean) // 2 :]) / 2
+    seen -= mean[:, None, None]
+    seen *= window
+    spectra = np.fft.rfft2(seen).reshape(2, len(light), -1)
     product = (spectra[0] * spectra[1].conj()).real @ rings / (window**2).sum()
     # Pixels of one half of the flat's count as four here.
-    apart = np.abs(spectra[0] - spectra[1]) ** 2 @ quiet_rings(side) / (8 * (window**2).sum())
+    difference = spectra[0] - spectra[1]
+    apart = (difference * difference.conj()).real @ quiet_rings(side) / (8 * (window**2).sum())
     apart /= np.maximum(light, settings.darkest)[:, None]
     kinds, ratios = pairs.kind[some][inside], sizes[inside] / lattice.pitch
     for kind in range(kinds.max(initial=-1) + 1):

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,10 @@ from ..data.region import check_region
 from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..depth.analyze import analyze
-from ..detail.defocus import measure_defocus
+from ..detail.defocus import Defocus, measure_defocus
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure
+from ..runtime.cache import cached_latest
 from .plan import Part, RenderPlan
 from .settings import DEFAULT, RenderSettings
 from .traditional import TOO_LITTLE, resolves_too_little, traditional
@@ -133,10 +135,19 @@ def render(
     def look(part: Part) -> NDArray:
         return pixels[part[1] : part[3], part[0] : part[2]]
 
-    exposed = match_exposure(pixels[exposure_rows(len(pixels))], calibration)
+    rows = pixels[exposure_rows(len(pixels))]
+    exposed = match_exposure(rows, calibration)
     if sharpen is not None:
         detail = "off"
-    plan = make_plan(look, exposed, depth, patch_size, scale, blend, detail)
+
+    def measure() -> Defocus | None:
+        assert depth is not None
+        # Once for a depth map and its flat, told by some rows; the camera is kept, so that no other gets its identity.
+        key = id(calibration), crc32(rows.tobytes())
+        sizes = depth.patch_size
+        return cached_latest(depth, "defocus", key, lambda: (calibration, measure_defocus(look, exposed, sizes)))[1]
+
+    plan = make_plan(look, exposed, depth, patch_size, scale, blend, detail, measure)
     if previous is not None:
         # Pixels that stay were restored against the blur measured then.
         plan = replace(plan, defocus=previous[2].defocus)
@@ -176,9 +187,10 @@ def make_plan(
     scale: float | None,
     blend: bool | None,
     detail: Detail | None = None,
+    measure: Callable[[], Defocus | None] | None = None,
     settings: RenderSettings = DEFAULT,
 ) -> RenderPlan:
-    """What `render` draws; `look` gives the pixels (h, w, C) of a part of the flat."""
+    """What `render` draws; `look` gives the pixels (h, w, C) of a part of the flat, `measure` its blur."""
     lattice = calibration.lattice
     if patch_size is not None:
         if depth is not None:
@@ -198,7 +210,7 @@ def make_plan(
     reach = settings.fast_reach if depth is not None and depth.preset == "fast" else settings.reach
     defocus = None
     if blend and depth is not None and detail != "off":
-        defocus = measure_defocus(look, calibration, depth.patch_size)
+        defocus = measure() if measure else measure_defocus(look, calibration, depth.patch_size)
     solved = defocus is not None and detail == "restored"
     return RenderPlan(
         calibration, surface, scale, blend, blur, reach, settings.agreement, defocus=defocus, solved=solved
