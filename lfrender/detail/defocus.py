@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, LensBlur
 
-from .settings import DEFOCUS, SPECTRA, DefocusSettings
-from .spectra import Look, PairSpectrum, analysis, pair_spectra, shows_blocks
+from .compression import Look, find_blocks
+from .settings import COMPRESSION, DEFOCUS, SPECTRA, DefocusSettings
+from .spectra import PairSpectrum, analysis, pair_spectra
 from .transfer import disc_transfer
 
 __all__ = ["Defocus", "measure_defocus"]
@@ -98,16 +99,23 @@ def measure_defocus(
         _add_known(cost, known, pitch, grid)
         if (np.abs(ratios[:, None] - known.ratios).min(1) < settings.same_depth).all():
             few = replace(SPECTRA, depth_ranges=1, pairs=settings.noise_pairs)
-            noise = min((one.noise for one in pair_spectra(look, calibration, patch_size, few)), default=0.0)
+            noise = min((one.noise for one in pair_spectra(look, calibration, patch_size, settings=few)), default=0.0)
             return _summarise(cost, shared, grid, pitch, noise, known, settings)
-    found = pair_spectra(look, calibration, patch_size)
+    found = pair_spectra(look, calibration, patch_size, _blocks(look, calibration, patch_size))
     if not found:
         return None
-    highest = settings.compressed if shows_blocks(look, calibration.image_size) else settings.frequencies[1]
     for one in found:
-        cost[one.kind] += _misfit(one, pitch, grid, highest, settings)
+        cost[one.kind] += _misfit(one, pitch, grid, settings)
     noise = min(one.noise for one in found)
     return _summarise(cost, shared, grid, pitch, noise, ratios, settings)
+
+
+def _blocks(look: Look, calibration: Calibration, patch_size: NDArray[np.float32]) -> tuple[int, int] | None:
+    """Where blocks of compression begin, looked for in microimages of known depth."""
+    centres = calibration.lattice.centres()[np.abs(np.nan_to_num(patch_size)) > 1]
+    inside = ((centres > 8) & (centres < np.array(calibration.image_size) - 9)).all(1)
+    some = centres[inside][:: max(1, int(inside.sum()) // COMPRESSION.places)]
+    return find_blocks(look, some) if len(some) else None
 
 
 @dataclass(frozen=True)
@@ -167,19 +175,22 @@ def _blurred_scenes(side: int, slopes: tuple[float, ...]) -> NDArray[np.float32]
     return np.maximum(seen, 0).astype(np.float32)
 
 
-def _misfit(
-    one: PairSpectrum, pitch: float, grid: _Grid, highest: float, settings: DefocusSettings
-) -> NDArray[np.float64]:
+def _misfit(one: PairSpectrum, pitch: float, grid: _Grid, settings: DefocusSettings) -> NDArray[np.float64]:
     """(slopes, softness, apertures, foci) half the squared misfit of a spectrum, with its best contrast."""
     frequency = np.arange(one.side + 1) / one.side
-    rings = np.flatnonzero((frequency > settings.frequencies[0] / one.side) & (frequency < highest))
+    low, high = settings.frequencies
+    rings = np.flatnonzero((frequency > low / one.side) & (frequency < high))
     power, error = np.maximum(one.power[rings], 0), 2 * one.error[rings] ** 2 + 1e-14
     soft = np.abs(np.array(_SOFT) - (grid.softness * abs(one.ratio) / settings.soft_at)[:, None]).argmin(1)
     model = _blurred_scenes(one.side, tuple(grid.slopes.tolist()))[:, soft][..., rings].astype(float)
-    weight = 1 / ((settings.model_error * power) ** 2 + error)
+    kept = one.kept[rings]
+    # What compression left is known to about the share that it took.
+    unsure = settings.model_error**2 + (1 / np.maximum(kept, 0.01) - 1) ** 2
+    model *= kept
+    weight = 1 / (unsure * power**2 + error)
     level = (model @ (one.power[rings] * weight)) / ((model * model) @ weight)
     model *= level[..., None]
-    spread = (settings.model_error * np.maximum(power, model)) ** 2 + error
+    spread = unsure * np.maximum(power, model) ** 2 + error
     each = (np.sqrt(1 + (one.power[rings] - model) ** 2 / spread) - 1).sum(-1)
     wanted = np.minimum(grid.apertures[:, None] * pitch * np.abs(one.ratio - grid.foci), _DISCS[-1])
     at = np.rint(wanted / _DISCS[1]).astype(int)

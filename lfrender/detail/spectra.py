@@ -6,7 +6,7 @@ spectra has neither, so that the blur is seen far below the noise, and beyond th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -17,12 +17,10 @@ from numpy.typing import DTypeLike, NDArray
 from lfcal import Calibration
 
 from ..flat.gray_flat import trusted_radius, white_level
+from .compression import Look, kept_power
 from .settings import SPECTRA, SpectraSettings
 
-__all__ = ["Look", "PairSpectrum", "analysis", "is_encoded", "pair_spectra", "shows_blocks"]
-
-#: Pixels (h, w, C) of the part `left, top, right, bottom` of a flat.
-Look = Callable[[tuple[int, int, int, int]], NDArray]
+__all__ = ["Look", "PairSpectrum", "analysis", "is_encoded", "pair_spectra"]
 
 
 def is_encoded(dtype: DTypeLike) -> bool:
@@ -38,6 +36,7 @@ class PairSpectrum(NamedTuple):
     side: int  # [px] of the windows; ring k holds frequencies about k / side
     power: NDArray[np.float64]  # (side + 1,) [white^2]
     error: NDArray[np.float64]  # its standard error
+    kept: NDArray[np.float64]  # (side + 1,) share of the scene's power that compression left
     noise: float  # variance of a pixel's mean over the channels, for each unit of light: where the pairs differ least
 
 
@@ -49,7 +48,11 @@ class _Pairs(NamedTuple):
 
 
 def pair_spectra(
-    look: Look, calibration: Calibration, patch_size: NDArray[np.float32], settings: SpectraSettings = SPECTRA
+    look: Look,
+    calibration: Calibration,
+    patch_size: NDArray[np.float32],
+    blocks: tuple[int, int] | None = None,
+    settings: SpectraSettings = SPECTRA,
 ) -> list[PairSpectrum]:
     """Cross spectra by type and range of depth; none where too few neighbours have a depth.
 
@@ -60,6 +63,8 @@ def pair_spectra(
     calibration : Calibration
     patch_size : (n,) float32 [px]
         Of all lenses, NaN where unresolved.
+    blocks : (int, int), optional
+        Where the first block of compression begins, on flats that were compressed.
     """
     pairs = _find_pairs(calibration, patch_size, settings)
     if len(pairs.first) < settings.least_pairs:
@@ -69,7 +74,7 @@ def pair_spectra(
     return [
         found
         for some in _groups(pairs, pitch, settings)
-        for found in _spectra(look, calibration, pairs, some, radius, white, settings)
+        for found in _spectra(look, calibration, pairs, some, radius, white, blocks, settings)
     ]
 
 
@@ -117,6 +122,7 @@ def _spectra(
     some: NDArray[np.int64],
     radius: float,
     white: float,
+    blocks: tuple[int, int] | None,
     settings: SpectraSettings,
 ) -> Iterator[PairSpectrum]:
     """Of some pairs, by type, in windows midway between the two microimages; none if these are too small or few."""
@@ -151,7 +157,12 @@ def _spectra(
         if own.sum() >= settings.least_pairs:
             power, noise = product[own], np.quantile(apart[own], settings.quiet, axis=0).min()
             error = power.std(0) / np.sqrt(len(power))
-            yield PairSpectrum(kind, float(np.median(ratios[own])), side, power.mean(0), error, float(noise))
+            kept = np.ones(side + 1)
+            if blocks is not None:
+                both = np.concatenate([place[inside][own] for place in places])
+                within = ((both > 8) & (both < np.array(lattice.image_size) - 9)).all(1)
+                kept = kept_power(look, both[within], blocks, np.arange(side + 1) / side)
+            yield PairSpectrum(kind, float(np.median(ratios[own])), side, power.mean(0), error, kept, float(noise))
 
 
 def _read(look: Look, places: NDArray[np.float64], side: int) -> NDArray[np.float32]:
@@ -175,25 +186,6 @@ def _halve(boxes: NDArray[np.float32], share: NDArray[np.float32], side: int) ->
         out[:, n::2] = weights[0] * boxes[:, :side] + weights[1] * boxes[:, 1 : side + 1]
         out[:, n::2] += weights[2] * boxes[:, 2 : side + 2]
     return out
-
-
-def shows_blocks(look: Look, image_size: tuple[int, int], settings: SpectraSettings = SPECTRA) -> bool:
-    """Whether a flat was compressed in blocks of 8 pixels, as JPEG does, so that its fine detail was rounded away.
-
-    Steps between neighbours are then larger at every eighth, along both axes (Wang, Sheikh and Bovik 2002).
-    """
-    low = [max(0, (n - most) // 2) for n, most in zip(image_size, settings.looked_at, strict=True)]
-    high = [min(n, k + most) for n, k, most in zip(image_size, low, settings.looked_at, strict=True)]
-    part = look((low[0], low[1], high[0], high[1]))
-    grey = part @ np.full(part.shape[2], 1 / part.shape[2], np.float32)
-    found = []
-    for axis in (0, 1):
-        steps = np.abs(np.diff(grey, axis=axis)).mean(1 - axis)
-        if len(steps) < settings.least_blocks * 8:
-            return False
-        each = steps[: len(steps) // 8 * 8].reshape(-1, 8).mean(0)
-        found.append(float(each.max() / max(np.median(each), 1e-9)))
-    return min(found) > settings.blocks
 
 
 @lru_cache(8)
