@@ -64,7 +64,8 @@ def kept_power(
     settings: CompressionSettings = COMPRESSION,
 ) -> NDArray[np.float64]:
     """Share of the power of detail that compression left at each frequency (f,) [cycles / px], about places (n, 2)."""
-    low = np.rint((places - (_SIDE - 1) / 2 - blocks) / _SIDE).astype(int) * _SIDE + blocks
+    first = np.array(blocks)
+    low = np.rint((places - (_SIDE - 1) / 2 - first) / _SIDE).astype(int) * _SIDE + first
     shown = np.abs(_coefficients(_coefficients(_read(look, low, _SIDE)).swapaxes(1, 2))) > settings.zero
     near = np.maximum(1 - np.abs(frequency[:, None] - _FREQUENCY.ravel()) * 2 * _SIDE, 0)
     near[:, 0] = 0
