@@ -129,10 +129,11 @@ class _Grid:
 
     @classmethod
     def make(cls, settings: DefocusSettings) -> _Grid:
+        wide = settings.spreads * settings.slope_spread
         return cls(
-            np.linspace(*settings.slopes),
-            np.array(settings.softness),
-            np.geomspace(*settings.apertures),
+            settings.likely_slope + wide * np.linspace(-1, 1, settings.slope_steps),
+            np.linspace(0, settings.softest, settings.soft_steps),
+            np.geomspace(settings.smallest_aperture, settings.largest_aperture, settings.aperture_steps),
             np.linspace(-settings.farthest_focus, settings.farthest_focus, settings.focus_steps),
         )
 
@@ -178,8 +179,7 @@ def _blurred_scenes(side: int, slopes: tuple[float, ...]) -> NDArray[np.float32]
 def _misfit(one: PairSpectrum, pitch: float, grid: _Grid, settings: DefocusSettings) -> NDArray[np.float64]:
     """(slopes, softness, apertures, foci) half the squared misfit of a spectrum, with its best contrast."""
     frequency = np.arange(one.side + 1) / one.side
-    low, high = settings.frequencies
-    rings = np.flatnonzero((frequency > low / one.side) & (frequency < high))
+    rings = np.flatnonzero((frequency > settings.lowest_frequency / one.side) & (frequency < settings.highest_frequency))
     power, error = np.maximum(one.power[rings], 0), 2 * one.error[rings] ** 2 + 1e-14
     soft = np.abs(np.array(_SOFT) - (grid.softness * abs(one.ratio) / settings.soft_at)[:, None]).argmin(1)
     model = _blurred_scenes(one.side, tuple(grid.slopes.tolist()))[:, soft][..., rings].astype(float)

@@ -2,8 +2,8 @@
 
 A Wiener filter makes the mean square error least: `T H S / (H^2 S (1 + e) + A + N)`, with the transfer function `H` of
 the picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, and noise `N` (N. Wiener 1949), and the
-power `e` by which lenses contradict each other. It is fitted as a sum of four bands, the differences of blurs of
-growing width.
+power `e` by which lenses contradict each other. It is fitted as a sum of four bands, the differences of
+smoothings (1, 2, 1) / 4 with growing distances, as a wavelet transform "a trous" (M. Holschneider et al. 1989).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .defocus import Defocus
 from .settings import RESTORE, SMOOTHING, RestoreSettings
 from .transfer import disc_transfer, interpolation_transfer
 
-__all__ = ["DetailFilters", "make_filters"]
+__all__ = ["DetailFilters", "averaged_views", "make_filters", "trusted_share"]
 
 _Table = NDArray[np.float64]
 # What folds back onto a frequency: the spectrum of the scene about these multiples of the picture's sampling.
@@ -81,7 +81,7 @@ def make_filters(
     across = (np.arange(settings.frequencies) + 0.5) / (2 * settings.frequencies)
     fx, fy = (axis.ravel() for axis in np.meshgrid(across, across))
     bands = _bands(fx, fy)
-    powers = 10 ** np.arange(*settings.powers)
+    powers = np.geomspace(settings.weakest, settings.strongest, settings.powers)
     ratios = np.geomspace(settings.least_ratio, settings.largest_ratio, settings.levels)
     step = ratios[1] / ratios[0]
     ratios = np.concatenate([-ratios, ratios])
@@ -92,7 +92,7 @@ def make_filters(
     shown, *folded = (levels.left(fx + x, fy + y) for x, y in _FOLDS)
     left, scene = shown
     seen = left**2 * scene
-    alias = levels.coarse[:, None] * sum((one**2 * there for one, there in folded), np.zeros_like(seen))
+    alias = sum((one**2 * there for one, there in folded), np.zeros_like(seen))
     grain = channels * levels.grain(fx, fy)
     power[some] = (seen + alias) @ bands[1:].T ** 2 / len(fx)
     noise[some] = grain @ bands[1:].T ** 2 / len(fx)
@@ -100,24 +100,38 @@ def make_filters(
     known = seen * (1 + levels.contradiction(fx, fy)) + alias
     # Never blurrier than it is but by noise.
     wanted = np.maximum(np.maximum(pixel, left) * left * scene, known)
-    gains[:, some] = levels.trusted[:, None] * _fit(
-        bands, powers[:, None, None] * wanted, powers[:, None, None] * known + grain, settings
-    )
+    gains[:, some] = _fit(bands, powers[:, None, None] * wanted, powers[:, None, None] * known + grain, settings)
     fine = np.arange(round(settings.largest_ratio * settings.per_ratio) + 1) / settings.per_ratio
     at = np.log(np.maximum(fine, settings.least_ratio) / settings.least_ratio) / np.log(step)
     near = np.concatenate([at, at + settings.levels])
     first, last = (int(np.float32(p).view(np.int32)) / 2**23 for p in powers[[0, -1]])
     logs = np.arange(int((last - first) * settings.per_octave) + 1) / settings.per_octave + first
     strengths = (logs * 2**23).astype(np.int32).view(np.float32)
-    rows = np.log10(np.maximum(strengths, powers[0]) / powers[0]) / settings.powers[2]
+    rows = np.log10(np.maximum(strengths, powers[0]) / powers[0]) / np.log10(powers[1] / powers[0])
+    views = averaged_views(np.maximum(fine, settings.least_ratio), calibration, reach)
+    trusted = np.tile(trusted_share(views, settings), 2)[:, None]
     return DetailFilters(
-        _between(_between(gains, rows, 0), near, 1).astype(np.float32),
+        (trusted * _between(_between(gains, rows, 0), near, 1)).astype(np.float32),
         _between(power, near, 0).astype(np.float32),
         _between(noise, near, 0).astype(np.float32),
         settings.per_ratio,
         first * settings.per_octave,
         settings.per_octave,
     )
+
+
+def averaged_views(ratio: _Table, calibration: Calibration, reach: float) -> _Table:
+    """How many lenses a place is averaged over, at these `|s / D|`: at least one."""
+    lattice = calibration.lattice
+    limit = np.minimum(lattice.radius / ratio, reach * lattice.pitch)
+    # Lenses count less toward the rim: as three quarters of all.
+    return np.maximum(0.75 * np.pi * limit**2 / abs(float(np.linalg.det(lattice.basis))), 1.0)
+
+
+def trusted_share(views: _Table, settings: RestoreSettings = RESTORE) -> _Table:
+    """How much of the detail is restored where so many lenses are averaged, from 0 to 1."""
+    few, enough = settings.least_views, settings.enough_views
+    return np.asarray(np.clip((views - few) / (enough - few), 0, 1))
 
 
 def _is_near(ratios: _Table, step: float, depths: _Table) -> NDArray[np.bool_]:
@@ -136,7 +150,6 @@ class _Levels:
     discs: _Table  # (n, types) diameters [px of the picture]
     shares: _Table  # (n, types) weights of the types, whose sum is 1
     apart: _Table  # (n, 1) side of the square over which a coarse picture is averaged [px of the picture]
-    trusted: _Table  # (n,) 0 where too few lenses are averaged, 1 where enough
     variance: _Table  # (n, 1) of the noise of a picture's pixel with the light of white, were it one of the flat
     settings: RestoreSettings
 
@@ -152,20 +165,11 @@ class _Levels:
         at = np.rint((np.clip(ratios, -1, 1) + 1) / 2 * (weights.shape[1] - 1)).astype(int)
         shares = weights[:, at].T.astype(float) if len(weights) == discs.shape[1] else np.ones(discs.shape)
         shares /= shares.sum(1, keepdims=True)
-        limit = np.minimum(lattice.radius / size, reach * lattice.pitch)
-        # Lenses count less toward the rim: as three quarters of all.
-        averaged = np.maximum(0.75 * np.pi * limit**2 / abs(float(np.linalg.det(lattice.basis))), 1.0)
-        low, high = settings.few_views
+        averaged = averaged_views(size, calibration, reach)
         # Pictures that are little coarser than the flat are read once per pixel.
         apart = np.sqrt(np.maximum(1 - (blur * scale) ** 2 - grown**2, 0.0)) if blur > 0 else np.zeros_like(grown)
         even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)
-        trusted = np.clip((averaged - low) / (high - low), 0, 1)
-        return cls(grown[:, None], discs, shares, apart[:, None], trusted, (defocus.noise**2 / even)[:, None], settings)
-
-    @property
-    def coarse(self) -> NDArray[np.bool_]:
-        """(n,) whether the picture is not finer than the flat, so that `_FOLDS` reach it."""
-        return self.grown[:, 0] < self.settings.oversampled
+        return cls(grown[:, None], discs, shares, apart[:, None], (defocus.noise**2 / even)[:, None], settings)
 
     def pixel(self, fx: _Table, fy: _Table) -> _Table:
         """(n, f) transfer function of a pixel of the flat."""
@@ -210,9 +214,8 @@ def _between(table: _Table, at: _Table, axis: int) -> _Table:
 def _bands(fx: _Table, fy: _Table) -> _Table:
     """(bands, f): transfer functions of the differences of one smoothing and the next."""
     smooth = [np.ones_like(fx)]
-    for step, side in SMOOTHING:
-        along = [1 - 2 * side + 2 * side * np.cos(2 * np.pi * f * step) for f in (fx, fy)]
-        smooth.append(smooth[-1] * along[0] * along[1])
+    for step in SMOOTHING:
+        smooth.append(smooth[-1] * np.cos(np.pi * fx * step) ** 2 * np.cos(np.pi * fy * step) ** 2)
     return -np.diff(np.stack(smooth), axis=0)
 
 
@@ -223,6 +226,4 @@ def _fit(bands: _Table, wanted: _Table, weight: _Table, settings: RestoreSetting
     right = (wanted - weight) @ bands.T
     size = np.trace(normal, axis1=2, axis2=3)
     normal += np.eye(len(bands)) * (settings.ridge * size)[..., None, None]
-    gains = np.linalg.solve(normal, right[..., None])[..., 0]
-    largest = np.abs(gains).max(-1, keepdims=True)
-    return np.asarray(gains * np.minimum(1, settings.largest_gain / np.maximum(largest, 1e-9)))
+    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])

@@ -12,11 +12,10 @@ from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.buffers import allocate_pooled
 from .filters import DetailFilters
-from .settings import AVERAGING, RESTORE, SMOOTHING, RestoreSettings
+from .settings import AVERAGING, RESTORE, SMOOTHING, SPECTRA, RestoreSettings
 
 __all__ = ["convolve", "off_edges", "restore_detail", "smooth_picture"]
 
-_SOFT_EDGE = (1, 0.25)
 # Rows that are restored together.
 _STRIP = 128
 
@@ -57,17 +56,16 @@ def restore_detail(
     numbers = np.array(
         [
             filters.per_ratio / pitch, filters.weakest, filters.per_octave, settings.overshoot,
-            settings.darkest, white, encoded,
+            SPECTRA.darkest, white, encoded,
         ],
         np.float32,
     )  # fmt: skip
     coarse = filters.power[:, 1:].sum(1)
     expected = np.vstack([filters.noise.T, 1 / filters.power[:, 0], 1 / coarse]).astype(np.float32)
     allowed = off_edges(valid, patch_size, pitch, settings) * inner
-    steps, sides = (np.array(each) for each in zip(*SMOOTHING, *AVERAGING, strict=True))
-    sides, bands = sides.astype(np.float32), len(SMOOTHING)
+    steps, bands = np.array((*SMOOTHING, *AVERAGING)), len(SMOOTHING)
     out = allocate_pooled(image.shape, np.float32)
-    _restore_rows(image, patch_size, allowed, filters.gains, expected, numbers, steps, sides, bands, out)
+    _restore_rows(image, patch_size, allowed, filters.gains, expected, numbers, steps, bands, out)
     return out
 
 
@@ -82,17 +80,17 @@ def off_edges(
     spread = cv2.dilate(patch_size, around) - cv2.erode(patch_size, around)
     level = (spread <= settings.edge * pitch).astype(np.float32)
     soft = np.empty_like(level)
-    _smooth(level, _SOFT_EDGE[0], np.float32(_SOFT_EDGE[1]), soft)
-    reach = 2 * sum(step for step, _ in SMOOTHING) + 1
+    _smooth(level, 1, soft)
+    reach = 2 * sum(SMOOTHING) + 1
     return soft * cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8))
 
 
-def smooth_picture(image: NDArray[np.float32], side: float) -> NDArray[np.float32]:
-    """A picture (h, w, C) averaged with its neighbours, which have the weight `side` along each axis."""
+def smooth_picture(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A picture (h, w, C) averaged with its neighbours, with the weights 1, 2, 1 along each axis."""
     planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
     out = np.empty_like(planes)
     for one, smoothed in zip(planes, out, strict=True):
-        _smooth(one, 1, np.float32(side), smoothed)
+        _smooth(one, 1, smoothed)
     return np.ascontiguousarray(out.transpose(1, 2, 0))
 
 
@@ -107,25 +105,25 @@ def convolve(image: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray
 
 # Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector loop takes together.
 @njit(cache=True, nogil=True, share=lambda image, *_: len(image))
-def _smooth(begin, end, image, step, side, out):
-    """Average `image` (h, w) with three taps along each axis, the outer ones `step` away."""
+def _smooth(begin, end, image, step, out):
+    """Average `image` (h, w) with the weights 1, 2, 1 along each axis, the outer ones `step` away."""
     line = np.empty(image.shape[1] + 2 * step, np.float32)
     for y in range(begin, end):
         above, below = max(y - step, 0), min(y + step, len(image) - 1)
-        _smooth_row(image[above], image[y], image[below], step, side, line, out[y])
+        _smooth_row(image[above], image[y], image[below], step, line, out[y])
 
 
 @njit(cache=True, nogil=True)
-def _smooth_row(above, here, below, step, side, line, out):
+def _smooth_row(above, here, below, step, line, out):
     """A row of `_smooth`; `line` is scratch."""
-    width, middle = len(here), np.float32(1) - side - side
+    width, quarter, two = len(here), np.float32(0.25), np.float32(2)
     before, own, after = line[:width], line[step : step + width], line[2 * step :]
     for x in range(width):
-        own[x] = middle * here[x] + side * (above[x] + below[x])
+        own[x] = quarter * (two * here[x] + above[x] + below[x])
     for k in range(step):
         line[k], line[step + width + k] = own[0], own[width - 1]
     for x in range(width):
-        out[x] = middle * own[x] + side * (before[x] + after[x])
+        out[x] = quarter * (two * own[x] + before[x] + after[x])
 
 
 @njit(cache=True, nogil=True, share=lambda image, kernel, channels, out: len(out))
@@ -146,7 +144,7 @@ def _convolve(begin, end, image, kernel, channels, out):
 @njit(
     cache=True, nogil=True, error_model="numpy", share=lambda image, *_: (len(image) + _STRIP - 1) // _STRIP
 )  # fmt: skip
-def _restore_rows(begin, end, image, patch_size, allowed, gains, expected, numbers, steps, sides, bands, out):
+def _restore_rows(begin, end, image, patch_size, allowed, gains, expected, numbers, steps, bands, out):
     """Restore strips of rows. Of each smoothing only the last rows are kept, which stay in the processor's cache."""
     height, width, channels = image.shape
     halo = steps.sum()
@@ -166,14 +164,14 @@ def _restore_rows(begin, end, image, patch_size, allowed, gains, expected, numbe
             for k in range(bands):
                 y -= steps[k]
                 if first <= y < height:
-                    _smooth_planes(layers[k], y, first, height, steps[k], sides[k], scratch, layers[k + 1])
+                    _smooth_planes(layers[k], y, first, height, steps[k], scratch, layers[k + 1])
             if first <= y < height:
                 _find_power(layers, y % kept, powers[0])
             for k in range(bands, len(steps)):
                 y -= steps[k]
                 if first <= y < height:
                     seen, smoothed = powers[k - bands], powers[k - bands + 1]
-                    _smooth_planes(seen, y, first, height, steps[k], sides[k], scratch, smoothed)
+                    _smooth_planes(seen, y, first, height, steps[k], scratch, smoothed)
             if top <= y < bottom:
                 above, at, below = max(y - 1, 0) % kept, y % kept, min(y + 1, height - 1) % kept
                 share = allowed[y]
@@ -184,12 +182,12 @@ def _restore_rows(begin, end, image, patch_size, allowed, gains, expected, numbe
 
 
 @njit(cache=True, nogil=True)
-def _smooth_planes(planes, y, first, height, step, side, scratch, out):
+def _smooth_planes(planes, y, first, height, step, scratch, out):
     """Row `y` of `out` (n, kept, w), those of `planes` smoothed, which hold rows from `first` on."""
     kept = planes.shape[1]
     above, at, below = max(y - step, first) % kept, y % kept, min(y + step, height - 1) % kept
     for n in range(len(planes)):
-        _smooth_row(planes[n, above], planes[n, at], planes[n, below], step, side, scratch, out[n, at])
+        _smooth_row(planes[n, above], planes[n, at], planes[n, below], step, scratch, out[n, at])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

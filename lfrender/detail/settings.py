@@ -9,12 +9,12 @@ __all__ = [
     "DefocusSettings", "RestoreSettings", "SolveSettings", "SpectraSettings",
 ]  # fmt: skip
 
-#: Three-tap smoothings, one upon the other, that part a picture into bands: distance of the outer taps [px], weight.
-SMOOTHING = ((1, 0.15), (1, 0.255), (2, 0.18), (3, 0.25))
-#: The same over which the power of a band is averaged.
-AVERAGING = ((1, 0.25), (1, 0.25))
+#: Distances of the outer taps of the smoothings, one upon the other, that part a picture into bands [px].
+SMOOTHING = (1, 1, 2, 4)
+#: Of those over which the power of a band is averaged.
+AVERAGING = (1, 1)
 #: [px] around a place that its detail depends on.
-HALO = sum(step for step, _ in (*SMOOTHING, *AVERAGING))
+HALO = sum((*SMOOTHING, *AVERAGING))
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,9 @@ class SpectraSettings:
     corner: float = 1.1  # windows reach beyond the microimage in their corners, where they weigh little
     least_window: int = 6  # [px] smaller ones hold too few frequencies
     largest_window: int = 20  # [px] larger ones resolve no more of the blur
-    noise_rings: tuple[float, ...] = (0.2, 0.3, 0.4, 0.5)  # [cycles / px] ends of rings, of which one tells noise
+    lowest_noise: float = 0.2  # [cycles / px] from where noise is looked for
+    highest_noise: float = 0.5  # [cycles / px] and to where
+    noise_rings: int = 3  # between these, of which the quietest tells
     quiet: float = 0.25  # quantile of the pairs, by how much the two differ, that differ by noise alone
     darkest: float = 0.01  # [white] less light has as much noise
 
@@ -54,11 +56,15 @@ class DefocusSettings:
     Of these the median of the posterior is off by 0.0 px in the mean and 0.44 px RMS.
     """
 
-    apertures: tuple[float, float, int] = (0.05, 0.6, 24)  # [pitch] first, last and number of the apertures tried
+    smallest_aperture: float = 0.05  # [pitch] that is tried
+    largest_aperture: float = 0.6  # [pitch] likewise
+    aperture_steps: int = 24  # number of those that are tried
     farthest_focus: float = 0.7  # [s / D] largest focus that is tried, of either mode
     focus_steps: int = 41  # number of the foci that are tried
-    slopes: tuple[float, float, int] = (2.0, 3.6, 5)  # of the power spectra of scenes that are tried
-    softness: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3)  # [px at |s / D| = 0.3] blur of scenes, tried
+    slope_steps: int = 5  # number of slopes that are tried, up to `spreads` from the likely one
+    spreads: float = 2.5  # [standard deviations]
+    softest: float = 1.2  # [px at |s / D| = 0.3] largest blur of scenes that is tried
+    soft_steps: int = 7  # number of those that are tried
     soft_at: float = 0.3  # [s / D] where `softness` holds; it grows with the patch size
     likely_aperture: float = 0.22  # [pitch] cameras with open microlenses have 0.15 to 0.3
     aperture_spread: float = 0.3  # standard deviation of its logarithm among cameras
@@ -70,7 +76,8 @@ class DefocusSettings:
     likely_softness: float = 0.4  # [px at |s / D| = 0.3] mean of an exponential distribution
     noise_pairs: int = 30  # of a camera whose blur is known, to tell the noise
     model_error: float = 0.12  # [share of the power] scenes differ by this from a power law
-    frequencies: tuple[float, float] = (1.6, 0.6)  # [1 / window, cycles / px] from and to which spectra are compared
+    lowest_frequency: float = 1.6  # [1 / window] from which spectra are compared
+    highest_frequency: float = 0.6  # [cycles / px] and to which
     kept_depths: tuple[float, ...] = (0.1, 0.5, 0.9)  # quantiles of the depths at which a camera's blur is told
     one_depth: float = 0.05  # [s / D] range of these below which one is
     same_depth: float = 0.06  # [s / D] from depths at which a camera's blur is told, it is not measured again
@@ -85,18 +92,18 @@ class RestoreSettings:
     slope: float = 3.0  # of the power spectrum of the detail that is expected
     kept: float = 0.15  # share of the blur by pixels of the flat that is left, as a power: what aliases stays soft
     contradiction: float = 1.5  # [px of the flat] width of detail in which lenses differ by half its power
-    few_views: tuple[float, float] = (2.0, 4.0)  # lenses averaged, below which nothing and above which all is restored
-    oversampled: float = 1.5  # [px of the picture per px of the flat] from which nothing aliases
+    least_views: float = 2.0  # lenses averaged, below which nothing is restored
+    enough_views: float = 4.0  # and above which all is
     levels: int = 12  # patch sizes of either sign for which filters are computed
     least_ratio: float = 0.06  # |s / D| of the first
     largest_ratio: float = 0.8  # and of the last
-    powers: tuple[float, float, float] = (-8.0, -1.9, 0.3)  # first, last and step of log10 of the detail's power
-    frequencies: int = 10  # along each side of the quarter of the spectrum on which filters are fitted
+    weakest: float = 1e-8  # [white^2] power of detail for which there is a filter
+    strongest: float = 0.015  # [white^2] likewise
+    powers: int = 21  # number of these
+    frequencies: int = 8  # along each side of the quarter of the spectrum on which filters are fitted
     per_ratio: float = 240.0  # entries of the table that pixels are looked up in, for each unit of |s / D|
     per_octave: float = 4.0  # and for each octave of power
     ridge: float = 1.5e-3  # [trace] keeps the fit of the filters well-conditioned
-    largest_gain: float = 5.0  # factor of a band beyond its own
-    darkest: float = 0.001  # [white] less light has as much noise
     overshoot: float = 0.25  # [range of the values about] by which a pixel may leave it: no halos
     edge: float = 0.04  # [pitch] depths that differ by this are an edge
     beside_edge: int = 2  # [px] no detail is restored so near an edge
@@ -110,9 +117,9 @@ class SolveSettings:
     overshoot: float = 0.4  # [range of the values about] by which a pixel may leave it
     contrast: float = 0.012  # [white] of detail below which the solution is not taken
     rounds: int = 2  # more raise noise and the misfit of the model
-    fine: tuple[float, float] = (0.7, 0.9)  # [px of the picture per px of the flat] below which none, all is taken
+    least_fine: float = 0.7  # [px of the picture per px of the flat] below which the solution is not taken
+    fine: float = 0.9  # and above which it is
     beside_edge: int = 6  # [px] the solution is not taken so near a depth edge
-    smooth: float = 0.22  # weight of the neighbours along each axis in what is added: less noise
     levels: int = 32  # depths |s / D| at which pictures are blurred; between them it is interpolated
     kernel: int = 8  # [px] that interpolation, rounding and smoothing reach
 

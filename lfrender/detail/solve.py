@@ -19,6 +19,7 @@ from ..data.surface import edge_step, sample_surface_at
 from ..flat.gray_flat import white_level
 from .defocus import Defocus
 from .draw import plan_border
+from .filters import averaged_views, trusted_share
 from .restore import convolve, off_edges, smooth_picture
 from .settings import RESTORE, SOLVE, SolveSettings
 from .spectra import is_encoded
@@ -52,7 +53,7 @@ def solve_detail(
         plan.surface, edge_step(plan.calibration.lattice.pitch), valid.shape,
         plan.affine[:, 2] + plan.spacing * np.array(wide[:2]), plan.spacing,
     )  # fmt: skip
-    least, full = settings.fine
+    least, full = settings.least_fine, settings.fine
     fine = np.clip((plan.scale / np.maximum(np.abs(sizes), 1) - least) / (full - least), 0, 1)
     if not fine[inside].any():
         return found[inside], valid[inside]
@@ -74,7 +75,7 @@ def solve_detail(
         if pixels.dtype.kind in "ui":
             seen = np.clip(np.rint(seen), 0, np.iinfo(pixels.dtype).max)
         found += image - even.draw(seen.astype(pixels.dtype), corner, wide)[0]
-    found = natural + smooth_picture(found - natural, settings.smooth)
+    found = natural + smooth_picture(found - natural)
     around = np.ones((3, 3), np.uint8)
     low, high = (cut(image, around).reshape(image.shape) for cut in (cv2.erode, cv2.dilate))
     beyond = settings.overshoot * (high - low)
@@ -195,14 +196,12 @@ def _trusted(
     lattice = plan.calibration.lattice
     share = off_edges(valid, sizes, lattice.pitch, replace(RESTORE, beside_edge=settings.beside_edge))
     share *= plan_border(plan, part)
-    reach = np.minimum(lattice.radius * lattice.pitch / np.maximum(np.abs(sizes), 1), plan.reach * lattice.pitch)
-    views = 0.75 * np.pi * reach**2 / abs(float(np.linalg.det(lattice.basis)))
-    low, high = RESTORE.few_views
-    share *= np.clip((views - low) / (high - low), 0, 1)
+    views = averaged_views(np.maximum(np.abs(sizes), 1) / lattice.pitch, plan.calibration, plan.reach)
+    share *= trusted_share(views).astype(np.float32)
     mean = image
     for _ in range(4):
-        mean = smooth_picture(mean, 0.25)
+        mean = smooth_picture(mean)
     power = ((image - mean) ** 2).mean(2, keepdims=True)
     for _ in range(3):
-        power = smooth_picture(power, 0.25)
+        power = smooth_picture(power)
     return np.asarray(share * np.clip(1 - settings.contrast**2 / np.maximum(power[..., 0], 1e-12), 0, 1), np.float32)

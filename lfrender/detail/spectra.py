@@ -212,7 +212,7 @@ def quiet_rings(side: int, settings: SpectraSettings = SPECTRA) -> NDArray[np.fl
     frequency = np.hypot(fy, fx)
     # What bilinear interpolation leaves of the power of noise, in the mean over places.
     left = (2 + np.cos(2 * np.pi * fx)) * (2 + np.cos(2 * np.pi * fy)) / 9
-    ends = np.array(settings.noise_rings)
+    ends = np.linspace(settings.lowest_noise, settings.highest_noise, settings.noise_rings + 1)
     inside = (frequency[..., None] > ends[:-1]) & (frequency[..., None] <= ends[1:])
     weights = inside / left[..., None] / np.maximum(inside.sum((0, 1)), 1)
     return weights.reshape(-1, len(ends) - 1).astype(np.float32)
