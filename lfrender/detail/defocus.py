@@ -179,7 +179,9 @@ def _blurred_scenes(side: int, slopes: tuple[float, ...]) -> NDArray[np.float32]
 def _misfit(one: PairSpectrum, pitch: float, grid: _Grid, settings: DefocusSettings) -> NDArray[np.float64]:
     """(slopes, softness, apertures, foci) half the squared misfit of a spectrum, with its best contrast."""
     frequency = np.arange(one.side + 1) / one.side
-    rings = np.flatnonzero((frequency > settings.lowest_frequency / one.side) & (frequency < settings.highest_frequency))
+    rings = np.flatnonzero(
+        (frequency > settings.lowest_frequency / one.side) & (frequency < settings.highest_frequency)
+    )
     power, error = np.maximum(one.power[rings], 0), 2 * one.error[rings] ** 2 + 1e-14
     soft = np.abs(np.array(_SOFT) - (grid.softness * abs(one.ratio) / settings.soft_at)[:, None]).argmin(1)
     model = _blurred_scenes(one.side, tuple(grid.slopes.tolist()))[:, soft][..., rings].astype(float)
