@@ -155,7 +155,9 @@ def _spectra(
     for kind in range(kinds.max(initial=-1) + 1):
         own = kinds == kind
         if own.sum() >= settings.least_pairs:
-            power, noise = product[own], np.quantile(apart[own], settings.quiet, axis=0).min()
+            # Compression takes the noise from blank places, and adds some where there is detail.
+            quiet = settings.quiet if blocks is None else 0.5
+            power, noise = product[own], np.quantile(apart[own], quiet, axis=0).min()
             error = power.std(0) / np.sqrt(len(power))
             kept = np.ones(side + 1)
             if blocks is not None:
@@ -171,7 +173,7 @@ def _read(look: Look, places: NDArray[np.float64], side: int) -> NDArray[np.floa
     low = np.floor(start).astype(int)
     boxes = np.stack([look((x, y, x + side + 2, y + side + 2)) for x, y in low.tolist()])
     if is_encoded(boxes.dtype):
-        boxes = boxes.astype(np.float32) ** 2 / np.float32(np.iinfo(np.uint8).max)
+        boxes = boxes.astype(np.float32) ** 2 / np.float32(np.iinfo(boxes.dtype).max)
     grey = boxes @ np.full(boxes.shape[3], 1 / boxes.shape[3], np.float32)
     share = (start - low).astype(np.float32)
     rows = _halve(grey, share[:, 1], side)
