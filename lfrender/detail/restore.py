@@ -5,6 +5,8 @@ Lenses blur light. What is encoded for display, as all pixels of 8 bits are, is 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,22 @@ __all__ = ["convolve", "off_edges", "restore_detail", "smooth_picture"]
 
 # Rows that are restored together.
 _STRIP = 128
+
+
+class _Lookup(NamedTuple):
+    """What kernels look up, by power of the detail (p) and patch size (n), as `DetailFilters`."""
+
+    gains: NDArray[np.float32]  # (p, n, 4)
+    noise: NDArray[np.float32]  # (3, n) of the bands but the finest, in the light of white
+    per_fine: NDArray[np.float32]  # (n,) power of detail for each unit of power of the second band
+    per_coarse: NDArray[np.float32]  # (n,) likewise, of the coarser ones together
+    per_level: np.float32  # [1 / px]
+    weakest: np.float32
+    per_power: np.float32
+    overshoot: np.float32
+    darkest: np.float32
+    white: np.float32
+    encoded: bool
 
 
 def restore_detail(
@@ -53,19 +71,16 @@ def restore_detail(
     -------
     (h, w, C) float32
     """
-    numbers = np.array(
-        [
-            filters.per_ratio / pitch, filters.weakest, filters.per_octave, settings.overshoot,
-            SPECTRA.darkest, white, encoded,
-        ],
-        np.float32,
+    single, (fine, *coarse) = np.float32, filters.power.T
+    lookup = _Lookup(
+        filters.gains, np.ascontiguousarray(filters.noise.T), 1 / fine, 1 / sum(coarse),
+        single(filters.per_ratio / pitch), single(filters.weakest), single(filters.per_octave),
+        single(settings.overshoot), single(SPECTRA.darkest), single(white), encoded,
     )  # fmt: skip
-    coarse = filters.power[:, 1:].sum(1)
-    expected = np.vstack([filters.noise.T, 1 / filters.power[:, 0], 1 / coarse]).astype(np.float32)
     allowed = off_edges(valid, patch_size, pitch, settings) * inner
     steps, bands = np.array((*SMOOTHING, *AVERAGING)), len(SMOOTHING)
     out = allocate_pooled(image.shape, np.float32)
-    _restore_rows(image, patch_size, allowed, filters.gains, expected, numbers, steps, bands, out)
+    _restore_rows(image, patch_size, allowed, lookup, steps, bands, out)
     return out
 
 
@@ -144,7 +159,7 @@ def _convolve(begin, end, image, kernel, channels, out):
 @njit(
     cache=True, nogil=True, error_model="numpy", share=lambda image, *_: (len(image) + _STRIP - 1) // _STRIP
 )  # fmt: skip
-def _restore_rows(begin, end, image, patch_size, allowed, gains, expected, numbers, steps, bands, out):
+def _restore_rows(begin, end, image, patch_size, allowed, lookup, steps, bands, out):
     """Restore strips of rows. Of each smoothing only the last rows are kept, which stay in the processor's cache."""
     height, width, channels = image.shape
     halo = steps.sum()
@@ -158,7 +173,7 @@ def _restore_rows(begin, end, image, patch_size, allowed, gains, expected, numbe
         first = max(top - halo, 0)
         for newest in range(first, bottom + halo):
             if newest < height:
-                _to_light(image[newest], numbers, newest % kept, layers[0])
+                _to_light(image[newest], lookup, newest % kept, layers[0])
             # Each smoothing lags behind the one before it by its step.
             y = newest
             for k in range(bands):
@@ -175,10 +190,10 @@ def _restore_rows(begin, end, image, patch_size, allowed, gains, expected, numbe
             if top <= y < bottom:
                 above, at, below = max(y - 1, 0) % kept, y % kept, min(y + 1, height - 1) % kept
                 share = allowed[y]
-                _find_factors(layers[-1], powers[-1], at, patch_size[y], share, gains, expected, numbers, kinds, lines)
+                _find_factors(layers[-1], powers[-1], at, patch_size[y], share, lookup, kinds, lines)
                 for c in range(channels):
                     _add_row(layers, c, at, lines)
-                    _store_row(layers[0, c], above, at, below, share, numbers, image[y], c, lines, out[y])
+                    _store_row(layers[0, c], above, at, below, share, lookup, image[y], c, lines, out[y])
 
 
 @njit(cache=True, nogil=True)
@@ -191,9 +206,9 @@ def _smooth_planes(planes, y, first, height, step, scratch, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _to_light(image, numbers, at, out):
+def _to_light(image, lookup, at, out):
     """Row `at` of the planes (C, kept, w): a row of the picture (w, C) with white as one, squared if it is encoded."""
-    unit, encoded = np.float32(1) / numbers[5], numbers[6] > 0
+    unit, encoded = np.float32(1) / lookup.white, lookup.encoded
     for c in range(len(out)):
         into = out[c, at]
         for x in range(len(image)):
@@ -217,13 +232,13 @@ def _find_power(layers, at, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _find_factors(coarsest, power, at, sizes, share, gains, expected, numbers, kinds, lines):
+def _find_factors(coarsest, power, at, sizes, share, lookup, kinds, lines):
     """Lines 0 to 3: what is added of each band, from row `at` of the coarsest layer and the power.
 
     `kinds` and the other lines are scratch.
     """
-    steps, levels, width = gains.shape[0], gains.shape[1] // 2, len(sizes)
-    per_level, weakest, per_power, darkest = numbers[0], numbers[1], numbers[2], numbers[4]
+    gains, width, per_level, weakest = lookup.gains, len(sizes), lookup.per_level, lookup.weakest
+    steps, levels = gains.shape[0], gains.shape[1] // 2
     zero, one, tiny, half = np.float32(0), np.float32(1), np.float32(1e-20), np.float32(0.5)
     above_zero = half + np.float32(levels)
     last_level, last_step, channels = np.float32(levels - 1), np.float32(steps - 1), len(coarsest)
@@ -234,17 +249,17 @@ def _find_factors(coarsest, power, at, sizes, share, gains, expected, numbers, k
         for x in range(width):
             light[x] += row[x]
     for x in range(width):
-        light[x] = max(light[x] / np.float32(channels), darkest)
+        light[x] = max(light[x] / np.float32(channels), lookup.darkest)
     for x in range(width):
         s = sizes[x]
         kinds[x] = np.uint32(min(abs(s) * per_level, last_level) + (above_zero if s > 0 else half))
     for band in range(3):
-        seen, rest, above, noise = power[band, at], lines[1 + band], lines[7 + band], expected[band]
+        seen, rest, above, noise = power[band, at], lines[1 + band], lines[7 + band], lookup.noise[band]
         for x in range(width):
             above[x] = max(seen[x] - light[x] * noise[kinds[x]], zero)
         for x in range(width):
             rest[x] = above[x] / max(seen[x], tiny) - one
-    fine, middle, coarse, per_fine, per_coarse = lines[7], lines[8], lines[9], expected[3], expected[4]
+    fine, middle, coarse, per_fine, per_coarse = lines[7], lines[8], lines[9], lookup.per_fine, lookup.per_coarse
     for x in range(width):
         fine[x] *= per_fine[kinds[x]]
     for x in range(width):
@@ -255,7 +270,7 @@ def _find_factors(coarsest, power, at, sizes, share, gains, expected, numbers, k
     for x in range(width):
         strength[x] = max(strength[x] / light[x], tiny)
     # The bits of a number above zero grow with its logarithm.
-    logarithm, per_bit = strength.view(np.int32), per_power / np.float32(1 << 23)
+    logarithm, per_bit = strength.view(np.int32), lookup.per_power / np.float32(1 << 23)
     for x in range(width):
         row = np.float32(logarithm[x]) * per_bit - weakest
         gain = gains[np.uint32(min(max(row, zero), last_step) + half), kinds[x]]
@@ -278,9 +293,9 @@ def _add_row(layers, c, at, lines):
 
 
 @njit(cache=True, nogil=True)
-def _store_row(plane, row_above, row, row_below, share, numbers, image, c, lines, out):
+def _store_row(plane, row_above, row, row_below, share, lookup, image, c, lines, out):
     """Line 4 as values, in the range of their neighbours in three rows of `plane` but for the overshoot."""
-    overshoot, white, encoded, zero = numbers[3], numbers[5], numbers[6] > 0, np.float32(0)
+    overshoot, white, encoded, zero = lookup.overshoot, lookup.white, lookup.encoded, np.float32(0)
     above, here, below, width = plane[row_above], plane[row], plane[row_below], plane.shape[1]
     light, low, high, least, most = lines[4], lines[5], lines[6], lines[7], lines[8]
     for x in range(width):
