@@ -16,7 +16,7 @@ from ..runtime.buffers import allocate_pooled
 from .filters import DetailFilters
 from .settings import AVERAGING, RESTORE, SMOOTHING, SPECTRA, RestoreSettings
 
-__all__ = ["convolve", "off_edges", "restore_detail", "smooth_picture"]
+__all__ = ["off_edges", "restore_detail", "smooth_picture"]
 
 # Rows that are restored together.
 _STRIP = 128
@@ -109,15 +109,6 @@ def smooth_picture(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.ascontiguousarray(out.transpose(1, 2, 0))
 
 
-def convolve(image: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A picture (h, w, C) convolved with a symmetric kernel of odd sides; beyond its border it goes on."""
-    half, (height, width, channels) = len(kernel) // 2, image.shape
-    wide = np.pad(image, ((half, half), (half, half), (0, 0)), "edge").reshape(height + 2 * half, -1)
-    out = np.empty((height, width * channels), np.float32)
-    _convolve(wide, np.ascontiguousarray(kernel), channels, out)
-    return out.reshape(image.shape)
-
-
 # Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector loop takes together.
 @njit(cache=True, nogil=True, share=lambda image, *_: len(image))
 def _smooth(begin, end, image, step, out):
@@ -139,21 +130,6 @@ def _smooth_row(above, here, below, step, line, out):
         line[k], line[step + width + k] = own[0], own[width - 1]
     for x in range(width):
         out[x] = quarter * (two * own[x] + before[x] + after[x])
-
-
-@njit(cache=True, nogil=True, share=lambda image, kernel, channels, out: len(out))
-def _convolve(begin, end, image, kernel, channels, out):
-    """Sum of the rows of `image`, moved by as much and times as much as the kernel tells."""
-    for y in range(begin, end):
-        into = out[y]
-        into[:] = 0
-        for j in range(kernel.shape[0]):
-            row = image[y + j]
-            for i in range(kernel.shape[1]):
-                weight, moved = kernel[j, i], row[i * channels :]
-                if weight != 0:
-                    for k in range(len(into)):
-                        into[k] += weight * moved[k]
 
 
 @njit(

@@ -10,7 +10,7 @@ import pytest
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
-from lfrender.detail.solve import _point_spread
+from lfrender.detail.predict import point_spread
 from lfrender.rendering.render import make_plan
 
 
@@ -76,8 +76,8 @@ def test_it_draws_whole_pictures_not_changes():
 
 
 def test_point_spread_of_a_pixel_alone_and_of_a_disc():
-    assert _point_spread(0.0, 1.0)[1, 1] == pytest.approx(1.0, abs=0.01)
-    wide = _point_spread(4.0, 1.0)
+    assert point_spread(0.0, 1.0)[1, 1] == pytest.approx(1.0, abs=0.01)
+    wide = point_spread(4.0, 1.0)
     at = np.arange(len(wide)) - len(wide) // 2
     # A disc has a variance of d^2 / 16 along an axis, a pixel of 1 / 12.
     assert (wide.sum(0) * at**2).sum() == pytest.approx(4.0**2 / 16 + 1 / 12 + 1 / 12, abs=0.1)
