@@ -106,8 +106,8 @@ def _sample(
     import cv2
 
     lines = -(-len(columns) // _LINE)
-    places = [np.resize(at, (lines, _LINE)) for at in (columns, rows)]
-    shown = cv2.remap(picture, *places, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+    u, v = (np.resize(at, (lines, _LINE)) for at in (columns, rows))
+    shown = cv2.remap(picture, u, v, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(shown.reshape(lines * _LINE, -1)[: len(columns)], np.float32)
 
 
