@@ -38,6 +38,9 @@ class DetailFilters:
         By power of the detail over light, and patch size: first the negative ones from zero, then the positive ones.
     power, noise : (n, 3) float32
         Predicted power of each band but the finest: of detail of unit power, and of noise in the light of white.
+    most : (n,) float32
+        Power that the second band tells if detail is white, for each unit that the coarser bands tell: no scene has
+        more of the finest.
     per_ratio : float
         Entries for each unit of `|s / D|`.
     weakest, per_octave : float
@@ -47,6 +50,7 @@ class DetailFilters:
     gains: NDArray[np.float32]
     power: NDArray[np.float32]
     noise: NDArray[np.float32]
+    most: NDArray[np.float32]
     per_ratio: float
     weakest: float
     per_octave: float
@@ -86,7 +90,7 @@ def make_filters(
     step = ratios[1] / ratios[0]
     ratios = np.concatenate([-ratios, ratios])
     gains = np.zeros((len(powers), len(ratios), len(bands)))
-    power, noise = np.ones((2, len(ratios), len(bands) - 1))
+    power, noise, white = np.ones((3, len(ratios), len(bands) - 1))
     some = _is_near(ratios, step, np.array(depths) / calibration.lattice.pitch)
     levels = _Levels.of(ratios[some], defocus, calibration, scale, reach, blur, settings)
     shown, *folded = (levels.left(fx + x, fy + y) for x, y in _FOLDS)
@@ -96,11 +100,13 @@ def make_filters(
     grain = channels * levels.grain(fx, fy)
     power[some] = (seen + alias) @ bands[1:].T ** 2 / len(fx)
     noise[some] = grain @ bands[1:].T ** 2 / len(fx)
+    white[some] = sum(one**2 for one, _ in (shown, *folded)) @ bands[1:].T ** 2
     pixel = np.sinc(fx) * np.sinc(fy) * levels.pixel(fx, fy) ** settings.kept
     known = seen * (1 + levels.contradiction(fx, fy)) + alias
     # Never blurrier than it is but by noise.
     wanted = np.maximum(np.maximum(pixel, left) * left * scene, known)
     gains[:, some] = _fit(bands, powers[:, None, None] * wanted, powers[:, None, None] * known + grain, settings)
+    most = white[:, 0] / white[:, 1:].sum(1) * power[:, 1:].sum(1) / power[:, 0]
     fine = np.arange(round(settings.largest_ratio * settings.per_ratio) + 1) / settings.per_ratio
     at = np.log(np.maximum(fine, settings.least_ratio) / settings.least_ratio) / np.log(step)
     near = np.concatenate([at, at + settings.levels])
@@ -114,6 +120,7 @@ def make_filters(
         (trusted * _between(_between(gains, rows, 0), near, 1)).astype(np.float32),
         _between(power, near, 0).astype(np.float32),
         _between(noise, near, 0).astype(np.float32),
+        _between(most, near, 0).astype(np.float32),
         settings.per_ratio,
         first * settings.per_octave,
         settings.per_octave,
