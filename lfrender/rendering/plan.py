@@ -18,41 +18,26 @@ from lfcal import Calibration
 from ..data.rendering import convert_to_dtype
 from ..data.surface import DepthGrid, Surface, edge_step, sample_surface_at
 from ..data.viewpoint import Viewpoint
-from ..depth.surface.occlusion import project_surface
 from ..detail.defocus import Defocus
 from ..detail.settings import HALO
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_cell, correction_tables, has_uneven_lenses, white_level
 from ..flat.lens_graph import lens_offsets
 from ..flat.lens_type_weights import focus_weights
-from ..flat.prefilter import prefilter_flat, prefilter_packed
+from ..flat.prefilter import prefilter_flat
 from ..runtime.cache import cached
-from .blend_pixels import Flat, Grid, Lenses, Light, Output, Weighting, blend_pixels
-from .blend_rows import blend_rows
+from .blend.blend_pixels import Flat, Grid, Lenses, Output, Weighting, blend_pixels
+from .blend.blend_rows import blend_rows
+from .blend.lens_runs import SortedLenses
+from .blend.lit_flat import LitFlat, light_flat
+from .blend.view_rows import blend_view_rows
 from .fixed_patch import covers_all_patches, render_patches
-from .lens_runs import SortedLenses
-from .off_axis.view_rows import blend_view_rows
 from .settings import DEFAULT
 
-__all__ = ["LitFlat", "Part", "RenderPlan", "dilate_mask"]
+__all__ = ["Part", "RenderPlan"]
 
 #: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
 Part = tuple[int, int, int, int]
-
-
-@dataclass(frozen=True)
-class LitFlat:
-    """What a picture reads of a flat."""
-
-    pixels: NDArray[Any]  # (h, w, C), divided by the gain if that differs from lens to lens
-    shown: NDArray[np.float32]  # (h, w) patch size that each pixel shows [px]; (0, 0) if nothing occludes
-    light: Light
-    edged: NDArray[np.bool_]  # (n,) `shown` is set on the pixels of these lenses
-
-    @cached_property
-    def packed(self) -> NDArray[Any]:
-        """(h, w) the pixels for `blend_rows`."""
-        return prefilter_packed(self.pixels)
 
 
 @dataclass(frozen=True)
@@ -199,8 +184,8 @@ class RenderPlan:
             size,
             first,
             self.aperture * lattice.radius,
-            self._gains[0][0],
-            self._gains[1],
+            self.gains[0][0],
+            self.gains[1],
             part,
         )
 
@@ -236,7 +221,7 @@ class RenderPlan:
         # Packed pixels have three, so that flats of one use the same code.
         channels = (0,) * (3 if self._suits_rows(pixels) else pixels.shape[2])
         tolerance = np.float32(self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0)
-        lit = self.lit or self._light(pixels, corner, wanted.size > 0)
+        lit = self.lit or light_flat(self, pixels, corner, wanted.size > 0)
         pixels, edged, light = lit.pixels, lit.edged, lit.light
         read = Flat(pixels, lit.shown, np.array(corner), np.array(self.calibration.image_size))
         first = 0.5 * self.spacing - 0.5 + self._moved
@@ -274,32 +259,11 @@ class RenderPlan:
 
     def light_once(self, pixels: NDArray[Any], parallax: float) -> LitFlat:
         """What pictures from several viewpoints read of the flat, with their largest parallax [px]."""
-        return self._light(pixels, (0, 0), False, parallax)
-
-    def _light(
-        self, pixels: NDArray[Any], corner: tuple[int, int], following: bool, parallax: float | None = None
-    ) -> LitFlat:
-        """The pixels, the patch size that each shows, and the light of the lenses.
-
-        If the gain differs from lens to lens, pixels are divided by it, and those that are unlit are infinitely far.
-        The memory is that of the next picture, unless the `parallax` of several is given.
-        """
-        edged = np.zeros(len(self.calibration.lattice), bool)
-        shown = self._shown_depth(corner, pixels.shape, edged, following, parallax)
-        gains, step = self._gains
-        lights = 1 / gains
-        if self._part_gain is not None:
-            gains = np.ones_like(gains)
-            pixels, unknown = self._part_gain.flatten(pixels, *corner)
-            if not shown.size:
-                shown = np.full(pixels.shape[:2], np.nan, np.float32)
-            shown[dilate_mask(unknown)] = np.inf
-            edged[:] = True
-        return LitFlat(pixels, shown, Light(gains, lights, np.float32(step), self._gain_cell), edged)
+        return light_flat(self, pixels, (0, 0), False, parallax)
 
     @property
     def _depth(self) -> tuple[NDArray[np.float32], DepthGrid]:
-        return self._seen_surface.patch_size, self._seen_surface.grid(self._edge)
+        return self._seen_surface.patch_size, self._seen_surface.grid(self.edge)
 
     @property
     def _lenses(self) -> Lenses:
@@ -346,58 +310,18 @@ class RenderPlan:
             return False
         return covers_all_patches(lattice, self.scale, self.aperture * lattice.radius)
 
-    def _shown_depth(
-        self,
-        corner: tuple[int, int],
-        shape: tuple[int, ...],
-        edged: NDArray[np.bool_],
-        following: bool,
-        parallax: float | None,
-    ) -> NDArray[np.float32]:
-        """Patch size that each pixel of a part of the flat shows, (0, 0) if nothing can occlude anything.
-
-        Sets the lenses that are `edged` (n,): on the others it is not known. `following`: the surface differs in some
-        places only from that of the picture before.
-        """
-        if not self.blend or self.surface.patch_size.size <= 1:
-            return np.empty((0, 0), np.float32)
-        lattice = self.calibration.lattice
-        reach = self.reach * lattice.pitch + (self._parallax if parallax is None else parallax)
-        part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
-        whole = shape[:2] == self._shape
-        # `_lit` enters unlit pixels if the light differs from lens to lens: that memory is another.
-        purpose: str | None = "seen depth" if self._part_gain is None else "seen depth and light"
-        if parallax is not None:
-            purpose = None
-        return project_surface(
-            self.surface, lattice, reach, self._edge, None if whole else part, edged, purpose,
-            following and self._part_gain is None,
-        )  # fmt: skip
-
     @property
-    def _shape(self) -> tuple[int, int]:
-        return self.calibration.image_size[::-1]
-
-    @property
-    def _edge(self) -> float:
+    def edge(self) -> float:
         return edge_step(self.calibration.lattice.pitch)
 
     @cached_property
-    def _parallax(self) -> float:
+    def parallax(self) -> float:
         return self.viewpoint.max_parallax(self.surface, self.calibration.lattice)
 
     @cached_property
-    def _gains(self) -> tuple[NDArray[np.float32], float]:
+    def gains(self) -> tuple[NDArray[np.float32], float]:
         camera = self.calibration
         return cached(camera, "gain table", lambda: correction_tables(camera))
-
-    @property
-    def _gain_cell(self) -> NDArray[np.int8]:
-        return correction_cell(self.calibration)
-
-    @cached_property
-    def _part_gain(self) -> Any:
-        return self.calibration.region_gain() if has_uneven_lenses(self.calibration) else None
 
     @cached_property
     def _bend(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -412,13 +336,13 @@ class RenderPlan:
 
     @cached_property
     def _seen_from(self) -> tuple[Surface, NDArray[np.float64]]:
-        return self.viewpoint.warp_surface(self.surface, self.calibration.lattice, self._edge)
+        return self.viewpoint.warp_surface(self.surface, self.calibration.lattice, self.edge)
 
     def seen_depth(self) -> NDArray[np.float32]:
         """(rows, columns) signed patch size that each pixel of the picture shows [px]."""
         columns, rows = self.size
         first = 0.5 * self.spacing - 0.5 + self._moved
-        return sample_surface_at(self._seen_surface, self._edge, (rows, columns), first, self.spacing)
+        return sample_surface_at(self._seen_surface, self.edge, (rows, columns), first, self.spacing)
 
     @property
     def _seen_surface(self) -> Surface:
@@ -443,10 +367,3 @@ def _sort_lenses(
 
     kinds = look_up(cell) if cell.size else np.zeros(len(order), np.int64)
     return order, np.ascontiguousarray(centres[order]), kinds, look_up(correction_cell(calibration))
-
-
-def dilate_mask(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """These pixels and their neighbours, whose interpolation needs them."""
-    import cv2
-
-    return cv2.dilate(pixels.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)

@@ -16,7 +16,8 @@ from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.analyze import analyze
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
-from .plan import LitFlat, RenderPlan
+from .blend.lit_flat import LitFlat
+from .plan import RenderPlan
 from .settings import DEFAULT
 
 __all__ = ["circle_offsets", "grid_offsets", "still_depth", "views", "views_with_depth"]

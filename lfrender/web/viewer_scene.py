@@ -15,7 +15,6 @@ from lfcal.runtime.eight_bit import to_eight_bits
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.viewpoint import Viewpoint, virtual_depth
-from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
 from ..flat.lens_blur import measure_lens_blur
@@ -23,7 +22,8 @@ from ..flat.lens_graph import lens_offsets, nearest_lens
 from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
 from ..output.depth_picture import colour_scale, magnification_limits
-from ..rendering.plan import dilate_mask
+from ..rendering.blend.lit_flat import dilate_mask
+from ..rendering.blend.occlusion import project_surface
 from ..rendering.settings import DEFAULT as RENDERING
 
 __all__ = ["viewer_scene"]

@@ -6,7 +6,7 @@ import numpy as np
 
 from lfcal.runtime.kernels.jit import njit
 
-from ..surface.occlusion import depth_order
+from ..depth_order import depth_order
 from .microimage import LEFT_OUT
 
 __all__ = ["allow_mismatch", "compare_depth"]

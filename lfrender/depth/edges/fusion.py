@@ -6,7 +6,7 @@ import numpy as np
 
 from lfcal.runtime.kernels.jit import njit
 
-from ..surface.occlusion import depth_order
+from ..depth_order import depth_order
 from .geometry import LensArray, PointGrid
 
 __all__ = ["fuse_pixel_depths"]

@@ -9,8 +9,8 @@ import numpy as np
 from lfcal.runtime.kernels.jit import njit
 
 from ...flat.distorted_lookup import nearest_index
+from ..depth_order import depth_order
 from ..same_surface import same_surface
-from .occlusion import depth_order
 from .photoconsistency import (
     MAX_VIEWS,
     WORK,

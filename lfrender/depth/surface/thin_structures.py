@@ -59,7 +59,7 @@ def _measure_shares(begin, end, image, centres, radius, pitch, rows, lenses, siz
 
 
 def _depth_order(sizes: NDArray[np.float32], pitch: float) -> NDArray[np.float32]:
-    """As `occlusion.depth_order`, of many."""
+    """As `depth_order`, of many."""
     return np.where(sizes > 0, sizes, sizes + 2 * pitch)
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
-from ..lens_runs import (
+from ..settings import WEIGHTS
+from .lens_runs import (
     _F,
     _FEWEST,
     _GROUP,
@@ -29,7 +30,6 @@ from ..lens_runs import (
     _read_queue,
     count_pixels,
 )
-from ..settings import WEIGHTS
 
 __all__ = ["read_lenses_about"]
 

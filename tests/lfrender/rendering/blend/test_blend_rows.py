@@ -8,7 +8,7 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.rendering.blend_rows import blend_rows
+from lfrender.rendering.blend.blend_rows import blend_rows
 from lfrender.rendering.plan import RenderPlan
 from lfrender.rendering.render import make_plan
 

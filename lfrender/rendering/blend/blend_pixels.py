@@ -13,9 +13,9 @@ import numpy as np
 
 from lfcal.runtime.kernels.jit import njit
 
-from ..data.surface import patch_size_at
-from ..flat.distorted_lookup import displacement_at, nearest_index
-from .settings import WEIGHTS
+from ...data.surface import patch_size_at
+from ...flat.distorted_lookup import displacement_at, nearest_index
+from ..settings import WEIGHTS
 
 __all__ = ["Flat", "Grid", "Lenses", "Light", "Output", "Weighting", "blend_pixels", "put_value"]
 

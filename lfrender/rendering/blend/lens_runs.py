@@ -13,8 +13,8 @@ import numpy as np
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
-from ..runtime.intrinsics import prefetch, two_at
-from .settings import WEIGHTS
+from ...runtime.intrinsics import prefetch, two_at
+from ..settings import WEIGHTS
 
 __all__ = [
     "COLUMNS", "FOURTH", "LANES", "LINE", "PER_RUN", "QUEUE", "ROWS", "SECOND", "SECTION", "THIRD", "Band", "Buffers",

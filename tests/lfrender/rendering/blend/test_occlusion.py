@@ -7,7 +7,7 @@ import pytest
 
 from lfcal import Lattice
 from lfrender.data.surface import Surface
-from lfrender.depth.surface.occlusion import project_surface
+from lfrender.rendering.blend.occlusion import project_surface
 
 NEAR, FAR, EDGE, REACH = 9.0, 5.0, 199.0, 30.0
 

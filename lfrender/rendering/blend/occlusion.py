@@ -16,6 +16,7 @@ from lfcal.runtime.fastmath import FAST, square
 from lfcal.runtime.kernels.jit import njit
 
 from ...data.surface import Surface, mark_changed_places
+from ...depth.depth_order import depth_order
 from ...runtime.buffers import allocate_scratch
 
 __all__ = ["project_surface"]
@@ -29,16 +30,6 @@ _SQUARE = 4
 _GAP = 0.01
 # Height of the bands of a flat that threads work on [pitches].
 _BAND = 2
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def depth_order(s, pitch):
-    """A monotonic function of nearness to the camera: telescopic patch sizes first, then binocular ones.
-
-    With the image at a = D * b / s in front of the microlenses, nearer objects have their image farther back: s rises
-    from 0 to D, goes on at -D behind the microlenses, and rises to 0 again.
-    """
-    return s if s > 0 else s + 2 * pitch
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda surface, lows, highs: len(lows))

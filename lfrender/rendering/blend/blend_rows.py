@@ -13,7 +13,8 @@ import numpy as np
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
-from ..runtime.order_statistics import count_below
+from ...runtime.order_statistics import count_below
+from ..settings import WEIGHTS
 from .blend_pixels import put_value
 from .lens_runs import (
     COLUMNS,
@@ -33,7 +34,6 @@ from .lens_runs import (
     count_pixels,
     read_lenses,
 )
-from .settings import WEIGHTS
 
 __all__ = ["blend_rows"]
 

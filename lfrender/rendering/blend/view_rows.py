@@ -7,7 +7,8 @@ import numpy as np
 from lfcal.runtime.kernels.jit import njit
 
 from ...runtime.order_statistics import count_below
-from ..blend_rows import (
+from ..settings import WEIGHTS
+from .blend_rows import (
     _allocate_band,
     _allocate_buffers,
     _allocate_row,
@@ -19,9 +20,8 @@ from ..blend_rows import (
     _store,
     _wanted_columns,
 )
-from ..lens_runs import LINE, PER_RUN, ROWS, SECTION, Source, add_agreeing, count_pixels
-from ..settings import WEIGHTS
-from .runs import read_lenses_about
+from .lens_runs import LINE, PER_RUN, ROWS, SECTION, Source, add_agreeing, count_pixels
+from .view_runs import read_lenses_about
 
 __all__ = ["blend_view_rows"]
 

@@ -1,1 +1,0 @@
-"""Pictures from viewpoints off the middle of the main lens: lens by lens, and many views of one flat."""
