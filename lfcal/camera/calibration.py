@@ -76,6 +76,9 @@ class Calibration:
         Main lens, distances and their covariance, which turn patch sizes into metres; None where not calibrated.
     lens_blur : LensBlur or None
         Aperture and focus of the microlenses, as pictures with `detail` need them; None where not measured.
+    encoded : bool or None
+        Whether its flats are encoded for display, about as the square root of light, or linear; None where only their
+        type tells it: those of 8 bits are.
     circle_agreement : float
         Up to 1: share of the circles found by Hough vote that lie on the lattice, beyond chance; NaN where not
         measured.
@@ -107,6 +110,7 @@ class Calibration:
     optics: Optics | None = None
     circle_agreement: float = float("nan")
     lens_blur: LensBlur | None = None
+    encoded: bool | None = None
 
     def __post_init__(self) -> None:
         if self.mosaic not in (None, *MOSAICS):
@@ -152,6 +156,7 @@ class Calibration:
             "white_level": self.white_level,
             "optics": self.optics and self.optics.to_dict(),
             "lens_blur": self.lens_blur and self.lens_blur.to_dict(),
+            "encoded": self.encoded,
         }
 
     @classmethod
@@ -197,6 +202,7 @@ class Calibration:
             optics=_unpack(data, "optics", Optics.from_dict),
             circle_agreement=float("nan") if circles is None else float(circles),
             lens_blur=_unpack(data, "lens_blur", LensBlur.from_dict),
+            encoded=data.get("encoded"),
         )
 
     def gain(self) -> NDArray[np.float32]:

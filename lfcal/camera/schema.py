@@ -118,6 +118,7 @@ class _Camera(Struct):
     white_level: Annotated[float, Meta(gt=0, lt=2**53)] | None = None
     optics: dict[str, Any] | None = None
     lens_blur: dict[str, Any] | None = None
+    encoded: bool | None = None
 
 
 def check_fields(data: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -57,6 +58,12 @@ _LFRENDER_COMMANDS = "analyze", "batch", "demo", "refocus", "render", "report", 
     click.option(
         "--rotation", type=float, metavar="DEGREES", help="Beside --pitch: as 'lfcal info' prints it, to 2 degrees."
     ),
+    click.option(
+        "--linear/--encoded",
+        default=None,
+        help="Whether values are in proportion to light, or encoded for display. By default 8 bits and videos are "
+        "taken as encoded.",
+    ),
 )
 @console.grouped("Reading IMAGE", console.page_option, console.raw_video_options)
 @console.report_options
@@ -67,6 +74,7 @@ def calibrate(
     mosaic: Mosaic | None,
     pitch: float | None,
     rotation: float | None,
+    linear: bool | None,
     dark: Path | None,
     page: int | None,
     size: tuple[int, int] | None,
@@ -102,6 +110,7 @@ def calibrate(
                 )
     with report.stage("calibrate"), console.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
         camera = run(flats if len(flats) > 1 else flats[0], kind, mosaic, pitch, rotation)
+        camera = camera if linear is None else replace(camera, encoded=not linear)
     camera.save(output)
     report.finish({"camera": str(output), **describe(camera)}, *summarise(camera), f"{output} in {report.took}.")
 

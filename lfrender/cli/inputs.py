@@ -12,7 +12,7 @@ import click
 
 from lfcal import CameraFileError
 from lfcal.runtime import console
-from lfcal.runtime.image_formats import Mosaic
+from lfcal.runtime.image_formats import VIDEO_FORMATS, Mosaic
 from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
 from ..runtime.background_imports import import_in_background
@@ -106,13 +106,22 @@ class CaptureInput:
             pixels, calibration = self.calibrate(pixels)
             return pixels, calibration, lambda: calibration
         with self.report.stage("calibrate"):
-            return pixels, *check_beside(self.camera, pixels)
+            calibration, checked = check_beside(self.camera, pixels)
+            return pixels, self._as_stored(calibration), lambda: self._as_stored(checked())
 
     def find_camera(self, pixels: Any) -> Calibration:
         """The camera of the file, or calibrated from the white image or from the pixels.
 
         With a camera file of lfcal, `pixels` may be a `FlatSource`.
         """
+        return self._as_stored(self._find_camera(pixels))
+
+    def _as_stored(self, calibration: Calibration) -> Calibration:
+        """The camera of this flat: videos are encoded for display, whatever bits they have."""
+        encoded = calibration.encoded is None and self.flat.suffix.lower() in (*VIDEO_FORMATS, RAW_SUFFIX)
+        return replace(calibration, encoded=True) if encoded else calibration
+
+    def _find_camera(self, pixels: Any) -> Calibration:
         from lfcal import FlatError, calibrate, read_flat
 
         mosaic = self.mosaic

@@ -70,7 +70,7 @@ def _restore(
     first, (left, top, right, bottom) = plan.affine[:, 2], part
     x, y = (first[k] + plan.spacing * np.arange(*ends) for k, ends in enumerate(((left, right), (top, bottom))))
     shown = nearest_patch_size(plan.surface, x, y)
-    white, encoded = white_level(pixels, plan.calibration), is_encoded(pixels.dtype)
+    white, encoded = white_level(pixels, plan.calibration), is_encoded(pixels.dtype, plan.calibration)
     return restore_detail(image, valid, shown, filters, white, encoded, pitch, plan_border(plan, part))
 
 

@@ -61,7 +61,7 @@ def solve_detail(
     # What is predicted has even light.
     even = replace(plain, calibration=replace(plan.calibration, vignetting=None, gain_map=None))
     model = FlatModel.make(plan, plan.defocus, sizes, wide, corner, pixels.shape, settings)
-    encoded = is_encoded(pixels.dtype)
+    encoded = is_encoded(pixels.dtype, plan.calibration)
     for _ in range(settings.rounds):
         found += image - even.draw(model.predict(found, encoded, pixels.dtype), corner, wide)[0]
     found = natural + smooth_picture(found - natural)

@@ -23,9 +23,9 @@ from .settings import SPECTRA, SpectraSettings
 __all__ = ["Look", "PairSpectrum", "analysis", "is_encoded", "pair_spectra"]
 
 
-def is_encoded(dtype: DTypeLike) -> bool:
-    """Whether values are about the square root of light, as in all formats of 8 bits; others are linear."""
-    return np.dtype(dtype) == np.uint8
+def is_encoded(dtype: DTypeLike, calibration: Calibration) -> bool:
+    """Whether values are about the square root of light: as the camera file tells, else those of 8 bits are."""
+    return np.dtype(dtype) == np.uint8 if calibration.encoded is None else calibration.encoded
 
 
 class PairSpectrum(NamedTuple):
@@ -140,7 +140,7 @@ def _spectra(
     for place in places:
         inside &= (place > side / 2 + 1).all(1) & (place < np.array(lattice.image_size) - side / 2 - 3).all(1)
     window, rings, _ = analysis(side)
-    seen = _read(look, np.concatenate([place[inside] for place in places]), side) / np.float32(white)
+    seen = _read(look, calibration, np.concatenate([place[inside] for place in places]), side) / np.float32(white)
     mean = np.tensordot(seen, window / window.sum())
     light = (mean[: len(mean) // 2] + mean[len(mean) // 2 :]) / 2
     seen -= mean[:, None, None]
@@ -167,13 +167,14 @@ def _spectra(
             yield PairSpectrum(kind, float(np.median(ratios[own])), side, power.mean(0), error, kept, float(noise))
 
 
-def _read(look: Look, places: NDArray[np.float64], side: int) -> NDArray[np.float32]:
+def _read(look: Look, calibration: Calibration, places: NDArray[np.float64], side: int) -> NDArray[np.float32]:
     """(m, 2 side, 2 side) light about places, interpolated at half pixels."""
     start = places - (side - 0.5) / 2
     low = np.floor(start).astype(int)
     boxes = np.stack([look((x, y, x + side + 2, y + side + 2)) for x, y in low.tolist()])
-    if is_encoded(boxes.dtype):
-        boxes = boxes.astype(np.float32) ** 2 / np.float32(np.iinfo(boxes.dtype).max)
+    if is_encoded(boxes.dtype, calibration):
+        most = np.iinfo(boxes.dtype).max if boxes.dtype.kind in "ui" else 1
+        boxes = boxes.astype(np.float32) ** 2 / np.float32(most)
     grey = boxes @ np.full(boxes.shape[3], 1 / boxes.shape[3], np.float32)
     share = (start - low).astype(np.float32)
     rows = _halve(grey, share[:, 1], side)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError
 
-from .frames import Frame, dark_of
+from .frames import Frame, are_encoded, dark_of
 from .job import FrameResult, Job, KeyFrame
 from .settings import DEFAULT, SequenceSettings
 from .view_grid import ViewGrid
@@ -87,7 +87,10 @@ def render_frames(
     ...     [done.outcome for done in lfrender.render_frames(frames, f"{folder}/out", camera, preset="fast")]
     ['rendered', 'rendered']
     """
-    job = Job.open(Path(folder), calibration, preset, scale, suffix, overwrite, views, eight_bits, dark_of(frames))
+    job = Job.open(
+        Path(folder), calibration, preset, scale, suffix, overwrite, views, eight_bits, dark_of(frames),
+        are_encoded(frames),
+    )  # fmt: skip
     names: list[str] = []
     waiting: deque[FrameResult | Future[FrameResult]] = deque()
     with ThreadPoolExecutor(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from lfcal import Calibration, LightFieldError, OutputError
 
-from .frames import Frame, dark_of
+from .frames import Frame, are_encoded, dark_of
 from .job import FrameResult, Job, KeyFrame
 from .settings import DEFAULT, SequenceSettings
 from .view_grid import ViewGrid
@@ -72,8 +72,11 @@ def render_frames_on(
     ...     print(done.name, done.outcome)
     """
     dark = dark_of(frames)
-    job = Job.open(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite, views, eight_bits, dark)
-    run = _Run(client, job, (str(job.folder), preset, suffix, threads, views, eight_bits, dark), tuning)
+    encoded = are_encoded(frames)
+    job = Job.open(
+        Path(folder).absolute(), calibration, preset, scale, suffix, overwrite, views, eight_bits, dark, encoded
+    )
+    run = _Run(client, job, (str(job.folder), preset, suffix, threads, views, eight_bits, dark, encoded), tuning)
     names: list[str] = []
     most = max(tuning.least_ahead, tuning.groups_ahead * sum(client.nthreads().values()))
     waiting: deque[tuple[list[FrameResult | None], Future | None]] = deque()
@@ -239,11 +242,11 @@ class _Worker:
 
     @classmethod
     def open_job(cls, settings: tuple[Any, ...]) -> Job:
-        folder, preset, suffix, threads, views, eight_bits, dark = settings
+        folder, preset, suffix, threads, views, eight_bits, dark, encoded = settings
         if threads is not None:
             limit_threads(threads)
         if cls.settings != settings or cls.job is None:
-            cls.job = Job.open(Path(folder), None, preset, None, suffix, False, views, eight_bits, dark)
+            cls.job = Job.open(Path(folder), None, preset, None, suffix, False, views, eight_bits, dark, encoded)
             cls.key = None
             cls.settings = settings
         return cls.job

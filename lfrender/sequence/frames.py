@@ -19,7 +19,7 @@ from lfcal.runtime.image_formats import IMAGE_SUFFIXES, TIFF_SUFFIXES, VIDEO_FOR
 from lfcal.runtime.video.frame_pixels import import_av, rgb_pixels
 from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
-__all__ = ["Frame", "Frames", "dark_of", "is_video", "open_frames"]
+__all__ = ["Frame", "Frames", "are_encoded", "dark_of", "is_video", "open_frames"]
 
 
 @dataclass(frozen=True)
@@ -162,6 +162,11 @@ def dark_of(frames: Iterable[Frame]) -> str | None:
     """File of the dark frame that is subtracted from the frames of a sequence, if any is."""
     dark = frames.dark if isinstance(frames, Frames) else None
     return None if dark is None else str(dark)
+
+
+def are_encoded(frames: Iterable[Frame]) -> bool:
+    """Whether frames are encoded for display, whatever bits they have, as those of videos are."""
+    return isinstance(frames, Frames) and bool(frames.parts) and all(is_video(part.path) for part in frames.parts)
 
 
 def is_video(path: Path) -> bool:

@@ -110,6 +110,7 @@ class Job:
     views: ViewGrid | None = None
     eight_bits: bool = False
     dark: str | None = None  # file of the dark frame
+    encoded: bool = False  # frames are encoded for display, whatever bits they have
     still: float | None = None  # patch size [px] of the places that all views have in common
     _output: ViewOutput | None = None
     _pictures: dict[int, Rendering] = field(default_factory=dict)
@@ -127,6 +128,7 @@ class Job:
         views: ViewGrid | None = None,
         eight_bits: bool = False,
         dark: str | None = None,
+        encoded: bool = False,
     ) -> Job:
         """Start a run in a folder, or continue the one that is there."""
         hidden = folder / _HIDDEN
@@ -134,7 +136,8 @@ class Job:
             hidden.mkdir(parents=folder.parent.is_dir(), exist_ok=True)
         except OSError as error:
             raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
-        job = cls(folder, calibration, preset, scale, suffix, views, eight_bits, dark)
+        job = cls(folder, calibration, preset, scale, suffix, views, eight_bits, dark, encoded)
+        job.calibration = calibration and job._as_stored(calibration)
         if views is None:
             check_picture(folder / f"picture{suffix}")
         else:
@@ -197,8 +200,11 @@ class Job:
         if self.calibration is None:
             from lfcal import calibrate
 
-            self.calibration = calibrate(pixels)
+            self.calibration = self._as_stored(calibrate(pixels))
         return self.calibration
+
+    def _as_stored(self, calibration: Calibration) -> Calibration:
+        return replace(calibration, encoded=True) if self.encoded and calibration.encoded is None else calibration
 
     def demosaic(self, pixels: NDArray[Any]) -> NDArray[Any]:
         """The flat in colour, if the camera has a colour mosaic."""

@@ -69,6 +69,12 @@ def test_images_of_different_sizes_are_refused_by_name(house_files, tmp_path):
     assert not (tmp_path / "camera.json").exists()
 
 
+@pytest.mark.parametrize(("option", "encoded"), [("--linear", False), ("--encoded", True), ("--quiet", None)])
+def test_the_camera_file_keeps_how_values_are_stored(house_files, tmp_path, option, encoded):
+    run("calibrate", house_files / "white.png", "-o", tmp_path / "camera.json", option)
+    assert lfcal.load(tmp_path / "camera.json").encoded is encoded
+
+
 def test_info_prints_the_figures_of_calibrate(house_files):
     result = run("info", house_files / "camera.json", "--json")
     assert result.exit_code == 0

@@ -156,3 +156,24 @@ def test_a_blur_that_cannot_be_measured_is_an_error_and_nothing_is_written(tmp_p
     result = CliRunner().invoke(main, [*given, "--depth", str(tmp_path / "depth.npz"), "--save-blur", str(known)])
     assert result.exit_code == 2 and "could not be measured" in result.output
     assert not out.exists() and not known.exists()
+
+
+def test_sixteen_bits_that_are_encoded_are_restored_as_eight():
+    shot, depth = capture("slope")
+    camera = replace(shot.truth.calibration, encoded=True)
+    deep = lfrender.render(shot.flat.astype(np.uint16) * 257, camera, depth)
+    assert np.mean(np.abs(deep.image / 257 - picture("natural", "slope").image) > 1.5) < 1e-3
+    plain = lfrender.render(shot.flat.astype(np.uint16) * 257, shot.truth.calibration, depth)
+    assert np.abs(deep.image / 257 - plain.image / 257).max() > 10
+
+
+def test_eight_bits_that_are_linear_are_restored_as_light():
+    camera = Camera.design(size=(380, 320), pitch=27.0, rotation=1.3)
+    shot = simulate(SCENES["slope"](camera, seed=3), camera, samples=24, seed=5, noise=(4000, 5), gamma=False)
+    known, truth, error = shot.truth.calibration, shot.truth, {}
+    depth = lfrender.analyze(shot.flat, known)
+    for encoded in (None, False):
+        made = lfrender.render(shot.flat, replace(known, encoded=encoded), depth)
+        wanted, inside = resample(truth.reference, truth.reference_affine, made.image.shape[:2], made.affine)
+        error[encoded] = compare_pictures(made.image / 255.0, wanted, inside & made.valid).psnr
+    assert error[False] > error[None] + 0.5

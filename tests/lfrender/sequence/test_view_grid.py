@@ -15,6 +15,7 @@ import lfrender
 from lfrender.cli.main import main
 from lfrender.output.raw_video import yuv_frame
 from lfrender.rendering.viewpoints import grid_offsets, still_depth
+from lfrender.sequence.job import load_camera
 from lfrender.sequence.view_grid import ViewGrid
 
 av = pytest.importorskip("av", reason="raw video is written by PyAV (lfrender[video])")
@@ -118,6 +119,8 @@ def test_command_renders_raw_video_into_views_and_a_film(house, house_files, tmp
     )
     assert done.exit_code == 0, done.output
     assert sorted(p.name for p in (tmp_path / "v").glob("*.yuv")) == ["v000-200x150.yuv", "v001-200x150.yuv"]
+    # Its 10 bits, read as 16, are encoded for display, though 16 bits of a camera are taken to be linear.
+    assert load_camera(tmp_path / "v").encoded
     done = CliRunner().invoke(main, [*words, "-o", str(tmp_path / "sharp.yuv"), "--size", f"{width}x{height}"])
     assert done.exit_code == 0, done.output
     assert (tmp_path / "sharp.yuv").stat().st_size % 6 == 0
