@@ -23,7 +23,7 @@ from ..lattice.stated import LatticeHint
 from ..runtime.errors import CalibrationError
 from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres, is_checkerboard
 from .cell_tests import check_cell, check_edges
-from .folding import TileFolds, fold_tiles
+from .folding import fold_lit_tiles, fold_tiles, measure_repeatability
 from .period_refinement import refine_basis
 from .settings import DEFAULT, DetectionSettings, FirstLatticeSettings
 from .spectrum import compute_spectra, find_candidate_bases
@@ -56,7 +56,7 @@ class FirstLattice:
     brightness: NDArray[np.float32]
     roundness: float  # share of the variance of the average microimage explained by the distance to its centre, 0..1
     half_difference: float  # [px] RMS distance over the flat of the lattices of two halves of the tiles
-    repeatability: float  # correlation of the average microimages of two halves of the tiles, see `_repeatability`
+    repeatability: float  # correlation of the average microimages of two halves of the tiles
     doubt: CalibrationError | None = None  # why this may be no lattice of microimages, unless parallax proves it
     confirmed: bool = False  # circles found by Hough vote lie on it, where halves of the flat hardly repeat
 
@@ -303,7 +303,7 @@ def _build_lattice(
             f"the image repeats every {2 * _inradius(basis):.1f} px; microimages must be at least 6 px apart, "
             "give the flat at the full resolution of the sensor"
         )
-    folds = _fold_lit_tiles(picture, features, basis, side, first)
+    folds = fold_lit_tiles(picture, features, basis, side, _BINS, first)
     cells = [fold.mean() for fold in folds]
     if coherence < first.coherence:
         raise CalibrationError(NO_MICROIMAGES)
@@ -313,7 +313,7 @@ def _build_lattice(
         raise CalibrationError("a checkerboard repeats on the image, not microimages; give a raw flat from the sensor")
     light = tone.mean().reshape(_BINS, 4, _BINS, 4).mean((1, 3)) ** 2
     centre = choose_lens_centre(find_round_centres(cells, basis, settings.centre), light, basis, settings.centre)
-    repeatability = _repeatability(folds, first.certain_repeatability)
+    repeatability = measure_repeatability(folds, first.certain_repeatability)
     doubt = check_cell(cells, light, basis, centre.position, repeatability, settings.cell_tests)
     if doubt is not None and (
         centre.roundness < first.doubtful_roundness or repeatability > first.doubtful_repeatability
@@ -340,7 +340,7 @@ def _refine_cell(
             window = wanted
             features = [normalise_locally(feature, window) for feature in (picture, edges)]
         side = int(max(first.min_tile * pitch, min(first.tile * pitch, min(picture.shape) / first.tiles)))
-        refined, coherence = refine_basis(_fold_lit_tiles(picture, features, basis, side, first), first)
+        refined, coherence = refine_basis(fold_lit_tiles(picture, features, basis, side, _BINS, first), first)
         _check_change(refined, basis, first.max_change)
         basis, changed = _single_cell(features, refined, side, settings)
         if not changed:
@@ -370,45 +370,6 @@ def _single_cell(
         if abs(abs(np.linalg.det(found) / np.linalg.det(basis)) - 1) > 0.1:
             return found, True
     return basis, False
-
-
-def _fold_lit_tiles(
-    picture: NDArray[np.float32],
-    features: list[NDArray[np.float32]],
-    basis: NDArray[np.float64],
-    side: int,
-    settings: FirstLatticeSettings,
-) -> list[TileFolds]:
-    """Folds of the features, without tiles beside the array: dark ones in which next to nothing repeats."""
-    folds = fold_tiles(features, basis, side, _BINS)
-    tone = _tile_means(picture, folds[0].side, settings.tone_samples)
-    power = sum(fold.lattice_power() for fold in folds)
-    beside = tone < settings.dark_tile * np.quantile(tone, 0.9)
-    beside &= power < settings.idle_tile * np.quantile(power, 0.9)
-    return [fold.mask(~beside) for fold in folds] if beside.any() else folds
-
-
-def _tile_means(picture: NDArray[np.float32], side: int, samples: int) -> NDArray[np.float64]:
-    """Mean of a picture in each square tile, row by row, from about so many samples squared."""
-    step = max(1, side // samples)
-    few = picture[::step, ::step]
-    # First sample of each row and column of tiles.
-    rows, columns = (np.arange(0, length, side) + step - 1 for length in picture.shape)
-    rows, columns = (np.minimum(v // step, n - 1) for v, n in zip((rows, columns), few.shape, strict=True))
-    total = np.add.reduceat(np.add.reduceat(few, columns, axis=1, dtype=np.float64), rows, axis=0)
-    area = np.outer(np.diff(rows, append=few.shape[0]), np.diff(columns, append=few.shape[1]))
-    return np.asarray((total / np.maximum(area, 1)).ravel())
-
-
-def _repeatability(folds: list[TileFolds], certain: float) -> float:
-    """Correlation of the average cells of two halves of the tiles: the weaker feature unless the other is certain."""
-    found = []
-    for fold in folds:
-        if len(fold.centre) < 2:
-            return 0.0
-        a, b = (half.ravel() - half.mean() for half in fold.half_means())
-        found.append(float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-30))
-    return float(np.mean(found)) if max(found) > certain else min(found)
 
 
 def _nearest_point(

@@ -14,8 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.kernels.jit import njit
+from .settings import FirstLatticeSettings
 
-__all__ = ["HIGHEST_HARMONIC", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_tiles"]
+__all__ = [
+    "HIGHEST_HARMONIC", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_lit_tiles", "fold_tiles",
+    "measure_repeatability",
+]  # fmt: skip
 
 # Structure of a microimage finer than a sixth of the pitch tells little about its place.
 HIGHEST_HARMONIC = 6
@@ -176,3 +180,43 @@ def fold_tiles(
     centre = np.column_stack([(x * side + right - 1) / 2, (y * side + low - 1) / 2])
     basis = np.array(basis, dtype=np.float64)
     return [TileFolds(total, count, centre, basis, (rows, columns), side) for total in totals[: len(pictures)]]
+
+
+def fold_lit_tiles(
+    picture: NDArray[np.float32],
+    features: list[NDArray[np.float32]],
+    basis: NDArray[np.float64],
+    side: int,
+    bins: int,
+    settings: FirstLatticeSettings,
+) -> list[TileFolds]:
+    """Folds of the features, without tiles beside the array: dark ones in which next to nothing repeats."""
+    folds = fold_tiles(features, basis, side, bins)
+    tone = _tile_means(picture, folds[0].side, settings.tone_samples)
+    power = sum(fold.lattice_power() for fold in folds)
+    beside = tone < settings.dark_tile * np.quantile(tone, 0.9)
+    beside &= power < settings.idle_tile * np.quantile(power, 0.9)
+    return [fold.mask(~beside) for fold in folds] if beside.any() else folds
+
+
+def _tile_means(picture: NDArray[np.float32], side: int, samples: int) -> NDArray[np.float64]:
+    """Mean of a picture in each square tile, row by row, from about so many samples squared."""
+    step = max(1, side // samples)
+    few = picture[::step, ::step]
+    # First sample of each row and column of tiles.
+    rows, columns = (np.arange(0, length, side) + step - 1 for length in picture.shape)
+    rows, columns = (np.minimum(v // step, n - 1) for v, n in zip((rows, columns), few.shape, strict=True))
+    total = np.add.reduceat(np.add.reduceat(few, columns, axis=1, dtype=np.float64), rows, axis=0)
+    area = np.outer(np.diff(rows, append=few.shape[0]), np.diff(columns, append=few.shape[1]))
+    return np.asarray((total / np.maximum(area, 1)).ravel())
+
+
+def measure_repeatability(folds: list[TileFolds], certain: float) -> float:
+    """Correlation of the average cells of two halves of the tiles: the weaker feature unless the other is certain."""
+    found = []
+    for fold in folds:
+        if len(fold.centre) < 2:
+            return 0.0
+        a, b = (half.ravel() - half.mean() for half in fold.half_means())
+        found.append(float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-30))
+    return float(np.mean(found)) if max(found) > certain else min(found)

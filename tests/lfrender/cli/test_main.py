@@ -17,10 +17,7 @@ from click.testing import CliRunner
 from PIL import Image, ImageCms
 
 import lfcal
-import lfrender
 from lfrender.cli.main import main
-from lfrender.large.settings import LargeSettings
-from lfrender.large.size import is_large
 
 
 def run(*arguments):
@@ -396,71 +393,3 @@ def test_a_mosaic_flat_is_rendered_in_colour_when_its_filters_are_named(house_fi
     refused = run("render", house_files / "flat.png", "-c", camera, "--mosaic", "RGGB", "-o", tmp_path / "refused.png")
     assert refused.exit_code == 2
     assert "in colour already" in refused.stderr
-
-
-@pytest.fixture
-def everything_is_large(monkeypatch):
-    monkeypatch.setattr(is_large, "__defaults__", (1000,))
-
-
-def as_tiff(house_files, tmp_path):
-    path = tmp_path / "flat.tif"
-    tifffile.imwrite(path, lfcal.read_flat(house_files / "flat.png"), photometric="rgb")
-    return path
-
-
-def test_a_large_flat_is_rendered_in_tiles_to_the_same_picture(house_files, tmp_path, everything_is_large):
-    flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
-    options = ("-c", camera, "--patch-size", "7.5")
-    large = figures_of("render", flat, *options, "-o", tmp_path / "large.tif", "--tile", "60")
-    small = figures_of("render", house_files / "flat.png", *options, "-o", tmp_path / "small.tif")
-    assert large["tiles"] > 4
-    assert {name: large[name] for name in ("size", "affine", "scale")} == {
-        name: small[name] for name in ("size", "affine", "scale")
-    }
-    assert (tmp_path / "large.tif").read_bytes() == (tmp_path / "small.tif").read_bytes()
-    assert sorted(os.listdir(tmp_path)) == ["flat.tif", "large.tif", "small.tif"]
-
-
-def test_a_large_flat_is_calibrated_analysed_and_rendered_and_an_interrupted_run_is_continued(
-    house_files, tmp_path, everything_is_large, monkeypatch
-):
-    from lfrender.large import render as large_rendering
-
-    flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
-    ask = ("render", flat, "-c", camera, "-o", tmp_path / "picture.tif", "--preset", "fast", "--tile", "60")
-    tuning = LargeSettings(sync_seconds=0.0)
-    monkeypatch.setitem(lfrender.render_large.__kwdefaults__, "tuning", tuning)
-    written = large_rendering._Run._store
-
-    def stopped(self, tile, image, valid):
-        if tile[:2] != (0, 0):
-            raise lfcal.OutputError("the disk is full")
-        written(self, tile, image, valid)
-
-    monkeypatch.setattr(large_rendering._Run, "_store", stopped)
-    assert_refused(run(*ask), "the disk is full")
-    assert not (tmp_path / "picture.tif").exists()
-    monkeypatch.setattr(large_rendering._Run, "_store", written)
-    monkeypatch.setattr("lfrender.large.analyze._analyze_tiles", None)
-    figures = figures_of(*ask)
-    assert figures["tiles_kept"] == 1
-    assert figures["modes"]["telescopic"] > 0.3
-    assert lfcal.read_flat(tmp_path / "picture.tif").std() > 20
-    assert sorted(os.listdir(tmp_path)) == ["flat.tif", "picture.tif"]
-
-
-def test_depth_of_a_large_flat_needs_nothing_but_the_flat(house_files, tmp_path, everything_is_large):
-    flat = as_tiff(house_files, tmp_path)
-    found = figures_of("analyze", flat, "-o", tmp_path / "depth.npz", "--preset", "fast")
-    assert found["camera_source"] == "scene"
-    assert found["modes"]["telescopic"] > 0.3
-
-
-def test_refusals_in_tiles_leave_nothing_behind(house_files, tmp_path):
-    flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
-    ask = ("render", flat, "-c", camera, "--tile", "60", "--patch-size")
-    assert_refused(run(*ask, "900", "-o", tmp_path / "a.tif"), "--patch-size must lie between", "got 900.")
-    assert_refused(run(*ask, "7", "-o", flat), "is an input")
-    assert_refused(run(*ask, "7", "-o", tmp_path / "a.gif"), "unknown output format")
-    assert os.listdir(tmp_path) == ["flat.tif"]
