@@ -164,6 +164,9 @@ def _spectra(
                 both = np.concatenate([place[inside][own] for place in places])
                 within = ((both > 8) & (both < np.array(lattice.image_size) - 9)).all(1)
                 kept = kept_power(look, both[within], blocks, np.arange(side + 1) / side)
+                # What two differ by is no longer independent, as far as both were rounded.
+                differ = (np.abs(difference[own]) ** 2).mean(0) @ rings / (2 * (window**2).sum())
+                error = np.hypot(error, (1 - kept) * differ)
             yield PairSpectrum(kind, float(np.median(ratios[own])), side, power.mean(0), error, kept, float(noise))
 
 
