@@ -1,7 +1,7 @@
 """Filters that undo the blur of the microlenses, as a table over patch size and power of the detail.
 
 A Wiener filter makes the mean square error least: `T H S / (H^2 S (1 + e) + A + N)`, with the transfer function `H` of
-the picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, and noise `N` (N. Wiener 1949), and the
+the picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, noise `N` (N. Wiener 1949), and the
 power `e` by which lenses contradict each other. It is fitted as a sum of four bands, the differences of
 smoothings (1, 2, 1) / 4 with growing distances, as a wavelet transform "a trous" (M. Holschneider et al. 1989).
 """
@@ -18,14 +18,18 @@ from lfcal import Calibration
 
 from ..flat.lens_type_weights import focus_weights
 from .defocus import Defocus
+from .images import image_power
 from .settings import RESTORE, SMOOTHING, RestoreSettings
 from .transfer import disc_transfer, interpolation_transfer
 
 __all__ = ["DetailFilters", "averaged_views", "make_filters", "trusted_share"]
 
 _Table = NDArray[np.float64]
-# What folds back onto a frequency: the spectrum of the scene about these multiples of the picture's sampling.
+# What folds back onto a frequency: the spectrum of the scene about these multiples of the picture's sampling. Those of
+# the flat's sampling make images of coarser detail.
 _FOLDS = ((0, 0), (-1, 0), (0, -1), (-1, -1))
+# Where in sums over frequencies the powers of the coarser bands are.
+_POWER = np.s_[1 - len(SMOOTHING) :]
 
 
 @dataclass(frozen=True)
@@ -82,45 +86,40 @@ def make_filters(
     depths : (float, float) [px]
         Least and largest signed patch size of the picture; there are no filters for others.
     """
-    across = (np.arange(settings.frequencies) + 0.5) / (2 * settings.frequencies)
-    fx, fy = (axis.ravel() for axis in np.meshgrid(across, across))
-    bands = _bands(fx, fy)
     powers = np.geomspace(settings.weakest, settings.strongest, settings.powers)
-    ratios = np.geomspace(settings.least_ratio, settings.largest_ratio, settings.levels)
-    step = ratios[1] / ratios[0]
-    ratios = np.concatenate([-ratios, ratios])
-    gains = np.zeros((len(powers), len(ratios), len(bands)))
-    power, noise, white = np.ones((3, len(ratios), len(bands) - 1))
-    some = _is_near(ratios, step, np.array(depths) / calibration.lattice.pitch)
-    levels = _Levels.of(ratios[some], defocus, calibration, scale, reach, blur, settings)
-    shown, *folded = (levels.left(fx + x, fy + y) for x, y in _FOLDS)
-    left, scene = shown
-    seen = left**2 * scene
-    alias = sum((one**2 * there for one, there in folded), np.zeros_like(seen))
-    grain = channels * levels.grain(fx, fy)
-    power[some] = (seen + alias) @ bands[1:].T ** 2 / len(fx)
-    noise[some] = grain @ bands[1:].T ** 2 / len(fx)
-    white[some] = sum(one**2 for one, _ in (shown, *folded)) @ bands[1:].T ** 2
-    pixel = np.sinc(fx) * np.sinc(fy) * levels.pixel(fx, fy) ** settings.kept
-    known = seen * (1 + levels.contradiction(fx, fy)) + alias
-    # Never blurrier than it is but by noise.
-    wanted = np.maximum(np.maximum(pixel, left) * left * scene, known)
-    gains[:, some] = _fit(bands, powers[:, None, None] * wanted, powers[:, None, None] * known + grain, settings)
-    most = white[:, 0] / white[:, 1:].sum(1) * power[:, 1:].sum(1) / power[:, 0]
+    levels = np.geomspace(settings.least_ratio, settings.largest_ratio, settings.levels)
+    step = levels[1] / levels[0]
+    of_level = np.concatenate([-levels, levels])
+    some = _is_near(of_level, step, np.array(depths) / calibration.lattice.pitch)
+    found = _Levels.of(of_level[some], defocus, calibration, scale, reach, blur, settings).sums(channels)
+    # Gains do not depend on their scale, which varies much with depth.
+    found[..., : 1 - len(SMOOTHING)] /= found[0, :, :1]
+    sums = np.zeros((len(found), len(of_level), found.shape[2]))
+    sums[:, some] = found
     fine = np.arange(round(settings.largest_ratio * settings.per_ratio) + 1) / settings.per_ratio
-    at = np.log(np.maximum(fine, settings.least_ratio) / settings.least_ratio) / np.log(step)
-    near = np.concatenate([at, at + settings.levels])
+    fine = np.maximum(fine, settings.least_ratio)
+    at = np.log(fine / settings.least_ratio) / np.log(step)
+    sums = _between(sums, np.concatenate([at, at + settings.levels]), 1)
+    used = sums[0].any(1)
+    known, wanted, grain, seen, white, *images = sums[:, used]
+    alike = image_power(calibration, np.concatenate([-fine, fine])[used], reach)
+    image = (alike[..., None] * images).sum(0)
+    fitted = _fit(powers, known + image, wanted, grain, settings)
+    power, noise, most = np.ones((3, len(used), len(SMOOTHING) - 1))
+    power[used], noise[used] = (seen + image)[:, _POWER], grain[:, _POWER]
+    most[used] = white[:, _POWER] / power[used]
+    trusted = np.tile(trusted_share(averaged_views(fine, calibration, reach), settings), 2)[:, None]
     first, last = (int(np.float32(p).view(np.int32)) / 2**23 for p in powers[[0, -1]])
     logs = np.arange(int((last - first) * settings.per_octave) + 1) / settings.per_octave + first
     strengths = (logs * 2**23).astype(np.int32).view(np.float32)
     rows = np.log10(np.maximum(strengths, powers[0]) / powers[0]) / np.log10(powers[1] / powers[0])
-    views = averaged_views(np.maximum(fine, settings.least_ratio), calibration, reach)
-    trusted = np.tile(trusted_share(views, settings), 2)[:, None]
+    gains = np.zeros((len(rows), len(used), len(SMOOTHING)), np.float32)
+    gains[:, used] = trusted[used] * _between(fitted, rows, 0)
     return DetailFilters(
-        (trusted * _between(_between(gains, rows, 0), near, 1)).astype(np.float32),
-        _between(power, near, 0).astype(np.float32),
-        _between(noise, near, 0).astype(np.float32),
-        _between(most, near, 0).astype(np.float32),
+        gains,
+        power.astype(np.float32),
+        noise.astype(np.float32),
+        (most[:, 0] * power[:, 1:].sum(1) / (most * power)[:, 1:].sum(1)).astype(np.float32),
         settings.per_ratio,
         first * settings.per_octave,
         settings.per_octave,
@@ -187,13 +186,46 @@ class _Levels:
         read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
         return np.asarray(read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart))
 
+    def _focus(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
+        """(n, f) what disc and pixel leave of each frequency of a scene, and the power that is expected of it."""
+        frequency = np.hypot(fx, fy)
+        periods = self.discs[..., None] * np.atleast_2d(frequency)[:, None]
+        disc = (self.shares[..., None] * np.interp(periods, *_tabulated_disc())).sum(1)
+        left = disc * np.sinc(fx * self.grown) * np.sinc(fy * self.grown)
+        return left, np.maximum(frequency, 0.01) ** -self.settings.slope
+
     def left(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
         """(n, f) what is left of each frequency of a scene, and (f,) the power that is expected of it."""
-        frequency = np.hypot(fx, fy)
-        periods = self.discs[..., None] * frequency
-        disc = (self.shares[..., None] * np.interp(periods, *_tabulated_disc())).sum(1)
-        shown = disc * np.sinc(fx * self.grown) * np.sinc(fy * self.grown) * self._read(fx, fy)
-        return shown, np.maximum(frequency, 0.01) ** -self.settings.slope
+        left, scene = self._focus(fx, fy)
+        return left * self._read(fx, fy), scene
+
+    def images(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
+        """(n, f) power of the images of coarser detail if they add up: of those along the axes, and of diagonal ones."""
+        found = []
+        for x, y in _FOLDS[1:]:
+            of = fx + x / self.grown, fy + y / self.grown
+            left, scene = self._focus(*of)
+            found.append(left**2 * scene * (np.hypot(*of) < np.hypot(fx, fy)))
+        along, across, diagonal = np.stack(found) * self._read(fx, fy) ** 2
+        return along + across, diagonal
+
+    def sums(self, channels: int) -> _Table:
+        """(7, n, 23) of what follows, weighted by `_basis`: what fits need to know of powers over frequencies.
+
+        What noise is compared with; what is wanted of it; noise; power of detail, of white detail, and of its images.
+        """
+        fx, fy, basis = _basis(self.settings.frequencies)
+        shown, *folded = (self.left(fx + x, fy + y) for x, y in _FOLDS)
+        left, scene = shown
+        seen = left**2 * scene
+        alias = sum((one**2 * there for one, there in folded), np.zeros_like(seen))
+        white = sum(one**2 for one, _ in (shown, *folded))
+        pixel = np.sinc(fx) * np.sinc(fy) * self.pixel(fx, fy) ** self.settings.kept
+        known = seen * (1 + self.contradiction(fx, fy)) + alias
+        # Never blurrier than it is but by noise.
+        wanted = np.maximum(np.maximum(pixel, left) * left * scene, known)
+        grain = channels * self.grain(fx, fy)
+        return np.stack([known, wanted, grain, seen + alias, white, *self.images(fx, fy)]) @ basis.T
 
     def grain(self, fx: _Table, fy: _Table) -> _Table:
         """(n, f) power of the noise of one channel of a picture with the light of white, of one for each channel."""
@@ -226,11 +258,22 @@ def _bands(fx: _Table, fy: _Table) -> _Table:
     return -np.diff(np.stack(smooth), axis=0)
 
 
-def _fit(bands: _Table, wanted: _Table, weight: _Table, settings: RestoreSettings) -> _Table:
-    """(p, n, bands): gains beyond the band's own of least mean square error, of `wanted / weight` (p, n, f)."""
+@lru_cache(2)
+def _basis(frequencies: int) -> tuple[_Table, _Table, _Table]:
+    """Frequencies (f,) in a quarter of the spectrum, and (23, f): products of two bands, bands, powers of the coarser."""
+    across = (np.arange(frequencies) + 0.5) / (2 * frequencies)
+    fx, fy = (axis.ravel() for axis in np.meshgrid(across, across))
+    bands = _bands(fx, fy)
     pairs = (bands[:, None] * bands).reshape(-1, bands.shape[1])
-    normal = (weight @ pairs.T).reshape(*weight.shape[:2], len(bands), len(bands))
-    right = (wanted - weight) @ bands.T
+    return fx, fy, np.concatenate([pairs, bands, bands[1:] ** 2]) / len(fx)
+
+
+def _fit(powers: _Table, known: _Table, wanted: _Table, grain: _Table, settings: RestoreSettings) -> _Table:
+    """(p, n, bands): gains beyond the band's own of least mean square error, of `wanted / (known + grain / power)`."""
+    weight = powers[:, None, None] * known + grain
+    count = len(SMOOTHING)
+    normal = weight[..., : count**2].reshape(*weight.shape[:2], count, count)
+    right = (powers[:, None, None] * wanted - weight)[..., count**2 : -(count - 1)]
     size = np.trace(normal, axis1=2, axis2=3)
-    normal += np.eye(len(bands)) * (settings.ridge * size)[..., None, None]
+    normal = normal + np.eye(count) * (settings.ridge * size)[..., None, None]
     return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])

@@ -91,15 +91,15 @@ class RestoreSettings:
 
     slope: float = 3.0  # of the power spectrum of the detail that is expected
     kept: float = 0.15  # share of the blur by pixels of the flat that is left, as a power: what aliases stays soft
-    contradiction: float = 1.5  # [px of the flat] width of detail in which lenses differ by half its power
+    contradiction: float = 1.4  # [px of the flat] width of detail in which lenses differ by half its power
     least_views: float = 2.0  # lenses averaged, below which nothing is restored
     enough_views: float = 4.0  # and above which all is
-    levels: int = 12  # patch sizes of either sign for which filters are computed
+    levels: int = 16  # patch sizes of either sign for which filters are computed
     least_ratio: float = 0.06  # |s / D| of the first
     largest_ratio: float = 0.8  # and of the last
     weakest: float = 1e-8  # [white^2] power of detail for which there is a filter
     strongest: float = 0.015  # [white^2] likewise
-    powers: int = 21  # number of these
+    powers: int = 14  # number of these
     frequencies: int = 8  # along each side of the quarter of the spectrum on which filters are fitted
     per_ratio: float = 240.0  # entries of the table that pixels are looked up in, for each unit of |s / D|
     per_octave: float = 4.0  # and for each octave of power
