@@ -200,7 +200,7 @@ class _Levels:
         return left * self._read(fx, fy), scene
 
     def images(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
-        """(n, f) power of the images of coarser detail if they add up: of those along the axes, and of diagonal ones."""
+        """(n, f) power of the images of coarser detail if they add up: those along the axes, and diagonal ones."""
         found = []
         for x, y in _FOLDS[1:]:
             of = fx + x / self.grown, fy + y / self.grown
@@ -260,7 +260,7 @@ def _bands(fx: _Table, fy: _Table) -> _Table:
 
 @lru_cache(2)
 def _basis(frequencies: int) -> tuple[_Table, _Table, _Table]:
-    """Frequencies (f,) in a quarter of the spectrum, and (23, f): products of two bands, bands, powers of the coarser."""
+    """Frequencies (f,) in a quarter of the spectrum, and (23, f): products of bands, bands, powers of all but the first."""
     across = (np.arange(frequencies) + 0.5) / (2 * frequencies)
     fx, fy = (axis.ravel() for axis in np.meshgrid(across, across))
     bands = _bands(fx, fy)

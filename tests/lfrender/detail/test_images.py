@@ -1,4 +1,4 @@
-"""Images of the scene's spectrum cancel over lenses whose pixels have different phases, and add up where they do not."""
+"""Images of the spectrum cancel over lenses whose pixels have different phases, and add up where they do not."""
 
 from __future__ import annotations
 
