@@ -260,7 +260,7 @@ def _bands(fx: _Table, fy: _Table) -> _Table:
 
 @lru_cache(2)
 def _basis(frequencies: int) -> tuple[_Table, _Table, _Table]:
-    """Frequencies (f,) in a quarter of the spectrum, and (23, f): products of bands, bands, powers of all but the first."""
+    """Frequencies (f,) in a quarter of the spectrum, and (23, f): products of bands, bands, powers but the first."""
     across = (np.arange(frequencies) + 0.5) / (2 * frequencies)
     fx, fy = (axis.ravel() for axis in np.meshgrid(across, across))
     bands = _bands(fx, fy)
