@@ -43,9 +43,9 @@ class SpectraSettings:
     least_window: int = 6  # [px] smaller ones hold too few frequencies
     largest_window: int = 20  # [px] larger ones resolve no more of the blur
     lowest_noise: float = 0.2  # [cycles / px] from where noise is looked for
-    highest_noise: float = 0.5  # [cycles / px] and to where
-    noise_rings: int = 3  # between these, of which the quietest tells
-    quiet: float = 0.25  # quantile of the pairs, by how much the two differ, that differ by noise alone
+    highest_noise: float = 0.7  # [cycles / px] and to where
+    noise_rings: int = 5  # between these, of which the quietest tells
+    quiet: float = 0.1  # quantile of the pairs, by how much the two differ, that differ by noise alone
     darkest: float = 0.01  # [white] less light has as much noise
 
 

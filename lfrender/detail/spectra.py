@@ -216,8 +216,9 @@ def quiet_rings(side: int, settings: SpectraSettings = SPECTRA) -> NDArray[np.fl
     wide = 2 * side
     fy, fx = 2 * np.fft.fftfreq(wide)[:, None], 2 * np.fft.rfftfreq(wide)
     frequency = np.hypot(fy, fx)
-    # What bilinear interpolation leaves of the power of noise, in the mean over places.
-    left = (2 + np.cos(2 * np.pi * fx)) * (2 + np.cos(2 * np.pi * fy)) / 9
+    # What bilinear interpolation at half pixels leaves of the power of noise, in the mean over places.
+    of_x, of_y = (np.sinc(f) ** 4 + np.sinc(2 - np.abs(f)) ** 4 for f in (fx, fy))
+    left = of_x * of_y
     ends = np.linspace(settings.lowest_noise, settings.highest_noise, settings.noise_rings + 1)
     inside = (frequency[..., None] > ends[:-1]) & (frequency[..., None] <= ends[1:])
     weights = inside / left[..., None] / np.maximum(inside.sum((0, 1)), 1)
