@@ -5,7 +5,8 @@ Prints, at 0.15 D, 0.3 D and the default scale, PSNR of the picture with `detail
 `detail="restored"`, by `sharpen="auto"`, and by three methods of scikit-image applied to the picture: Wiener,
 Richardson-Lucy and total variation. These are given the disc of defocus that is measured for the median patch size.
 Without a folder, the scenes of `benchmarks.pictures` are simulated; `python -m benchmarks.detail 200 221` simulates
-random cameras before random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or 75.
+random cameras before random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or 75;
+with a third number all of those of 8 bits are JPEG of this quality.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def _simulated_cases() -> Iterator[_Case]:
         )
 
 
-def _random_case(seed: int) -> _Case:
+def _random_case(seed: int, quality: int | None = None) -> _Case:
     rng = np.random.default_rng(seed)
     kind = ("plane", "slope", "house", "clutter", "plane", "slope", "clutter")[seed % 7]
     several = seed % 7 >= 4 and seed % 2 == 0
@@ -79,8 +80,9 @@ def _random_case(seed: int) -> _Case:
     form: dict[str, Any] = {"bits": 16, "gamma": False} if seed % 5 == 3 else {}
     shot = simulate(scene, camera, samples=96, seed=seed, noise=(well, 5), **form)
     flat, reference, name = shot.flat, shot.truth.reference, f"{seed}: {kind}, D = {pitch:.0f} px"
-    if seed % 4 == 1 and not form:
-        quality = (50, 75)[seed // 4 % 2]
+    if seed % 4 == 1:
+        quality = quality or (50, 75)[seed // 4 % 2]
+    if quality and not form:
         coded = cv2.imencode(".jpg", flat[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         flat = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))[..., ::-1]
         name += f", JPEG {quality}"
@@ -168,7 +170,8 @@ def _rows(case: _Case) -> Iterator[str]:
 def _main() -> None:
     cases = _truth_cases(Path(sys.argv[1])) if sys.argv[1:] else _simulated_cases()
     if len(sys.argv) > 2:
-        cases = (_random_case(seed) for seed in range(int(sys.argv[1]), int(sys.argv[2])))
+        first, end, *quality = map(int, sys.argv[1:])
+        cases = (_random_case(seed, *quality) for seed in range(first, end))
     columns = "scene", "pixels per pitch", "off [dB]", "natural", "edges", "blank", "border", "restored", "sharpen"
     print(f"| {' | '.join((*columns, 'Wiener', 'R.-L.', 'TV'))} |\n|{'---|' * 12}")
     for case in cases:
