@@ -117,6 +117,7 @@ class SolveSettings:
     overshoot: float = 0.4  # [range of the values about] by which a pixel may leave it
     contrast: float = 0.012  # [white] of detail below which the solution is not taken
     rounds: int = 2  # more raise noise and the misfit of the model
+    smooth: float = 0.8  # share of what is added that is averaged with its neighbours: less noise
     least_fine: float = 0.7  # [px of the picture per px of the flat] below which the solution is not taken
     fine: float = 0.9  # and above which it is
     beside_edge: int = 6  # [px] the solution is not taken so near a depth edge

@@ -64,7 +64,8 @@ def solve_detail(
     encoded = is_encoded(pixels.dtype, plan.calibration)
     for _ in range(settings.rounds):
         found += image - even.draw(model.predict(found, encoded, pixels.dtype), corner, wide)[0]
-    found = natural + smooth_picture(found - natural)
+    added = found - natural
+    found = natural + (1 - settings.smooth) * added + settings.smooth * smooth_picture(added)
     around = np.ones((3, 3), np.uint8)
     low, high = (cut(image, around).reshape(image.shape) for cut in (cv2.erode, cv2.dilate))
     beyond = settings.overshoot * (high - low)
