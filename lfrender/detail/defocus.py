@@ -47,8 +47,8 @@ class Defocus:
     discs: tuple[tuple[float, ...], ...]
     noise: float
 
-    def diameters(self, ratio: float) -> NDArray[np.float64]:
-        """(types,) diameters [px of the flat] of the disc at `ratio = s / D`, by which a type is surely blurred.
+    def diameters(self, ratio: float | NDArray[np.float64]) -> NDArray[np.float64]:
+        """(types, ...) diameters [px of the flat] of the disc at `ratio = s / D`, by which a type is surely blurred.
 
         Where there are several types, one is near its focus at any depth: what it is blurred by is the scene's.
 
@@ -59,7 +59,7 @@ class Defocus:
         array([3.])
         """
         discs = np.array([np.interp(ratio, _RATIOS, one) for one in self.discs])
-        own = discs.min() if len(discs) > 1 else 0.0
+        own = discs.min(0) if len(discs) > 1 else 0.0
         return np.asarray(np.sqrt(discs**2 - own**2))
 
 

@@ -99,9 +99,9 @@ def make_filters(
     fine = np.arange(round(settings.largest_ratio * settings.per_ratio) + 1) / settings.per_ratio
     fine = np.maximum(fine, settings.least_ratio)
     at = np.log(fine / settings.least_ratio) / np.log(step)
-    sums = _between(sums, np.concatenate([at, at + settings.levels]), 1)
-    used = sums[0].any(1)
-    known, wanted, grain, seen, white, *images = sums[:, used]
+    near = np.concatenate([at, at + settings.levels])
+    used = np.interp(near, np.arange(len(some)), some) > 0
+    known, wanted, grain, seen, white, *images = _between(sums, near[used], 1)
     alike = image_power(calibration, np.concatenate([-fine, fine])[used], reach)
     image = (alike[..., None] * images).sum(0)
     fitted = _fit(powers, known + image, wanted, grain, settings)
@@ -166,7 +166,7 @@ class _Levels:
     ) -> _Levels:  # fmt: skip
         lattice, size = calibration.lattice, np.abs(ratios)
         grown = scale / (size * lattice.pitch)
-        discs = np.stack([defocus.diameters(float(ratio)) for ratio in ratios]) * grown[:, None]
+        discs = defocus.diameters(ratios).T * grown[:, None]
         weights = focus_weights(calibration.lens_types)[1]
         at = np.rint((np.clip(ratios, -1, 1) + 1) / 2 * (weights.shape[1] - 1)).astype(int)
         shares = weights[:, at].T.astype(float) if len(weights) == discs.shape[1] else np.ones(discs.shape)
@@ -184,7 +184,7 @@ class _Levels:
 
     def _read(self, fx: _Table, fy: _Table) -> _Table:
         read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
-        return np.asarray(read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart))
+        return read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart) if self.apart.any() else read
 
     def _focus(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
         """(n, f) what disc and pixel leave of each frequency of a scene, and the power that is expected of it."""
