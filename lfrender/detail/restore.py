@@ -237,15 +237,19 @@ def _find_factors(coarsest, power, at, sizes, share, lookup, kinds, lines):
         for x in range(width):
             rest[x] = above[x] / max(seen[x], tiny) - one
     fine, middle, coarse, per_fine, per_coarse = lines[7], lines[8], lines[9], lookup.per_fine, lookup.per_coarse
+    most = lookup.most
     for x in range(width):
         fine[x] *= per_fine[kinds[x]]
     for x in range(width):
         coarse[x] = (middle[x] + coarse[x]) * per_coarse[kinds[x]]
+    for x in range(width):
+        middle[x] = coarse[x] * most[kinds[x]]
     # Less of it where fine detail is weaker than the coarse predicts, and noise alone is taken away there; less too
     # where it is stronger than any scene's behind the lenses: there, lenses of another depth make steps.
     for x in range(width):
         strength[x] = max(fine[x], coarse[x])
-        part[x] = share[x] * min(fine[x], coarse[x] * lookup.most[kinds[x]]) / max(strength[x], tiny)
+    for x in range(width):
+        part[x] = share[x] * min(fine[x], middle[x]) / max(strength[x], tiny)
     for x in range(width):
         strength[x] = max(strength[x] / light[x], tiny)
     # The bits of a number above zero grow with its logarithm.
