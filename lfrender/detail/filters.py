@@ -42,9 +42,6 @@ class DetailFilters:
         By power of the detail over light, and patch size: first the negative ones from zero, then the positive ones.
     power, noise : (n, 3) float32
         Predicted power of each band but the finest: of detail of unit power, and of noise in the light of white.
-    most : (n,) float32
-        Power that the second band tells if detail is white, for each unit that the coarser bands tell: no scene has
-        more of the finest.
     per_ratio : float
         Entries for each unit of `|s / D|`.
     weakest, per_octave : float
@@ -54,7 +51,6 @@ class DetailFilters:
     gains: NDArray[np.float32]
     power: NDArray[np.float32]
     noise: NDArray[np.float32]
-    most: NDArray[np.float32]
     per_ratio: float
     weakest: float
     per_octave: float
@@ -101,13 +97,12 @@ def make_filters(
     at = np.log(fine / settings.least_ratio) / np.log(step)
     near = np.concatenate([at, at + settings.levels])
     used = np.interp(near, np.arange(len(some)), some) > 0
-    known, wanted, grain, seen, white, *images = _between(sums, near[used], 1)
+    known, wanted, grain, seen, *images = _between(sums, near[used], 1)
     alike = image_power(calibration, np.concatenate([-fine, fine])[used], reach)
     image = (alike[..., None] * images).sum(0)
     fitted = _fit(powers, known + image, wanted, grain, settings)
-    power, noise, most = np.ones((3, len(used), len(SMOOTHING) - 1))
+    power, noise = np.ones((2, len(used), len(SMOOTHING) - 1))
     power[used], noise[used] = (seen + image)[:, _POWER], grain[:, _POWER]
-    most[used] = white[:, _POWER] / power[used]
     trusted = np.tile(trusted_share(averaged_views(fine, calibration, reach), settings), 2)[:, None]
     first, last = (int(np.float32(p).view(np.int32)) / 2**23 for p in powers[[0, -1]])
     logs = np.arange(int((last - first) * settings.per_octave) + 1) / settings.per_octave + first
@@ -119,7 +114,6 @@ def make_filters(
         gains,
         power.astype(np.float32),
         noise.astype(np.float32),
-        (most[:, 0] * power[:, 1:].sum(1) / (most * power)[:, 1:].sum(1)).astype(np.float32),
         settings.per_ratio,
         first * settings.per_octave,
         settings.per_octave,
@@ -210,22 +204,20 @@ class _Levels:
         return along + across, diagonal
 
     def sums(self, channels: int) -> _Table:
-        """(7, n, 23) of what follows, weighted by `_basis`: what fits need to know of powers over frequencies.
+        """(6, n, 23) of what follows, weighted by `_basis`: what fits need to know of powers over frequencies.
 
-        What noise is compared with; what is wanted of it; noise; power of detail, of white detail, and of its images.
+        What noise is compared with; what is wanted of it; noise; power of detail, and of its images.
         """
         fx, fy, basis = _basis(self.settings.frequencies)
-        shown, *folded = (self.left(fx + x, fy + y) for x, y in _FOLDS)
-        left, scene = shown
+        (left, scene), *folded = (self.left(fx + x, fy + y) for x, y in _FOLDS)
         seen = left**2 * scene
         alias = sum((one**2 * there for one, there in folded), np.zeros_like(seen))
-        white = sum(one**2 for one, _ in (shown, *folded))
         pixel = np.sinc(fx) * np.sinc(fy) * self.pixel(fx, fy) ** self.settings.kept
         known = seen * (1 + self.contradiction(fx, fy)) + alias
         # Never blurrier than it is but by noise.
         wanted = np.maximum(np.maximum(pixel, left) * left * scene, known)
         grain = channels * self.grain(fx, fy)
-        return np.stack([known, wanted, grain, seen + alias, white, *self.images(fx, fy)]) @ basis.T
+        return np.stack([known, wanted, grain, seen + alias, *self.images(fx, fy)]) @ basis.T
 
     def grain(self, fx: _Table, fy: _Table) -> _Table:
         """(n, f) power of the noise of one channel of a picture with the light of white, of one for each channel."""

@@ -29,7 +29,6 @@ class _Lookup(NamedTuple):
     noise: NDArray[np.float32]  # (3, n) of the bands but the finest, in the light of white
     per_fine: NDArray[np.float32]  # (n,) power of detail for each unit of power of the second band
     per_coarse: NDArray[np.float32]  # (n,) likewise, of the coarser ones together
-    most: NDArray[np.float32]  # (n,) largest power that the second band tells, for each that the coarser ones do
     per_level: np.float32  # [1 / px]
     weakest: np.float32
     per_power: np.float32
@@ -74,7 +73,7 @@ def restore_detail(
     """
     single, (fine, *coarse) = np.float32, filters.power.T
     lookup = _Lookup(
-        filters.gains, np.ascontiguousarray(filters.noise.T), 1 / fine, 1 / sum(coarse), filters.most,
+        filters.gains, np.ascontiguousarray(filters.noise.T), 1 / fine, 1 / sum(coarse),
         single(filters.per_ratio / pitch), single(filters.weakest), single(filters.per_octave),
         single(settings.overshoot), single(SPECTRA.darkest), single(white), encoded,
     )  # fmt: skip
@@ -237,19 +236,13 @@ def _find_factors(coarsest, power, at, sizes, share, lookup, kinds, lines):
         for x in range(width):
             rest[x] = above[x] / max(seen[x], tiny) - one
     fine, middle, coarse, per_fine, per_coarse = lines[7], lines[8], lines[9], lookup.per_fine, lookup.per_coarse
-    most = lookup.most
     for x in range(width):
         fine[x] *= per_fine[kinds[x]]
     for x in range(width):
-        coarse[x] = (middle[x] + coarse[x]) * per_coarse[kinds[x]]
+        strength[x] = max(fine[x], (middle[x] + coarse[x]) * per_coarse[kinds[x]])
+    # Less of it where fine detail is weaker than the coarse predicts; there noise alone is taken away.
     for x in range(width):
-        middle[x] = coarse[x] * most[kinds[x]]
-    # Less of it where fine detail is weaker than the coarse predicts, and noise alone is taken away there; less too
-    # where it is stronger than any scene's behind the lenses: there, lenses of another depth make steps.
-    for x in range(width):
-        strength[x] = max(fine[x], coarse[x])
-    for x in range(width):
-        part[x] = share[x] * min(fine[x], middle[x]) / max(strength[x], tiny)
+        part[x] = share[x] * fine[x] / max(strength[x], tiny)
     for x in range(width):
         strength[x] = max(strength[x] / light[x], tiny)
     # The bits of a number above zero grow with its logarithm.
