@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..data.surface import nearest_patch_size
 from ..flat.gray_flat import white_level
 from ..runtime.buffers import allocate_pooled
-from ..runtime.cache import cached
+from ..runtime.cache import cached_latest
 from .filters import make_filters
 from .restore import restore_detail
 from .settings import HALO, RESTORE
@@ -63,8 +63,9 @@ def _restore(
     pitch, channels, defocus = plan.calibration.lattice.pitch, image.shape[2], plan.defocus
     sizes = plan.surface.patch_size
     depths = float(sizes.min()), float(sizes.max())
-    filters = cached(
-        plan, ("filters", channels),
+    key = channels, plan.scale, plan.reach, plan.blur, depths
+    filters = cached_latest(
+        defocus, "filters", key,
         lambda: make_filters(defocus, plan.calibration, plan.scale, plan.reach, plan.blur, channels, depths),
     )  # fmt: skip
     first, (left, top, right, bottom) = plan.affine[:, 2], part
