@@ -141,16 +141,17 @@ def render(
         detail = "off"
 
     def measure() -> Defocus | None:
+        if previous is not None:
+            # Pixels that stay were restored against the blur measured then.
+            return previous[2].defocus
         assert depth is not None
         # Once for a depth map and its flat, told by some rows; the camera is kept, so that no other gets its identity.
         key = id(calibration), crc32(rows.tobytes())
         sizes = depth.patch_size
         return cached_latest(depth, "defocus", key, lambda: (calibration, measure_defocus(look, exposed, sizes)))[1]
 
-    plan = make_plan(look, exposed, depth, patch_size, scale, blend, detail, measure)
-    if previous is not None:
-        # Pixels that stay were restored against the blur measured then.
-        plan = replace(plan, defocus=previous[2].defocus)
+    kind = detail if previous is None else None
+    plan = make_plan(look, exposed, depth, patch_size, scale, blend, kind, measure)
     part = (0, 0, *plan.size) if roi is None else plan.part_of_region(roi)
     if previous is None:
         image, valid = plan.draw(pixels, part=part, stored=sharpen is None)

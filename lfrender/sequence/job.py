@@ -25,7 +25,9 @@ from ..data.depth_map import DepthFileError, DepthMap, default_scale
 from ..data.rendering import Rendering
 from ..depth.analyze import analyze
 from ..depth.incremental import load_reference_match, save_reference_match
+from ..detail.defocus import measure_defocus
 from ..flat.demosaicing import demosaic
+from ..flat.validation import check_flat
 from ..output.metadata import EmbeddedMetadata, read_metadata
 from ..output.picture import check_picture, eight_bits, write_picture
 from ..rendering.render import render
@@ -147,7 +149,7 @@ class Job:
             for pattern in ("depth_*.npz", "comparison_*.npz", "camera.json", "settings.json"):
                 for file in hidden.glob(pattern):
                     file.unlink()
-        if (hidden / "settings.json").exists():
+        if job._settings_file.exists():
             job._resume()
         return job
 
@@ -156,7 +158,7 @@ class Job:
         hidden = self.folder / _HIDDEN
         camera = load_camera(self.folder)
         try:
-            settings = json.loads((hidden / "settings.json").read_text(encoding="utf-8"))
+            settings = json.loads(self._settings_file.read_text(encoding="utf-8"))
             views = None if self.views is None else {**self.views.to_dict(), "format": self.suffix}
             same = settings["preset"] == self.preset and self.scale in (None, settings["scale"])
             same &= settings.get("views") == views and settings.get("eight_bits", False) == self.eight_bits
@@ -165,7 +167,10 @@ class Job:
             self.still = None if views is None else float(settings["still"])
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise OutputError(f"{hidden}: damaged ({error}); render everything again (--overwrite)") from error
-        if not same or (self.calibration is not None and self.calibration.to_dict() != camera.to_dict()):
+        given = self.calibration
+        if given is not None and given.lens_blur is None:
+            given = replace(given, lens_blur=camera.lens_blur)
+        if not same or (given is not None and given.to_dict() != camera.to_dict()):
             raise OutputError(
                 f"{self.folder}: holds pictures made with another camera, dark frame, preset or scale; "
                 "give another folder, or render everything again (--overwrite)"
@@ -202,6 +207,24 @@ class Job:
 
             self.calibration = self._as_stored(calibrate(pixels))
         return self.calibration
+
+    def _measure_blur(self, flat: NDArray[Any], depth: DepthMap) -> Calibration:
+        """The camera with the blur of its lenses, measured once, so that pictures of all segments are equally sharp."""
+        camera = self.camera(flat)
+        if camera.lens_blur is None and self.views is None and not self._settings_file.exists():
+            pixels = check_flat(flat, camera)
+
+            def look(part: tuple[int, int, int, int]) -> NDArray[Any]:
+                return pixels[part[1] : part[3], part[0] : part[2]]
+
+            measured = measure_defocus(look, camera, depth.patch_size)
+            if measured is not None:
+                self.calibration = camera = replace(camera, lens_blur=measured.blur)
+        return camera
+
+    @property
+    def _settings_file(self) -> Path:
+        return self.folder / _HIDDEN / "settings.json"
 
     def _as_stored(self, calibration: Calibration) -> Calibration:
         return replace(calibration, encoded=True) if self.encoded and calibration.encoded is None else calibration
@@ -281,7 +304,7 @@ class Job:
                 self.scale = default_scale(depth)
             if self.views is not None and self.still is None:
                 self.still = self.views.find_still(depth)
-            self._save_settings(camera)
+            self._save_settings(self._measure_blur(flat, depth))
             if comparison is not None:
                 save_reference_match(depth, comparison)
             depth.save(file)
@@ -296,11 +319,10 @@ class Job:
             raise OutputError(f"{file}: {what}") from error
 
     def _save_settings(self, camera: Calibration) -> None:
-        hidden = self.folder / _HIDDEN
-        if (hidden / "settings.json").exists():
+        if self._settings_file.exists():
             return
-        camera.save(hidden / "camera.json")
-        with atomic_write(hidden / "settings.json") as temporary:
+        camera.save(self.folder / _HIDDEN / "camera.json")
+        with atomic_write(self._settings_file) as temporary:
             settings: dict[str, Any] = {"preset": self.preset, "scale": self.scale, "eight_bits": self.eight_bits}
             settings["dark"] = self.dark
             if self.views is not None:

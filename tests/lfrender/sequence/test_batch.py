@@ -17,6 +17,7 @@ import lfcal
 import lfrender
 from lfcal import read_flat
 from lfrender.cli.main import main
+from lfrender.sequence import job
 from lfrender.sequence.film import FilmFile
 from lfrender.sequence.settings import SequenceSettings
 
@@ -67,6 +68,24 @@ def test_pictures_do_not_flicker_where_nothing_moves(whole):
     for before, after in ((0, 1), (1, 2), (3, 4)):
         np.testing.assert_array_equal(pictures[after], pictures[before])
     assert (pictures[3] != pictures[2]).any()
+
+
+def test_pictures_of_all_segments_undo_the_same_blur(sequence, tmp_path, monkeypatch):
+    folder, camera = sequence
+    original, discs = job.render, []
+
+    def recorded(*given, **options):
+        picture = original(*given, **options)
+        discs.append(picture.defocus.discs)
+        return picture
+
+    monkeypatch.setattr(job, "render", recorded)
+    frames = lfrender.open_frames([folder])
+    list(lfrender.render_frames(frames, tmp_path, camera, preset="fast", tuning=SHORT))
+    assert len(discs) == 5 and len(set(discs)) == 1
+    assert camera.lens_blur is None
+    # The camera of a run that is continued is the one that was given.
+    assert {one.outcome for one in lfrender.render_frames(frames, tmp_path, camera, preset="fast")} == {"kept"}
 
 
 def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house, tmp_path):
@@ -172,10 +191,9 @@ def test_dark_frame_is_subtracted_from_every_frame_and_another_one_is_refused(ho
     command += ["-o", str(tmp_path / "out")]
     done = CliRunner().invoke(main, [*command, "--dark", str(tmp_path / "dark.png")], catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    expected = lfrender.render(
-        np.minimum(house.flat, 190), house.truth.calibration,
-        lfrender.analyze(np.minimum(house.flat, 190), house.truth.calibration, "fast"),
-    )  # fmt: skip
+    # That of the run has the blur of the lenses.
+    flat, camera = np.minimum(house.flat, 190), job.load_camera(tmp_path / "out")
+    expected = lfrender.render(flat, camera, lfrender.analyze(flat, camera, "fast"))
     np.testing.assert_array_equal(read_flat(tmp_path / "out" / "a.tif"), expected.image)
     refused = CliRunner().invoke(main, command)
     assert refused.exit_code == 2 and "another camera, dark frame" in refused.output
