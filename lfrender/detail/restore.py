@@ -16,7 +16,7 @@ from ..runtime.buffers import allocate_pooled
 from .filters import DetailFilters
 from .settings import AVERAGING, RESTORE, SMOOTHING, SPECTRA, RestoreSettings
 
-__all__ = ["off_edges", "restore_detail", "smooth_picture"]
+__all__ = ["off_edges", "restore_detail", "smooth_picture", "spread_clipped"]
 
 # Rows that are restored together.
 _STRIP = 128
@@ -80,7 +80,8 @@ def restore_detail(
     allowed = off_edges(valid, patch_size, pitch, settings) * inner
     steps, bands = np.array((*SMOOTHING, *AVERAGING)), len(SMOOTHING)
     out = allocate_pooled(image.shape, np.float32)
-    _restore_rows(image, patch_size, allowed, lookup, steps, bands, out)
+    bright = spread_clipped(image, white, settings)
+    _restore_rows(image, patch_size, allowed, bright, lookup, steps, bands, out)
     return out
 
 
@@ -98,6 +99,17 @@ def off_edges(
     _smooth(level, 1, soft)
     reach = 2 * sum(SMOOTHING) + 1
     return soft * cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8))
+
+
+def spread_clipped(image: NDArray[np.float32], white: float, settings: RestoreSettings = RESTORE) -> NDArray[np.uint8]:
+    """(h, w, C) 255 about values as bright as white, which are clipped: lenses blurred more light than they show."""
+    import cv2
+
+    bright = cv2.convertScaleAbs(image, alpha=255 / white)
+    if bright.max() == 255:
+        side = 2 * settings.beside_clipped + 1
+        bright = cv2.dilate(bright, np.ones((side, side), np.uint8))
+    return np.asarray(bright, np.uint8).reshape(image.shape)
 
 
 def smooth_picture(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -135,7 +147,7 @@ def _smooth_row(above, here, below, step, line, out):
 @njit(
     cache=True, nogil=True, error_model="numpy", share=lambda image, *_: (len(image) + _STRIP - 1) // _STRIP
 )  # fmt: skip
-def _restore_rows(begin, end, image, patch_size, allowed, lookup, steps, bands, out):
+def _restore_rows(begin, end, image, patch_size, allowed, bright, lookup, steps, bands, out):
     """Restore strips of rows. Of each smoothing only the last rows are kept, which stay in the processor's cache."""
     height, width, channels = image.shape
     halo = steps.sum()
@@ -169,7 +181,7 @@ def _restore_rows(begin, end, image, patch_size, allowed, lookup, steps, bands, 
                 _find_factors(layers[-1], powers[-1], at, patch_size[y], share, lookup, kinds, lines)
                 for c in range(channels):
                     _add_row(layers, c, at, lines)
-                    _store_row(layers[0, c], above, at, below, share, lookup, image[y], c, lines, out[y])
+                    _store_row(layers[0, c], above, at, below, share, bright[y], lookup, image[y], c, lines, out[y])
 
 
 @njit(cache=True, nogil=True)
@@ -269,7 +281,7 @@ def _add_row(layers, c, at, lines):
 
 
 @njit(cache=True, nogil=True)
-def _store_row(plane, row_above, row, row_below, share, lookup, image, c, lines, out):
+def _store_row(plane, row_above, row, row_below, share, bright, lookup, image, c, lines, out):
     """Line 4 as values, in the range of their neighbours in three rows of `plane` but for the overshoot."""
     overshoot, white, encoded, zero = lookup.overshoot, lookup.white, lookup.encoded, np.float32(0)
     above, here, below, width = plane[row_above], plane[row], plane[row_below], plane.shape[1]
@@ -290,7 +302,7 @@ def _store_row(plane, row_above, row, row_below, share, lookup, image, c, lines,
         for x in range(width):
             least[x], most[x] = np.sqrt(least[x]), np.sqrt(most[x])
     for x in range(width):
-        beyond = overshoot * (most[x] - least[x])
+        beyond = overshoot * (most[x] - least[x]) if bright[x, c] < 255 else zero
         light[x] = min(max(light[x], least[x] - beyond), most[x] + beyond) * white
     for x in range(width):
         out[x, c] = light[x] if share[x] > zero else image[x, c]

@@ -105,6 +105,7 @@ class RestoreSettings:
     per_octave: float = 4.0  # and for each octave of power
     ridge: float = 1.5e-3  # [trace] keeps the fit of the filters well-conditioned
     overshoot: float = 0.25  # [range of the values about] by which a pixel may leave it: no halos
+    beside_clipped: int = 3  # [px] no overshoot so near to clipped values: lenses blurred more light than these show
     edge: float = 0.04  # [pitch] depths that differ by this are an edge
     beside_edge: int = 2  # [px] no detail is restored so near an edge
     border: float = 0.5  # [pitch] from the border of the picture, where few lenses are averaged; fades in over as much

@@ -18,7 +18,7 @@ from ..flat.gray_flat import white_level
 from .draw import plan_border
 from .filters import averaged_views, trusted_share
 from .predict import FlatModel
-from .restore import off_edges, smooth_picture
+from .restore import off_edges, smooth_picture, spread_clipped
 from .settings import RESTORE, SOLVE, SolveSettings
 from .spectra import is_encoded
 
@@ -68,9 +68,11 @@ def solve_detail(
     found = natural + (1 - settings.smooth) * added + settings.smooth * smooth_picture(added)
     around = np.ones((3, 3), np.uint8)
     low, high = (cut(image, around).reshape(image.shape) for cut in (cv2.erode, cv2.dilate))
+    white = white_level(pixels, plan.calibration)
     beyond = settings.overshoot * (high - low)
+    beyond[spread_clipped(image, white) == 255] = 0
     found = np.clip(found, low - beyond, high + beyond)
-    share = fine * _trusted(image / white_level(pixels, plan.calibration), valid, sizes, plan, wide, settings)
+    share = fine * _trusted(image / white, valid, sizes, plan, wide, settings)
     solved = (natural + share[..., None] * (found - natural)).astype(np.float32)
     return np.ascontiguousarray(solved[inside]), np.ascontiguousarray(valid[inside])
 

@@ -1,4 +1,4 @@
-"""Texture that was blurred gains contrast."""
+"""Texture that was blurred gains contrast, without halos beside what is clipped."""
 
 from __future__ import annotations
 
@@ -40,3 +40,12 @@ def test_fine_stripes_gain_contrast_as_other_texture_does(period):
     stripes = 0.3 + 0.05 * np.cos(2 * np.pi * np.arange(96) / period)
     image = np.tile(stripes.astype(np.float32), (96, 1))[..., None]
     assert restored(image)[12:-12, 12:-12].std() > 1.2 * image[12:-12, 12:-12].std()
+
+
+def test_nothing_gets_darker_than_its_surroundings_beside_clipped_light():
+    bars = np.where(np.arange(96) // 6 % 2 > 0, 1.6, 0.3).astype(np.float32)
+    blurred = smooth_picture(np.tile(bars, (96, 1))[..., None])
+    dark = blurred < 1
+    assert restored(np.minimum(blurred, 1))[dark].min() > 0.299
+    # Below white, edges may overshoot.
+    assert restored(0.6 * blurred)[dark].min() < 0.9 * 0.6 * 0.3
