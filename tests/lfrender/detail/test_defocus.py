@@ -97,5 +97,6 @@ def test_compression_is_not_taken_for_blur():
     for quality in (50, 75, 90):
         coded = cv2.imdecode(cv2.imencode(".jpg", flat, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
         found = measure_defocus(look_at(coded), truth.calibration, truth.patch_size.astype(np.float32))
+        assert 0.6 < found.blur.discs[0, 0] / plain.blur.discs[0, 0] < 1.1
         # Less is known of it: what is surely undone becomes less, too.
-        assert 0.6 < found.diameters(-0.3)[0] / plain.diameters(-0.3)[0] < 1.1
+        assert 0.4 < found.diameters(-0.3)[0] / plain.diameters(-0.3)[0] < 1.1
