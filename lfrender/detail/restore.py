@@ -1,6 +1,6 @@
 """Restore the detail of a picture: each place by the filter of its patch size and its power above the noise.
 
-Lenses blur light. What is encoded for display, as all pixels of 8 bits are, is squared before it is filtered.
+Lenses blur light. Values that are encoded for display (`spectra.is_encoded`) are squared before they are filtered.
 """
 
 from __future__ import annotations

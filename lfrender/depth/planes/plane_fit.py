@@ -25,10 +25,6 @@ _POWERS = np.add.outer(np.arange(4), np.arange(4)) <= 3
 _DEPENDENT = 1e-6
 # Pairs of lenses per independent measurement: both directions, two lenses each.
 _DEPENDENT_PAIRS = 4
-# Rounds of the robust fit, at most.
-_ROUNDS = 8
-# A round that changes no residual by this share of the tolerance is the last.
-_SETTLED = 0.01
 
 
 @dataclass(frozen=True)
@@ -137,14 +133,14 @@ def _fit_inverse(
     """(k,) robust linear fit to 1 / s, the error of s being the same for all (IRLS after Geman and McClure)."""
     residual = sizes - median(sizes)
     inverse = np.zeros(terms.shape[1])
-    for _ in range(_ROUNDS):
+    for _ in range(settings.rounds):
         limit = settings.significance * _measure_scatter(residual, settings)[0]
         # An error of s is s^2 times that of 1 / s.
         weight = sizes * sizes * sizes / (1 + (residual / limit) ** 2) ** 2
         left = np.einsum("ni,nj->ij", terms, terms * (weight * sizes)[:, None])
         inverse = np.linalg.lstsq(left, np.einsum("ni,n->i", terms, weight), rcond=None)[0]
         before, residual = residual, sizes - 1 / (terms @ inverse)
-        if np.abs(residual - before).max() < _SETTLED * settings.tolerance:
+        if np.abs(residual - before).max() < settings.settled * settings.tolerance:
             break
     return inverse
 

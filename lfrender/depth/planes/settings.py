@@ -17,6 +17,8 @@ class PlaneSettings:
     significance: float = 4.0  # [standard errors] by which a lens, a bend, or a slant differs from a plane
     bend_errors: float = 2.0  # [standard errors] of a smooth surface through them, allowed beside the tolerance
     tolerance: float = 0.025  # [px] of a bend: half of the regularity error allowed; so much per `significance`, too
+    rounds: int = 8  # of the robust fit, at most; set by hand
+    settled: float = 0.01  # [tolerance] a round that changes no residual by more is the last; set by hand
     cluster: int = 3  # lenses beside each other off the plane that are another surface; fewer are noise
     # Systematic errors, not averaged out by more lenses; measured on 188 planes of random cameras and two ray tracers.
     shared_error: float = 0.0014  # [px] of any plane

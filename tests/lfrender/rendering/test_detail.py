@@ -51,6 +51,23 @@ def test_detail_is_restored_by_default_and_not_beside_another_sharpening():
     assert lfrender.render(shot.flat, shot.truth.calibration, patch_size=-6.0).defocus is None
 
 
+def test_the_blur_is_measured_once_for_a_depth_map_and_its_flat(monkeypatch):
+    from lfrender.rendering import render as rendering
+
+    shot, depth = capture()
+    measure, measured = rendering.measure_defocus, []
+
+    def counted(*given):
+        measured.append(1)
+        return measure(*given)
+
+    monkeypatch.setattr(rendering, "measure_defocus", counted)
+    again = replace(depth)
+    for flat, scale, times in ((shot.flat, None, 1), (shot.flat, 4.0, 1), (shot.flat // 2, None, 2)):
+        lfrender.render(flat, shot.truth.calibration, again, scale=scale)
+        assert len(measured) == times
+
+
 def test_a_smooth_ramp_has_less_noise_and_stays_else_as_it_is():
     off, natural = (picture(detail, "ramp").image.astype(np.float32) for detail in ("off", "natural"))
     grain = [(one - cv2.GaussianBlur(one, (0, 0), 3))[12:-12, 12:-12].std() for one in (off, natural)]
