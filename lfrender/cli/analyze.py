@@ -123,12 +123,9 @@ def analyze(
         with connect_cluster(workers, scheduler, report) as cluster:
             depth, calibration = analyze_in_tiles(capture, not exhaustive, cluster)
     else:
-        pixels, calibration, checked = capture.calibrate_unchecked(capture.read("lfrender.depth.analyze"))
-        try:
-            with option_errors(roi):
-                depth = capture.analyze(pixels, calibration, skip=not exhaustive, roi=roi, edges=edges)
-        finally:
-            calibration = checked()
+        pixels, calibration = capture.calibrate(capture.read("lfrender.depth.analyze"))
+        with option_errors(roi):
+            depth = capture.analyze(pixels, calibration, skip=not exhaustive, roi=roi, edges=edges)
     optics = optics or calibration.optics
     if metres and optics is None:
         raise click.UsageError("--metres needs optics: a camera file made by 'lfcal metric', or --optics")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
 
     from lfcal import Calibration, FlatSource
 
-__all__ = ["check_beside", "is_published", "read_camera"]
+__all__ = ["is_published", "read_camera"]
 
 # [px] side of the part in the middle of a flat that is not in memory, on which its camera is checked.
 _CHECKED_SIDE = 3000
@@ -32,18 +31,6 @@ def read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
     A published one is moved onto the microimages where the flat is a crop of the sensor. Raises CameraFileError where
     the flat shows another lattice.
     """
-    return check_beside(path, pixels, beside=False)[1]()
-
-
-def check_beside(
-    path: Path, pixels: NDArray[Any] | FlatSource, beside: bool = True
-) -> tuple[Calibration, Callable[[], Calibration]]:
-    """`read_camera` in two steps: the camera as in the file, and a function that returns it checked or raises.
-
-    Where the check moves no camera, it runs `beside` what is done with the camera meanwhile.
-    """
-    import numpy as np
-
     from lfcal import load
 
     if path.suffix.lower() in IMAGE_SUFFIXES and path.exists():
@@ -51,24 +38,7 @@ def check_beside(
             f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
             "'lfcal calibrate'"
         )
-    calibration = load(path, (pixels.shape[1], pixels.shape[0]))
-    if not beside or is_published(path) or not isinstance(pixels, np.ndarray):
-        checked = _check_file(path, calibration, pixels)
-        return checked, lambda: checked
-    from concurrent.futures import ThreadPoolExecutor
-
-    thread = ThreadPoolExecutor(1, "check", _use_one_thread)
-    try:
-        return calibration, thread.submit(_check_file, path, calibration, pixels).result
-    finally:
-        thread.shutdown(wait=False)
-
-
-def _use_one_thread() -> None:
-    """Leave the other cores to what is done meanwhile."""
-    import numba
-
-    numba.set_num_threads(1)
+    return _check_file(path, load(path, (pixels.shape[1], pixels.shape[0])), pixels)
 
 
 def _check_file(path: Path, calibration: Calibration, pixels: NDArray[Any] | FlatSource) -> Calibration:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from lfcal.runtime.image_formats import VIDEO_FORMATS, Mosaic
 from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
 from ..runtime.background_imports import import_in_background
-from .camera_input import check_beside, read_camera
+from .camera_input import read_camera
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,16 +98,6 @@ class CaptureInput:
 
                 pixels = demosaic(pixels, calibration)
             return pixels, calibration
-
-    def calibrate_unchecked(self, pixels: NDArray[Any]) -> tuple[NDArray[Any], Calibration, Callable[[], Calibration]]:
-        """As `calibrate`, and a function that returns the camera with its warnings or raises: camera files are checked
-        against the flat meanwhile."""
-        if self.camera is None or self.mosaic is not None or pixels.ndim == 2:
-            pixels, calibration = self.calibrate(pixels)
-            return pixels, calibration, lambda: calibration
-        with self.report.stage("calibrate"):
-            calibration, checked = check_beside(self.camera, pixels)
-            return pixels, self._as_stored(calibration), lambda: self._as_stored(checked())
 
     def find_camera(self, pixels: Any) -> Calibration:
         """The camera of the file, or calibrated from the white image or from the pixels.

@@ -161,19 +161,16 @@ def render(
         "lfrender.rendering.render", *(["tifffile"] if output.suffix.lower() in (".tif", ".tiff") else [])
     )
     check_picture(output, pixels.dtype, alpha)
-    pixels, calibration, checked = capture.calibrate_unchecked(pixels)
+    pixels, calibration = capture.calibrate(pixels)
     depth = None
-    try:
-        if not traditional and patch_size is None:
-            needed = None
-            if roi:
-                from ..rendering.render import expand_roi
+    if not traditional and patch_size is None:
+        needed = None
+        if roi:
+            from ..rendering.render import expand_roi
 
-                with option_errors(roi):
-                    needed = expand_roi(roi, calibration)
-            depth = capture.analyze(pixels, calibration, roi=needed, edges=edges)
-    finally:
-        calibration = checked()
+            with option_errors(roi):
+                needed = expand_roi(roi, calibration)
+        depth = capture.analyze(pixels, calibration, roi=needed, edges=edges)
     options |= {"sharpen": width, "roi": roi}
     with capture.report.stage("render"), option_errors(*options.values()):
         from .. import render as run

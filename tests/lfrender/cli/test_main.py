@@ -210,7 +210,7 @@ def test_camera_of_another_image_size_is_refused(house, house_files, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["render", "analyze"])
-def test_a_camera_is_checked_against_the_flat_while_that_is_analysed(command, house, house_files, tmp_path):
+def test_a_camera_is_checked_against_the_flat_before_that_is_analysed(command, house, house_files, tmp_path):
     camera, flat = house.truth.calibration, house_files / "flat.png"
     lattice = camera.lattice
     replace(camera, lattice=replace(lattice, origin=lattice.origin + np.array([4, 3]))).save(tmp_path / "moved.json")
