@@ -124,6 +124,8 @@ def shoot_board(
     """
     if ratios[0] * ratios[1] <= 0 or poses < 1:
         raise ValueError(f"give one pose or more and s/D of one sign, got {poses} and {ratios}")
+    if camera.mosaic or camera.stray:
+        raise ValueError("boards are photographed without mosaic and stray light")
     from . import tracing
 
     rng = np.random.default_rng(seed)

@@ -27,10 +27,9 @@ LATTICES: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
     "sheared": ((1.0, 0.0), (0.25, 1.0)),
 }
 
-# Proportions of `Camera.design`, those of common focused plenoptic cameras: f/4, microimages that nearly touch,
-# and room behind the main lens for real image planes on both sides of the microlenses.
+# Proportions of `Camera.design`, those of common focused plenoptic cameras: f/4, and room behind the main lens for real
+# image planes on both sides of the microlenses.
 _SENSOR_DISTANCE = 3.92
-_MICROIMAGE_FILL = 0.97
 _IMAGE_ROOM = 16.0
 
 
@@ -50,11 +49,11 @@ class Camera:
         `dL`, main lens to microlenses.
     sensor_distance : float [mm]
         `b`, microlenses to sensor.
-    microlens_focal_lengths : tuple of 1 or 3 floats [mm]
-        One lens type, or three of which lens `(i, j)` has number `(i - j) mod 3` (in a hexagonal array no two
-        neighbours are alike).
+    microlens_focal_lengths : tuple of 1 to 3 floats [mm]
+        One for each lens type; of n types, lens `(i, j)` has number `(i - j) mod n` (in a hexagonal array of three
+        and in a square one of two no two neighbours are alike).
     aperture : float [mm]
-        Diameter of the main lens.
+        Diameter of the main lens, or the side of its square aperture.
     fill : float
         Diameter of a microlens over the microlens pitch; the rest is opaque. It sets the microlens defocus.
     basis : 2 x 2 floats [px]
@@ -65,6 +64,16 @@ class Camera:
         Where the optical axis meets the flat.
     natural_vignetting : bool
         Weigh the light of a microlens by cos^4 of the angle of its chief ray on the sensor.
+    square_aperture : bool
+        Whether the aperture of the main lens, and so each microimage, is a square along the first lattice direction.
+    type_apertures : tuple of 1 to 3 floats
+        Share of the aperture that a lens of each type lets pass: the radii of its microimages.
+    stray : float
+        Share of the light that comes past the microlenses, spread evenly over a pitch: gaps are not black.
+    mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"} or None
+        Colour filters over the top left 2 x 2 pixels; flat and white image are then (H, W).
+    filters : (float, float, float)
+        Brightness of white seen through the red, green and blue filter.
     stop : (float, float) or None [mm]
         Distance in front of the main lens and diameter of a fixed stop: mechanical vignetting, which cuts
         microimages to cat's eyes away from the principal point.
@@ -97,6 +106,11 @@ class Camera:
     origin: tuple[float, float]
     principal_point: tuple[float, float]
     natural_vignetting: bool = True
+    square_aperture: bool = False
+    type_apertures: tuple[float, ...] = (1.0,)
+    stray: float = 0.0
+    mosaic: str | None = None
+    filters: tuple[float, float, float] = (1.0, 1.0, 1.0)
     stop: tuple[float, float] | None = None
     k1: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
@@ -113,8 +127,20 @@ class Camera:
         if self.fill > 1:
             raise ValueError(f"fill must be at most 1 (touching microlenses), got {self.fill}")
         focal = tuple(float(f) for f in self.microlens_focal_lengths)
-        if len(focal) not in (1, 3) or not all(np.isfinite(f) and f > 0 for f in focal):
-            raise ValueError(f"microlens_focal_lengths must be 1 or 3 positive numbers, got {focal}")
+        if len(focal) not in (1, 2, 3) or not all(np.isfinite(f) and f > 0 for f in focal):
+            raise ValueError(f"microlens_focal_lengths must be 1 to 3 positive numbers, got {focal}")
+        for name, low in (("type_apertures", 0.1), ("filters", 0.01), ("stray", 0.0)):
+            values = np.array(getattr(self, name), dtype=float)
+            if not ((values >= low) & (values <= 1)).all():
+                raise ValueError(f"{name} must lie between {low} and 1, got {getattr(self, name)}")
+        if len(self.type_apertures) not in (1, len(focal)) or len(self.filters) != 3:
+            raise ValueError(
+                "type_apertures takes one number, or one for each of microlens_focal_lengths, filters three"
+            )
+        if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
+            raise ValueError(f"mosaic must be RGGB, BGGR, GRBG or GBRG, got {self.mosaic!r}")
+        for name in ("type_apertures", "filters"):
+            object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
         if self.stop is not None and not (len(self.stop) == 2 and min(self.stop) > 0 and np.isfinite(self.stop).all()):
             raise ValueError(f"stop must be (distance, diameter), both positive, got {self.stop}")
         points = [tuple(float(v) for v in point) for point in (self.origin, self.principal_point)]
@@ -139,8 +165,9 @@ class Camera:
         lattice: str | ArrayLike = "hex",
         rotation: float = 0.0,
         *,
-        focus: float | tuple[float, float, float] = 0.04,
+        focus: float | tuple[float, ...] = 0.04,
         fill: float = 0.28,
+        microimage_fill: float = 0.97,
         pixel: float = 0.0055,
         focal_length: float = 50.0,
         offset: tuple[float, float] = (0.37, -0.81),
@@ -158,8 +185,10 @@ class Camera:
             One of `LATTICES`, or any two vectors, scaled to `pitch`.
         rotation : float [degrees]
             Clockwise on the screen.
-        focus : float or three floats
-            `s / D` that the microlenses are focused at; three values make three interleaved lens types.
+        focus : float or up to three floats
+            `s / D` that the microlenses are focused at; several values make interleaved lens types.
+        microimage_fill : float
+            Width of a microimage over the distance of neighbouring centres; the rest is dark.
         offset : (float, float) [px]
             From the middle of the flat to microimage (0, 0).
 
@@ -194,7 +223,7 @@ class Camera:
             mla_distance=distance,
             sensor_distance=b,
             microlens_focal_lengths=tuple(focal.tolist()),
-            aperture=_MICROIMAGE_FILL * spacing * pixel * distance / b,
+            aperture=microimage_fill * spacing * pixel * distance / b,
             fill=fill,
             basis=_shortest_acute(basis),
             origin=(middle[0] + offset[0], middle[1] + offset[1]),
@@ -240,17 +269,32 @@ class Camera:
 
     @property
     def microimage_radius(self) -> float:
-        """Radius of the main aperture seen through one microlens centre [px]."""
+        """Radius of the main aperture (half the side of a square one) seen through one microlens centre [px]."""
         return self.aperture / 2 * self.sensor_distance / self.mla_distance / self.pixel
 
     @property
     def _shortest_step(self) -> float:
         return float(np.linalg.norm(self.basis, axis=1).min())
 
+    def lens_types(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(n,) numbers of the lens types at lattice indices (n, 2)."""
+        return (index[:, 0] - index[:, 1]) % len(self.microlens_focal_lengths)
+
+    def half_apertures(self, types: ArrayLike) -> NDArray[np.float64]:
+        """Half of the aperture [mm] that lenses of the given types let pass."""
+        shares = np.broadcast_to(self.type_apertures, len(self.microlens_focal_lengths))
+        return shares[types] * (self.aperture / 2)
+
     def calibration(self, vignetting: Vignetting | None = None) -> Calibration:
         """The true calibration of this camera."""
         return Calibration(
-            self.lattice, vignetting, source="truth", residual_rms=0.0, lenses_used=len(self.lattice), confidence=1.0
+            self.lattice,
+            vignetting,
+            source="truth",
+            residual_rms=0.0,
+            lenses_used=len(self.lattice),
+            confidence=1.0,
+            mosaic=self.mosaic,
         )
 
     def patch_size(self, depth: ArrayLike) -> NDArray[np.float64]:

@@ -94,7 +94,7 @@ class Capture:
     Parameters
     ----------
     flat : (H, W, 3) uint8 or uint16
-        Raw picture, order R, G, B.
+        Raw picture, order R, G, B; (H, W) of a camera with a mosaic.
     white : (H, W) uint8 or uint16
         White image of the same camera.
     truth : Truth
@@ -196,7 +196,11 @@ def load_capture(folder: str | os.PathLike[str]) -> Capture:
         raise ValueError(f"{source}: truth is incomplete or damaged ({error}); simulate it again") from error
     size = (camera.height, camera.width)
     flat, white, reference = (_read_png(source / f"{name}.png") for name in ("flat", "white", "reference"))
-    if flat.shape != (*size, 3) or white.shape != size or arrays["disparity"].shape != size:
+    if (
+        flat.shape != (size if camera.mosaic else (*size, 3))
+        or white.shape != size
+        or arrays["disparity"].shape != size
+    ):
         raise ValueError(f"{source}: flat, white image and truth differ in size; simulate it again")
     return Capture(flat, white, Truth(calibration=calibration, reference=reference, **arrays), camera, recipe)
 

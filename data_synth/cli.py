@@ -81,7 +81,12 @@ Examples:
 @click.option("--pitch", type=float, default=23.2, show_default=True, help="Distance D between microimages [px].")
 @click.option("--lattice", type=click.Choice(list(LATTICES)), default="hex", show_default=True)
 @click.option("--rotation", type=float, default=0.0, show_default=True, help="Of the lattice, clockwise [degrees].")
-@click.option("--types", type=click.Choice(["1", "3"]), default="1", show_default=True, help="Kinds of microlenses.")
+@click.option(
+    "--types", type=click.Choice(["1", "2", "3"]), default="1", show_default=True, help="Kinds of microlenses."
+)
+@click.option("--square-aperture", is_flag=True, help="Square microimages.")
+@click.option("--microimage-fill", type=float, default=0.97, show_default=True, help="Width of microimages over D.")
+@click.option("--mosaic", type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"]), help="Colour filters on the sensor.")
 @click.option("--noise", type=_Pair("FULL_WELL,READ", ",", float), help="Electrons, e.g. 12000,5; none if absent.")
 @click.option("--poses", type=click.IntRange(1), default=12, show_default=True, help="Of the board.")
 @click.option("--range", "ratios", type=_Pair("NEAR,FAR", ",", float), default="-0.5,-0.18", help="s/D of the boards.")
@@ -104,6 +109,9 @@ def main(
     lattice: str,
     rotation: float,
     types: str,
+    square_aperture: bool,
+    microimage_fill: float,
+    mosaic: str | None,
     noise: tuple[float, float] | None,
     poses: int,
     ratios: tuple[float, float],
@@ -128,8 +136,9 @@ def main(
         if verbose:
             click.echo(f"{stage}: {last - before:.3f} s", err=True)
 
-    focus = (-0.45, -0.3, -0.2) if types == "3" else 0.04
-    camera = Camera.design(size, pitch, lattice, rotation, focus=focus)
+    focus = {"1": (0.04,), "2": (-0.45, -0.2), "3": (-0.45, -0.3, -0.2)}[types]
+    camera = Camera.design(size, pitch, lattice, rotation, focus=focus, microimage_fill=microimage_fill)
+    camera = camera.replace(square_aperture=square_aperture, mosaic=mosaic)
     if scene == "board":
         from .boards import shoot_board
 

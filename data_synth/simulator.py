@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter
 
 from lfcal.gain.vignetting import Vignetting
 
@@ -85,8 +86,10 @@ def simulate(
 
     table, texels = tracing.pack(scene)
     flat = tracing.sensor(table, texels, scene.background, camera, samples, seed)[..., :3]
+    flat = _add_stray_light(flat, camera) * np.array(camera.filters, np.float32)
     # Rays of its own: a white image that shared the flat's sampling errors would cancel them.
     white = tracing.sensor(table[:0], texels, (1.0, 1.0, 1.0), camera, samples, seed + 1)[..., 3]
+    white = _add_stray_light(white, camera)
     streams = np.random.default_rng(seed).spawn(2)
 
     def store(
@@ -98,8 +101,10 @@ def simulate(
     # Vignetting is that of stored numbers, and 16 bits hardly round it.
     shading = develop(white, noise=None, bits=16, gamma=gamma, rng=streams[1])
     return Capture(
-        flat=store(flat, noise, streams[0]),
-        white=store(white, noise, streams[1]),
+        flat=store(_behind_filters(flat, camera), noise, streams[0]),
+        white=store(_behind_filters(white[..., None] * np.array(camera.filters, np.float32), camera), noise, streams[1])
+        if camera.mosaic
+        else store(white, noise, streams[1]),
         truth=_truth(
             scene, camera, table, texels, flat, shading, seed, lambda picture: store(picture, None, streams[0])
         ),
@@ -168,6 +173,25 @@ def true_view(
     return to_srgb(light).astype(np.float32)
 
 
+def _add_stray_light(light: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """`light` (H, W) or (H, W, 3) of which a share is spread over about a pitch: it came past the microlenses."""
+    if camera.stray == 0:
+        return light
+    spread = gaussian_filter(light, camera.pitch, axes=(0, 1))
+    return np.asarray((1 - camera.stray) * light + camera.stray * spread, np.float32)
+
+
+def _behind_filters(light: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """(H, W) what pixels see of `light` (H, W, 3) behind the camera's colour filters; all of it if it has none."""
+    if camera.mosaic is None:
+        return light
+    seen = np.empty(light.shape[:2], np.float32)
+    for place, colour in enumerate(camera.mosaic):
+        phase = np.s_[place // 2 :: 2, place % 2 :: 2]
+        seen[phase] = light[(*phase, "RGB".index(colour))]
+    return seen
+
+
 def _truth(
     scene: Scene,
     camera: Camera,
@@ -187,7 +211,10 @@ def _truth(
     pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
     own = _nearest_centres(camera, pixels)
     start, slope = _chief_rays(camera, pixels, own)
-    inside = np.hypot(*start.T) <= camera.aperture / 2
+    types = camera.lens_types(np.rint(lattice.to_index(own)).astype(np.int64))
+    along = np.linalg.qr(lattice.basis.T)[0] if camera.square_aperture else np.eye(2)
+    reach = np.abs(start @ along).max(1) if camera.square_aperture else np.hypot(*start.T)
+    inside = reach <= camera.half_apertures(types)
     seen = np.full(len(pixels), np.nan)
     seen[inside] = camera.patch_size(tracing.nearest(table, texels, start[inside], slope[inside]))
     disparity = seen.reshape(flat.shape[:2])
@@ -200,6 +227,7 @@ def _truth(
     size = (camera.width // _REFERENCE_STEP or 1, camera.height // _REFERENCE_STEP or 1)
     affine = np.array([[_REFERENCE_STEP, 0.0, 0.5], [0.0, _REFERENCE_STEP, 0.5]])
     reference = tracing.pinhole(table, texels, scene.background, camera, affine, size, _REFERENCE_SAMPLES, seed)
+    reference = reference[..., :3] * np.array(camera.filters, np.float32)
     v, u = np.mgrid[0 : size[1], 0 : size[0]]
     points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ affine.T
     depths = tracing.nearest(table, texels, *_chief_rays(camera, points, points))
@@ -210,9 +238,9 @@ def _truth(
         magnification=np.where(mode != 0, camera.pitch / np.abs(patch_size), np.nan),
         mixed=mixed,
         contrast=contrast,
-        lens_type=((ij[:, 0] - ij[:, 1]) % len(camera.microlens_focal_lengths)).astype(np.int8),
+        lens_type=camera.lens_types(ij).astype(np.int8),
         disparity=disparity.astype(np.float32),
-        reference=store(reference[..., :3]),
+        reference=store(reference),
         reference_affine=affine,
         reference_patch_size=camera.patch_size(depths).reshape(v.shape).astype(np.float32),
     )

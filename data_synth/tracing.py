@@ -7,6 +7,7 @@ minus is the half turn of object space that keeps pictures upright. Camera vecto
     8, 9 origin  10..13 basis  14..17 inverse basis  18 spread  19 cos^4  20, 21 stop distance and radius (0: none)
     22 reach: largest distance of a lit point from its microimage centre [px]  23 whether bent: distortion or tilt
     24 k1  25, 26 slope of the optical axis in the frame of the array  27..35 axes of the array, row by row
+    36 whether the main aperture is square  37, 38 direction of its sides
 
 Rows of the surface table: 0 kind, 1..3 corner or centre, 4..6 normal (4: radius of a sphere), 7..9 and 10..12
 duals of the edges, 13 texture offset, 14, 15 its width and height, 16 whether alpha cuts, 17..22 bounds.
@@ -70,10 +71,13 @@ def _camera_vector(camera: Camera) -> NDArray[np.float64]:
     )
     stop = camera.stop or (0.0, 0.0)
     values = [camera.pixel, *camera.principal_point, camera.focal_length, camera.mla_distance, camera.sensor_distance]
+    side = basis[0] / np.linalg.norm(basis[0])
+    reach = camera.microimage_radius * (2**0.5 if camera.square_aperture else 1.0) + defocus
     values += [aperture, lens, *camera.origin, *basis.ravel(), *np.linalg.inv(basis).ravel(), camera.spread]
-    values += [float(camera.natural_vignetting), stop[0], stop[1] / 2, camera.microimage_radius + defocus]
+    values += [float(camera.natural_vignetting), stop[0], stop[1] / 2, reach]
     axes = camera.array_axes
     values += [float(not camera.straight), camera.k1, *(axes[2, :2] / axes[2, 2]), *axes.ravel()]
+    values += [float(camera.square_aperture), *side]
     return np.array(values)
 
 
@@ -95,8 +99,9 @@ def sensor(
 ) -> NDArray[np.float32]:
     """Mean radiance per sensor pixel, (H, W, 4) float32: R, G, B and the share of light a white scene would give."""
     picture = np.zeros((camera.height, camera.width, 4), np.float32)
-    powers = 1 / np.array(camera.microlens_focal_lengths)
-    args = (_camera_vector(camera), powers, table, texels, np.array(background), _sequence(samples), seed)
+    types = np.arange(len(camera.microlens_focal_lengths))
+    lenses = np.column_stack([1 / np.array(camera.microlens_focal_lengths), camera.half_apertures(types)])
+    args = (_camera_vector(camera), lenses, table, texels, np.array(background), _sequence(samples), seed)
     _in_bands(lambda first, last: _sensor_rows(picture, first, last, *args), camera.height)
     return picture
 
@@ -282,7 +287,15 @@ def _bent(cam, x, y, slope_x, slope_y):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, points, shift, chosen):
+def _passes(cam, ax, ay, half):
+    """Whether a ray through `(ax, ay)` of the main lens passes its aperture of half width `half`."""
+    if cam[36] == 0:
+        return ax * ax + ay * ay <= half * half
+    return max(abs(ax * cam[37] + ay * cam[38]), abs(ay * cam[37] - ax * cam[38])) <= half
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _through_lens(total, x, y, cam, cx, cy, power, half, table, texels, background, points, shift, chosen):
     """Add the light that reaches pixel `(x, y)` through one microlens with centre `(cx, cy)` [mm]."""
     pixel, focal, dl, b = cam[0], cam[3], cam[4], cam[5]
     px, py = (x - cam[1]) * pixel, (y - cam[2]) * pixel
@@ -290,9 +303,9 @@ def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, po
     bend = 1 / b - power
     slope_x, slope_y = (cx - px) / b, (cy - py) / b
     ax, ay = cx + slope_x * dl, cy + slope_y * dl
-    half, lens = 0.71 * pixel, cam[7]
-    start_spread = half * dl / b + lens * abs(1 + bend * dl)
-    slope_spread = half * abs(1 / b - dl / (b * focal)) + lens * abs(bend - (1 + bend * dl) / focal)
+    corner, lens = 0.71 * pixel, cam[7]
+    start_spread = corner * dl / b + lens * abs(1 + bend * dl)
+    slope_spread = corner * abs(1 / b - dl / (b * focal)) + lens * abs(bend - (1 + bend * dl) / focal)
     mx, my, ox, oy = slope_x - ax / focal, slope_y - ay / focal, ax, ay
     if cam[23] > 0:
         px, py = px - b * cam[25], py - b * cam[26]
@@ -313,12 +326,12 @@ def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, po
         sx, sy = sx - rx * power, sy - ry * power
         if cam[23] > 0:
             ax, ay, ox, oy, sx, sy = _bent(cam, cx + rx, cy + ry, sx, sy)
-            if ax * ax + ay * ay <= cam[6] * cam[6]:
+            if _passes(cam, ax, ay, half):
                 found, _, u, v = _hit(table, texels, chosen, count, ox, oy, sx, sy)
                 _add(total, table, texels, background, found, u, v, share)
             continue
         ax, ay = cx + rx + sx * dl, cy + ry + sy * dl
-        if ax * ax + ay * ay > cam[6] * cam[6]:
+        if not _passes(cam, ax, ay, half):
             continue
         sx, sy = sx - ax * per_focal, sy - ay * per_focal
         qx, qy = ax + sx * cam[20], ay + sy * cam[20]
@@ -329,7 +342,7 @@ def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, po
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sensor_rows(picture, first, last, cam, powers, table, texels, background, points, seed):
+def _sensor_rows(picture, first, last, cam, lenses, table, texels, background, points, seed):
     """Sum the light of all microlenses that can reach each pixel of rows `first` to `last`."""
     chosen, shift, total = np.empty(len(table), np.int64), np.empty(3), np.empty(4)
     reach = cam[22] + 0.71
@@ -348,8 +361,10 @@ def _sensor_rows(picture, first, last, cam, powers, table, texels, background, p
                     if (x - ex) ** 2 + (y - ey) ** 2 > reach * reach:
                         continue
                     cx, cy = (ex - cam[1]) * cam[0] / cam[18], (ey - cam[2]) * cam[0] / cam[18]
-                    power = powers[(i - j) % len(powers)]
-                    _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, points, shift, chosen)
+                    power, half = lenses[(i - j) % len(lenses)]
+                    _through_lens(
+                        total, x, y, cam, cx, cy, power, half, table, texels, background, points, shift, chosen
+                    )
             for k in range(4):
                 picture[y, x, k] = total[k]
 

@@ -275,3 +275,50 @@ def test_textureless_lenses_have_no_mode(small_camera: Camera) -> None:
 def test_bad_arguments_are_named(small_camera: Camera, bad: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
         simulate(SCENES["blank"](small_camera), small_camera, **bad)
+
+
+def test_square_apertures_leave_dark_gaps_along_the_lattice() -> None:
+    camera = Camera.design((200, 200), 24.0, "square", 7.0, microimage_fill=0.8).replace(square_aperture=True)
+    capture = simulate(SCENES["blank"](camera), camera, samples=32, bits=16, gamma=False)
+    index = camera.lattice.to_index(np.indices((200, 200))[::-1].reshape(2, -1).T)
+    outside = np.abs(index - np.rint(index)).max(1).reshape(200, 200) * camera.pitch - camera.microimage_radius
+    light = capture.white / 65535 / 0.9
+    assert camera.microimage_radius == pytest.approx(0.4 * 24, rel=0.01)
+    assert light[outside < -1.5].min() > 0.9
+    assert light[outside > 1.5].max() == 0
+    assert np.isnan(capture.truth.disparity[outside > 0.1]).all()
+    assert np.isfinite(capture.truth.disparity[outside < -0.1]).all()
+
+
+@pytest.mark.parametrize(("lattice", "shares"), [("hex", (1.0, 0.9, 0.8)), ("square", (1.0, 0.85))])
+def test_lens_types_have_radii_of_their_own_and_stray_light_fills_gaps(lattice: str, shares: tuple[float, ...]) -> None:
+    camera = Camera.design((240, 240), 24.0, lattice, focus=(-0.45, -0.3, -0.2)[: len(shares)])
+    camera = camera.replace(type_apertures=shares, stray=0.3, natural_vignetting=False)
+    capture = simulate(SCENES["blank"](camera), camera, samples=32, bits=16, gamma=False)
+    white, truth = capture.white / 65535 / 0.9, capture.truth
+    y, x = np.mgrid[:240, :240]
+    centres = truth.calibration.lattice.centres()
+    inner = (np.abs(centres - 119.5) < 80).all(1)
+    assert white[40:-40, 40:-40].min() > 0.15
+    for k, share in enumerate(shares):
+        rims = [white[np.abs(np.hypot(x - u, y - v) - share * camera.microimage_radius) < 0.3]
+                for u, v in centres[inner & (truth.lens_type == k)]]  # fmt: skip
+        assert np.concatenate(rims).mean() == pytest.approx(0.35 + 0.3 * white[40:-40, 40:-40].mean(), abs=0.05)
+
+
+@pytest.mark.parametrize("mosaic", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_each_pixel_of_a_mosaic_sees_its_own_colour(small_camera: Camera, mosaic: str) -> None:
+    scene = SCENES["clutter"](small_camera, seed=3)
+    camera = small_camera.replace(filters=(0.8, 1.0, 0.6))
+    whole, seen = (simulate(scene, one, samples=2) for one in (camera, camera.replace(mosaic=mosaic)))
+    assert seen.truth.calibration.mosaic == mosaic
+    assert np.array_equal(seen.truth.reference, whole.truth.reference)
+    for place, colour in enumerate(mosaic):
+        phase = np.s_[place // 2 :: 2, place % 2 :: 2]
+        assert np.array_equal(seen.flat[phase], whole.flat[(*phase, "RGB".index(colour))])
+    lit = whole.white > 250 * 0.9
+    green = np.zeros_like(lit)
+    for place in (k for k in range(4) if mosaic[k] == "G"):
+        green[place // 2 :: 2, place % 2 :: 2] = True
+    assert np.array_equal(seen.white[lit & green], whole.white[lit & green])
+    assert seen.white[lit & ~green].max() < whole.white[lit].min()
