@@ -20,7 +20,7 @@ from .gauss_newton import FitState, median_by_brightness, update_positions, upda
 from .model import WhiteModel
 from .normal_equations import Microimages, mean_profile
 from .settings import FIT, PIXELS
-from .shading import fit_gain_slope, fit_slope
+from .shading import field_slope, fit_gain_slope, fit_shade
 from .two_discs import remove_neighbours
 
 __all__ = ["cut_out_lenses", "cut_windows"]
@@ -68,7 +68,7 @@ def cut_out_lenses(
         corners, light = corners[bright], light[bright]
     none, slope = np.zeros_like(centres), fit_gain_slope(centres, gain, lattice)
     lenses = Microimages(
-        light, corners, centres, none, gain, np.ones(len(gain)), slope, 0.0, 0.0, 0.0,
+        light, corners, centres, none, gain, np.ones(len(gain)), slope, np.zeros_like(slope), 0.0, 0.0, 0.0,
         normals, inradius, reach, PIXELS.ring_step, np.zeros(rings), np.ones(rings),
         np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, saturation,
     )  # fmt: skip
@@ -107,7 +107,8 @@ def _scale_gains(lenses: Microimages, known: Microimages, core: int, lattice: La
     gain = lenses.gain / max(light, 1e-12)
     weight = np.interp(gain, *median_by_brightness(known.gain, known.lens_weight))
     lenses = replace(lenses, gain=gain, lens_weight=weight)
-    return replace(lenses, slope=fit_slope(lenses, lattice))
+    lenses = replace(lenses, slope=field_slope(lenses, lattice))
+    return replace(lenses, shade=fit_shade(lenses, lattice))
 
 
 def _resize(values: NDArray[Any], rings: int) -> NDArray[Any]:

@@ -27,7 +27,7 @@ from .normal_equations import (
     solve_robustly,
 )
 from .settings import SOLVER
-from .shading import field_slope, fit_slope
+from .shading import field_slope, fit_shade
 
 __all__ = [
     "FitState", "StepResult", "compare_halves", "converge", "evaluate_cost", "finish", "fit_profile",
@@ -36,7 +36,7 @@ __all__ = [
 
 _NO_EDGES = "the microimages show no edges; give a sharper flat or a white image"
 # Fields of `Microimages` that have one row a lens.
-_OF_LENSES = ("light", "corners", "centres", "cut_offset", "gain", "lens_weight", "slope")
+_OF_LENSES = ("light", "corners", "centres", "cut_offset", "gain", "lens_weight", "slope", "shade")
 
 
 @dataclass(frozen=True)
@@ -327,8 +327,9 @@ def _advance(state: FitState, step: StepResult, frozen: bool) -> FitState:
         gap = _gap_light(profile, edge) if lenses.whole else lenses.gap
         lenses = replace(lenses, ring_weight=by.ring_weight, lens_weight=by.lens_weight, edge=edge, gap=gap)
         # Of two discs that cut each other, shading decides which is the microimage: it is even about its centre.
-        slope = fit_slope if state.model.cat_eye is None else field_slope
-        lenses = replace(lenses, slope=slope(lenses, state.model.lattice))
+        lenses = replace(lenses, slope=field_slope(lenses, state.model.lattice), shade=np.zeros_like(lenses.shade))
+        if lenses.whole:
+            lenses = replace(lenses, shade=fit_shade(lenses, state.model.lattice))
     return update_positions(FitState(apply_step(state.model, step.change, step.names), state.indices, lenses))
 
 

@@ -1,6 +1,7 @@
 """Normal equations of a white image's model, summed over the pixels of all lenses.
 
-The model of a pixel is `gain * (1 + slope @ delta) * profile(|delta|)`, with a fourth angular harmonic in the profile.
+The model of a pixel is `gain * (1 + slope @ delta) * (profile(|delta|) + shade @ delta * own(|delta|))`, with a fourth
+angular harmonic in the profile; `own` is the light above that of the border, where a neighbour is shaded the other way.
 Where a second disc cuts the microimages (mechanical vignetting), the profile above the light of the gap is multiplied
 by what passes that disc. Outliers are weighted down by Tukey's biweight.
 
@@ -48,6 +49,7 @@ class Windows(NamedTuple):
     gain: NDArray[np.float64]
     weight: NDArray[np.float64]
     slope: NDArray[np.float64]
+    shade: NDArray[np.float64]
 
 
 class Cell(NamedTuple):
@@ -62,7 +64,7 @@ class Profile(NamedTuple):
     """Radial profile."""
 
     step: float  # [px]
-    rings: NDArray[np.float64]  # (r, 4) value, slope, weight and fourth harmonic
+    rings: NDArray[np.float64]  # (r, 5) value, slope, weight, fourth harmonic, light above that of the border
     even_radius: float  # [px] up to here only some pixels are used:
     thin: int  # one in so many, a power of two,
     aside: int  # [px] rows shifted by this against each other
@@ -170,7 +172,7 @@ def _add_to_band(band, ring, after, w, wr, angle, falling, through):
 )
 def accumulate(begin, end, windows, cell, profile, cut, learn, sums):
     """Add up all lenses into `sums`: upper halves of normal matrices; of the profile only to `learn` it."""
-    light, corners, centres, gain, lens_weight, slope = windows
+    light, corners, centres, gain, lens_weight, slope, shade = windows
     normals, inradius, circumradius = cell
     step, rings, even_radius, thin, aside, saturation = profile
     normal, right, coupling, band, scatter = sums
@@ -226,7 +228,8 @@ def accumulate(begin, end, windows, cell, profile, cut, learn, sums):
                     tilt = slope_x * dx + slope_y * dy
                     falling, through = 1.0, 1.0
                     if cut is None:
-                        model = level + harmonic
+                        own = rings[ring, 4] * here + rings[up, 4] * after
+                        model = level + harmonic + (shade[lens, 0] * dx + shade[lens, 1] * dy) * own
                         # 1 / (1 + tilt) by two steps of Newton's method.
                         inverse = 1 - tilt + tilt * tilt
                         inverse *= 2 - (1 + tilt) * inverse

@@ -100,7 +100,7 @@ def _measure_narrowing(state: FitState) -> tuple[float, float]:
     """
     lenses = state.lenses
     slope = np.gradient(lenses.profile, lenses.step)
-    rings = np.column_stack([lenses.profile, slope, lenses.harmonic, lenses.ring_weight])
+    rings = np.column_stack([lenses.profile, slope, lenses.harmonic, lenses.ring_weight, lenses.own_light])
     out = np.zeros((len(lenses.centres), 2))
     _accumulate_narrowing(
         lenses.windows, field_position(lenses.centres, state.model.lattice), lenses.inradius, lenses.step, rings,
@@ -115,7 +115,7 @@ def _measure_narrowing(state: FitState) -> tuple[float, float]:
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda windows, *_: len(windows[2]))
 def _accumulate_narrowing(begin, end, windows, field, inradius, step, rings, edge, saturation, outlier, out):
     """Per lens (n, 2): right side and normal matrix of the amplitude of `_measure_narrowing`."""
-    light, corners, centres, gain, lens_weight, gain_slope = windows
+    light, corners, centres, gain, lens_weight, gain_slope, shade = windows
     for lens in range(begin, end):
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
         far = max(math.hypot(field[lens, 0], field[lens, 1]), 1e-6)
@@ -135,6 +135,8 @@ def _accumulate_narrowing(begin, end, windows, field, inradius, step, rings, edg
                 slope = rings[ring, 1] * (1 - part) + rings[ring + 1, 1] * part
                 harmonic = rings[ring, 2] * (1 - part) + rings[ring + 1, 2] * part
                 weight = rings[ring, 3] * (1 - part) + rings[ring + 1, 3] * part
+                own = rings[ring, 4] * (1 - part) + rings[ring + 1, 4] * part
+                level += own * (shade[lens, 0] * dx + shade[lens, 1] * dy)
                 level += harmonic * (1 - 8 * (dx * dy / (rho * rho)) ** 2)
                 tilt = 1 + gain_slope[lens, 0] * dx + gain_slope[lens, 1] * dy
                 residual = light[lens, y, x] / (gain[lens] * tilt) - level

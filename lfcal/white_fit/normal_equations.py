@@ -40,6 +40,7 @@ class Microimages:
     gain: NDArray[np.float64]  # (n,) light of each lens over that of the profile
     lens_weight: NDArray[np.float64]  # (n,)
     slope: NDArray[np.float64]  # (n, 2) [1/px] relative change of the gain within the microimage
+    shade: NDArray[np.float64]  # (n, 2) [1/px] the same of its own light alone, without that of neighbours
     cut_radius: float  # [px]
     cut_blur: float  # [px] standard deviation of the edge of the cutting disc, 0 if there is none
     cut_tail: float  # of that blur
@@ -74,7 +75,7 @@ class Microimages:
     @property
     def windows(self) -> Windows:
         """What kernels read of each lens."""
-        return Windows(self.light, self.corners, self.centres, self.gain, self.lens_weight, self.slope)
+        return Windows(self.light, self.corners, self.centres, self.gain, self.lens_weight, self.slope, self.shade)
 
     @property
     def cell(self) -> Cell:
@@ -90,6 +91,18 @@ class Microimages:
     def gains_from_cores(self) -> bool:
         """Whether the mean of its core gives the gain of a lens: nothing is cut or clipped."""
         return self.whole and not np.isfinite(self.saturation)
+
+    @property
+    def own_light(self) -> NDArray[np.float64]:
+        """(r,) the profile above its level at the border of the cell, as a share of the whole in the middle.
+
+        At the border half of the light is that of a neighbour, in which it is shaded the other way: across the middle
+        of a side of the cell nothing is left of the slope, towards its corners something is.
+        """
+        core = float(np.median(self.profile[: max(2, len(self.profile) // 2)]))
+        border = self.inradius + PIXELS.border * (self.circumradius - self.inradius)
+        border = float(np.interp(border / self.step, np.arange(len(self.profile)), self.profile))
+        return core * np.clip((self.profile - border) / max(core - border, 1e-9 * core), 0, None)
 
     @property
     def radius(self) -> float:
@@ -119,7 +132,7 @@ class NormalEquations:
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda windows, cell, step, total, *_: len(total))
 def _accumulate_profile(begin, end, windows, cell, step, total, count):
-    light, corners, centres, gain, _, _ = windows
+    light, corners, centres, gain, _, _, _ = windows
     normals, inradius, circumradius = cell
     lenses, side, chunks = light.shape[0], light.shape[1], total.shape[0]
     for chunk in range(begin, end):
@@ -162,7 +175,7 @@ def build_normal_equations(lenses: Microimages, learn: bool = True) -> NormalEqu
     if the model is not finite, or explains no pixel.
     """
     values = (
-        lenses.centres, lenses.cut_offset, lenses.gain, lenses.lens_weight, lenses.slope, lenses.profile,
+        lenses.centres, lenses.cut_offset, lenses.gain, lenses.lens_weight, lenses.slope, lenses.shade, lenses.profile,
         lenses.ring_weight, lenses.harmonic, lenses.cut_radius, lenses.cut_blur, lenses.gap,
     )  # fmt: skip
     if not all(np.isfinite(value).all() for value in values):
@@ -212,7 +225,7 @@ def _kernel_profile(lenses: Microimages) -> Profile:
     choices, fewest = PIXELS.thinning, PIXELS.least_even_pixels
     thin, aside = next((pair for pair in choices if np.pi * even**2 / pair[0] > fewest), choices[-1])
     slope = np.gradient(lenses.profile, lenses.step)
-    rings = np.column_stack([lenses.profile, slope, lenses.ring_weight, lenses.harmonic])
+    rings = np.column_stack([lenses.profile, slope, lenses.ring_weight, lenses.harmonic, lenses.own_light])
     return Profile(lenses.step, rings, even, thin, aside, lenses.saturation)
 
 

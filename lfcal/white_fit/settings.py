@@ -107,6 +107,9 @@ class PixelSettings:
     slope_inside: float = 0.6  # share of the inscribed radius in which slopes are measured: cuts are rare, edges far
     slope_significance: float = 6.0  # standard errors beyond which slopes are used
     slope_outlier: float = 4.0  # [median residual]
+    # Of the way from the inscribed circle of a cell to its corners: no slope of the light is left there. On five
+    # arrays of soft discs that overlap, hexagonal and square, centres are off by at most 0.04 px; with 0 by 0.25 px.
+    border: float = 1 / 6
 
 
 @dataclass(frozen=True)

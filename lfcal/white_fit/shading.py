@@ -20,7 +20,7 @@ from ..runtime.kernels.jit import njit
 from .normal_equations import Microimages
 from .settings import PIXELS
 
-__all__ = ["field_slope", "fit_gain_slope", "fit_slope"]
+__all__ = ["field_slope", "fit_gain_slope", "fit_shade"]
 
 # Degree of the polynomial of the gain over the field.
 _DEGREE = 4
@@ -64,7 +64,7 @@ def _powers(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda windows, *_: len(windows[0]), fastmath=FAST)
 def _measure_slopes(begin, end, windows, profile, step, reach, out):
     """(n, 3): slope of the light of each lens beyond `slope`, relative to its profile [1/px], and its weight [px^2]."""
-    light, corners, centres, gain, _, slope = windows
+    light, corners, centres, gain, _, slope, _ = windows
     side = light.shape[1]
     per_step = 1 / step
     for lens in range(begin, end):
@@ -94,11 +94,15 @@ def field_slope(lenses: Microimages, lattice: Lattice) -> NDArray[np.float64]:
     return fit_gain_slope(lenses.centres, np.maximum(lenses.gain, 1e-12), lattice)
 
 
-def fit_slope(lenses: Microimages, lattice: Lattice) -> NDArray[np.float64]:
-    """(n, 2) relative slope of the light inside each microimage [1/px]: `field_slope` and a linear function."""
-    gain, slope = np.maximum(lenses.gain, 1e-12), field_slope(lenses, lattice)
+def fit_shade(lenses: Microimages, lattice: Lattice) -> NDArray[np.float64]:
+    """(n, 2) relative slope of the own light of each microimage [1/px], a linear function of its place in the field.
+
+    `lenses.slope` is that of the gains.
+    """
+    gain, slope = np.maximum(lenses.gain, 1e-12), lenses.slope
+    none = np.zeros_like(slope)
     if np.isfinite(lenses.saturation):
-        return slope
+        return none
     found, windows = np.zeros((len(gain), 3)), lenses.windows._replace(gain=gain, slope=slope)
     _measure_slopes(windows, lenses.profile, lenses.step, PIXELS.slope_inside * lenses.inradius, found)
     # A slope that grows with the distance from an axis, which may lie beside the middle.
@@ -108,7 +112,7 @@ def fit_slope(lenses: Microimages, lattice: Lattice) -> NDArray[np.float64]:
     keep = np.stack([some, some])
     for _ in range(3):
         if keep.sum() < 12:
-            return slope
+            return none
         normal, right = _linear_equations(far, slopes, weight * keep)
         solution = np.linalg.lstsq(normal, right, rcond=None)[0]
         linear = solution[:2, None] + solution[2] * far
@@ -117,8 +121,8 @@ def fit_slope(lenses: Microimages, lattice: Lattice) -> NDArray[np.float64]:
     variance = float((miss[keep] ** 2).mean())
     information = _linear_equations(far, slopes, weight * keep)[0] / max(variance, 1e-30)
     if solution @ information @ solution < PIXELS.slope_significance**2:
-        return slope
-    return slope + linear.T
+        return none
+    return linear.T
 
 
 def _linear_equations(

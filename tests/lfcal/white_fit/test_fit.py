@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ import lfcal
 from benchmarks.calibration_speed import drawn as draw_white
 from benchmarks.white_images import WhiteImage
 from lfcal.white_fit import fit as white_fit
+
+CAPTURES = Path(__file__).resolve().parents[3].parent / "shared" / "captures"
 
 
 def _error(camera, truth):
@@ -56,6 +59,25 @@ def test_shading_centred_below_the_microlens_does_not_move_centres(drawn):
     fall = (1 + (aside**2).sum(1) / 100**2) ** -2
     camera = lfcal.calibrate(np.rint(image * fall.reshape(image.shape)).astype(image.dtype))
     assert _error(camera, truth) < 0.001
+
+
+def test_light_of_neighbours_that_is_shaded_the_other_way_does_not_move_centres():
+    # The gaps of touching lenses are filled with the light of both and stray light, as in Raytrix cameras.
+    lattice = lfcal.Lattice(np.array([3.3, 4.7]), 23.4 * np.array([[1.0, 0.0], [0.5, 0.75**0.5]]), (700, 600), 11.0)
+    y, x = np.mgrid[:600, :700]
+    light = np.full(x.shape, 80.0)
+    for cx, cy in lattice.points(np.argwhere(np.ones((70, 45))) - (25, 5)):
+        if not (-20 < cx < 720 and -20 < cy < 620):
+            continue
+        box = np.s_[max(round(cy) - 18, 0) : round(cy) + 19, max(round(cx) - 18, 0) : round(cx) + 19]
+        dx, dy = x[box] - cx, y[box] - cy
+        shade = 1 - 0.014 / 350 * ((cx - 350) * dx + (cy - 300) * dy)
+        light[box] += 100 * shade / (1 + np.exp((np.hypot(dx, dy) - 11.5) / 1.1))
+    image = np.random.default_rng(0).poisson(light * 20) // 20
+    camera = lfcal.calibrate(image.astype(np.uint8), kind="white")
+    found = camera.lattice.centres()
+    near = lattice.points(np.rint(lattice.to_index(found)))
+    assert np.sqrt(((found - near) ** 2).sum(1).mean()) < 0.06
 
 
 def test_stated_errors_of_centres_match_true_ones(drawn):
@@ -178,3 +200,12 @@ def test_meshes_and_waves_give_a_calibration_or_a_light_field_error(pitch):
             assert lfcal.calibrate(image).lattice.pitch == pytest.approx(pitch, rel=0.02)
         except lfcal.LightFieldError as error:
             assert "give" in str(error)
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+def test_white_image_and_capture_of_a_raytrix_with_colour_filters_agree():
+    white, scene = (lfcal.calibrate(CAPTURES / name).lattice for name in ("R5b.white.png", "R5b.png"))
+    centres = scene.centres()
+    apart = white.points(np.rint(white.to_index(centres))) - centres
+    assert white.pitch == pytest.approx(23.37, abs=0.01)
+    assert np.sqrt((apart**2).sum(1).mean()) < 0.3
