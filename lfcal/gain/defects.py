@@ -14,7 +14,7 @@ from ..runtime.text_arrays import decode_array, encode_array
 __all__ = ["Defects"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Defects(Frozen):
     """Unreliable pixels and lenses of a flat.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..lattice.lattice import Lattice
 from ..runtime.frozen import Frozen
 from ..runtime.text_arrays import decode_array, encode_array
-from .settings import DEFAULT, GainSettings
+from .settings import DEFAULT, KERNEL, GainSettings
 
 __all__ = ["GainMap", "MicroimageShape", "RegionGain", "count_terms", "field_frame"]
 
@@ -41,7 +41,7 @@ class MicroimageShape(NamedTuple):
     cut: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GainMap(Frozen):
     """Relative illumination of a camera, 1 at the brightest place of the brightest part of the field.
 
@@ -213,12 +213,15 @@ class RegionGain:
         self._model = tables, gain_map.level, gain_map.shape(lattice), gain_map.profiles
         self._band = settings.band
 
-    def at(self, left: int, top: int, width: int, height: int) -> NDArray[np.float32]:
-        """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is unknown."""
+    def at(
+        self, left: int, top: int, width: int, height: int, least_light: float = KERNEL.least_light
+    ) -> NDArray[np.float32]:
+        """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is below `least_light` of
+        the light of the lens: mostly noise and stray light."""
         from .rows import fill_gain
 
         out = np.empty((height, width), np.float32)
-        fill_gain(out, top, left, *self._model)
+        fill_gain(out, top, left, least_light, *self._model)
         return out
 
     def flatten(self, pixels: NDArray[Any], left: int = 0, top: int = 0) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -247,7 +250,7 @@ class RegionGain:
         for first in range(0, len(deep), self._band):
             rows = slice(first, first + self._band)
             gain = band[: len(deep[rows])]
-            fill_gain(gain, top + first, left, *self._model)
+            fill_gain(gain, top + first, left, KERNEL.least_light, *self._model)
             flatten_rows(deep[rows], gain, out[rows], highest)
             np.isnan(gain, out=unknown[rows])
         return out.reshape(pixels.shape), unknown

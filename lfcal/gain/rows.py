@@ -127,7 +127,7 @@ def _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_rows(begin, end, out, top, left, tables, level, shape, profiles, keys, powers, lens, lenses):
+def _fill_rows(begin, end, out, top, left, least, tables, level, shape, profiles, keys, powers, lens, lenses):
     """As `fill_gain`, with its work space."""
     right = left + out.shape[1]
     centres, starts, ahead, types = tables.centres, tables.starts, tables.ahead, tables.types
@@ -144,15 +144,15 @@ def _fill_rows(begin, end, out, top, left, tables, level, shape, profiles, keys,
                 profile = profiles[types[b, a]]
                 for at in range(max(x, left), stop):
                     value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
-                    out[row, at - left] = value * bright if value >= KERNEL.least_light else np.nan
+                    out[row, at - left] = value * bright if value >= least else np.nan
             x, a, b = max(x, stop), p, q
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda out, *_: len(out))
-def fill_gain(begin, end, out, top, left, tables, level, shape, profiles):
-    """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where a lens has too little
-    light; `profiles` (t, k) are those of the types of lenses."""
+def fill_gain(begin, end, out, top, left, least, tables, level, shape, profiles):
+    """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where there is less than
+    `least` of the light of a lens; `profiles` (t, k) are those of the types of lenses."""
     size = RIM_START + shape.rim.shape[0]
     keys, powers, lens = np.full(KERNEL.slots, -1), np.empty(64), np.empty(size)
     lenses = np.empty((KERNEL.slots, size + 1))
-    _fill_rows(begin, end, out, top, left, tables, level, shape, profiles, keys, powers, lens, lenses)
+    _fill_rows(begin, end, out, top, left, least, tables, level, shape, profiles, keys, powers, lens, lenses)

@@ -12,7 +12,7 @@ from ..runtime.frozen import Frozen
 __all__ = ["Vignetting"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Vignetting(Frozen):
     """Relative illumination over the microimage radius, 1 at its brightest.
 

@@ -263,9 +263,11 @@ def measure_lens_lights(
     evaluate_levels(centres, field_frame(lattice), level, smooth)
     # Far from all light a polynomial can be close to 0.
     np.maximum(smooth, np.float32(1e-30), out=smooth)
-    error = single / np.sqrt(np.maximum(found.weight, 1e-9))
-    # Dust darkens parts of a lens: the lens itself has the light of the polynomial.
-    uneven = np.float32(_TO_SIGMA) * found.scatter > noise * found.light
+    # Dust darkens parts of a lens: the lens itself has the light of the polynomial. Rims scatter the light of all.
+    scatter = np.float32(_TO_SIGMA) * found.scatter / np.maximum(found.light, np.float32(1e-30))
+    uneven = scatter > np.maximum(noise, np.float32(settings.unevenness) * np.median(scatter[few][lit[few]]))
+    # Where the map does not fit, its errors are larger than the noise of the light of a lens.
+    error = np.minimum(single, scatter) / np.sqrt(np.maximum(found.weight, 1e-9))
     ratio = found.light / smooth
     ratio[uneven] = 1
     own = _shrink_lens_gain(ratio, error, lit, few, settings)

@@ -100,11 +100,11 @@ def measure_illumination(
     else:
         lights = measure_lens_lights(picture, lattice, fit)
         gain = lights.gain
-        defects, share = find_defects(picture, lattice, lights, fit)
+        defects, share = find_defects(picture, lattice, lights)
         if share > DEFECTS.largest_share:
             warnings = (
-                f"{share:.1%} of the pixels differ from the gain map, too many for defects: none are recorded; check "
-                "the white image for structure or saturation",
+                f"{share:.1%} of the pixels differ from the gain map, more than defects explain; check the white image "
+                "for structure or saturation",
             )
     return Illumination(gain, vignetting, radius, defects, warnings, share, types)
 

@@ -10,7 +10,6 @@ from ..lattice.robust_fit import TUKEY_CUTOFF
 __all__ = [
     "DEFAULT",
     "DEFECTS",
-    "DEFECT_KERNEL",
     "KERNEL",
     "LIGHTS",
     "LIGHT_KERNEL",
@@ -18,7 +17,6 @@ __all__ = [
     "SAMPLE",
     "SCENE_PROFILE",
     "TYPE_PROFILES",
-    "DefectKernelSettings",
     "DefectSettings",
     "EstimateSettings",
     "KernelSettings",
@@ -126,12 +124,20 @@ class LensLightSettings:
 class DefectSettings:
     """Tuned values of `defect_search`."""
 
-    largest_share: float = 0.02  # of the pixels; more are no defects but a model that does not fit
-    band: int = 512  # [rows] searched at a time, so that memory does not grow with the flat
-    chunks: int = 64  # that rows of lenses are dealt out to, whatever the number of threads
+    largest_share: float = 0.02  # of the pixels that differ from the gain map, beyond which it does not fit the flat
+    levels: int = 32  # of light, at each of which the noise is measured
+    sample: int = 1_000_000  # pixels that it is measured on
+    least_residual: float = 0.005  # [root of the brightest light] least scale: smaller residuals harm no picture
+    least_mean: float = 0.015  # [root of the brightest light] the same of means over squares: lenses differ by as much
+    significance: float = 6.0  # [standard deviations] beyond what Gaussian noise reaches in a flat
+    clip: float = 3.0  # [standard deviations] most that a single pixel counts in a mean over several
     small_square: int = 3  # [px] side of the mean that shows specks too faint for single pixels
     large_square: int = 7  # [px] of another such mean
     local: float = 3.0  # [standard errors] by which the small mean must differ too where the large one does
+    lenses: int = 36  # around, that a place is compared in: their scatter is known to a fifth
+    lens_step: int = 3  # [lenses] from one of them to the next: dust may cover some beside each other; at 2, none of
+    # a speck of 2.5 pitches is found, at 4, five times as many false ones on half-lit circles
+    chunk: int = 20_000  # [px] compared at a time, so that memory does not grow with the flat
 
 
 class KernelSettings(NamedTuple):
@@ -155,17 +161,6 @@ class LightKernelSettings(NamedTuple):
     together: int = 8  # [px] copied at once where every pixel of a row is read
     rim_light: float = 0.8  # [light] pixels below it tell more of the place of a lens than of its light
     flat_variance: float = 1e-6  # [mean squared] below it single precision shows no variance
-
-
-class DefectKernelSettings(NamedTuple):
-    """Values that the kernels of `defect_search` are compiled with."""
-
-    significance: float = 6.0  # [standard deviations] beyond what Gaussian noise reaches in a flat
-    clip: float = 3.0  # [standard deviations] most that a single pixel counts in a mean over several
-    zero: int = 128  # byte of a pixel without residual
-    unit: int = 40  # of the byte scale per standard deviation
-    least_residual: float = 0.01  # [light of the lens] smaller residuals harm no picture
-    room: int = 4096  # [px] of a lens handled together
 
 
 @dataclass(frozen=True)
@@ -194,4 +189,3 @@ RIMS = RimSettings()
 DEFECTS = DefectSettings()
 KERNEL = KernelSettings()
 LIGHT_KERNEL = LightKernelSettings()
-DEFECT_KERNEL = DefectKernelSettings()

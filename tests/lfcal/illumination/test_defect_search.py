@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import lfcal
 
@@ -31,3 +32,44 @@ def test_dust_is_found_as_defects_of_its_own_pixels(drawn):
     deep = np.zeros(dust.shape, bool)
     deep[found[:, 1], found[:, 0]] = True
     assert deep[(specks < 0.8) & (truth.light() > 0.5)].mean() > 0.9
+
+
+def soft_cut_white(size=(900, 700), pitch=15.8, blur=1.8, cut=0.3, noise=0.01, seed=3):
+    """A white image whose microimages are products of two soft discs, the second displaced toward the middle."""
+    rng, (width, height) = np.random.default_rng(seed), size
+    y, x = np.mgrid[:height, :width].astype(float)
+    middle, reach = np.array([width - 1, height - 1]) / 2, np.hypot(width, height) / 2
+    basis = pitch * np.array([[1, 0], [0.5, np.sqrt(0.75)]])
+    index = np.floor(np.stack([x - 3.3, y - 5.1], -1) @ np.linalg.inv(basis))
+    corners = [(index + step) @ basis + (3.3, 5.1) for step in ((0, 0), (1, 0), (0, 1), (1, 1))]
+    nearest = np.argmin([(c[..., 0] - x) ** 2 + (c[..., 1] - y) ** 2 for c in corners], axis=0)
+    centre = np.take_along_axis(np.stack(corners), nearest[None, ..., None], 0)[0]
+    radius, light = 0.46 * pitch, np.ones((height, width))
+    for size_of, shift in ((1.0, 0.0), (1.05, cut * radius / reach)):
+        place = centre - shift * (centre - middle)
+        light *= 1 / (1 + np.exp((np.hypot(x - place[..., 0], y - place[..., 1]) - size_of * radius) * 1.7 / blur))
+    light = 0.02 + 0.98 * light
+    return np.rint(np.clip(light * 220 + 220 * noise * np.sqrt(light) * rng.standard_normal(light.shape), 0, 255))
+
+
+def test_what_the_gain_map_lacks_is_no_defect():
+    camera = lfcal.calibrate(soft_cut_white().astype(np.uint8), kind="white")
+    assert len(camera.defects.pixels) < 1e-4 * 900 * 700
+
+
+def test_dust_over_several_lenses_is_found():
+    white = soft_cut_white()
+    y, x = np.mgrid[: white.shape[0], : white.shape[1]]
+    dust = 1 - 0.6 * np.exp(-((x - 420) ** 2 + (y - 300) ** 2) / (2 * 20.0**2))
+    camera = lfcal.calibrate(np.rint(white * dust).astype(np.uint8), kind="white")
+    found = np.zeros(white.shape, bool)
+    found[camera.defects.pixels[:, 1], camera.defects.pixels[:, 0]] = True
+    assert found[(dust < 0.6) & (white > 100)].mean() > 0.7
+    assert found[dust > 0.995].mean() < 1e-4
+
+
+@pytest.mark.parametrize("name", ["whites/w03.png", "whites/w09.png", "kinds/types3.png"])
+def test_white_images_of_others_have_no_false_defects(name, shared):
+    image = lfcal.read_flat(shared(*name.split("/")))
+    camera = lfcal.calibrate(image, kind="white")
+    assert len(camera.defects.pixels) < 1e-4 * image.shape[0] * image.shape[1]
