@@ -16,7 +16,6 @@ from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..lattice.orientation import describe_orientation
-from ..runtime.errors import FlatError
 from .settings import CAMERA_CHECK, CameraCheckSettings
 
 if TYPE_CHECKING:
@@ -94,21 +93,13 @@ def check_camera(
     'the microimages lie 5.9 px'
     """
     # Compiled code is loaded only once there is a flat.
-    from ..images.mosaic import equalise_mosaic, has_mosaic, remove_mosaic
     from ..images.preprocessing import sqrt_luminance
-    from .lattice_misfit import choose_factor, compare_lattices, is_other_centre, reduce_flat, straighten
+    from .fit_check import fit_offsets
+    from .lattice_misfit import compare_lattices, is_other_centre, prepare_flat, straighten
 
-    flat = np.asarray(image)
-    width, height = calibration.image_size
-    if flat.ndim not in (2, 3) or flat.shape[:2] != (height, width):
-        raise FlatError(
-            f"image has shape {flat.shape}; the camera is for flats of {width} x {height} px, give one of its size"
-        )
-    if flat.ndim == 2 and (calibration.mosaic is not None or has_mosaic(flat)):
-        flat = remove_mosaic(equalise_mosaic(flat))
+    flat, factor, picture = prepare_flat(calibration, image, settings)
     given = straighten(calibration.lattice)
-    factor = choose_factor(given, settings)
-    picture, small = reduce_flat(flat, factor), given.downscaled(factor)
+    small = given.downscaled(factor)
     found, misfit = compare_lattices(picture, small, settings)
     if found is None and factor > 1:
         # Microimages that are much smaller than those of the camera may be lost at that size.
@@ -119,7 +110,8 @@ def check_camera(
     if misfit is None:
         return CameraCheck(False, _describe_other(small, found, factor))
     if misfit.is_small(settings) or is_other_centre(picture, found, misfit, settings):
-        return CameraCheck(problem=_check_types(calibration, flat, settings))
+        problem = _check_types(calibration, flat, settings)
+        return CameraCheck(problem=problem or fit_offsets(calibration, picture, factor).warning)
     shift = factor * misfit.shift
     if misfit.linear_size < settings.linear:
         moved = replace(calibration.lattice, origin=calibration.lattice.origin + shift)

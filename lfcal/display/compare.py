@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
-from ..runtime.errors import CalibrationError
+from ..runtime.errors import CAMERA_ADVICE, CalibrationError, check_type
+from ..runtime.frozen import Frozen
 
 __all__ = ["LatticeDifference", "compare"]
 
 
-@dataclass(frozen=True)
-class LatticeDifference:
+@dataclass(frozen=True, eq=False)
+class LatticeDifference(Frozen):
     """Centres of calibration B minus those of calibration A, up to a lattice shift of the whole flat.
 
     Parameters
@@ -74,6 +75,8 @@ def compare(a: Calibration, b: Calibration, largest_change: float = 0.25) -> Lat
     >>> round(compare(a, b).rms, 6)
     0.5
     """
+    for name, camera in (("a", a), ("b", b)):
+        check_type(camera, Calibration, name, CAMERA_ADVICE)
     if a.image_size != b.image_size:
         sizes = " and ".join("{} x {}".format(*size) for size in (a.image_size, b.image_size))
         raise CalibrationError(f"the cameras are for flats of {sizes} px; compare calibrations of flats of one size")

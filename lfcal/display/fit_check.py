@@ -1,6 +1,7 @@
-"""Whether a calibration fits the pixels of a flat, measured on nine regions of it.
+"""How far the microimages of a flat lie from the lattice of a camera: a shift and a linear map.
 
-Camera files of other programs contradict themselves at times: the pixels decide.
+The lattice of the camera is fitted anew to the edges between the microimages (`scene_fit`), on flats reduced to
+microimages of some ten pixels.
 """
 
 from __future__ import annotations
@@ -12,10 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..camera.calibration import Calibration
 from ..gain.gain_map import RegionGain
-from ..runtime.errors import FlatError
-from .settings import FIT_CHECK
+from ..images.preprocessing import edge_strength, normalise_locally
+from ..lattice.lattice import Lattice
+from ..runtime.errors import CalibrationError
+from ..runtime.frozen import Frozen
+from .lattice_misfit import compare_lattices, prepare_flat, reduce_flat, straighten
+from .settings import CAMERA_CHECK, FIT_CHECK, CameraCheckSettings
 
-__all__ = ["FitCheck", "check_fit"]
+__all__ = ["FitCheck", "check_fit", "fit_offsets"]
 
 _REGION_NAMES = (
     ("top left corner", "middle of the top edge", "top right corner"),
@@ -24,21 +29,16 @@ _REGION_NAMES = (
 )
 
 
-@dataclass(frozen=True)
-class FitCheck:
-    """Centres measured on nine regions of a flat, against those of a given lattice.
+@dataclass(frozen=True, eq=False)
+class FitCheck(Frozen):
+    """Centres measured on a flat, against those of a given lattice.
 
     Parameters
     ----------
     positions : (3, 3, 2) float64 [px]
-        Middles of the regions, in rows from the top.
+        Corners, edge middles and middle of the flat, in rows from the top.
     offset : (3, 3, 2) float64 [px]
-        From the given centres to the measured ones, at most about half a pitch; NaN where a region shows none.
-    scatter : (3, 3) float64 [px]
-        Difference of the offsets measured on two halves of the lenses of a region.
-    trend : (3, 3, 2) float64 [px]
-        Shift, scale and shear fitted robustly to the offsets, as scenes disturb single regions. NaN where fewer than
-        five regions show centres.
+        From the given centres to the measured ones there: a shift and a linear map. NaN where the flat shows none.
     pitch : float [px]
         Of the given lattice.
 
@@ -53,46 +53,46 @@ class FitCheck:
 
     positions: NDArray[np.float64]
     offset: NDArray[np.float64]
-    scatter: NDArray[np.float64]
-    trend: NDArray[np.float64]
     pitch: float
 
     @property
     def max_offset(self) -> float:
-        """Longest offset of the trend [px], NaN where it is unknown."""
-        return float(np.linalg.norm(self.trend, axis=-1).max())
+        """Longest offset [px], NaN where it is unknown."""
+        return float(np.linalg.norm(self.offset, axis=-1).max())
 
     @property
     def limit(self) -> float:
-        """Offset [px] up to which not to worry: no picture shows it, or single regions differ as much."""
-        rest = np.linalg.norm(self.offset - self.trend, axis=-1)
-        return max(FIT_CHECK.warning_offset * self.pitch, FIT_CHECK.warning_significance * float(np.nanmedian(rest)))
+        """Offset [px] of a corner up to which not to worry; what a scene shows moves microimages as much."""
+        return FIT_CHECK.stretch * self.pitch
 
     @property
     def verdict(self) -> str:
         """Whether to worry, and why, in a sentence."""
         if np.isnan(self.max_offset):
-            return "too few regions of this flat show where their microimages are; a white image would"
+            return "this flat does not show where its microimages are; a white image would"
         if self.warning is not None:
-            return f"{self.warning}, which pictures show: calibrate on this flat"
+            return self.warning
         return (
             f"within {self.max_offset:.2f} px of this flat; no reason to worry: what the scene shows in microimages "
-            f"moves such figures, and pictures show nothing below {self.limit:.1f} px"
+            f"moves such figures by up to {self.limit:.1f} px"
         )
 
     @property
     def warning(self) -> str | None:
         """What is wrong with the lattice where pictures would show it, else None."""
-        if np.isnan(self.max_offset):
+        shift = self.offset[1, 1]
+        stretch = float(np.linalg.norm(self.offset - shift, axis=-1).max())
+        if not (stretch > self.limit or np.linalg.norm(shift) > CAMERA_CHECK.shift * self.pitch):
             return None
-        if not self.max_offset > self.limit:
-            return None
-        row, column = np.unravel_index(int(np.linalg.norm(self.trend, axis=-1).argmax()), (3, 3))
-        return f"the lattice is off by up to {self.max_offset:.1f} px in the {_REGION_NAMES[row][column]}"
+        row, column = np.unravel_index(int(np.linalg.norm(self.offset, axis=-1).argmax()), (3, 3))
+        return (
+            f"the lattice is off by up to {self.max_offset:.1f} px in the {_REGION_NAMES[row][column]}, which pictures "
+            "show: calibrate on this flat"
+        )
 
 
-def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
-    """Measure on nine regions of a flat how far the microimages are from the centres of `calibration`.
+def check_fit(calibration: Calibration, image: ArrayLike, settings: CameraCheckSettings = CAMERA_CHECK) -> FitCheck:
+    """Measure on a flat how far the microimages are from the centres of `calibration`.
 
     Parameters
     ----------
@@ -114,36 +114,53 @@ def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     >>> round(check_fit(Calibration(Lattice([11, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).max_offset)
     1
     """
-    from .region_offsets import Region, Trend, measure_offsets
+    _, factor, picture = prepare_flat(calibration, image, settings)
+    found, misfit = compare_lattices(picture, straighten(calibration.lattice).downscaled(factor), settings)
+    if found is None or misfit is None:
+        return fit_offsets(calibration, None, factor)
+    return fit_offsets(calibration, picture, factor, None if misfit.is_small(settings) else found)
 
-    flat = np.asarray(image)
-    width, height = calibration.image_size
-    if flat.ndim not in (2, 3) or flat.shape[:2] != (height, width):
-        raise FlatError(
-            f"image has shape {flat.shape}; the calibration is for flats of {width} x {height} px, give one of its size"
-        )
+
+def fit_offsets(
+    calibration: Calibration, picture: NDArray[np.float32] | None, factor: int, start: Lattice | None = None
+) -> FitCheck:
+    """`check_fit` on a reduced picture, None if it shows no lattice; from `start`, if that of the camera is far off."""
     lattice = calibration.lattice
-    side = int(max(FIT_CHECK.smallest_region, FIT_CHECK.region * lattice.pitch))
-    across, down = min(side, max(width // 3, 1)), min(side, max(height // 3, 1))
-    corners = [
-        (x, y) for y in (0, (height - down) // 2, height - down) for x in (0, (width - across) // 2, width - across)
-    ]
-    positions = np.array(corners) + (np.array([across, down]) - 1) / 2
-    regions = [Region.cut(flat[y : y + down, x : x + across], lattice, x, y) for x, y in corners]
-    offset, scatter, trend = measure_offsets(regions, positions)
-    gain = calibration.gain_map
-    if gain is not None and len(gain.cut):
-        # Mechanical vignetting moves rims: offsets that the gain map shows as well are no misfit.
-        bands = {y: np.nan_to_num(RegionGain(gain, lattice).at(0, y, width, down)) for _, y in corners}
-        own = [Region.cut(bands[y][:, x : x + across], lattice, x, y) for x, y in corners]
-        offset = offset - np.nan_to_num(measure_offsets(own, positions)[0])
-        trend = Trend.fit(positions, offset, scatter, trend)
-    known = np.isfinite(scatter).sum() >= FIT_CHECK.least_regions
-    common = trend.at(positions) if known else np.full((9, 2), np.nan)
-    return FitCheck(
-        positions.reshape(3, 3, 2),
-        offset.reshape(3, 3, 2),
-        scatter.reshape(3, 3),
-        common.reshape(3, 3, 2),
-        lattice.pitch,
-    )
+    width, height = lattice.image_size
+    positions = np.stack(np.meshgrid([0, (width - 1) / 2, width - 1], [0, (height - 1) / 2, height - 1]), -1)
+    offset = np.full((3, 3, 2), np.nan)
+    small = lattice.downscaled(factor)
+    if picture is not None:
+        offset = _measure(picture, small, start or small, positions / factor) * factor
+        gain = calibration.gain_map
+        if gain is not None and len(gain.cut) and start is None:
+            # Mechanical vignetting moves rims: offsets that the gain map shows as well are no misfit.
+            light = np.nan_to_num(RegionGain(gain, lattice).at(0, 0, width, height))
+            offset -= np.nan_to_num(_measure(reduce_flat(light, factor), small, small, positions / factor)) * factor
+    return FitCheck(positions, offset, lattice.pitch)
+
+
+def _measure(
+    picture: NDArray[np.float32], given: Lattice, start: Lattice, positions: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(3, 3, 2) offsets [px] of the lattice on a picture from the given one; NaN where its halves do not agree."""
+    from ..scene_fit.fit import fit_scene
+
+    rims = normalise_locally(edge_strength(picture), FIT_CHECK.edge_window * given.pitch)
+    try:
+        fit = fit_scene(rims, start)
+    except (CalibrationError, np.linalg.LinAlgError):
+        return np.full((3, 3, 2), np.nan)
+    if not fit.half_difference < FIT_CHECK.largest_scatter * given.pitch:
+        return np.full((3, 3, 2), np.nan)
+    found = Lattice(fit.origin, fit.basis, given.image_size, given.radius, fit.distortion)
+    index = given.indices()[:: max(1, len(given) // FIT_CHECK.samples)]
+    centres = given.points(index)
+    # From the middle one on, so that all are compared with lenses to the same side.
+    own, first = found.to_index(centres), found.to_index(given.points(given.middle[None]))
+    away = found.points(np.rint(first) + np.rint(own - first)) - centres
+    # A distortion that single flats show is not told from what the scene shows.
+    middle = (np.array(given.image_size) - 1) / 2
+    design = np.column_stack([np.ones(len(centres)), centres - middle])
+    change = np.linalg.lstsq(design, away, rcond=None)[0]
+    return change[0] + (positions - middle) @ change[1:]

@@ -9,17 +9,26 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ..camera.calibration import Calibration
 from ..detection.cell_centre import find_round_centres
 from ..detection.first_lattice import find_first_lattices, fit_first_lattice
 from ..detection.folding import fold_tiles
 from ..images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from ..lattice.lattice import Lattice
-from ..runtime.errors import CalibrationError
+from ..runtime.errors import CAMERA_ADVICE, CalibrationError, FlatError, check_type
 from .settings import CameraCheckSettings
 
-__all__ = ["LatticeMisfit", "choose_factor", "compare_lattices", "is_other_centre", "reduce_flat", "straighten"]
+__all__ = [
+    "LatticeMisfit",
+    "choose_factor",
+    "compare_lattices",
+    "is_other_centre",
+    "prepare_flat",
+    "reduce_flat",
+    "straighten",
+]
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,25 @@ def straighten(lattice: Lattice) -> Lattice:
     design = np.column_stack([np.ones(len(index)), index])
     change: NDArray[Any] = np.linalg.lstsq(design, lattice.points(index), rcond=None)[0]
     return Lattice(change[0], change[1:], lattice.image_size, lattice.radius)
+
+
+def prepare_flat(
+    calibration: Calibration, image: ArrayLike, settings: CameraCheckSettings
+) -> tuple[NDArray[Any], int, NDArray[np.float32]]:
+    """A flat without its mosaic, the side of the blocks that it is reduced by, and the root of its luminance then."""
+    from ..images.mosaic import equalise_mosaic, has_mosaic, remove_mosaic
+
+    check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
+    flat = np.asarray(image)
+    width, height = calibration.image_size
+    if flat.ndim not in (2, 3) or flat.shape[:2] != (height, width):
+        raise FlatError(
+            f"image has shape {flat.shape}; the camera is for flats of {width} x {height} px, give one of its size"
+        )
+    if flat.ndim == 2 and (calibration.mosaic is not None or has_mosaic(flat)):
+        flat = remove_mosaic(equalise_mosaic(flat))
+    factor = choose_factor(straighten(calibration.lattice), settings)
+    return flat, factor, reduce_flat(flat, factor)
 
 
 def choose_factor(lattice: Lattice, settings: CameraCheckSettings) -> int:

@@ -48,8 +48,8 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     dtype('uint8')
     """
     flat = np.asarray(image)
-    width, height = calibration.image_size
     fit = check_fit(calibration, flat)
+    width, height = calibration.image_size
     pitch, panel = calibration.lattice.pitch, STYLE.panel
     zoom = float(np.clip(panel / (STYLE.pitches * pitch), STYLE.least_zoom, STYLE.most_zoom))
     zoom = min(zoom, panel / (STYLE.least_pitches * pitch))

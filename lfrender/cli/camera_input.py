@@ -44,8 +44,6 @@ def read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
 def _check_file(path: Path, calibration: Calibration, pixels: NDArray[Any] | FlatSource) -> Calibration:
     import numpy as np
 
-    from lfcal import check_fit
-
     check = _check(calibration, pixels)
     if not check.fits:
         raise CameraFileError(f"{path}: {check.problem}")
@@ -54,14 +52,9 @@ def _check_file(path: Path, calibration: Calibration, pixels: NDArray[Any] | Fla
         warning = (
             "no microimages can be seen on this flat, so that the camera could not be checked; give a brighter one"
         )
-    if is_published(path) and isinstance(pixels, np.ndarray):
-        if check.adjusted is not None:
-            warning = (
-                "as published, the lattice lies beside the microimages, as in crops of a sensor; it was moved there"
-            )
-            calibration = check.adjusted
-        elif warning is None and (misfit := check_fit(calibration, pixels).warning):
-            warning = f"as published, {misfit}; calibrate on this flat instead: leave out -c"
+    if check.adjusted is not None and is_published(path) and isinstance(pixels, np.ndarray):
+        warning = "as published, the lattice lies beside the microimages, as in crops of a sensor; it was moved there"
+        calibration = check.adjusted
     return calibration if warning is None else replace(calibration, warnings=(*calibration.warnings, warning))
 
 
