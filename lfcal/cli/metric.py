@@ -180,20 +180,11 @@ def describe_metric(found: MetricCalibration) -> dict[str, Any]:
     """The figures that are printed: parameters with their errors, poses with their Cramer-Rao bounds."""
     import numpy as np
 
-    from ..camera.optics import OPTICS_PARAMETERS
+    from .figures import describe_optics
 
-    optics = found.optics
-    lengths = {"focal_length", "mla_distance", "sensor_distance", "pupil"}
-    figures: dict[str, Any] = {}
-    for name, value, error in zip(OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True):
-        if error > 0:
-            unit = "_mm" if name in lengths else "_px" if name.startswith("principal") else ""
-            figures[name + unit] = float(f"{value:.8g}")
-            figures[name + unit + "_error"] = float(f"{error:.2g}")
     bound = np.array([pose.standard_errors for pose in found.poses]) / np.sqrt(found.widening)
     return {
-        **figures,
-        "microlens_focal_lengths_mm": list(optics.microlens_focal_lengths),
+        **describe_optics(found.optics),
         "flats_used": len(found.poses),
         "corners": len(found.residual),
         "outliers": int((~found.used).sum()),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..boards.board import Board
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
-from ..runtime.errors import BoardError, FlatError
+from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_type
 from .bundle_adjustment import Adjusted, Poses, adjust, normal_equations
 from .camera_model import INTERNAL, to_internal
 from .model_order import BASE, select_order
@@ -37,7 +38,8 @@ DEFAULT_PIXEL = 0.0055
 def calibrate_metric(
     flats: Sequence[ArrayLike],
     calibration: Calibration,
-    board: Board,
+    board: Board | tuple[int, int],
+    square: float | None = None,
     *,
     pixel: float | None = None,
     names: Sequence[str] | None = None,
@@ -52,7 +54,10 @@ def calibrate_metric(
         directions, at distances that differ by a factor of two or more and in all parts of the field.
     calibration : Calibration
         Of the array of this camera, as `calibrate` makes it from a white image.
-    board : Board
+    board : Board or (int, int)
+        Or the inner corners across and down of a checkerboard.
+    square : float [mm], optional
+        Side of its squares, where `board` is no Board.
     pixel : float [mm], optional
         Side of a pixel of the sensor. F, L and b scale with it; distances do not depend on it. By default that of
         `calibration.optics`, or 0.0055 with a warning.
@@ -69,8 +74,8 @@ def calibrate_metric(
     FlatError
         If a flat is not of the size the camera is for.
     BoardError
-        If the board is found on fewer than three flats, has another number of corners, if all poses are alike, or if
-        the flats come from different cameras.
+        If the board is found on fewer than three flats, if more flats show one of other corners, if all poses are
+        alike, or if the flats come from different cameras.
 
     Examples
     --------
@@ -82,6 +87,12 @@ def calibrate_metric(
     >>> found.calibration.optics is found.optics  # doctest: +SKIP
     True
     """
+    check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
+    if isinstance(board, (tuple, list)):
+        if square is None:
+            raise BoardError("give the side of the squares [mm] beside the corners of the board: square=")
+        board = Board(*board, square)
+    check_type(board, Board, "board", "give lfcal.Board, or its inner corners across and down")
     names = list(names) if names is not None else [f"flat {m + 1}" for m in range(len(flats))]
     if len(names) != len(flats):
         raise ValueError(f"names must be one for each of {len(flats)} flats, got {len(names)}")
@@ -145,6 +156,8 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
     >>> found = lfcal.calibrate_metric(shoot.flats, camera, board, pixel=shoot.camera.pixel)  # doctest: +SKIP
     >>> lfcal.locate_board(shoot.flats[0], found.calibration, board).translation.shape  # doctest: +SKIP
     """
+    check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
+    check_type(board, Board, "board", "give lfcal.Board")
     optics = calibration.optics
     if optics is None or optics.principal_point is None:
         raise BoardError("the camera has no measured optics; make them with calibrate_metric")
@@ -200,6 +213,13 @@ def _prepare_all(
         if f.detected is not None and len(f.detected.corner) >= min(settings.fewest_corners, len(board.points))
     ]
     missing = [f for f in prepared if f not in found]
+    others = Counter(f.other for f in prepared if f.other)
+    size, number = others.most_common(1)[0] if others else ("", 0)
+    if number > sum(not f.other for f in found):
+        raise BoardError(
+            f"{number} of {len(prepared)} flats show a checkerboard of {size} corners, not of {board.columns} x "
+            f"{board.rows}: give the number of its inner corners"
+        )
     if len(found) < settings.fewest_flats:
         reasons = "; ".join(f"{flat.name}: {flat.reason or 'too few corners'}" for flat in missing)
         raise BoardError(

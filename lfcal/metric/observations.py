@@ -13,7 +13,7 @@ from ..runtime.frozen import Frozen
 __all__ = ["Observations", "Triangulated", "triangulate"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observations(Frozen):
     """Corners seen in microimages, sorted by pose.
 

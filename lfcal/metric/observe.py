@@ -40,12 +40,15 @@ class BoardFlat:
     detected : DetectedBoard or None
     reason : str
         Why no board was found.
+    other : str
+        Number of corners of the larger checkerboard that the flat shows; empty where it shows none.
     """
 
     name: str
     light: NDArray[np.float32]
     detected: DetectedBoard | None
     reason: str = ""
+    other: str = ""
 
 
 def prepare(flat: Array, name: str, calibration: Calibration, board: Board) -> BoardFlat:
@@ -61,13 +64,15 @@ def prepare(flat: Array, name: str, calibration: Calibration, board: Board) -> B
     if inner.size < 100 or float(inner.std()) < 0.02 * float(inner.mean()):
         return BoardFlat(name, light, None, "the picture has no contrast")
     found = detect(picture, board)
+    other = _other_size(picture.image, board, larger=found is not None)
     if found is not None:
-        return BoardFlat(name, light, found)
-    return BoardFlat(name, light, None, f"no {board} in its all-in-focus picture{_other_size(picture.image, board)}")
+        return BoardFlat(name, light, found, other=other)
+    reason = f"no {board} in its all-in-focus picture{other and f', but one of {other} corners'}"
+    return BoardFlat(name, light, None, reason, other)
 
 
-def _other_size(image: NDArray[np.float32], board: Board) -> str:
-    """The number of corners of another checkerboard, where there is one."""
+def _other_size(image: NDArray[np.float32], board: Board, larger: bool) -> str:
+    """The number of corners of another checkerboard, where there is one; or only of a `larger` one."""
     import cv2
 
     if board.pattern != "checkerboard":
@@ -75,9 +80,10 @@ def _other_size(image: NDArray[np.float32], board: Board) -> str:
     grey = np.clip(image * (255 / max(float(np.percentile(image, 99)), 1e-6)), 0, 255).astype(np.uint8)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_LARGER
     found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
-    if not found or meta.shape[::-1] in ((board.columns, board.rows), (board.rows, board.columns)):
+    own, seen = sorted((board.columns, board.rows)), sorted(meta.shape) if found else []
+    if not found or own == seen or (larger and (seen[0] < own[0] or seen[1] < own[1])):
         return ""
-    return f", but one of {meta.shape[1]} x {meta.shape[0]} corners"
+    return f"{seen[1]} x {seen[0]}" if board.columns >= board.rows else f"{seen[0]} x {seen[1]}"
 
 
 def as_triangulated(detected: list[DetectedBoard], *, settings: ObservationSettings = OBSERVATION) -> Triangulated:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..boards.board import Board
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
+from ..runtime.frozen import Frozen
 from ..runtime.output_file import atomic_write
 from .board_shape import SHAPE
 from .observations import Observations
@@ -22,8 +23,8 @@ __all__ = ["BoardPose", "MetricCalibration"]
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class BoardPose:
+@dataclass(frozen=True, eq=False)
+class BoardPose(Frozen):
     """Where a board stood: `X_camera = rotation @ X_board + translation`.
 
     Origin of the camera is the middle of the main lens (its entrance pupil), x right, y down, z to the scene; of the
@@ -83,8 +84,8 @@ class BoardPose:
         }
 
 
-@dataclass(frozen=True, repr=False)
-class MetricCalibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class MetricCalibration(Frozen):
     """A camera that measures.
 
     Parameters

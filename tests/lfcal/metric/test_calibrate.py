@@ -32,7 +32,7 @@ def boards(shared):
 @pytest.fixture(scope="module")
 def measured(boards):
     _, camera, flat = boards
-    return calibrate_metric([flat(k) for k in (1, 5, 8, 11)], camera, Board(9, 6, 7.0), pixel=0.0055)
+    return calibrate_metric([flat(k) for k in (1, 5, 8, 11)], camera, board=(9, 6), square=7.0, pixel=0.0055)
 
 
 def test_optics_of_a_ray_traced_camera_lie_within_the_stated_errors(boards, measured):
@@ -42,6 +42,7 @@ def test_optics_of_a_ray_traced_camera_lie_within_the_stated_errors(boards, meas
     assert (np.abs(off) < 3.5 * errors).all()
     assert errors[0] < 0.1  # mm
     assert measured.rms < 0.03  # px
+    assert measured.board == Board(9, 6, 7.0)
     assert any("hardly separate" in note for note in measured.degeneracies)
 
 
@@ -86,6 +87,12 @@ def test_another_number_of_squares_is_named(boards):
     flat = prepare(boards[2](11), "b.png", boards[1], Board(11, 7, 7.0))
     assert flat.detected is None
     assert "9 x 6" in flat.reason
+
+
+def test_a_board_with_fewer_corners_than_most_flats_show_is_refused(boards):
+    flats = [boards[2](k) for k in (0, 1, 2, 5, 8)]
+    with pytest.raises(BoardError, match="5 flats show a checkerboard of 9 x 6 corners, not of 8 x 6"):
+        calibrate_metric(flats, boards[1], (8, 6), 7.0, pixel=0.0055)
 
 
 def test_flats_without_a_board_are_named():
