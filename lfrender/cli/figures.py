@@ -44,19 +44,20 @@ def camera_figures(calibration: Calibration, depth: DepthMap | None = None) -> d
     }
 
 
-def _warnings(depth: DepthMap | None, most_unresolved: float = 0.95) -> list[str]:
-    """A warning if more lenses are unresolved than in any scene, even one almost without texture."""
-    if depth is None:
-        return []
-    import numpy as np
+def _warnings(depth: DepthMap | None) -> list[str]:
+    """A warning if fewer lenses show surfaces than in any scene, even one almost without texture."""
+    from ..rendering.traditional import resolves_too_little
 
+    if depth is None or not resolves_too_little(depth):
+        return []
     from ..data.depth_map import REASONS
 
-    modes = np.asarray(depth.mode)[np.asarray(depth.reason) != REASONS.index("not analysed")]
-    missing = float(np.mean(modes == 0)) if modes.size else 0.0
-    if missing <= most_unresolved:
-        return []
-    return [f"{missing:.0%} of the lenses have no depth; is this a capture of a scene, and made with this camera?"]
+    modes = depth.mode[depth.reason != REASONS.index("not analysed")]
+    missing = percent(float((modes == 0).mean()) if modes.size else 1.0)
+    return [
+        f"{missing} of the lenses have no depth, and the others form no surface; is this a capture of a scene, and "
+        "made with this camera?"
+    ]
 
 
 def capture_figures(

@@ -11,6 +11,7 @@ from lfcal.runtime.kernels.jit import njit
 
 from ..data.depth_map import REASONS, DepthMap
 from ..data.rendering import Rendering, finish_picture
+from ..depth.same_surface import TOLERANCE, same_surface
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
@@ -20,9 +21,13 @@ __all__ = ["TOO_LITTLE", "resolves_too_little", "traditional"]
 
 #: What is said where the traditional picture is drawn instead of one in focus; takes the name of the option.
 TOO_LITTLE = (
-    "next to nothing is resolved: drawn is the traditional picture, one pixel per microlens; with {}, the picture "
-    "in focus"
+    "next to no lenses are resolved that form a surface: drawn is the traditional picture, one pixel per microlens; "
+    "with {}, the picture in focus"
 )
+
+
+# Neighbours of the same depth that a lens on a surface has, of at most six.
+_ON_SURFACE, _MOST_NEIGHBOURS = 3, 6
 
 
 @njit(cache=True, nogil=True, share=lambda flat, centres, *_: len(centres), fastmath=FAST)
@@ -51,10 +56,27 @@ def _lens_means(begin, end, flat, centres, radius, gains, gain_step, unlit, out,
 
 
 def resolves_too_little(depth: DepthMap, settings: RenderSettings = DEFAULT) -> bool:
-    """Whether next to no lens has a depth, so that the traditional picture is all that a flat has to give."""
+    """Whether next to no lens has a depth, or few of those that have form surfaces: single ones are chance.
+
+    The traditional picture is then all that a flat has to give. On a surface are lenses with three neighbours of the
+    same depth.
+    """
     analysed = np.asarray(depth.reason) != REASONS.index("not analysed")
-    resolved = np.asarray(depth.mode)[analysed] != 0
-    return not resolved.size or float(resolved.mean()) < settings.least_resolved
+    share = float((depth.mode[analysed] != 0).mean()) if analysed.any() else 0.0
+    if share > settings.mostly_resolved or depth.centres is None:
+        return share < settings.least_resolved
+    from scipy.spatial import cKDTree
+
+    resolved = depth.mode != 0
+    sizes, centres = depth.patch_size[resolved], depth.centres[resolved]
+    if len(sizes) < _ON_SURFACE + 1:
+        return True
+    reach = settings.neighbour_reach * depth.pitch
+    near = cKDTree(centres).query(centres, _MOST_NEIGHBOURS + 1, distance_upper_bound=reach)[1][:, 1:]
+    beside = np.append(sizes, np.nan)[near]
+    alike = same_surface(beside, sizes[:, None], TOLERANCE * depth.pitch).sum(1)
+    on_surface = float((alike >= _ON_SURFACE).sum()) / analysed.sum()
+    return bool(on_surface < max(settings.least_resolved, settings.least_on_surface * share))
 
 
 def traditional(flat: NDArray, calibration: Calibration) -> Rendering:

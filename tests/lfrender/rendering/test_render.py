@@ -4,11 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
 from lfcal import Calibration, CalibrationError, Lattice
 from lfcal.gain.vignetting import Vignetting
+from lfrender.data.surface import constant_surface
+from lfrender.rendering.traditional import resolves_too_little
 
 
 @functools.cache
@@ -204,7 +207,27 @@ def test_flat_without_any_depth_is_drawn_at_a_pixel_per_lens_and_that_is_said():
     camera = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
     flat = np.full((300, 400), 100, np.uint8)
     depth = lfrender.analyze(flat, camera)
-    with pytest.warns(UserWarning, match="next to nothing is resolved"):
+    with pytest.warns(UserWarning, match="form a surface"):
         picture = lfrender.render(flat, camera, depth)
     assert picture.scale == 1 and picture.image.shape == (15, 20)
     assert lfrender.render(flat, camera, depth, scale=5).image.shape == (75, 100)
+
+
+@pytest.mark.parametrize("chance", [True, False])
+def test_lenses_that_form_no_surface_count_as_unresolved(chance):
+    lattice = Lattice([10, 10], [[20, 0], [0, 20]], (800, 600), 9)
+    rng, (columns, rows) = np.random.default_rng(1), lattice.centres().T // 20
+    sizes = np.full(len(lattice), np.nan, np.float32)
+    card = rng.random(len(lattice)) < 0.1 if chance else (abs(columns - 20) < 6) & (abs(rows - 15) < 6)
+    sizes[card] = rng.uniform(-9, 9, card.sum()) if chance else -6.0
+    depth = lfrender.DepthMap(
+        sizes, np.ones_like(sizes), np.ones_like(sizes), np.nan_to_num(sizes, nan=-6.0), constant_surface(-6.0), 20.0,
+        (800, 600), centres=lattice.centres().astype(np.float32),
+    )  # fmt: skip
+    assert resolves_too_little(depth) is chance
+
+
+def test_junk_of_an_unfocused_capture_is_not_drawn_in_focus(shared):
+    flat = lfcal.read_flat(shared("captures", "Letters.png"))
+    with pytest.warns(UserWarning, match="form a surface"):
+        assert lfrender.render(flat, lfcal.calibrate(flat)).scale == 1
