@@ -19,6 +19,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError
+from ..runtime.frozen import Frozen
 from ..runtime.image_formats import MOSAICS
 from ..runtime.output_file import atomic_write
 from .lens_blur import LensBlur
@@ -34,8 +35,8 @@ _ROW_ORDER_VERSION = 1
 _Part = TypeVar("_Part")
 
 
-@dataclass(frozen=True, repr=False)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Frozen):
     """Where the microimages of a camera are, how they are lit, and how well both are known.
 
     Methods for gain raise CalibrationError where the camera has neither gain map nor vignetting.

@@ -13,7 +13,7 @@ from ..runtime.frozen import Frozen
 __all__ = ["LensBlur"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LensBlur(Frozen):
     """Discs of defocus of the microlenses at some depths, and the aperture and focus that explain them.
 

@@ -16,7 +16,7 @@ __all__ = ["LensTypes"]
 _LARGEST_CELL = 16
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LensTypes(Frozen):
     """The type of each microlens, as a cell that repeats over the lattice.
 

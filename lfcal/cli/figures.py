@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
+    from ..camera.optics import Optics
 
-__all__ = ["describe", "summarise"]
+__all__ = ["describe", "describe_optics", "summarise"]
 
 
 def describe(camera: Calibration) -> dict[str, Any]:
@@ -42,8 +43,24 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "mosaic": camera.mosaic or "none",
         "defect_pixels": len(camera.defects.pixels),
         "defect_lenses": len(camera.defects.lenses),
+        "optics": camera.optics and describe_optics(camera.optics),
         "warnings": list(camera.warnings),
     }
+
+
+def describe_optics(optics: Optics) -> dict[str, Any]:
+    """Focal length and distances [mm], and all else that was measured, with standard errors."""
+    from ..camera.optics import OPTICS_PARAMETERS
+
+    lengths = ("focal_length", "mla_distance", "sensor_distance", "pupil")
+    figures: dict[str, Any] = {}
+    for name, value, error in zip(OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True):
+        unit = "_mm" if name in lengths else "_px" if name.startswith("principal") else ""
+        if error > 0 or name in lengths[:3]:
+            figures[name + unit] = float(f"{value:.8g}")
+        if error > 0:
+            figures[name + unit + "_error"] = float(f"{error:.2g}")
+    return {**figures, "microlens_focal_lengths_mm": list(optics.microlens_focal_lengths)}
 
 
 def summarise(camera: Calibration) -> list[str]:
@@ -58,6 +75,7 @@ def summarise(camera: Calibration) -> list[str]:
     sure = "" if camera.source == "published" else f", confidence {100 * camera.confidence:.0f} %"
     if camera.lens_types is not None:
         sure += f"; {camera.lens_types.count} types of lenses"
-    defects = len(camera.defects.pixels) + len(camera.defects.lenses)
-    sentences.append(f"{how[:1].upper()}{how[1:]}{sure}{f'; {defects:,} defects' if defects else ''}.")
+    counts = (len(camera.defects.pixels), "defective pixels"), (len(camera.defects.lenses), "unlit lenses")
+    defects = "".join(f"; {number:,} {what}" for number, what in counts if number)
+    sentences.append(f"{how[:1].upper()}{how[1:]}{sure}{defects}.")
     return sentences

@@ -32,6 +32,7 @@ def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
     >>> subtract_dark(np.array([[5, 90]], np.uint8), np.array([[7, 7]], np.uint8))
     array([[ 0, 83]], dtype=uint8)
     """
+    flat, dark = np.asarray(flat), np.asarray(dark)
     if dark.ndim == 2 and flat.ndim == 3:
         dark = dark[:, :, None]
     if dark.shape[:2] != flat.shape[:2] or (dark.ndim == 3 and dark.shape[2] not in (1, flat.shape[-1])):

@@ -18,7 +18,7 @@ __all__ = ["Distortion"]
 _POWERS = ((2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Distortion(Frozen):
     """Displacement of straight lattice points `s`: a radial part about a centre, and a general one about the middle.
 

@@ -56,7 +56,7 @@ def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
     return np.array([first, second])
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Lattice(Frozen):
     """Centres `c(i, j) = origin + i*a1 + j*a2`, plus an optional distortion, of all microimages on one flat.
 

@@ -19,7 +19,7 @@ __all__ = ["Residuals"]
 _FILE_UNIT = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Residuals(Frozen):
     """Centres measured on single microimages minus those of the fitted lattice.
 

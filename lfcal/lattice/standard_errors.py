@@ -17,7 +17,7 @@ _STRAIGHT_NAMES = ("origin", "origin", "a1", "a1", "a2", "a2")
 _DISTORTION_NAMES = ("k1", "k2", "centre", "general")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LatticeErrors(Frozen):
     """Covariance of the fitted parameters of a lattice.
 

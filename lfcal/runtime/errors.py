@@ -1,7 +1,14 @@
 """The errors of this toolkit: each message says what was wrong, where, and what to do."""
 
-__all__ = ["RAW_FLAT_ADVICE", "BoardError", "CalibrationError", "CameraFileError", "FlatError", "LightFieldError"]
+from typing import Any
 
+__all__ = [
+    "CAMERA_ADVICE", "RAW_FLAT_ADVICE", "BoardError", "CalibrationError", "CameraFileError", "FlatError",
+    "LightFieldError", "check_type",
+]  # fmt: skip
+
+#: Where a camera comes from, for `check_type`.
+CAMERA_ADVICE = "lfcal.calibrate makes one of a flat, lfcal.load reads one from a file"
 #: Ending of messages about images that show no microimages.
 RAW_FLAT_ADVICE = (
     "give a raw flat from the sensor, of a camera with a microlens array (if it is one: its white image, or its pitch "
@@ -69,3 +76,16 @@ class BoardError(LightFieldError, ValueError):
     Traceback (most recent call last):
     lfcal.runtime.errors.BoardError: a board has 2 to 200 inner corners each way, got 1 x 6
     """
+
+
+def check_type(value: Any, kind: type, name: str, remedy: str) -> None:
+    """Raise a TypeError that names an argument of another type, and what makes one.
+
+    Examples
+    --------
+    >>> check_type(None, dict, "table", "make one with dict()")
+    Traceback (most recent call last):
+    TypeError: table must be a dict, got NoneType; make one with dict()
+    """
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} must be a {kind.__name__}, got {type(value).__name__}; {remedy}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -10,7 +11,7 @@ from pathlib import Path
 
 from .errors import LightFieldError
 
-__all__ = ["OutputError", "atomic_write", "check_output"]
+__all__ = ["OutputError", "atomic_write", "check_folder", "check_output", "make_folder"]
 
 
 class OutputError(LightFieldError, OSError):
@@ -106,3 +107,37 @@ def check_output(
         probe.unlink()
     except OSError as error:
         raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error
+
+
+def check_folder(path: str | os.PathLike[str]) -> Path:
+    """Refuse a folder for results that is a file, or is named like one and does not exist yet.
+
+    Examples
+    --------
+    >>> check_folder("pictures").name
+    'pictures'
+    >>> check_folder("scene.glb")
+    Traceback (most recent call last):
+    lfcal.runtime.output_file.OutputError: scene.glb: a folder is written here, and no file '.glb'; leave out the \
+ending, or make a folder of that name first
+    """
+    target = Path(path)
+    if not target.is_dir():
+        if target.exists():
+            raise OutputError(f"{target}: is a file; give a folder")
+        if re.fullmatch(r"\.[A-Za-z]\w{1,5}", target.suffix):
+            raise OutputError(
+                f"{target}: a folder is written here, and no file '{target.suffix}'; leave out the ending, or make a "
+                "folder of that name first"
+            )
+    return target
+
+
+def make_folder(path: str | os.PathLike[str], parents: bool = False) -> Path:
+    """Make a folder for results where it does not exist, as `check_folder` allows; OutputError if that fails."""
+    target = check_folder(path)
+    try:
+        target.mkdir(parents=parents, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be made ({error.strerror or error})") from error
+    return target

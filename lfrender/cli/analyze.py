@@ -53,7 +53,10 @@ _DENSE, _PICTURE, _POINTS = (".tif", ".tiff", ".pfm", ".exr"), (".png",), (".ply
         "--dense",
         type=OUTPUT,
         metavar="DEPTH.tif|.pfm|.exr",
-        help="Patch size [px] of every pixel of the picture.",
+        help="Patch size [px] of every pixel of the picture, and where a lens has one (second page, or channel).",
+    ),
+    click.option(
+        "--unfilled", is_flag=True, help="Write NaN to --dense where no lens has a depth, not that of places around."
     ),
     click.option("--picture", type=OUTPUT, metavar="DEPTH.png", help="Magnification M in colours, with its legend."),
     click.option(
@@ -83,6 +86,7 @@ def analyze(
     capture: CaptureInput,
     output: Path,
     dense: Path | None,
+    unfilled: bool,
     picture: Path | None,
     ply: Path | None,
     optics_file: Path | None,
@@ -111,6 +115,8 @@ def analyze(
     on_cluster = workers or scheduler
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--ply", ply)
     at_most_one("--edges", edges or None, "--roi", roi, "--workers or --scheduler", on_cluster or None)
+    if unfilled and dense is None:
+        raise click.UsageError("--unfilled is for --dense")
     optics = None
     if optics_file is not None:
         from lfcal import Optics
@@ -132,7 +138,7 @@ def analyze(
     with report.stage("write"):
         if suffix == ".npz":
             depth.save(output)
-        _write_depth(depth, pixels, calibration, dense, picture, ply, optics, metres)
+        _write_depth(depth, pixels, calibration, dense, picture, ply, optics, metres, not unfilled)
     written = dict.fromkeys(str(path) for path in (output, dense, picture, ply) if path is not None)
     report.finish(
         {"depth": str(output), **capture_figures(calibration, depth, optics)},
@@ -150,12 +156,13 @@ def _write_depth(
     ply: Path | None,
     optics: Optics | None,
     metres: bool,
+    fill: bool,
 ) -> None:
     """Write the further forms of a depth map whose paths are given."""
     if dense:
         from ..data.dense_depth import dense_depth, dense_distance, write_dense
 
-        grid = dense_depth(depth)
+        grid = dense_depth(depth, fill=fill)
         write_dense(dense, grid, dense_distance(grid, optics) if metres and optics is not None else None)
     if picture:
         from ..output.depth_picture import depth_picture

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lfcal.runtime import console
+from lfcal.runtime.output_file import check_folder
 
 from .camera_input import read_camera
 from .figures import percent
@@ -127,6 +128,7 @@ def batch(
         check_film(output, [*inputs, camera, white, dark])
         options |= {"path": output, "rate": fps}
     else:
+        check_folder(output)
         if fps is not None:
             raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
         if eight_bits and (suffix or "").lstrip(".").startswith("yuv"):

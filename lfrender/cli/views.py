@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from lfcal.runtime import console
+from lfcal.runtime.output_file import check_folder
 
 from ..sequence.animation import MOVING_SUFFIXES, PICTURES, check_moving, write_moving
 from .figures import (
@@ -300,7 +301,7 @@ class _ViewForm:
                 f"{output} is one file: say what it shows with --stereo, --animation N or --quilt 8x6, or give a folder"
             )
         elif self.suffix.startswith(".yuv"):
-            check_raw_format(output, self.suffix[1:])
+            check_raw_format(check_folder(output), self.suffix[1:])
         else:
             check_grid(output, ".png" if self.poses else self.suffix, None if self.poses else dtype, inputs)
 

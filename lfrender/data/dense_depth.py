@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Optics, OutputError
+from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.output_file import atomic_write, check_output
 
 from .depth_map import DepthMap, default_scale
@@ -23,17 +24,19 @@ __all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "dense_distance", "writ
 DENSE_FORMATS = (".tif", ".tiff", ".pfm", ".exr")
 
 
-@dataclass(frozen=True)
-class DenseDepth:
+@dataclass(frozen=True, eq=False)
+class DenseDepth(Frozen):
     """Signed patch size on the grid of a picture.
 
     Parameters
     ----------
     patch_size : (h, w) float32 [px of the flat]
-        Finite; unresolved places are filled from those around them.
+        Where nothing is resolved, filled from the places around, or NaN.
     affine : (2, 3) float64
         From pixel `(u, v, 1)` to scene coordinates.
     pitch : float [px]
+    resolved : (h, w) bool
+        Where the nearest lens has a depth of its own.
 
     Examples
     --------
@@ -49,9 +52,10 @@ class DenseDepth:
     patch_size: NDArray[np.float32]
     affine: NDArray[np.float64]
     pitch: float
+    resolved: NDArray[np.bool_]
 
 
-def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
+def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) -> DenseDepth:
     """Patch size at every pixel of the picture that `render` draws at `scale`, as the kernels read it.
 
     Between the grid values of `DepthMap.surface` it is linear on one surface, and the nearest across a depth edge.
@@ -61,6 +65,8 @@ def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
     depth : DepthMap
     scale : float, optional
         Pixels per pitch; by default that of `render`.
+    fill : bool
+        Whether unresolved places have the depth of those around them; else NaN.
 
     Raises
     ------
@@ -84,7 +90,21 @@ def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
     shape = (max(1, round(height / spacing)), max(1, round(width / spacing)))
     first = 0.5 * spacing - 0.5
     out = sample_surface(depth.surface, pitch, shape, spacing)
-    return DenseDepth(out, np.array([[spacing, 0.0, first], [0.0, spacing, first]]), pitch)
+    resolved = _nearest_resolved(depth, shape, first, spacing)
+    if not fill:
+        out[~resolved] = np.nan
+    return DenseDepth(out, np.array([[spacing, 0.0, first], [0.0, spacing, first]]), pitch, resolved)
+
+
+def _nearest_resolved(depth: DepthMap, shape: tuple[int, int], first: float, spacing: float) -> NDArray[np.bool_]:
+    """Whether the lens nearest to each pixel has a depth; everywhere in files that do not hold the centres."""
+    from scipy.spatial import cKDTree
+
+    if depth.centres is None:
+        return np.ones(shape, np.bool_)
+    v, u = np.indices(shape, np.float32)
+    places = first + spacing * np.stack([u, v], -1).reshape(-1, 2)
+    return ~depth.filled[cKDTree(depth.centres).query(places)[1]].reshape(shape)
 
 
 def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
@@ -98,7 +118,8 @@ def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
 def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArray[np.float32] | None = None) -> None:
     """Write the patch sizes [px] as 32-bit TIFF or OpenEXR, with the affine as JSON, or as PFM; whole or not at all.
 
-    With `distance`, as `dense_distance` makes it, that is written in their place.
+    With `distance`, as `dense_distance` makes it, that is written in their place. A second page of the TIFF, or a
+    channel "resolved" of OpenEXR, is not 0 where a lens has a depth; PFM has no room for it.
 
     Raises
     ------
@@ -141,9 +162,13 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArr
             header = {
                 "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": json.dumps(about),
             }  # fmt: skip
-            with OpenEXR.File(header, {"Y": np.ascontiguousarray(values)}) as file:
+            channels = {"Y": np.ascontiguousarray(values), "resolved": dense.resolved.astype(np.float32)}
+            with OpenEXR.File(header, channels) as file:
                 file.write(str(temporary))
             return
         import tifffile
 
-        tifffile.imwrite(temporary, values, description=json.dumps(about), metadata=None)
+        with tifffile.TiffWriter(temporary) as file:
+            file.write(values, description=json.dumps(about), metadata=None)
+            about["content"] = "255 where a lens has a depth, 0 where it is filled in"
+            file.write(255 * dense.resolved.astype(np.uint8), description=json.dumps(about), metadata=None)

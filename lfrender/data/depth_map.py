@@ -50,7 +50,7 @@ def _finite(values: NDArray[np.float32]) -> bool:
         return bool(np.isfinite(values.sum()))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DepthMap(Frozen):
     """Depth of every lens, in the order of `lattice.centres()`, and of every place of the picture.
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfcal.runtime.frozen import Frozen
+
 if TYPE_CHECKING:
     from lfcal import Calibration
 
@@ -29,8 +31,8 @@ def check_patch_size(patch_size: float, pitch: float) -> None:
         raise ValueError(f"patch_size must lie between 0 and the pitch {pitch:.1f} px, got {patch_size:g}")
 
 
-@dataclass(frozen=True, repr=False)
-class Rendering:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rendering(Frozen):
     """A picture drawn from a flat.
 
     Parameters

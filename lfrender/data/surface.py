@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.kernels.jit import njit
 
 from .settings import DEFAULT, DataSettings
@@ -106,8 +107,8 @@ def _sample(begin, end, surface, grid, first_x, first_y, spacing, out):
             out[v, u] = patch_size_at(surface, grid, np.float32(first_x + u * spacing), y)
 
 
-@dataclass(frozen=True, repr=False)
-class Surface:
+@dataclass(frozen=True, eq=False, repr=False)
+class Surface(Frozen):
     """Signed patch size on a regular grid of scene points.
 
     Parameters

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError, FlatError
+from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 
 from ..runtime.cache import cached
 from .settings import GRAY, GrayFlatSettings
@@ -28,7 +29,10 @@ def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
         If it is not a gray or colour picture of finite numbers, or of floats that are far beyond 1 at white.
     CalibrationError
         If the calibration was made for another image size.
+    TypeError
+        If it is no Calibration.
     """
+    check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     if isinstance(flat, (str, os.PathLike)):
         raise FlatError(f"flat is a path; give its pixels, lfcal.read_flat({os.fspath(flat)!r})")
     array = np.asarray(flat)

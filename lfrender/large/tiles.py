@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError, FlatSource, Lattice
+from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 
 from ..data.region import crop_lattice
 from ..depth.presets import Preset
@@ -36,6 +37,8 @@ class TileReader:
     """
 
     def __init__(self, source: FlatSource, calibration: Calibration) -> None:
+        check_type(source, FlatSource, "source", "lfcal.open_flat makes one")
+        check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
         size = source.shape[1], source.shape[0]
         if size != calibration.image_size:
             was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))

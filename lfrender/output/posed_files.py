@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, Optics, OutputError
 from lfcal.runtime.eight_bit import to_eight_bits
-from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
@@ -105,10 +105,7 @@ def write_posed_views(
         raise OutputError(f"{folder}: poses are written for {', '.join(POSE_FORMATS)}, not {kind!r}")
     if kind == "rvs":
         check_raw_format(folder, "yuv")
-    try:
-        target.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    make_folder(target)
     rig: ViewRig | None = None
     posed = []
     for number, (picture, sizes) in enumerate(views):

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import OutputError
-from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.output_file import atomic_write, make_folder
 from lfcal.runtime.video.frame_pixels import convert_frame, plane_bytes
 from lfcal.runtime.video.raw_format import RawFormat, parse_pixel_format
 
@@ -101,10 +100,7 @@ def write_view_videos(
         If the folder or a file cannot be written.
     """
     name = check_raw_format(folder, pixel_format)
-    try:
-        Path(folder).mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    make_folder(folder)
     paths = []
     for number, picture in enumerate(pictures):
         layout = raw_format_of(picture.image.shape, name)

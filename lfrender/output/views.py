@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from lfcal import Calibration, OutputError
+from lfcal import Calibration
 from lfcal.runtime.eight_bit import to_eight_bits
-from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.output_file import atomic_write, check_folder, make_folder
 
 from ..data.rendering import Rendering
 from .formats import FORMATS, PictureError, check_format
@@ -29,9 +29,8 @@ _NO_METADATA = EmbeddedMetadata()
 
 def check_grid(folder: str | os.PathLike[str], suffix: str, dtype: Any = None, inputs: Iterable[Any] = ()) -> None:
     """Raise an error if a folder of views could not be made, before the views are drawn; as `check_picture`."""
-    if Path(folder).exists() and not Path(folder).is_dir():
-        raise OutputError(f"{folder}: is a file; a grid of views needs a folder")
-    inside = Path(folder) if Path(folder).is_dir() else Path(folder).parent
+    target = check_folder(folder)
+    inside = target if target.is_dir() else target.parent
     check_picture(inside / f"view{suffix}", dtype, inputs=inputs)
 
 
@@ -80,14 +79,11 @@ def write_grid(
     ...     [path.name for path in write_grid(folder, pictures, columns=2, suffix=".png")]
     ['row1_column1.png', 'row1_column2.png']
     """
-    try:
-        Path(folder).mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    target = make_folder(folder)
     paths = []
     for index, picture in enumerate(pictures):
         row, column = divmod(index, columns)
-        paths.append(Path(folder) / f"row{row + 1}_column{column + 1}{suffix}")
+        paths.append(target / f"row{row + 1}_column{column + 1}{suffix}")
         write_picture(paths[-1], picture, settings=settings, embedded=embedded)
     return paths
 

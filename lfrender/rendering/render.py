@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError
+from lfcal.runtime.errors import check_type
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.region import check_region
@@ -105,6 +106,8 @@ def render(
     (75, 100)
     """
     pixels = check_flat(flat, calibration)
+    if depth is not None:
+        check_type(depth, DepthMap, "depth", "lfrender.analyze makes one")
     if roi is not None:
         roi = check_region(roi, calibration.lattice)
         if sharpen is not None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError
+from lfcal.runtime.errors import check_type
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering, check_scale, finish_picture
@@ -136,6 +137,7 @@ def _draw_views(
     points: list[Viewpoint],
     scale: float | None,
 ) -> Iterator[tuple[Rendering, RenderPlan]]:
+    check_type(depth, DepthMap, "depth", "lfrender.analyze makes one")
     full = default_scale(depth)
     scale = float(full if scale is None else scale)
     coarse = scale * DEFAULT.coarse_ratio < full

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, load
-from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthFileError, DepthMap, default_scale
 from ..data.rendering import Rendering
@@ -134,10 +134,8 @@ class Job:
     ) -> Job:
         """Start a run in a folder, or continue the one that is there."""
         hidden = folder / _HIDDEN
-        try:
-            hidden.mkdir(parents=folder.parent.is_dir(), exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
+        make_folder(folder)
+        make_folder(hidden)
         job = cls(folder, calibration, preset, scale, suffix, views, eight_bits, dark, encoded)
         job.calibration = calibration and job._as_stored(calibration)
         if views is None:

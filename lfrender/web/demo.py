@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from data_synth import SCENES, Camera, Capture, simulate
 from data_synth.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, resample
-from lfcal import Calibration, OutputError, calibrate
+from lfcal import Calibration, calibrate
 from lfcal.runtime.console import Report
+from lfcal.runtime.output_file import make_folder
 
 from .. import analyze
 from ..data.depth_map import DepthMap
@@ -72,11 +73,7 @@ def run_demo(
     dict
         The figures on the page, as plain numbers.
     """
-    target = Path(folder)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be made ({error.strerror})") from error
+    target = make_folder(folder, parents=True)
     report = report or Report(quiet=True)
     with report.stage("simulate"):
         camera = Camera.design(flat_size, pitch=23.2, lattice="hex", rotation=0.7)

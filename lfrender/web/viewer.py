@@ -14,8 +14,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from lfcal import Calibration, OutputError
-from lfcal.runtime.output_file import atomic_write
+from lfcal import Calibration
+from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthMap
 from .viewer_scene import viewer_scene
@@ -118,10 +118,8 @@ def write_viewer(
         with atomic_write(target) as temporary:
             temporary.write_text(viewer_page(flat, calibration, depth, title), encoding="utf-8")
         return target
-    try:
-        (target / "data").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be made ({error.strerror})") from error
+    make_folder(target, parents=True)
+    make_folder(target / "data")
     # Files that are sent over a network are worth the time of compression.
     for name, content in viewer_files(flat, calibration, depth, title, compression=6):
         with atomic_write(target / name) as temporary:

@@ -17,6 +17,7 @@ from click.testing import CliRunner
 
 import lfcal
 from lfcal.cli.main import main
+from lfcal.gain.defects import Defects
 
 
 def run(*arguments):
@@ -73,6 +74,19 @@ def test_images_of_different_sizes_are_refused_by_name(house_files, tmp_path):
 def test_the_camera_file_keeps_how_values_are_stored(house_files, tmp_path, option, encoded):
     run("calibrate", house_files / "white.png", "-o", tmp_path / "camera.json", option)
     assert lfcal.load(tmp_path / "camera.json").encoded is encoded
+
+
+def test_info_prints_optics_with_their_errors_and_counts_defects_and_lenses_apart(house, tmp_path):
+    covariance = np.diag([0.09, 0.04, 0.0001] + [0.0] * 11)
+    optics = lfcal.Optics(50.0, 58.0, 0.7, 0.005, covariance=covariance)
+    defects = Defects([[17, 4], [80, 31]], [[0, 1]])
+    replace(house.truth.calibration, optics=optics, defects=defects).save(tmp_path / "camera.json")
+    figures = json.loads(run("info", tmp_path / "camera.json", "--json").stdout)["optics"]
+    assert (figures["focal_length_mm"], figures["focal_length_mm_error"]) == (50.0, 0.3)
+    assert (figures["sensor_distance_mm"], figures["sensor_distance_mm_error"]) == (0.7, 0.01)
+    assert "focal length mm 50" in run("info", tmp_path / "camera.json").stdout
+    shown = run("convert", tmp_path / "camera.json", "-o", tmp_path / "camera.csv").stdout
+    assert "2 defective pixels; 1 unlit lenses" in shown
 
 
 def test_info_prints_the_figures_of_calibrate(house_files):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 import pickle
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 import lfcal
+import lfrender
 from lfcal.camera.lens_types import LensTypes
 
 
@@ -32,3 +33,16 @@ def test_arrays_stay_read_only_in_copies_and_out_of_pickles(frozen, again):
         np.testing.assert_array_equal(values, getattr(frozen, name))
         assert not values.flags.writeable
         assert values.flags.c_contiguous
+
+
+def test_cameras_and_depth_maps_compare_by_value(house):
+    camera = house.truth.calibration
+    same = pickle.loads(pickle.dumps(camera))
+    assert camera == same and camera.lattice == same.lattice and camera is not same
+    moved = replace(camera, lattice=replace(camera.lattice, origin=camera.lattice.origin + 0.5))
+    assert camera != moved and camera != "camera"
+    depth = lfrender.analyze(house.flat, camera, "fast")
+    assert depth == copy.deepcopy(depth)
+    assert depth != replace(depth, pitch=depth.pitch + 1)
+    picture = lfrender.render(house.flat, camera, depth)
+    assert picture == copy.copy(picture) and picture != replace(picture, image=picture.image // 2)

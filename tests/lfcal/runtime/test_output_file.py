@@ -8,7 +8,7 @@ import stat
 import pytest
 
 from lfcal import OutputError
-from lfcal.runtime.output_file import atomic_write, check_output
+from lfcal.runtime.output_file import atomic_write, check_folder, check_output, make_folder
 
 
 def test_file_appears_with_its_content_and_ordinary_permissions(tmp_path):
@@ -67,3 +67,17 @@ def test_an_input_is_not_replaced(tmp_path):
     with pytest.raises(OutputError, match="input"):
         check_output(tmp_path / "a.json", {".json"}, [None, tmp_path / "." / "a.json"])
     check_output(tmp_path / "a.json", {".json"}, [tmp_path / "b.json"])
+
+
+def test_a_folder_that_is_named_like_a_file_is_refused_until_it_exists(tmp_path):
+    for name in ("bt.jpg", "v.glb", "film.mov"):
+        with pytest.raises(OutputError, match="a folder is written here"):
+            make_folder(tmp_path / name)
+    assert os.listdir(tmp_path) == []
+    for name in ("plain", "run.1", "2026.11.26", "v1.0"):
+        assert make_folder(tmp_path / name).is_dir()
+    (tmp_path / "exp.raw").mkdir()
+    assert check_folder(tmp_path / "exp.raw").is_dir()
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="is a file"):
+        check_folder(tmp_path / "file")

@@ -341,6 +341,20 @@ def test_the_suffix_decides_whether_views_and_focus_move(house_files, tmp_path):
     assert_refused(run("refocus", flat, *common, "--at", 9, 9, "-o", tmp_path / "f.gif"), "several depths")
 
 
+def test_folders_are_not_made_under_the_name_of_a_file(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    assert_refused(run("views", flat, "-c", camera, "-o", tmp_path / "v.glb"), "v.glb", "'.glb'")
+    assert_refused(run("batch", flat, "-c", camera, "-o", tmp_path / "bt.jpg"), "bt.jpg", "'.jpg'")
+    assert os.listdir(tmp_path) == []
+
+
+def test_dense_depth_has_no_values_where_none_are_wanted(house_files, tmp_path):
+    ask = ("analyze", house_files / "flat.png", "-c", house_files / "camera.json", "-o", tmp_path / "d.npz")
+    figures_of(*ask, "--preset", "fast", "--dense", tmp_path / "d.pfm", "--unfilled")
+    assert 0 < np.isnan(cv2.imread(str(tmp_path / "d.pfm"), cv2.IMREAD_UNCHANGED)).mean() < 0.9
+    assert_refused(run(*ask, "--unfilled"), "--dense")
+
+
 def test_a_folder_in_the_place_of_a_flat_points_to_batch(house_files, tmp_path):
     refused = run("render", house_files, "-o", tmp_path / "p.png")
     assert_refused(refused, f"{house_files} is a folder", f"'lfrender batch {house_files} -o pictures'")

@@ -53,6 +53,15 @@ def test_dense_files_hold_the_numbers_as_they_are(depth, tmp_path, ending):
     np.testing.assert_array_equal(read, dense.patch_size)
 
 
+def test_places_without_a_depth_are_marked_or_nan(depth, tmp_path):
+    dense, bare = dense_depth(depth, 5), dense_depth(depth, 5, fill=False)
+    assert dense.resolved.mean() == pytest.approx((depth.mode != 0).mean(), abs=0.05) and not dense.resolved.all()
+    np.testing.assert_array_equal(np.isnan(bare.patch_size), ~dense.resolved)
+    np.testing.assert_array_equal(bare.patch_size[dense.resolved], dense.patch_size[dense.resolved])
+    write_dense(tmp_path / "d.tif", dense)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "d.tif", key=1), 255 * dense.resolved)
+
+
 def test_dense_files_of_another_kind_are_refused(depth, tmp_path):
     with pytest.raises(OutputError, match=r"\.pfm"):
         write_dense(tmp_path / "d.jpg", dense_depth(depth, 2))

@@ -61,9 +61,10 @@ def test_ome_zarr_is_read_by_its_reference_reader(tmp_path):
 def test_dense_depth_as_openexr_is_read_by_its_library(tmp_path):
     OpenEXR = pytest.importorskip("OpenEXR", reason="OpenEXR needs lfrender[exr]")
     sizes = np.linspace(-9, -4, 30 * 40, dtype=np.float32).reshape(30, 40)
-    write_dense(tmp_path / "d.exr", DenseDepth(sizes, AFFINE, 23.2))
+    write_dense(tmp_path / "d.exr", DenseDepth(sizes, AFFINE, 23.2, sizes > -5))
     with OpenEXR.File(str(tmp_path / "d.exr"), separate_channels=True) as file:
         np.testing.assert_array_equal(file.channels()["Y"].pixels, sizes)
+        np.testing.assert_array_equal(file.channels()["resolved"].pixels, sizes > -5)
         assert json.loads(file.header()["comments"])["pitch"] == 23.2
 
 
