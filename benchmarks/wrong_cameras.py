@@ -2,7 +2,8 @@
 
 Each seed simulates a scene and a white image of a random camera; the camera is calibrated on the white image, and
 checked against the scene, as it is and in worse forms. Wrong cameras are turned by 90 degrees, mirrored, shifted by a
-third of a pitch in a random direction, 0.5 % too long or short, or have their lens types in another order. Captures
+third of a pitch in a random direction, 0.5 % too long or short, stretched by 0.045 pitches in the corners (another
+camera of the same kind), or have their lens types in another order. Captures
 with their cameras may be added. Counted apart are forms on which no microimages can be seen, where that is said, and
 cameras that a turn or a mirror takes to themselves, within 0.06 pitches: their lattice is right for the flat.
 """
@@ -27,6 +28,7 @@ __all__ = ["main"]
 
 _SAMPLES = 24
 _SAME = 0.06
+_STRETCH = 0.045
 _TURN, _MIRROR = np.array([[0, 1], [-1, 0]]), np.array([[-1, 0], [0, 1]])
 
 
@@ -45,7 +47,9 @@ def _wrong_cameras(camera: lfcal.Calibration, rng: np.random.Generator) -> Itera
     angle = rng.uniform(0, 2 * np.pi)
     third = lattice.pitch / 3 * np.array([np.cos(angle), np.sin(angle)])
     scale = 1 + 0.005 * rng.choice([-1, 1])
-    for name, matrix in (("turned", _TURN), ("mirrored", _MIRROR), ("pitch", scale * np.eye(2))):
+    stretch = 1 + rng.choice([-1, 1]) * _STRETCH * lattice.pitch / float(np.hypot(*middle))
+    changed = ("pitch", scale * np.eye(2)), ("stretched", stretch * np.eye(2))
+    for name, matrix in (("turned", _TURN), ("mirrored", _MIRROR), *changed):
         origin, basis = middle + (lattice.origin - middle) @ matrix, lattice.basis @ matrix
         yield name, replace(camera, lattice=replace(lattice, origin=origin, basis=basis, distortion=None))
     yield "shifted", replace(camera, lattice=replace(lattice, origin=lattice.origin + third))

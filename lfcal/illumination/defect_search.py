@@ -49,7 +49,7 @@ def find_defects(
 
     residual, clipped = _compute_residuals(picture, lattice, lights, settings)
     small, large = (
-        side * cv2.blur(clipped, (side, side), borderType=cv2.BORDER_REFLECT)
+        np.float32(side) * np.asarray(cv2.blur(clipped, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
         for side in (settings.small_square, settings.large_square)
     )
     outside = np.zeros(picture.shape, np.bool_)
@@ -69,7 +69,7 @@ def find_defects(
             outside[rows, columns] = True
         alone = _differs_from_lenses(values, np.column_stack([columns, rows]), lattice, settings)
         bad[rows[alone], columns[alone]] = True
-    pixels = np.argwhere(bad)[:, ::-1]
+    pixels = np.argwhere(bad)[:, ::-1].astype(np.int32)
     return Defects(pixels, unlit.astype(np.int32)), float(outside.mean())
 
 
