@@ -15,6 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from .camera.calibration import Calibration
 from .images.mosaic import check_mosaic, equalise_mosaic, has_mosaic
 from .lattice.stated import LatticeHint
+from .runtime.checks import (
+    LIMITS,
+    find_circle_doubt,
+    find_exposure_doubt,
+    find_lattice_doubt,
+    find_mosaic_doubt,
+    find_type_doubt,
+)
 from .runtime.errors import CalibrationError
 from .runtime.image_formats import Mosaic
 from .settings import CALIBRATION
@@ -97,14 +105,12 @@ def calibrate(
         with threadpool_limits(1, "blas"):
             camera = _calibrate(flats, kind, mosaic, hint)
     except CalibrationError as error:
-        if clipped < CALIBRATION.overexposed:
+        if find_exposure_doubt(clipped) is None:
             raise
         raise CalibrationError(f"{error} ({clipped:.0%} of the pixels are over-exposed: expose less)") from error
-    if camera.source == "white" and clipped > CALIBRATION.overexposed:
-        text = (
-            f"the white image is over-exposed ({clipped:.0%} of its pixels are clipped): expose less, by a half or more"
-        )
-        camera = replace(camera, warnings=(*camera.warnings, text))
+    exposure = find_exposure_doubt(clipped)
+    if camera.source == "white" and exposure is not None:
+        camera = replace(camera, warnings=(*camera.warnings, exposure))
     return replace(camera, white_level=estimate_white_level(flats))
 
 
@@ -143,8 +149,13 @@ def _calibrate(
             scene, other, _ = _measure_first(_find_candidates(None, flats, "scene", filtered, hint))
             if scene.confidence > camera.confidence or (unexplained and scene.confidence == camera.confidence):
                 camera, found = scene, other
-    warnings = (*camera.warnings, *_warnings(camera, found.fit.half_difference, filtered and mosaic is None))
-    return replace(camera, mosaic=mosaic, warnings=warnings)
+    types = camera.lens_types
+    doubts = (
+        find_lattice_doubt(camera.confidence, found.fit.half_difference),
+        types and find_type_doubt(types.count, types.ordered),
+        find_mosaic_doubt(filtered and mosaic is None),
+    )
+    return replace(camera, mosaic=mosaic, warnings=(*camera.warnings, *(doubt for doubt in doubts if doubt)))
 
 
 def _may_be_scene(camera: Calibration) -> bool:
@@ -153,7 +164,7 @@ def _may_be_scene(camera: Calibration) -> bool:
     lit = gain[gain > 0]
     unlike = len(lit) > 0 and float((np.abs(lit / np.median(lit) - 1) > CALIBRATION.unlike_gain).mean())
     # Where the lattice is uncertain, half as many are enough.
-    share = 1.0 if camera.confidence >= CALIBRATION.min_confidence else 0.5
+    share = 1.0 if camera.confidence >= LIMITS.confidence else 0.5
     return unlike > share * CALIBRATION.unlike_lenses
 
 
@@ -224,7 +235,6 @@ def _measure(found: LatticeCandidate) -> tuple[Calibration, bool]:
     So it is where more pixels differ from the gain map than defects explain, and the average microimage is doubtful.
     """
     from .illumination.measure import measure_illumination
-    from .illumination.settings import DEFECTS
     from .lens_types.classify import find_lens_types
 
     fit, picture, white = found.fit, found.picture, found.white
@@ -246,7 +256,7 @@ def _measure(found: LatticeCandidate) -> tuple[Calibration, bool]:
         if not found.stated:
             raise
         doubt = str(failure)
-    unexplained = doubt is not None and light.outlier_share > DEFECTS.largest_share
+    unexplained = doubt is not None and light.outlier_share > LIMITS.off_gain
     doubt = None if found.stated else doubt
     agreement, beside = _compare_circles(found, lattice)
     # With half of the pixels unlike the model there is no trust in its centres.
@@ -283,12 +293,7 @@ def _compare_circles(found: LatticeCandidate, lattice: Lattice) -> tuple[float, 
     if not isinstance(found.picture, np.ndarray):
         circles = replace(circles, centres=circles.centres + found.picture.corners[0])
     own, shifted = circles.agreement(lattice), find_shifted(circles, lattice)
-    if not shifted > own + CALIBRATION.circles_beside:
-        return own, None
-    return own, (
-        f"circles on the flat lie between the centres of the lattice (agreement {shifted:.2f} there, {own:.2f} on it): "
-        "gaps may have been taken for microimages; check the circles on the flat ('lfcal show')"
-    )
+    return own, find_circle_doubt(own, shifted)
 
 
 def _find_doubt(found: LatticeCandidate, lattice: Lattice) -> str | None:
@@ -308,25 +313,3 @@ def _find_doubt(found: LatticeCandidate, lattice: Lattice) -> str | None:
         f"nothing on the flat proves that microimages are what repeats on it: {doubt}, and no neighbours are seen to "
         "show the same, shifted; calibrate on a white image or on a scene with more detail"
     )
-
-
-def _warnings(camera: Calibration, differ: float, unknown_mosaic: bool) -> list[str]:
-    """Warnings about confidence, lens types and an unknown mosaic."""
-    warnings = []
-    confidence, types = camera.confidence, camera.lens_types
-    if confidence < CALIBRATION.min_confidence:
-        warnings.append(
-            f"the lattice is uncertain (confidence {confidence:.2f}, halves of the flat differ by {differ:.2f} px); "
-            "check the circles on the flat or calibrate on a white image"
-        )
-    if types is not None and not types.ordered:
-        warnings.append(
-            f"{types.count} lens types were found, but not which is focused at which depth; "
-            "calibrate on a scene with detail at several depths"
-        )
-    if unknown_mosaic:
-        warnings.append(
-            "the flat has a colour filter mosaic, which was removed; name it (--mosaic RGGB, BGGR, GRBG or GBRG) "
-            "to keep it in the camera file"
-        )
-    return warnings

@@ -12,7 +12,6 @@ class CalibrationSettings:
     """Tuned values of a calibration as a whole."""
 
     max_half_difference: float = 0.1  # [pitch] RMS distance of the lattices of two halves, from which on there is none
-    min_confidence: float = 0.7  # below which there is a warning
     unproven_confidence: float = 0.4  # where nothing proves that microimages are what repeats on the flat
     more_candidates: int = 2  # measured after the first before a flat is refused
     min_contrast: float = 1e-4  # [mean] standard deviation of an image that shows something
@@ -23,12 +22,8 @@ class CalibrationSettings:
     max_distance: float = 0.2  # [pitch] RMS distance from the first lattice from which on a fit has run away
     faint_rims: float = 0.02  # [pitch] scatter of single lenses from which on they cannot be fitted singly
     centroid_share: float = 0.5  # most shift of the middle of a microimage over its cut: of two equal discs a half
-    overexposed: float = 0.02  # share of clipped pixels from which on a white image is over-exposed
     unlike_gain: float = 0.1  # light of a lens over that of its surroundings, less 1, that dust or a scene makes
     unlike_lenses: float = 0.12  # share of such lenses: 25 dust specks on 1000 large lenses made 0.09, a scene 0.16
-    circles_beside: float = (
-        0.3  # agreement of circles beside the lattice over that on it, beyond which there is a warning
-    )
     samples: int = 4000  # lenses at which distances are measured
 
 

@@ -150,9 +150,14 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
     with report.stage("show"):
         from PIL import Image
 
+        from .. import check_camera
         from .. import show as run
 
         picture = Image.fromarray(run(calibration, flat))
+        check = check_camera(calibration, flat)
+        # What does not fit at all is drawn too: that is what to look for.
+        if (problem := check.problem) is not None:
+            calibration = replace(calibration, warnings=(*calibration.warnings, problem))
     with report.stage("write"), atomic_write(output) as temporary:
         picture.save(temporary, compress_level=4)
     figures = {"picture": str(output), **describe(calibration)}
@@ -177,13 +182,21 @@ def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) 
         pixels = read_flat(flat)
         calibration = _read(camera, (pixels.shape[1], pixels.shape[0]))
     with report.stage("flatten"), console.name_file_in_errors(flat):
+        from .. import check_camera
+
         even = calibration.flatten(pixels)
+        warnings = check_camera(calibration, pixels).warn(calibration, camera).warnings
     with report.stage("write"), atomic_write(output) as temporary:
         import tifffile
 
         tifffile.imwrite(temporary, even, photometric="rgb" if even.ndim == 3 else "minisblack")
     report.finish(
-        {"written": str(output), "size": [even.shape[1], even.shape[0]], "type": str(even.dtype)},
+        {
+            "written": str(output),
+            "size": [even.shape[1], even.shape[0]],
+            "type": str(even.dtype),
+            "warnings": list(warnings),
+        },
         f"{output}: {even.shape[1]} x {even.shape[0]} px of {even.dtype}, evenly lit, in {report.took}.",
     )
 

@@ -16,6 +16,7 @@ from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..lattice.orientation import describe_orientation
+from ..runtime.errors import CameraFileError
 from .settings import CAMERA_CHECK, CameraCheckSettings
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["CameraCheck", "check_camera"]
 
 _REMEDY = "give the camera of this flat, or calibrate on it"
+_UNSEEN = "no microimages can be seen on this flat, so that the camera could not be checked; give a brighter one"
 _TURNS = {
     "turned by 90 degrees": [[0, 1], [-1, 0]],
     "turned by 180 degrees": [[-1, 0], [0, -1]],
@@ -60,6 +62,13 @@ class CameraCheck:
     problem: str | None = None
     adjusted: Calibration | None = None
     checked: bool = True
+
+    def warn(self, calibration: Calibration, name: object) -> Calibration:
+        """The camera, with what is doubtful about it as a warning; CameraFileError with its name if it is refuted."""
+        if not self.fits:
+            raise CameraFileError(f"{name}: {self.problem}")
+        warning = self.problem if self.checked else _UNSEEN
+        return calibration if warning is None else replace(calibration, warnings=(*calibration.warnings, warning))
 
 
 def check_camera(

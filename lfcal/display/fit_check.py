@@ -15,6 +15,7 @@ from ..camera.calibration import Calibration
 from ..gain.gain_map import RegionGain
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import Lattice
+from ..runtime.checks import LIMITS, find_camera_doubt
 from ..runtime.errors import CalibrationError
 from ..runtime.frozen import Frozen
 from .lattice_misfit import compare_lattices, prepare_flat, reduce_flat, straighten
@@ -63,7 +64,7 @@ class FitCheck(Frozen):
     @property
     def limit(self) -> float:
         """Offset [px] of a corner up to which not to worry; what a scene shows moves microimages as much."""
-        return FIT_CHECK.stretch * self.pitch
+        return LIMITS.stretch * self.pitch
 
     @property
     def verdict(self) -> str:
@@ -82,12 +83,9 @@ class FitCheck(Frozen):
         """What is wrong with the lattice where pictures would show it, else None."""
         shift = self.offset[1, 1]
         stretch = float(np.linalg.norm(self.offset - shift, axis=-1).max())
-        if not (stretch > self.limit or np.linalg.norm(shift) > CAMERA_CHECK.shift * self.pitch):
-            return None
         row, column = np.unravel_index(int(np.linalg.norm(self.offset, axis=-1).argmax()), (3, 3))
-        return (
-            f"the lattice is off by up to {self.max_offset:.1f} px in the {_REGION_NAMES[row][column]}, which pictures "
-            "show: calibrate on this flat"
+        return find_camera_doubt(
+            self.max_offset, float(np.linalg.norm(shift)) / self.pitch, stretch / self.pitch, _REGION_NAMES[row][column]
         )
 
 
@@ -110,7 +108,7 @@ def check_fit(calibration: Calibration, image: ArrayLike, settings: CameraCheckS
     >>> import numpy as np
     >>> from lfcal import Calibration, Lattice, check_fit
     >>> y, x = np.mgrid[:300, :400]
-    >>> white = np.exp(-((x % 20 - 10) ** 2 + (y % 20 - 10.0) ** 2) / 40)
+    >>> white = 20 + 200 * np.clip(9.5 - np.hypot(x % 20 - 10, y % 20 - 10), 0, 1)
     >>> round(check_fit(Calibration(Lattice([11, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).max_offset)
     1
     """

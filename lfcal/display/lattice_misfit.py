@@ -17,6 +17,7 @@ from ..detection.first_lattice import find_first_lattices, fit_first_lattice
 from ..detection.folding import fold_tiles
 from ..images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from ..lattice.lattice import Lattice
+from ..runtime.checks import LIMITS
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, FlatError, check_type
 from .settings import CameraCheckSettings
 
@@ -67,7 +68,7 @@ class LatticeMisfit:
         """Whether the camera fits, for all that its flat can tell."""
         corners = self.shift + (self.half_size * [[1, 1], [1, -1], [-1, 1], [-1, -1]]) @ self.linear
         return bool(
-            np.linalg.norm(self.shift) < settings.shift * self.pitch
+            np.linalg.norm(self.shift) < LIMITS.shift * self.pitch
             and self.linear_size < settings.linear
             and np.linalg.norm(corners, axis=1).max() < settings.corner * self.pitch
         )
@@ -165,6 +166,6 @@ def is_other_centre(
     index = centre @ np.linalg.inv(found.basis)
     for guess in guesses:
         away = guess.position - index
-        if np.linalg.norm((away - np.rint(away)) @ found.basis) < settings.shift * found.pitch:
+        if np.linalg.norm((away - np.rint(away)) @ found.basis) < LIMITS.shift * found.pitch:
             return guess.roundness > settings.nearly_as_round * guesses[0].roundness
     return False

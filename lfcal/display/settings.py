@@ -16,16 +16,12 @@ class FitCheckSettings:
     edge_window: float = 0.5  # [pitch] of local normalisation: wider than a rim, narrower than detail of the scene
     largest_scatter: float = 0.05  # [pitch] between the lattices of two halves of a flat that shows one
     samples: int = 4000  # lenses at which lattices are compared
-    # [pitch] of a corner by a change of scale or rotation, from which on there is a warning: right cameras are up to
-    # 0.028 off on 11 captures, another camera of the same kind is 0.039 off.
-    stretch: float = 0.033
 
 
 @dataclass(frozen=True)
 class CameraCheckSettings:
     """Tuned values of `camera_check`; distances measured on 60 simulated flats and 8 captures with right cameras."""
 
-    shift: float = 0.06  # [pitch] in the middle of the flat: at most 0.05 with right cameras
     linear: float = 0.0025  # change of scale or angle [rad]: at most 0.0011 with right cameras
     corner: float = 0.2  # [pitch] in the corners: at most 0.08 with right cameras
     same_cell: float = 0.1  # change of scale or angle, beyond which it is another lattice

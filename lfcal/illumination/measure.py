@@ -15,12 +15,13 @@ from ..gain.kernel import radial_mean
 from ..gain.vignetting import Vignetting
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
+from ..runtime.checks import find_gain_doubt
 from ..runtime.errors import CalibrationError
 from ..white_fit.model import CatEye
 from .defect_search import find_defects
 from .estimate import estimate_gain
 from .lens_light import find_unlit_in_scene, measure_lens_lights
-from .settings import DEFAULT, DEFECTS
+from .settings import DEFAULT
 from .type_profiles import fit_type_profiles, order_by_rims
 
 __all__ = ["Illumination", "measure_illumination"]
@@ -101,11 +102,8 @@ def measure_illumination(
         lights = measure_lens_lights(picture, lattice, fit)
         gain = lights.gain
         defects, share = find_defects(picture, lattice, lights)
-        if share > DEFECTS.largest_share:
-            warnings = (
-                f"{share:.1%} of the pixels differ from the gain map, more than defects explain; check the white image "
-                "for structure or saturation",
-            )
+        doubt = find_gain_doubt(share)
+        warnings = () if doubt is None else (doubt,)
     return Illumination(gain, vignetting, radius, defects, warnings, share, types)
 
 

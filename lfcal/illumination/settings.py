@@ -124,7 +124,6 @@ class LensLightSettings:
 class DefectSettings:
     """Tuned values of `defect_search`."""
 
-    largest_share: float = 0.02  # of the pixels that differ from the gain map, beyond which it does not fit the flat
     levels: int = 32  # of light, at each of which the noise is measured
     sample: int = 1_000_000  # pixels that it is measured on
     least_residual: float = 0.005  # [root of the brightest light] least scale: smaller residuals harm no picture

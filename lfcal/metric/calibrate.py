@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..boards.board import Board
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
+from ..runtime.checks import find_board_doubt
 from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_type
 from .bundle_adjustment import Adjusted, Poses, adjust, normal_equations
 from .camera_model import INTERNAL, to_internal
@@ -127,11 +128,8 @@ def calibrate_metric(
         adjust(fitted.camera, pixel, fitted.poses, points, observations, BASE), pixel, points, observations
     )
     _check_one_camera(fitted, found, observations, settings)
-    if fitted.noise > settings.largest_misfit:
-        warnings.append(
-            f"corners lie {fitted.noise:.0f} times as far from the model as their noise explains; is the board flat, "
-            "are squares and pixel right, was nothing moved?"
-        )
+    if doubt := find_board_doubt(fitted.noise):
+        warnings.append(doubt)
     return _result(fitted, pixel, calibration, board, found, observations, blur, tuple(warnings))
 
 

@@ -62,7 +62,6 @@ class ObservationSettings:
     scene_error: float = 0.5  # [px] of corners detected in an all-in-focus picture
     ratio_error: float = 0.02  # of `s / D` there
     first_lenses: int = 8  # that each corner is fitted in at first, until the camera is about known
-    largest_misfit: float = 6.0  # noise of the corners over that of their pixels, above which there is a warning
     fewest_flats: int = 3
     fewest_triangulated: int = 8  # corners of each flat seen in three microimages, to start anew from them
     fewest_corners: int = 10  # of a flat

@@ -142,7 +142,7 @@ def analyze(
     written = dict.fromkeys(str(path) for path in (output, dense, picture, ply) if path is not None)
     report.finish(
         {"depth": str(output), **capture_figures(calibration, depth, optics)},
-        camera_sentence(calibration), *depth_sentences(calibration, depth, optics),
+        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth, optics),
         f"{', '.join(written)} in {report.took}.",
     )  # fmt: skip
 

@@ -45,17 +45,11 @@ def _check_file(path: Path, calibration: Calibration, pixels: NDArray[Any] | Fla
     import numpy as np
 
     check = _check(calibration, pixels)
-    if not check.fits:
-        raise CameraFileError(f"{path}: {check.problem}")
-    warning = check.problem
-    if not check.checked:
-        warning = (
-            "no microimages can be seen on this flat, so that the camera could not be checked; give a brighter one"
-        )
     if check.adjusted is not None and is_published(path) and isinstance(pixels, np.ndarray):
         warning = "as published, the lattice lies beside the microimages, as in crops of a sensor; it was moved there"
-        calibration = check.adjusted
-    return calibration if warning is None else replace(calibration, warnings=(*calibration.warnings, warning))
+        return replace(check.adjusted, warnings=(*calibration.warnings, warning))
+    checked: Calibration = check.warn(calibration, path)
+    return checked
 
 
 def _check(calibration: Calibration, pixels: NDArray[Any] | FlatSource) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pathlib import Path
     from typing import Literal
 
     from lfcal import Calibration, Optics
@@ -46,18 +47,10 @@ def camera_figures(calibration: Calibration, depth: DepthMap | None = None) -> d
 
 def _warnings(depth: DepthMap | None) -> list[str]:
     """A warning if fewer lenses show surfaces than in any scene, even one almost without texture."""
-    from ..rendering.traditional import resolves_too_little
+    from ..rendering.traditional import find_depth_problem
 
-    if depth is None or not resolves_too_little(depth):
-        return []
-    from ..data.depth_map import REASONS
-
-    modes = depth.mode[depth.reason != REASONS.index("not analysed")]
-    missing = percent(float((modes == 0).mean()) if modes.size else 1.0)
-    return [
-        f"{missing} of the lenses have no depth, and the others form no surface; is this a capture of a scene, and "
-        "made with this camera?"
-    ]
+    problem = depth and find_depth_problem(depth)
+    return [problem] if problem else []
 
 
 def capture_figures(
@@ -114,12 +107,11 @@ def percent(share: float) -> str:
     return f"{rounded} %"
 
 
-def camera_sentence(calibration: Calibration) -> str:
-    """How many lenses there are, and where the camera comes from."""
-    sources = {"white": "found on the white image", "scene": "found on the flat itself"}
-    how = sources.get(calibration.source, "as the camera file says")
-    sure = f" (confidence {percent(calibration.confidence)})" if calibration.source in sources else ""
-    return f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}{sure}."
+def camera_sentence(calibration: Calibration, file: Path | None) -> str:
+    """How many lenses there are, and where the camera comes from: a `file`, or what was calibrated on."""
+    how = "found on the white image" if calibration.source == "white" else "found on the flat itself"
+    how = f"{how} (confidence {percent(calibration.confidence)})" if file is None else "as the camera file says"
+    return f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}."
 
 
 def depth_sentences(calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None) -> list[str]:

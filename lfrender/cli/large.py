@@ -70,7 +70,7 @@ def render_in_tiles(
         "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept, **capture_figures(calibration, depth),
     }  # fmt: skip
     report.finish(
-        figures, camera_sentence(calibration), *depth_sentences(calibration, depth),
+        figures, camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth),
         f"{output}: {width} x {height} px in {made.tiles} tiles{kept}, in {report.took}.",
     )  # fmt: skip
 

@@ -44,7 +44,7 @@ def view(capture: CaptureInput, export: Path | None, port: int, no_browser: bool
         check_output(export, {".html", ".htm"}, capture.files)
     pixels, calibration, depth = capture.load()
     warnings = camera_figures(calibration, depth)["warnings"]
-    sentences = [camera_sentence(calibration), *depth_sentences(calibration, depth)]
+    sentences = [camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth)]
     if export is not None:
         with report.stage("write"):
             page = write_viewer(export, pixels, calibration, depth, capture.flat.name)
@@ -87,7 +87,7 @@ def report(capture: CaptureInput, output: Path) -> None:
         write_report(output, pixels, calibration, depth, pictures, title=capture.flat.name, seconds=seconds)
     progress.finish(
         {"report": str(output), **capture_figures(calibration, depth)},
-        camera_sentence(calibration), *depth_sentences(calibration, depth),
+        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth),
         f"{output} in {progress.took}: open it in a browser.",
     )  # fmt: skip
 

@@ -198,7 +198,7 @@ def render(
     what = _describe_drawing(traditional, patch_size, blend)
     capture.report.finish(
         {"picture": str(output), **figures},
-        camera_sentence(calibration), *depth_sentences(calibration, None if traditional else depth),
+        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, None if traditional else depth),
         picture_sentence(output, picture, what, capture.report.took), *stated,
     )  # fmt: skip
 

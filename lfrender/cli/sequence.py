@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from lfcal import CameraFileError
 from lfcal.runtime import console
 from lfcal.runtime.output_file import check_folder
 
@@ -165,8 +167,14 @@ def batch(
     counts += [f"{figures['kept']:,} kept from before"] if figures["kept"] else []
     counts += [f"{len(failures):,} failed"] if failures else []
     still = f" {percent(figures['still'])} of their lenses had not moved." if figures["still"] > 0.005 else ""
+    if calibration is None and not film:
+        from ..sequence.job import load_camera
+
+        with suppress(CameraFileError):
+            calibration = load_camera(output)
+    doubts = [] if calibration is None else list(calibration.warnings)
     report.finish(
-        {**figures, "warnings": failures} if as_json else figures,
+        {**figures, "warnings": [*doubts, *failures] if as_json else doubts},
         f"{', '.join(counts)}.{still}",
         f"{output} is written.",
     )

@@ -116,7 +116,8 @@ def refocus(
     named = output if len(paths) == 1 else f"{paths[0]} to {paths[-1].name}"
     capture.report.finish(
         {**written, "patch_sizes": sizes, **figures},
-        camera_sentence(calibration), picture_sentence(named, pictures[0], what, capture.report.took), *stated,
+        camera_sentence(calibration, capture.camera),
+        picture_sentence(named, pictures[0], what, capture.report.took), *stated,
     )  # fmt: skip
 
 
@@ -253,7 +254,7 @@ def views(
         stated = []
     report.finish(
         {**figures, **capture_figures(calibration, depth)},
-        camera_sentence(calibration), *depth_sentences(calibration, depth),
+        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth),
         f"{figures['views']}: {len(offsets)} views, in {report.took}.", *stated,
     )  # fmt: skip
 

@@ -29,9 +29,6 @@ class RenderSettings:
     least_magnification: float = 4 / 3  # least |D / s| that depth analysis resolves
     spacing_lenses: int = 500  # lenses at which the spacing of a distorted lattice is sampled; it changes slowly
     margin: int = 4  # [px] around what a part of a picture reads, for interpolation and sharpening of the flat
-    least_resolved: float = 0.02  # share of the lenses on surfaces, below which all else in a picture in focus would
-    # be made up; a scene that is one small card before a wall has 0.04, an unfocused capture 0.001
-    least_on_surface: float = 0.5  # of the resolved lenses; captures have 0.7 (beads) to 1, chance has 0 to 0.1
     mostly_resolved: float = 0.5  # share of the lenses, above which they are not looked at: it is a scene
     neighbour_reach: float = 1.3  # [pitch] to the neighbours of a lens: not across the diagonal of a square
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
+from lfcal.runtime.checks import find_depth_doubt
 from lfcal.runtime.fastmath import FAST, square
 from lfcal.runtime.kernels.jit import njit
 
@@ -17,7 +18,7 @@ from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
 from .settings import DEFAULT, RenderSettings
 
-__all__ = ["TOO_LITTLE", "resolves_too_little", "traditional"]
+__all__ = ["TOO_LITTLE", "find_depth_problem", "resolves_too_little", "traditional"]
 
 #: What is said where the traditional picture is drawn instead of one in focus; takes the name of the option.
 TOO_LITTLE = (
@@ -55,28 +56,33 @@ def _lens_means(begin, end, flat, centres, radius, gains, gain_step, unlit, out,
         lit[lens] = count
 
 
-def resolves_too_little(depth: DepthMap, settings: RenderSettings = DEFAULT) -> bool:
-    """Whether next to no lens has a depth, or few of those that have form surfaces: single ones are chance.
+def find_depth_problem(depth: DepthMap, settings: RenderSettings = DEFAULT) -> str | None:
+    """Why a depth map shows no scene: next to no lens has a depth, or few of those that have form surfaces.
 
-    The traditional picture is then all that a flat has to give. On a surface are lenses with three neighbours of the
-    same depth.
+    On a surface are lenses with three neighbours of the same depth; single ones are chance. The traditional picture is
+    then all that a flat has to give.
     """
     analysed = np.asarray(depth.reason) != REASONS.index("not analysed")
     share = float((depth.mode[analysed] != 0).mean()) if analysed.any() else 0.0
     if share > settings.mostly_resolved or depth.centres is None:
-        return share < settings.least_resolved
+        return find_depth_doubt(1 - share, share, share)
     from scipy.spatial import cKDTree
 
     resolved = depth.mode != 0
     sizes, centres = depth.patch_size[resolved], depth.centres[resolved]
-    if len(sizes) < _ON_SURFACE + 1:
-        return True
     reach = settings.neighbour_reach * depth.pitch
-    near = cKDTree(centres).query(centres, _MOST_NEIGHBOURS + 1, distance_upper_bound=reach)[1][:, 1:]
-    beside = np.append(sizes, np.nan)[near]
-    alike = same_surface(beside, sizes[:, None], TOLERANCE * depth.pitch).sum(1)
-    on_surface = float((alike >= _ON_SURFACE).sum()) / analysed.sum()
-    return bool(on_surface < max(settings.least_resolved, settings.least_on_surface * share))
+    on_surface = 0.0
+    if len(sizes) > _ON_SURFACE:
+        near = cKDTree(centres).query(centres, _MOST_NEIGHBOURS + 1, distance_upper_bound=reach)[1][:, 1:]
+        beside = np.append(sizes, np.nan)[near]
+        alike = same_surface(beside, sizes[:, None], TOLERANCE * depth.pitch).sum(1)
+        on_surface = float((alike >= _ON_SURFACE).sum()) / float(analysed.sum())
+    return find_depth_doubt(1 - share, share, on_surface)
+
+
+def resolves_too_little(depth: DepthMap) -> bool:
+    """Whether `find_depth_problem` finds one."""
+    return find_depth_problem(depth) is not None
 
 
 def traditional(flat: NDArray, calibration: Calibration) -> Rendering:

@@ -204,3 +204,22 @@ def test_lattice_is_stated_by_its_figures(tmp_path):
     assert CliRunner().invoke(main, arguments).exit_code == 0
     stated = lfcal.load(camera)
     assert stated.lattice.pitch == pytest.approx(15.41) and "stated" in stated.warnings[0]
+
+
+def test_show_and_flatten_say_that_a_camera_does_not_fit(house, house_files, tmp_path):
+    lattice = house.truth.calibration.lattice
+    moved = replace(house.truth.calibration, lattice=replace(lattice, origin=lattice.origin + np.array([4, 3])))
+    moved.save(tmp_path / "moved.json")
+    flat = house_files / "flat.png"
+    for command in (
+        ("show", tmp_path / "moved.json", "--image", flat, "-o", tmp_path / "s.png"),
+        ("flatten", flat, "-c", tmp_path / "moved.json", "-o", tmp_path / "f.tif"),
+    ):
+        result = run(*command)
+        assert result.exit_code == 0
+        assert "warning: the microimages lie 5.0 px beside" in result.stderr
+    other = replace(moved, lattice=replace(lattice, basis=1.3 * lattice.basis))
+    other.save(tmp_path / "other.json")
+    assert_refused(
+        run("flatten", flat, "-c", tmp_path / "other.json", "-o", tmp_path / "g.tif"), "not made with this camera"
+    )

@@ -407,3 +407,19 @@ def test_a_mosaic_flat_is_rendered_in_colour_when_its_filters_are_named(house_fi
     refused = run("render", house_files / "flat.png", "-c", camera, "--mosaic", "RGGB", "-o", tmp_path / "refused.png")
     assert refused.exit_code == 2
     assert "in colour already" in refused.stderr
+
+
+def test_a_camera_that_was_measured_on_a_scene_is_that_of_its_file(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", tmp_path / "scene.json"
+    replace(lfcal.load(house_files / "camera.json"), source="scene", confidence=0.98).save(camera)
+    told = run("render", flat, "-c", camera, "--traditional", "-o", tmp_path / "t.png").stdout
+    assert "as the camera file says." in told and "found on the flat" not in told
+
+
+def test_batch_says_what_is_doubtful_about_its_camera(house, house_files, tmp_path):
+    lattice = house.truth.calibration.lattice
+    moved = replace(house.truth.calibration, lattice=replace(lattice, origin=lattice.origin + np.array([4, 3])))
+    moved.save(tmp_path / "moved.json")
+    ask = ("batch", house_files / "flat.png", "-c", tmp_path / "moved.json", "-o", tmp_path / "out", "--preset", "fast")
+    assert "warning: the microimages lie 5.0 px beside" in run(*ask).stderr
+    assert "5.0 px beside" in figures_of(*ask)["warnings"][0]
