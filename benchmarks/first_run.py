@@ -17,8 +17,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -157,61 +155,42 @@ def _record() -> None:
     """Compile all that the chain needs for flats of each kind, in an empty cache, and write the list of it."""
     import lfcal
     import lfrender
-    from lfcal.runtime.kernels.observers import observe_compilation
     from lfcal.runtime.kernels.signatures import encode_type, write_signatures
     from lfrender.web.report_figures import draw_pictures
 
-    stages: dict[str, list[tuple[float, tuple[str, str, list[Any]]]]] = {}
-
-    @contextmanager
-    def stage(name: str) -> Iterator[None]:
-        found = stages.setdefault(name, [])
-
-        def note(dispatcher: Any, types: Any, seconds: float) -> None:
-            function = dispatcher.py_func
-            try:
-                encoded = [encode_type(kind) for kind in types]
-            except TypeError as error:
-                print(f"not listed: {function.__qualname__}: {error}")
-                return
-            if function.__module__.partition(".")[0] in ("data_synth", "lfcal", "lfrender"):
-                found.append((seconds, (function.__module__, function.__qualname__, encoded)))
-
-        start = time.process_time()
-        with observe_compilation(note):
-            yield
-        print(f"{name}: {len(found)} kernels, {time.process_time() - start:.1f} s", flush=True)
-
-    for kind, options in {"": {}, **_KINDS}.items():
-        end = f", {kind}" if kind else ""
+    for options in ({}, *_KINDS.values()):
         settings: dict[str, Any] = {"lattice": "hex", "focus": 0.04, "size": (700, 560), **options}
-        with stage(f"simulate{end}"):
-            capture = _simulate(**settings)
-        with stage(f"calibrate{end}"):
-            camera = lfcal.calibrate(capture.flat)
-        with stage(f"white image{end}"):
-            lfcal.calibrate(capture.white, kind="white")
-        with stage(f"analyze{end}"):
-            for preset in ("fast", "balanced"):
-                depth = lfrender.analyze(capture.flat, camera, preset)
-        with stage(f"render{end}"):
-            lfrender.render(capture.flat, camera, depth)
-        with stage(f"pictures{end}"):
-            draw_pictures(capture.flat, camera, depth)
-        if not kind and _CAPTURES.exists():
-            # A real capture has noise and three types of lenses.
-            flat = lfcal.read_flat(_CAPTURES / "Fujita2.png")
-            with stage("calibrate"):
-                camera = lfcal.calibrate(flat)
-            with stage("analyze"):
-                depth = lfrender.analyze(flat, camera)
-            with stage("render"):
-                lfrender.render(flat, camera, depth)
-        # A command compiles the stages that follow its own: those of the demo alone come first.
-        demo = ("simulate", "white image", "pictures")
-        ordered = sorted(stages.items(), key=lambda item: item[0].partition(", ")[0] not in demo)
-        ranked = {name: sorted(found, key=lambda item: -item[0]) for name, found in ordered if found}
-        write_signatures({name: [entry for _, entry in found] for name, found in ranked.items()})
+        capture = _simulate(**settings)
+        camera = lfcal.calibrate(capture.flat)
+        lfcal.calibrate(capture.white, kind="white")
+        for preset in ("fast", "balanced"):
+            depth = lfrender.analyze(capture.flat, camera, preset)
+        lfrender.render(capture.flat, camera, depth)
+        draw_pictures(capture.flat, camera, depth)
+    if _CAPTURES.exists():
+        # A real capture has noise and three types of lenses.
+        flat = lfcal.read_flat(_CAPTURES / "Fujita2.png")
+        camera = lfcal.calibrate(flat)
+        lfrender.render(flat, camera, lfrender.analyze(flat, camera))
+    found = []
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] in ("data_synth", "lfcal", "lfrender"):
+            for kernel in cached_kernels(module):
+                code = kernel.inspect_asm()
+                found += [(len(code[types]), (name, kernel.__name__, list(types))) for types in kernel.signatures]
+    # The longest are the dearest.
+    found.sort(key=lambda entry: -entry[0])
+    write_signatures([(module, name, [*map(encode_type, types)]) for _, (module, name, types) in found])
+    print(f"{len(found)} kernels")
+
+
+def cached_kernels(module: Any) -> list[Any]:
+    """The kernels of a module that Numba caches: those that Python calls."""
+    kernels = [getattr(value, "kernel", value) for value in vars(module).values()]
+    return [
+        kernel for kernel in kernels
+        if hasattr(kernel, "py_func") and kernel.__module__ == module.__name__ and kernel.stats.cache_path
+    ]  # fmt: skip
 
 
 def main() -> None:

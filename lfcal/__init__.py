@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING, Any
 
-from .runtime import openmp_spin as openmp_spin
 
 if TYPE_CHECKING:
     from .boards.board import Board

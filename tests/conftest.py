@@ -19,10 +19,12 @@ def pytest_sessionstart(session):
     config = session.config
     if hasattr(config, "workerinput") or not getattr(config.option, "tx", None) or config.option.collectonly:
         return
-    from lfcal.runtime.kernels.ahead import compile_ahead, signatures_of
+    from benchmarks.outdated_kernels import discard_outdated
+    from lfcal.runtime.kernels.ahead import compile_ahead
     from lfcal.runtime.kernels.signatures import read_signatures
 
-    compile_ahead([signature for signature in signatures_of(read_signatures()) if not signature.is_cached()])
+    discard_outdated()
+    compile_ahead(read_signatures())
 
 
 @pytest.fixture(scope="session")

@@ -129,7 +129,7 @@ def analyze(
         with connect_cluster(workers, scheduler, report) as cluster:
             depth, calibration = analyze_in_tiles(capture, not exhaustive, cluster)
     else:
-        pixels, calibration = capture.calibrate(capture.read("lfrender.depth.analyze"))
+        pixels, calibration = capture.calibrate(capture.read())
         with option_errors(roi):
             depth = capture.analyze(pixels, calibration, skip=not exhaustive, roi=roi, edges=edges)
     optics = optics or calibration.optics

@@ -15,7 +15,6 @@ from lfcal.runtime import console
 from lfcal.runtime.image_formats import VIDEO_FORMATS, Mosaic
 from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
-from ..runtime.background_imports import import_in_background
 from .camera_input import read_camera
 
 if TYPE_CHECKING:
@@ -61,10 +60,8 @@ class CaptureInput:
         pixels, calibration = self.calibrate(self.read())
         return pixels, calibration, self.analyze(pixels, calibration)
 
-    def read(self, *modules: str) -> NDArray[Any]:
-        """The pixels of the flat; modules that are needed later are imported meanwhile."""
-        if modules:
-            import_in_background(*modules)
+    def read(self) -> NDArray[Any]:
+        """The pixels of the flat."""
         with self.report.stage("read"):
             return self.read_pixels()
 

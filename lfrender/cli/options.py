@@ -136,17 +136,14 @@ def cluster_options(command: Any) -> Any:
 
 @contextmanager
 def connect_cluster(workers: int | None, scheduler: str | None, report: console.Report) -> Iterator[dict[str, Any]]:
-    """The arguments `client` and `threads` of functions that work on a cluster, none without one.
-
-    What workers on this machine need is compiled first, or each of them would.
-    """
+    """The arguments `client` and `threads` of functions that work on a cluster, none without one."""
     if workers is None and scheduler is None:
         yield {}
         return
     from ..sequence.cluster import connect
 
-    if workers:
-        report.compile_ahead(("analyze", "render"))
+    # Or each worker on this machine would.
+    report.compile_kernels()
     with connect(workers, scheduler) as client:
         yield {"client": client, "threads": 1 if workers else None}
 

@@ -157,9 +157,7 @@ def render(
     from ..output.picture import check_picture, write_picture
 
     check_picture(output, alpha=alpha, inputs=capture.files)
-    pixels = capture.read(
-        "lfrender.rendering.render", *(["tifffile"] if output.suffix.lower() in (".tif", ".tiff") else [])
-    )
+    pixels = capture.read()
     check_picture(output, pixels.dtype, alpha)
     pixels, calibration = capture.calibrate(pixels)
     depth = None

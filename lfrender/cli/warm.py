@@ -13,18 +13,13 @@ __all__ = ["warm"]
 @click.option("--processes", type=click.IntRange(1), metavar="N", help="Processes that compile. [default: all cores]")
 @console.report_options
 def warm(processes: int | None, as_json: bool, quiet: bool) -> None:
-    """Compile all kernels ahead, so that no command has to.
+    """Compile all kernels, unless that has been done for this installation.
 
-    The kernels of lfcal and lfrender, for flats of all kinds, go into Numba's cache. Commands compile what they
-    need when they first need it; after this they find it.
+    The first command does so too. The kernels of lfcal and lfrender, for flats of all kinds, go into Numba's cache.
     """
-    from lfcal.runtime.kernels.signatures import read_signatures
-
     report = console.Report(as_json, quiet)
-    with report.stage("compile"):
-        compiled, failed = report.compile_ahead(read_signatures(), processes)
+    failed = report.compile_kernels(processes)
+    seconds = report.compile_seconds
     more = f"; {failed} could not be compiled" if failed else ""
-    report.finish(
-        {"kernels_compiled": compiled, "kernels_failed": failed},
-        f"{compiled or 'No'} kernels had to be compiled, in {report.took}{more}.",
-    )
+    done = "All kernels were compiled already." if failed is None else f"Kernels compiled in {seconds:.0f} s{more}."
+    report.finish({"compiled": failed is not None, "kernels_failed": failed or 0, "compile_seconds": seconds}, done)

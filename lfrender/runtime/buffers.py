@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import sys
+from collections import deque
 from math import prod
 from threading import local
 from typing import Any
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -17,10 +18,8 @@ _MOST_SCRATCH = 1 << 27
 # Larger pooled arrays are not kept [bytes], nor is more than this in all.
 _MOST_POOLED = 1 << 26
 _POOL_SIZE = 1 << 28
-# Pooled memory is reused for arrays down to its size over this.
-_ROOMY = 2
-# Largest size that the GNU allocator takes as a threshold below which it keeps freed memory [bytes].
-_LARGEST_FREED = 31 << 20
+# Memory that no array refers to any more.
+_pool: deque[NDArray[np.uint8]] = deque()
 # Per thread, since several may work on frames at once.
 _kept = local()
 
@@ -40,34 +39,39 @@ def allocate_scratch(purpose: str, shape: tuple[int, ...], dtype: DTypeLike) -> 
     return memory[:count].reshape(shape)
 
 
-def _references(pool: list[NDArray[Any]], place: int) -> int:
-    return sys.getrefcount(pool[place])
+class _Lease:
+    """What all arrays in a piece of pooled memory refer to, so that its end is theirs."""
+
+    __slots__ = ("__array_interface__", "__weakref__")
+
+    def __init__(self, memory: NDArray[np.uint8]) -> None:
+        self.__array_interface__ = memory.__array_interface__
+        finalize(self, _give_back, memory).atexit = False
 
 
-# References that Python counts to memory that only the pool refers to.
-_UNUSED = _references([np.empty(0)], 0)
+def _give_back(memory: NDArray[np.uint8]) -> None:
+    _pool.append(memory)
+    while sum(kept.nbytes for kept in list(_pool)) > _POOL_SIZE:
+        _pool.popleft()
+
+
+def _take(size: int) -> NDArray[np.uint8]:
+    """Pooled memory of at least a size [bytes], not twice as large, or new memory."""
+    for _ in range(len(_pool)):
+        try:
+            memory = _pool.pop()
+        except IndexError:  # another thread took it
+            break
+        if size <= memory.nbytes <= 2 * size:
+            return memory
+        _pool.appendleft(memory)
+    return np.empty(size, np.uint8)
 
 
 def allocate_pooled(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """An array of undefined content, in memory allocated here earlier in this thread that no array refers to now."""
-    count, kind = prod(shape), np.dtype(dtype)
-    if count * kind.itemsize > _MOST_POOLED:
+    """An array of undefined content, in memory allocated here earlier that no array refers to any more."""
+    kind = np.dtype(dtype)
+    size = prod(shape) * kind.itemsize
+    if size == 0 or size > _MOST_POOLED:
         return np.empty(shape, kind)
-    pool: list[NDArray[Any]] | None = getattr(_kept, "_pool", None)
-    if pool is None:
-        pool = _kept._pool = []
-        # The GNU allocator returns memory to the system once twice the largest freed piece is free: free a large piece
-        # first, or all small arrays would get fresh pages again and again.
-        np.empty(_LARGEST_FREED, np.uint8)
-    for place in range(len(pool)):
-        fits = pool[place].dtype == kind and count <= len(pool[place]) <= _ROOMY * count
-        if fits and _references(pool, place) <= _UNUSED:
-            memory = pool.pop(place)
-            break
-    else:
-        memory = np.empty(count, kind)
-    # The last used comes first.
-    pool.insert(0, memory)
-    while sum(kept.nbytes for kept in pool) > _POOL_SIZE:
-        pool.pop()
-    return memory[:count].reshape(shape)
+    return np.asarray(_Lease(_take(size)))[:size].view(kind).reshape(shape)

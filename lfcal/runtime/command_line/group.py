@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 import warnings
@@ -99,8 +98,6 @@ class CommandGroup(cloup.Group):
         except (KeyboardInterrupt, click.Abort):
             click.echo("interrupted", err=True)
             sys.exit(130)
-        # Saves the garbage collection of all objects of all libraries at exit.
-        gc.freeze()
         sys.exit(code if isinstance(code, int) else 0)
 
     def _fail(self, message: str) -> None:

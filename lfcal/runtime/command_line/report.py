@@ -14,7 +14,6 @@ from typing import Any
 import click
 
 from ..errors import LightFieldError
-from ..kernels.observers import observe_misses
 from .pipes import has_stdout_file, name_pipes
 from .terminal import Terminal
 
@@ -42,18 +41,20 @@ class Report:
         self.quiet = quiet
         self.log_stages = log_stages
         self.seconds: dict[str, float] = {}
+        #: Of compiling kernels, for the first command of an installation.
+        self.compile_seconds = 0.0
+        self._compiled = False
         self.warnings: list[str] = []
-        self._announced = False
-        self._compiled: set[str] = set()
         self._stage = ""
         self._terminal = None if quiet or not sys.stderr.isatty() else Terminal()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time a stage, and show it on a terminal while it runs."""
+        self.compile_kernels()
         start = time.perf_counter()
         self._stage = name
-        with observe_misses(self._compile_missing), ExitStack() as shown:
+        with ExitStack() as shown:
             if self._terminal is not None:
                 shown.enter_context(self._terminal.stage(name))
             elif self.log_stages and not (self.quiet or self.as_json):
@@ -89,45 +90,24 @@ class Report:
 
             yield step
 
-    def compile_ahead(self, stages: Iterable[str], processes: int | None = None) -> tuple[int, int]:
-        """Compile those kernels of some stages that the cache does not have, on all cores; see `.kernels.ahead`.
+    def compile_kernels(self, processes: int | None = None) -> int | None:
+        """Compile all kernels, if that has not been done for this installation; returns how many could not be.
 
-        Returns how many kernels were compiled, and how many could not be.
+        None where nothing was to be done. The seconds of this are not in `took`.
         """
-        from ..kernels.ahead import compile_ahead, signatures_of
+        from ..kernels.ahead import compile_once, is_compiled
 
-        missing = [signature for signature in signatures_of(stages) if not signature.is_cached()]
-        failed = 0
-        if missing:
-            self._announce_compilation()
-            with self.progress("compiling kernels", len(missing)) as advance:
-                failed = compile_ahead(missing, processes=processes, progress=lambda *_: advance(""))
-        return len(missing) - failed, failed
-
-    def _compile_missing(self, kernel: Any, types: Any) -> bool:
-        """Compile a kernel that the cache does not have, and with it those that are needed next; whether it did."""
-        from ..kernels.ahead import remaining_stages
-        from ..kernels.signatures import Signature, encode_type
-
-        self._announce_compilation()
-        try:
-            encoded = json.dumps([encode_type(kind) for kind in types])
-        except TypeError:
-            return False
-        packages = {name.partition(".")[0] for name in list(sys.modules)}
-        stages = remaining_stages(Signature(kernel.__module__, kernel.__qualname__, encoded), packages)
-        if not stages or self._compiled.issuperset(stages):
-            return False
-        self._compiled.update(stages)
-        self.compile_ahead(stages)
-        return True
-
-    def _announce_compilation(self) -> None:
-        if self._announced or self.quiet:
-            return
-        self._announced = True
-        if not self.as_json or sys.stderr.isatty():
-            click.echo("compiling kernels, once per installation ...", err=self.as_json or _is_piped())
+        if self._compiled or is_compiled():
+            return None
+        self._compiled = True
+        if not self.quiet and (not self.as_json or sys.stderr.isatty()):
+            text = "compiling kernels, once per installation: a minute or two on two cores, more on a busy machine ..."
+            click.echo(text, err=self.as_json or _is_piped())
+        start = time.perf_counter()
+        with self.counted_progress("compiling kernels") as step:
+            failed = compile_once(processes=processes, progress=step)
+        self.compile_seconds = time.perf_counter() - start
+        return failed
 
     def warn(self, text: str) -> None:
         """Add a warning to those that are printed at the end."""

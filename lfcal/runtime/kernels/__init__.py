@@ -1,1 +1,1 @@
-"""Kernels that Numba compiles: at their first call or ahead in several processes, cached by what they are made of."""
+"""Kernels that Numba compiles: when they are first called, or ahead in several processes."""

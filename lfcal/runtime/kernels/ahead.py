@@ -1,74 +1,80 @@
-"""Compile kernels ahead, in one process per core."""
+"""Compile kernels ahead, in one process per core, which leave them in Numba's cache."""
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from itertools import chain
+from contextlib import contextmanager, suppress
+from importlib.metadata import version
+from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from .signatures import Signature, read_signatures
+from .signatures import SIGNATURE_FILE, Signature, read_signatures
 
-__all__ = ["compile_ahead", "remaining_stages", "signatures_of"]
+try:
+    import fcntl
+except ImportError:  # Windows: processes compile side by side
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["compile_ahead", "compile_once", "is_compiled"]
 
 # Set for the processes that compile: no more threads than one each.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_Progress = Callable[[int, int], None]
 
 
-def remaining_stages(signature: Signature, packages: Iterable[str]) -> list[str]:
-    """The first stage that needs a kernel, and those that follow it for the same kind of flat.
+def is_compiled() -> bool:
+    """Whether `compile_once` has been run for this installation."""
+    try:
+        return _record().read_text(encoding="utf-8") == _installation()
+    except OSError:
+        return False
 
-    Stages without kernels of `packages` are left out: they are those of another program.
+
+def compile_once(*, processes: int | None = None, progress: _Progress | None = None) -> int:
+    """Compile all listed kernels and record it; returns how many could not be.
+
+    Processes that call this at the same time wait for the first one. Arguments are those of `compile_ahead`.
     """
-    known = read_signatures()
-    first = next((stage for stage, entries in known.items() if signature in entries), None)
-    if first is None:
-        return []
-    kind, names = first.partition(", ")[2], list(known)
-    own = {stage: {entry.module.partition(".")[0] for entry in entries} for stage, entries in known.items()}
-    following = [stage for stage in names[names.index(first) + 1 :] if stage.partition(", ")[2] == kind]
-    return [first, *(stage for stage in following if own[stage] <= set(packages))]
-
-
-def signatures_of(stages: Iterable[str]) -> list[Signature]:
-    """The kernels of some stages, each once, the dearest of all first."""
-    known = read_signatures()
-    chosen = [known.get(stage, ()) for stage in stages]
-    longest = max(map(len, chosen), default=0)
-    ranked = chain.from_iterable(entries[place : place + 1] for place in range(longest) for entries in chosen)
-    return list(dict.fromkeys(ranked))
+    with _lock():
+        if is_compiled():
+            return 0
+        failed = compile_ahead(read_signatures(), processes=processes, progress=progress)
+        # A folder that cannot be written to holds no kernels either.
+        with suppress(OSError):
+            _record().write_text(_installation(), encoding="utf-8")
+        return failed
 
 
 def compile_ahead(
-    signatures: Sequence[Signature],
-    *,
-    processes: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    signatures: Sequence[Signature], *, processes: int | None = None, progress: _Progress | None = None
 ) -> int:
-    """Compile kernels in several processes, which leave them in Numba's cache; returns how many could not be.
+    """Compile kernels in several processes; returns how many could not be.
 
     Parameters
     ----------
     signatures : sequence of Signature
-        See `signatures_of`. Those in the cache are only loaded.
+        See `read_signatures`. Those in the cache are only loaded.
     processes : int, optional
-        By default one for each core, but not for fewer than three kernels each.
+        By default one for each core.
     progress : function of int and int, optional
         Called in this thread with the numbers of finished and of all kernels.
     """
-    jobs: SimpleQueue[Signature] = SimpleQueue()
-    for signature in signatures:
-        jobs.put(signature)
     if not signatures:
         return 0
+    # A kernel is compiled by one process for all its types: Numba's cache has one index for them.
+    kernels: dict[tuple[str, str], list[Signature]] = {}
+    for signature in signatures:
+        kernels.setdefault((signature.module, signature.name), []).append(signature)
+    jobs: SimpleQueue[list[Signature]] = SimpleQueue()
+    for same in kernels.values():
+        jobs.put(same)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = max(1, min(processes or cores, len(signatures) // 3 + 1))
+    count = max(1, min(processes or cores, len(kernels)))
     done: SimpleQueue[bool | None] = SimpleQueue()
     failed = finished = ended = 0
     with ThreadPoolExecutor(count) as threads:
@@ -86,7 +92,7 @@ def compile_ahead(
     return failed + len(signatures) - finished
 
 
-def _run_process(jobs: SimpleQueue[Signature], done: SimpleQueue[bool | None]) -> None:
+def _run_process(jobs: SimpleQueue[list[Signature]], done: SimpleQueue[bool | None]) -> None:
     """Feed one process with kernels, one at a time, so that no process is left with the last few dear ones."""
     environment = {**os.environ, **dict.fromkeys(_ONE_THREAD, "1")}
     # The packages of this process, wherever they are.
@@ -99,26 +105,23 @@ def _run_process(jobs: SimpleQueue[Signature], done: SimpleQueue[bool | None]) -
             assert process.stdin is not None and process.stdout is not None
             while True:
                 try:
-                    job = jobs.get_nowait()
+                    kernel = jobs.get_nowait()
                 except Empty:
                     process.stdin.close()
-                    break
-                process.stdin.write(json.dumps(job) + "\n")
-                process.stdin.flush()
-                answer = process.stdout.readline()
-                if not answer:
-                    break
-                done.put(answer.strip() == "compiled")
+                    return
+                for signature in kernel:
+                    process.stdin.write(json.dumps(signature) + "\n")
+                    process.stdin.flush()
+                    answer = process.stdout.readline()
+                    if not answer:
+                        return
+                    done.put(answer.strip() == "compiled")
     finally:
         done.put(None)
 
 
 def _serve() -> None:
     """The loop of a process that compiles: a kernel per line of stdin, a word per kernel on stdout."""
-    # Nearly all that compiling makes lives as long as this process.
-    gc.disable()
-    # Numba looks for the linear algebra of SciPy, which takes long to import; no kernel uses it.
-    sys.modules["scipy.linalg.cython_blas"] = None  # type: ignore[assignment]
     for line in sys.stdin:
         try:
             Signature(*json.loads(line)).compile()
@@ -126,3 +129,36 @@ def _serve() -> None:
         except Exception:
             answer = "failed"
         print(answer, flush=True)
+
+
+def _installation() -> str:
+    """What compiled kernels depend on: this installation, its Python and its Numba."""
+    return f"{sys.version} numba {version('numba')} {SIGNATURE_FILE.stat().st_mtime_ns}"
+
+
+def _record() -> Path:
+    """The file that tells for which installation the kernels were compiled, where Numba's cache is."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    own = Path(given) if given else Path(__file__).parent / "__pycache__"
+    if given or os.access(own if own.exists() else own.parent, os.W_OK):
+        own.mkdir(parents=True, exist_ok=True)
+        return own / "compiled.txt"
+    from platformdirs import user_cache_path
+
+    return user_cache_path("lfrender", ensure_exists=True) / "compiled.txt"
+
+
+@contextmanager
+def _lock() -> Iterator[None]:
+    """Wait while another process compiles; the system frees the lock of one that ends in any way."""
+    if fcntl is None:
+        yield
+        return
+    try:
+        file = _record().with_suffix(".lock").open("w")
+    except OSError:
+        yield
+        return
+    with file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

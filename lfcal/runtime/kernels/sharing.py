@@ -13,6 +13,8 @@ from itertools import count
 from threading import Lock
 from typing import Any
 
+import numba
+
 __all__ = ["share_out"]
 
 # Parts for each thread: enough that all threads end at about the same time.
@@ -31,9 +33,7 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 def share_out(kernel: Callable[..., Any], items: int, arguments: tuple[Any, ...]) -> None:
     """Call `kernel(begin, end, *arguments)` for parts of `range(items)`, on as many threads as Numba may use."""
-    from numba import get_num_threads
-
-    threads = min(get_num_threads(), items)
+    threads = min(numba.get_num_threads(), items)
     if threads <= 1:
         kernel(0, items, *arguments)
         return

@@ -26,27 +26,8 @@ class Signature(NamedTuple):
 
     def compile(self) -> None:
         """Compile the kernel for these types, or load it from the cache."""
-        try:
-            getattr(import_module(self.module), self.name).compile(self._decoded())
-        except BaseException:
-            # What cannot be compiled is never saved, which would let others compile it.
-            from .cache import release_locks
-
-            release_locks()
-            raise
-
-    def is_cached(self) -> bool:
-        """Whether the cache has it; True if there is no such kernel."""
-        try:
-            dispatcher = getattr(import_module(self.module), self.name).dispatcher
-            kinds = self._decoded()
-        except (ImportError, AttributeError):
-            return True
-        holds = getattr(dispatcher._cache, "holds", None)
-        return holds is None or holds(kinds, dispatcher.targetctx.codegen())
-
-    def _decoded(self) -> tuple[Any, ...]:
-        return tuple(decode_type(entry) for entry in json.loads(self.types))
+        kernel = getattr(import_module(self.module), self.name)
+        getattr(kernel, "kernel", kernel).compile(tuple(decode_type(entry) for entry in json.loads(self.types)))
 
 
 def encode_type(kind: Any) -> Any:
@@ -60,7 +41,7 @@ def encode_type(kind: Any) -> Any:
     if isinstance(kind, types.BaseTuple):
         made_by = getattr(kind, "instance_class", None)
         name = f"{made_by.__module__}:{made_by.__qualname__}" if made_by else ""
-        return ["tuple", name, *map(encode_type, _members(kind))]
+        return ["tuple", name, *map(encode_type, kind.types)]
     if isinstance(kind, types.Omitted):
         return ["omitted", kind.value]
     if isinstance(kind, (types.Integer, types.Float, types.Boolean, types.NoneType)) and not hasattr(
@@ -68,10 +49,6 @@ def encode_type(kind: Any) -> Any:
     ):
         return str(kind)
     raise TypeError(f"no name for {kind}")
-
-
-def _members(kind: Any) -> Any:
-    return kind.types
 
 
 def decode_type(entry: Any) -> Any:
@@ -97,25 +74,17 @@ def decode_type(entry: Any) -> Any:
 
 
 @cache
-def read_signatures() -> dict[str, tuple[Signature, ...]]:
-    """For each stage of each kind of flat ("analyze, 16 bit"), the kernels that Python calls, the dearest first."""
-    if not SIGNATURE_FILE.exists():
-        return {}
-    stages = json.loads(SIGNATURE_FILE.read_text(encoding="utf-8"))
-    found = {}
-    for stage, entries in stages.items():
-        names = [kernel.rpartition(".") for kernel, *_ in entries]
-        found[stage] = tuple(
-            Signature(module, name, json.dumps(kinds))
-            for (module, _, name), (_, *kinds) in zip(names, entries, strict=True)
-        )
-    return found
+def read_signatures() -> tuple[Signature, ...]:
+    """The kernels that Python calls for flats of all kinds, the dearest first."""
+    entries = json.loads(SIGNATURE_FILE.read_text(encoding="utf-8"))
+    names = [kernel.rpartition(".") for kernel, *_ in entries]
+    return tuple(
+        Signature(module, name, json.dumps(kinds))
+        for (module, _, name), (_, *kinds) in zip(names, entries, strict=True)
+    )
 
 
-def write_signatures(stages: dict[str, list[tuple[str, str, list[Any]]]]) -> None:
-    """Write the file: for each stage module, name and encoded types of each kernel."""
-    lines = []
-    for stage, entries in stages.items():
-        rows = ",\n".join("  " + json.dumps([f"{module}.{name}", *kinds]) for module, name, kinds in entries)
-        lines.append(f'"{stage}": [\n{rows}\n ]')
-    SIGNATURE_FILE.write_text("{\n " + ",\n ".join(lines) + "\n}\n", encoding="utf-8")
+def write_signatures(entries: list[tuple[str, str, list[Any]]]) -> None:
+    """Write the file: module, name and encoded types of each kernel."""
+    rows = ",\n".join(" " + json.dumps([f"{module}.{name}", *kinds]) for module, name, kinds in entries)
+    SIGNATURE_FILE.write_text(f"[\n{rows}\n]\n", encoding="utf-8")

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
+import time
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from numba import types
 
 from lfcal import FlatError
 from lfcal.runtime.console import CommandGroup, Report
-from lfcal.runtime.kernels.jit import njit
-from lfcal.runtime.kernels.observers import missed
+from lfcal.runtime.kernels import ahead
 
 
 def program_raising(error):
@@ -91,15 +90,14 @@ def test_groups_of_figures_become_rows(capsys):
     assert "telescopic 0.25" in out
 
 
-def test_compilation_is_announced_once_and_only_where_a_kernel_is_missing(capsys):
-    kernel = njit(lambda value: value + 1)
+def test_compiling_is_announced_once_and_its_seconds_are_told_apart(capsys, monkeypatch):
+    compiled = []
+    monkeypatch.setattr(ahead, "is_compiled", lambda: bool(compiled))
+    monkeypatch.setattr(ahead, "compile_once", lambda **_: compiled.append(time.sleep(0.2)) or 0)
     report = Report()
-    with report.stage("work"):
-        kernel(1)
-    assert capsys.readouterr().out == ""  # kernels without a cache are always compiled
-    for _ in range(2):
-        with report.stage("work"):
-            assert not missed(kernel, (types.int64,))
-    assert capsys.readouterr().out.count("compiling kernels") == 1
-    assert not missed(kernel, (types.int64,))
-    assert capsys.readouterr().out == ""
+    for name in ("read", "work"):
+        with report.stage(name):
+            pass
+    assert len(compiled) == 1
+    assert capsys.readouterr().out.count("compiling kernels, once per installation") == 1
+    assert report.compile_seconds >= 0.2 > sum(report.seconds.values())
