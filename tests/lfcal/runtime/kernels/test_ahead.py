@@ -10,7 +10,7 @@ from lfcal.runtime.kernels import ahead
 from lfcal.runtime.kernels.ahead import compile_ahead, compile_once, is_compiled
 from lfcal.runtime.kernels.signatures import Signature
 
-MASK, ROWS, OUT = (["array", kind, dimensions, "C", True] for kind, dimensions in (("bool", 1), ("int32", 2), ("int8", 1)))
+MASK, ROWS, OUT = (["array", kind, axes, "C", True] for kind, axes in (("bool", 1), ("int32", 2), ("int8", 1)))
 FIRST = Signature("lfrender.flat.lens_graph", "_count_in_mask", json.dumps(["int64", "int64", MASK, ROWS, OUT]))
 ABSENT = FIRST._replace(name="absent")
 
