@@ -259,11 +259,11 @@ def _measure(found: LatticeCandidate) -> tuple[Calibration, bool]:
     unexplained = doubt is not None and light.outlier_share > LIMITS.off_gain
     doubt = None if found.stated else doubt
     agreement, beside = _compare_circles(found, lattice)
-    # With half of the pixels unlike the model there is no trust in its centres.
+    # With a third of the pixels unlike the model there is no trust in its centres.
     confidence = min(
         found.start.repeatability,
         1 - max(fit.half_difference, fit.displacement) / (CALIBRATION.max_half_difference * pitch),
-        1 - 2 * light.outlier_share,
+        1 - 3 * light.outlier_share,
         CALIBRATION.unproven_confidence if doubt else 1,
     )
     camera = Calibration(

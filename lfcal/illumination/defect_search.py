@@ -43,7 +43,7 @@ def find_defects(
     -------
     defects : Defects
     share : float
-        Of the pixels that differ from the map.
+        Of the pixels of lit lenses that differ from the map.
     """
     import cv2
 
@@ -60,17 +60,17 @@ def find_defects(
         if values is large:
             # A large square that reaches over the rim of a speck does not make its middle part of it.
             differs &= small * np.sign(large) > settings.local
+        else:
+            # Large squares show errors of the map that harm no centre.
+            outside |= differs
         rows, columns = np.nonzero(differs & ~bad)
         if values is residual:
             beside = _differs_from_pixels(picture, rows, columns)
             rows, columns = rows[beside], columns[beside]
-        if values is not large:
-            # Large squares show errors of the map that harm no centre.
-            outside[rows, columns] = True
         alone = _differs_from_lenses(values, np.column_stack([columns, rows]), lattice, settings)
         bad[rows[alone], columns[alone]] = True
     pixels = np.argwhere(bad)[:, ::-1].astype(np.int32)
-    return Defects(pixels, unlit.astype(np.int32)), float(outside.mean())
+    return Defects(pixels, unlit.astype(np.int32)), float(outside.sum() / max(np.isfinite(residual).sum(), 1))
 
 
 def _compute_residuals(

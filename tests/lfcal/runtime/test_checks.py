@@ -13,7 +13,7 @@ from lfcal.runtime.checks import LIMITS
     [
         (checks.find_lattice_doubt, (LIMITS.confidence, 0.1), (0.69, 0.1)),
         (checks.find_circle_doubt, (0.6, 0.89), (0.6, 0.91)),
-        (checks.find_gain_doubt, (LIMITS.off_gain,), (0.021,)),
+        (checks.find_gain_doubt, (LIMITS.off_gain,), (0.031,)),
         (checks.find_exposure_doubt, (LIMITS.clipped,), (0.021,)),
         (checks.find_type_doubt, (3, True), (3, False)),
         (checks.find_mosaic_doubt, (False,), (True,)),
