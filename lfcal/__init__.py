@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING, Any
 
-
 if TYPE_CHECKING:
     from .boards.board import Board
     from .camera.calibration import Calibration

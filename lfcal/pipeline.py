@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .camera.calibration import Calibration
-from .images.mosaic import check_mosaic, equalise_mosaic, has_mosaic
+from .images.mosaic import check_mosaic, equalise_mosaic, find_mosaic
 from .lattice.stated import LatticeHint
 from .runtime.checks import (
     LIMITS,
     find_circle_doubt,
     find_exposure_doubt,
     find_lattice_doubt,
-    find_mosaic_doubt,
     find_type_doubt,
 )
 from .runtime.errors import CalibrationError
@@ -53,8 +52,8 @@ def calibrate(
         What the flats show; `"auto"` decides by whether microimages are evenly lit inside. Where some of several are
         white images, only these are used.
     mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"} or None
-        Colour filters over the top left 2 x 2 pixels of a flat (h, w). With None a mosaic is detected and removed,
-        but its colours are unknown and not kept.
+        Colour filters over the top left 2 x 2 pixels of a flat (h, w). With None they are found, if there are any;
+        which of them are red and which blue is a guess then, with a warning.
     pitch : float or None [px]
         Hint where a lattice is hard to find: mean distance between neighbouring centres, right to a tenth. What
         repeats at that distance is taken for microimages without further proof.
@@ -103,7 +102,8 @@ def calibrate(
     clipped = max(measure_overexposure(flat) for flat in flats)
     try:
         with threadpool_limits(1, "blas"):
-            camera = _calibrate(flats, kind, mosaic, hint)
+            filtered = mosaic is not None or any(find_mosaic(flat) for flat in flats)
+            camera = _calibrate(flats, kind, filtered and all(flat.ndim == 2 for flat in flats), hint)
     except CalibrationError as error:
         if find_exposure_doubt(clipped) is None:
             raise
@@ -111,7 +111,10 @@ def calibrate(
     exposure = find_exposure_doubt(clipped)
     if camera.source == "white" and exposure is not None:
         camera = replace(camera, warnings=(*camera.warnings, exposure))
-    return replace(camera, white_level=estimate_white_level(flats))
+    camera = replace(camera, white_level=estimate_white_level(flats), mosaic=mosaic)
+    for flat in flats:
+        camera = camera.with_mosaic_of(flat)
+    return camera
 
 
 def _read_paths(image: Any) -> Any:
@@ -128,20 +131,19 @@ def _read_paths(image: Any) -> Any:
 def _calibrate(
     flats: list[NDArray[Any]],
     kind: Literal["auto", "white", "scene"],
-    mosaic: Mosaic | None,
+    filtered: bool,
     hint: LatticeHint | None,
 ) -> Calibration:
     from .detection.downscale import average_blocks, choose_block_size, upscale_calibration
 
-    filtered = mosaic is not None or all(flat.ndim == 2 and has_mosaic(flat) for flat in flats)
     size = flats[0].shape[1], flats[0].shape[0]
     block = choose_block_size(flats[0])
     one = len(flats) == 1 and kind != "scene"
     found = _find_large(flats[0], kind, filtered, block) if one and hint is None else None
     if found is None and block > 1:
         small = hint and hint.scaled(block)
-        camera = _calibrate([average_blocks(flat, block) for flat in flats], kind, None, small)
-        return replace(upscale_calibration(camera, block, size), mosaic=mosaic)
+        camera = _calibrate([average_blocks(flat, block) for flat in flats], kind, False, small)
+        return upscale_calibration(camera, block, size)
     candidates = _find_candidates(found, flats, kind, filtered, hint)
     camera, found, unexplained = _measure_first(candidates)
     if kind == "auto" and found.white and one and (unexplained or _may_be_scene(camera)):
@@ -153,9 +155,8 @@ def _calibrate(
     doubts = (
         find_lattice_doubt(camera.confidence, found.fit.half_difference),
         types and find_type_doubt(types.count, types.ordered),
-        find_mosaic_doubt(filtered and mosaic is None),
     )
-    return replace(camera, mosaic=mosaic, warnings=(*camera.warnings, *(doubt for doubt in doubts if doubt)))
+    return replace(camera, warnings=(*camera.warnings, *(doubt for doubt in doubts if doubt)))
 
 
 def _may_be_scene(camera: Calibration) -> bool:

@@ -18,6 +18,7 @@ from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
+from ..runtime.checks import find_mosaic_doubt
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError
 from ..runtime.frozen import Frozen
 from ..runtime.image_formats import MOSAICS
@@ -61,7 +62,9 @@ class Calibration(Frozen):
         Types of microlenses of a multi-focus array; None where one type was found.
     mosaic : str or None
         Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"` or
-        `"GBRG"`; None where flats have no colour mosaic or its colours are not known.
+        `"GBRG"`; None where flats have no colour mosaic.
+    mosaic_guessed : bool
+        Whether the colour filters were found on a flat: which are red and which blue is a guess then.
     gain_map : GainMap or None
         Relative illumination at every position in every microimage; None where only `vignetting` is known.
     defects : Defects
@@ -112,6 +115,7 @@ class Calibration(Frozen):
     circle_agreement: float = float("nan")
     lens_blur: LensBlur | None = None
     encoded: bool | None = None
+    mosaic_guessed: bool = False
 
     def __post_init__(self) -> None:
         if self.mosaic not in (None, *MOSAICS):
@@ -123,6 +127,20 @@ class Calibration(Frozen):
     def image_size(self) -> tuple[int, int]:
         """Width and height of the flats this camera makes [px]."""
         return self.lattice.image_size
+
+    def with_mosaic(self, mosaic: str | None, guessed: bool = False) -> Calibration:
+        """The camera with these colour filters, and a warning if they are guessed."""
+        others = [text for text in self.warnings if text != find_mosaic_doubt(self.mosaic)]
+        doubt = find_mosaic_doubt(mosaic if guessed else None)
+        return replace(self, mosaic=mosaic, mosaic_guessed=guessed, warnings=(*others, *([doubt] if doubt else [])))
+
+    def with_mosaic_of(self, flat: NDArray[Any]) -> Calibration:
+        """The camera with the colour filters that are found on a flat (h, w), where they are not known for certain."""
+        from ..images.mosaic import find_mosaic
+
+        known = self.mosaic is not None and not self.mosaic_guessed
+        mosaic = None if known else find_mosaic(flat)
+        return self if mosaic is None else self.with_mosaic(mosaic, guessed=True)
 
     def to_dict(self) -> dict[str, Any]:
         """The camera as plain numbers and strings, as written by `save`."""
@@ -150,6 +168,7 @@ class Calibration(Frozen):
             "warnings": list(self.warnings),
             "lens_types": self.lens_types and self.lens_types.to_dict(),
             "mosaic": self.mosaic,
+            "mosaic_guessed": self.mosaic_guessed,
             "gain_map": self.gain_map and self.gain_map.to_dict(),
             "defects": self.defects.to_dict(),
             "errors": self.errors and self.errors.to_dict(),
@@ -204,6 +223,7 @@ class Calibration(Frozen):
             circle_agreement=float("nan") if circles is None else float(circles),
             lens_blur=_unpack(data, "lens_blur", LensBlur.from_dict),
             encoded=data.get("encoded"),
+            mosaic_guessed=data.get("mosaic_guessed", False),
         )
 
     def gain(self) -> NDArray[np.float32]:

@@ -119,6 +119,7 @@ class _Camera(Struct):
     optics: dict[str, Any] | None = None
     lens_blur: dict[str, Any] | None = None
     encoded: bool | None = None
+    mosaic_guessed: bool = False
 
 
 def check_fields(data: dict[str, Any]) -> None:

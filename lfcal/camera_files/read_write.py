@@ -57,7 +57,7 @@ class CameraFormat:
 
     parse: Callable[[str, tuple[int, int] | None], Calibration]  # from the text of a file and the image size
     format: Callable[[Calibration], str]  # the text of a file
-    recognise: Callable[[str], bool]  # from the first line that is not empty
+    recognise: Callable[[str], bool]  # from the first line that is neither empty nor a comment
     is_exact: bool = False  # any lattice can be written; else what was written is read again and compared
 
 
@@ -105,10 +105,11 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
         text = source.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise CameraFileError(f"{source}: cannot be read as a camera file ({error})") from error
-    first = next((line for line in text.splitlines() if line.strip()), "").strip()
+    lines = (line.strip() for line in text.splitlines())
+    first = next((line for line in lines if line and not line.startswith("#")), "")
     known = next((form for form in FORMATS.values() if form.recognise(first)), None)
     if known is None:
-        known = FORMATS[".csv" if source.suffix.lower() == ".csv" else ".json"]
+        known = FORMATS.get(source.suffix.lower(), FORMATS[".json"])
     try:
         camera = known.parse(text, image_size)
         check_plausible(camera.lattice)

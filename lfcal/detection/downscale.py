@@ -39,12 +39,12 @@ def choose_block_size(flat: NDArray[Any], settings: DownscaleSettings = DEFAULT.
     height, width = flat.shape[:2]
     if height * width < settings.large:
         return 1
-    from ..images.mosaic import has_mosaic
+    from ..images.mosaic import find_mosaic
 
     pitch = _find_pitch(flat, settings)
     block = max(1, min(int(pitch / settings.min_pitch), round(np.sqrt(height * width / settings.enough))))
     # Whole cells of a colour mosaic average to grey.
-    return block - block % 2 if block > 1 and flat.ndim == 2 and has_mosaic(flat) else block
+    return block - block % 2 if block > 1 and find_mosaic(flat) else block
 
 
 def _find_pitch(flat: NDArray[Any], settings: DownscaleSettings) -> float:

@@ -89,7 +89,7 @@ def prepare_flat(
     calibration: Calibration, image: ArrayLike, settings: CameraCheckSettings
 ) -> tuple[NDArray[Any], int, NDArray[np.float32]]:
     """A flat without its mosaic, the side of the blocks that it is reduced by, and the root of its luminance then."""
-    from ..images.mosaic import equalise_mosaic, has_mosaic, remove_mosaic
+    from ..images.mosaic import equalise_mosaic, find_mosaic, remove_mosaic
 
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     flat = np.asarray(image)
@@ -98,7 +98,7 @@ def prepare_flat(
         raise FlatError(
             f"image has shape {flat.shape}; the camera is for flats of {width} x {height} px, give one of its size"
         )
-    if flat.ndim == 2 and (calibration.mosaic is not None or has_mosaic(flat)):
+    if flat.ndim == 2 and (calibration.mosaic or find_mosaic(flat)):
         flat = remove_mosaic(equalise_mosaic(flat))
     factor = choose_factor(straighten(calibration.lattice), settings)
     return flat, factor, reduce_flat(flat, factor)

@@ -1,4 +1,4 @@
-"""Colour filter mosaics: whether a flat has one, and its light without one, at the resolution of the sensor.
+"""Colour filter mosaics: which one a flat has, and its light without it, at the resolution of the sensor.
 
 Colours are not interpolated, which would blur the lattice. The four phases of the 2 x 2 mosaic are scaled to the same
 local mean instead; where the scene is coloured, a filter with zeros at the three mosaic frequencies removes the rest.
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from ..runtime.image_formats import MOSAICS
-from .settings import MOSAIC
+from ..runtime.image_formats import MOSAICS, Mosaic
+from .settings import MOSAIC, MosaicSettings
 
-__all__ = ["check_mosaic", "equalise_mosaic", "has_mosaic", "remove_mosaic"]
+__all__ = ["check_mosaic", "equalise_mosaic", "find_mosaic", "remove_mosaic"]
 
 
 def check_mosaic(mosaic: str | None, flat: NDArray[Any]) -> None:
@@ -28,28 +28,71 @@ def check_mosaic(mosaic: str | None, flat: NDArray[Any]) -> None:
         raise FlatError(f"the flat is in colour, so it has no {mosaic} mosaic any more; give it without 'mosaic'")
 
 
-def has_mosaic(flat: NDArray[Any]) -> bool:
-    """Whether the means of the four phases of 2 x 2 cells differ significantly over a `flat` (h, w).
+def find_mosaic(flat: NDArray[Any], settings: MosaicSettings = MOSAIC) -> Mosaic | None:
+    """The colour filters over the top left 2 x 2 pixels of a `flat`, None where there are none.
 
-    Without colour filters a lattice of microimages and a scene give all four phases the same mean but for chance.
+    Behind filters, differences between neighbouring pixels are those of colours: they follow the scene, so that the
+    spectrum has peaks about the frequencies of the mosaic, which neither detail nor noise has, and lattices of whole
+    pixels only among others as high. The difference of red and blue is then the same along rows and columns where these
+    lie at the top left and bottom right, opposite where green does. Which of the two is red is a guess.
     """
-    height, width = flat.shape
-    side = min(MOSAIC.block, height // 2 * 2, width // 2 * 2)
-    rows = np.unique(np.linspace(0, height - side, MOSAIC.blocks).astype(int) // 2 * 2)
-    columns = np.unique(np.linspace(0, width - side, MOSAIC.blocks).astype(int) // 2 * 2)
-    # Summing over rows first takes half the time.
-    blocks = [flat[y : y + side, x : x + side].reshape(side // 2, 2, side) for y in rows for x in columns]
-    sums = [block.sum(0, dtype=np.float64) for block in blocks]
-    means = np.array(sums).reshape(len(sums), 2, side // 2, 2).mean(2).reshape(len(sums), 4) / (side // 2)
-    level = means.mean()
-    if not level > 0 or len(means) < 2:
-        return False
-    signs = np.array([(1, 1, -1, -1), (1, -1, 1, -1), (1, -1, -1, 1)]) / 4
-    parts = means @ signs.T / level
-    error = parts.std(0, ddof=1) / np.sqrt(len(parts))
-    difference = np.abs(parts.mean(0))
-    least = [MOSAIC.row_difference, MOSAIC.row_difference, MOSAIC.diagonal_difference]
-    return bool(((difference > least) & (difference > MOSAIC.significance * error)).any())
+    height, width = flat.shape[0] // 2 * 2, flat.shape[1] // 2 * 2
+    side = min(settings.block, height, width) // 16 * 16
+    if flat.ndim != 2 or side == 0:
+        return None
+    rows, columns = (np.unique(np.linspace(0, n - side, settings.blocks).astype(int) // 2 * 2) for n in (height, width))
+    blocks = np.array([flat[y : y + side, x : x + side] for y in rows for x in columns], dtype=np.float32)
+    means = blocks.mean((1, 2))
+    blocks = blocks[means > settings.dark * means.max()]
+    if len(blocks) == 0:
+        return None
+    alike, opposite, diagonal = _peaks(blocks, settings)
+    unlike = max(alike, opposite) > settings.unlike * min(alike, opposite)
+    if not (unlike and max(alike, opposite) > settings.peak) and not diagonal > settings.diagonal_peak:
+        return None
+    # Means of the phases in small squares: (n, 4), from left to right and from top to bottom.
+    squares = blocks.reshape(len(blocks), 8, -1, 2, 8, side // 16, 2).mean((2, 5))
+    phases = np.moveaxis(squares, 2, 3).reshape(-1, 4).astype(np.float64)
+    outer, inner = phases[:, [0, 3]], phases[:, [1, 2]]
+    # Where red and blue are hardly unlike, as on some white images, green is the brighter diagonal.
+    green_inside = alike > opposite if unlike else inner.mean() > outer.mean()
+    others, green = (outer, inner) if green_inside else (inner, outer)
+    red_first = _is_red_first(others, green.mean(1), settings)
+    if green_inside:
+        return "RGGB" if red_first else "BGGR"
+    return "GRBG" if red_first else "GBRG"
+
+
+def _peaks(blocks: NDArray[np.float32], settings: MosaicSettings) -> tuple[float, float, float]:
+    """Mean power about the frequencies of a mosaic over the highest beside them, in the upper quarter of the blocks.
+
+    Of the sum and of the difference of what alternates from row to row and from column to column, and of what
+    alternates from diagonal to diagonal.
+    """
+    side = blocks.shape[1]
+    window = np.hanning(side + 1)[:side].astype(np.float32)
+    spectrum = np.fft.fft2((blocks - blocks.mean((1, 2), keepdims=True)) * (window * window[:, None]))
+    rows, columns = (np.roll(spectrum, side // 2, axis) for axis in (1, 2))
+    power = [np.abs(one) ** 2 for one in (rows + columns, rows - columns, np.roll(rows, side // 2, 2))]
+    distance = np.hypot(*np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side)))
+    near, beside = distance < settings.near, (distance > settings.beside[0]) & (distance < settings.beside[1])
+    highest = np.array([one[:, beside].max(1) for one in power]) + 1e-9 * (np.abs(spectrum) ** 2).mean((1, 2)) + 1e-30
+    highest[:2] = highest[:2].max(0)
+    peaks = [one[:, near].mean(1) for one in power] / highest
+    alike, opposite, diagonal = np.quantile(peaks, settings.quantile, axis=1).tolist()
+    return alike, opposite, diagonal
+
+
+def _is_red_first(others: NDArray[np.float64], green: NDArray[np.float64], settings: MosaicSettings) -> bool:
+    """Whether the first of two colours (n, 2) is more likely red than blue; a guess.
+
+    Most scenes are rather warm than cold, their saturated things are rather red than blue, and materials vary more at
+    long wavelengths. All three are differences of logarithms of about one spread, so they are added.
+    """
+    first, second = np.log((others.T + 1e-6) / (green + 1e-6))
+    balance = first - second
+    spread = np.log((first.std() + settings.colour_noise) / (second.std() + settings.colour_noise))
+    return bool(balance.mean() + np.cbrt(((balance - np.median(balance)) ** 3).mean()) + spread > 0)
 
 
 def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from ..boards.detection import DetectedBoard, detect
 from ..boards.focus_sweep import focused_picture
 from ..boards.settings import CORNER, CornerSettings
 from ..camera.calibration import Calibration
-from ..images.mosaic import equalise_mosaic, has_mosaic
+from ..images.mosaic import equalise_mosaic, find_mosaic
 from ..images.preprocessing import luminance
 from .bundle_adjustment import Poses
 from .camera_model import project
@@ -54,7 +54,7 @@ class BoardFlat:
 def prepare(flat: Array, name: str, calibration: Calibration, board: Board) -> BoardFlat:
     """Divide a flat by the gain of the camera and detect the board on its all-in-focus picture."""
     pixels = np.asarray(flat)
-    mosaic = pixels.ndim == 2 and (calibration.mosaic is not None or has_mosaic(pixels))
+    mosaic = pixels.ndim == 2 and (calibration.mosaic or find_mosaic(pixels))
     light = equalise_mosaic(pixels) if mosaic else luminance(pixels).astype(np.float32)
     if calibration.gain_map is not None or calibration.vignetting is not None:
         light = calibration.flatten(light)

@@ -74,11 +74,11 @@ def find_type_doubt(count: int, ordered: bool) -> str | None:
     )  # fmt: skip
 
 
-def find_mosaic_doubt(unknown: bool) -> str | None:
-    """Whether there is a mosaic of unknown colours."""
-    return None if not unknown else (
-        "the flat has a colour filter mosaic, which was removed; name it (--mosaic RGGB, BGGR, GRBG or GBRG) "
-        "to keep it in the camera file"
+def find_mosaic_doubt(guessed: str | None) -> str | None:
+    """Colour filters that were found on a flat."""
+    return None if guessed is None else (
+        f"the flat is seen through colour filters, taken for {guessed}: where green is was measured, red and blue are "
+        "a guess; if they look exchanged, name the filters (--mosaic RGGB, BGGR, GRBG or GBRG)"
     )  # fmt: skip
 
 

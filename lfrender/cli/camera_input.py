@@ -28,8 +28,8 @@ def is_published(path: Path) -> bool:
 def read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
     """A camera file for flats of this size, with a warning if the pixels contradict it or show nothing of it.
 
-    A published one is moved onto the microimages where the flat is a crop of the sensor. Raises CameraFileError where
-    the flat shows another lattice.
+    A published one is moved onto the microimages where the flat is a crop of the sensor; colour filters that it does
+    not know are found on the flat. Raises CameraFileError where the flat shows another lattice.
     """
     from lfcal import load
 
@@ -38,7 +38,8 @@ def read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
             f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
             "'lfcal calibrate'"
         )
-    return _check_file(path, load(path, (pixels.shape[1], pixels.shape[0])), pixels)
+    calibration = _check_file(path, load(path, (pixels.shape[1], pixels.shape[0])), pixels)
+    return calibration.with_mosaic_of(_middle(pixels)[0]) if len(pixels.shape) == 2 else calibration
 
 
 def _check_file(path: Path, calibration: Calibration, pixels: NDArray[Any] | FlatSource) -> Calibration:
@@ -53,17 +54,24 @@ def _check_file(path: Path, calibration: Calibration, pixels: NDArray[Any] | Fla
 
 
 def _check(calibration: Calibration, pixels: NDArray[Any] | FlatSource) -> Any:
-    import numpy as np
-
     from lfcal import check_camera
 
-    if isinstance(pixels, np.ndarray):
-        return check_camera(calibration, pixels)
     from ..data.region import crop_lattice
 
-    size = np.array(calibration.image_size)
+    part, low, high = _middle(pixels)
+    if part is pixels:
+        return check_camera(calibration, part)
+    return check_camera(replace(calibration, lattice=crop_lattice(calibration.lattice, low, high), gain_map=None), part)
+
+
+def _middle(pixels: NDArray[Any] | FlatSource) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """A flat, or its middle where it is not in memory, and the corners of that."""
+    import numpy as np
+
+    size = np.array(pixels.shape[1::-1])
+    if isinstance(pixels, np.ndarray):
+        return pixels, np.zeros(2, int), size
     # Even, so that a colour filter mosaic keeps its phase.
     low = np.maximum(size - _CHECKED_SIDE, 0) // 4 * 2
     high = np.minimum(low + _CHECKED_SIDE, size)
-    part = replace(calibration, lattice=crop_lattice(calibration.lattice, low, high), gain_map=None)
-    return check_camera(part, pixels.read(*low.tolist(), *high.tolist()))
+    return pixels.read(*low.tolist(), *high.tolist()), low, high

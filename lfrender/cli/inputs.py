@@ -116,7 +116,7 @@ class CaptureInput:
             raise click.UsageError(f"{self.flat} is in colour already; leave out --mosaic")
         if self.camera:
             calibration = read_camera(self.camera, pixels)
-            return replace(calibration, mosaic=mosaic) if mosaic is not None else calibration
+            return calibration.with_mosaic(mosaic) if mosaic is not None else calibration
         if self.white is None:
             with console.name_file_in_errors(self.flat):
                 calibration = calibrate(pixels, mosaic=mosaic)
@@ -130,7 +130,9 @@ class CaptureInput:
             raise FlatError(f"{self.white}: white image and flat must be of one size, they have {sizes} px")
         white = self._subtract_dark(white)
         with console.name_file_in_errors(self.white):
-            return calibrate(white, kind="white", mosaic=mosaic if white.ndim == 2 else None)
+            calibration = calibrate(white, kind="white", mosaic=mosaic if white.ndim == 2 else None)
+        # Scenes show more of which filters are red.
+        return calibration.with_mosaic_of(pixels)
 
     def analyze(self, pixels: NDArray[Any], calibration: Calibration, **options: Any) -> DepthMap:
         """The depth of the file, or of the flat in colour; `options` as for `lfrender.analyze`."""

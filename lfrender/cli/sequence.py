@@ -194,21 +194,24 @@ def _count(results: list[FrameResult], seconds: float) -> dict[str, Any]:
 
 
 def _find_camera(frames: Frames, camera: Path | None, white: Path | None, dark: Path | None) -> Calibration:
-    """The camera of a white image, or of a file, which is checked against the first frame that can be read."""
+    """The camera of a white image, or of a file, with what the first frame that can be read shows of it."""
     from lfcal import FlatError, calibrate, read_flat, subtract_dark
 
+    calibration = None
     if white is not None:
         pixels = read_flat(white)
         if dark is not None:
             with console.name_file_in_errors(dark):
                 pixels = subtract_dark(pixels, read_flat(dark))
         with console.name_file_in_errors(white):
-            return calibrate(pixels, kind="white")
-    assert camera is not None
+            calibration = calibrate(pixels, kind="white")
     for frame in frames:
         try:
             pixels = frame.read()
         except FlatError:
             continue
+        if calibration is not None:
+            return calibration.with_mosaic_of(pixels)
+        assert camera is not None
         return read_camera(camera, pixels)
     raise FlatError("none of the frames can be read")

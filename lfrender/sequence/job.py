@@ -229,8 +229,7 @@ class Job:
 
     def demosaic(self, pixels: NDArray[Any]) -> NDArray[Any]:
         """The flat in colour, if the camera has a colour mosaic."""
-        mosaic = self.calibration is not None and self.calibration.mosaic is not None
-        return demosaic(pixels, self.camera(pixels)) if mosaic and pixels.ndim == 2 else pixels
+        return demosaic(pixels, self.camera(pixels)) if pixels.ndim == 2 else pixels
 
     def kept(self, frame: Frame) -> FrameResult:
         """The outcome of a frame whose picture is there already."""

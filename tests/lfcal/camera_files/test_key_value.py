@@ -48,6 +48,18 @@ def test_key_value_file_of_another_image_size_is_refused(tmp_path):
         lfcal.load(path, (200, 80))
 
 
+@pytest.mark.parametrize("before", ["# made by hand\n\n", "\n# one\n# two\n"])
+def test_key_value_file_may_begin_with_comments_and_empty_lines(make_camera, tmp_path, before):
+    path = tmp_path / "camera.cfg"
+    convert(make_camera(_HEXAGON, 30, 0), path)
+    lattice = lfcal.load(path).lattice
+    path.write_text(before + path.read_text())
+    np.testing.assert_array_equal(lfcal.load(path).lattice.origin, lattice.origin)
+    path.write_text(before + "nothing of the kind\n")
+    with pytest.raises(lfcal.CameraFileError, match="key : number"):
+        lfcal.load(path)
+
+
 def pairs(path):
     lines = (line.split(" : ") for line in path.read_text().splitlines())
     return {key: float(value) for key, value in lines}

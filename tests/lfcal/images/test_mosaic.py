@@ -1,12 +1,18 @@
-"""Flats with a colour filter mosaic: centres as good as without, for every mosaic, stated or detected."""
+"""Flats with a colour filter mosaic: centres as good as without, for every mosaic, stated or found."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 
 import lfcal
+from data_synth import SCENES, Camera, simulate
+from lfcal.images.mosaic import find_mosaic
 
+CAPTURES = Path(__file__).resolve().parents[3].parent / "shared" / "captures"
 _COLOURS = {"R": 0.45, "G": 1.0, "B": 0.6}
 
 
@@ -27,8 +33,10 @@ def test_white_image_behind_a_mosaic_places_centres_within_three_thousandths(whi
     camera = lfcal.calibrate(_filtered(image, mosaic), mosaic=mosaic if stated else None)
     assert camera.source == "white"
     assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.003
-    assert camera.mosaic == (mosaic if stated else None)
-    assert any("mosaic" in warning for warning in camera.warnings) == (not stated)
+    assert camera.mosaic_guessed != stated
+    assert any("red and blue are a guess" in warning for warning in camera.warnings) != stated
+    exchanged = mosaic.translate(str.maketrans("RB", "BR"))
+    assert camera.mosaic in ((mosaic,) if stated else (mosaic, exchanged))
 
 
 @pytest.mark.parametrize(("shape", "pitch"), [("SQUARE", 10.0), ("SQUARE", 12.0), ("HEXAGON", 14.3)])
@@ -62,3 +70,55 @@ def test_a_mosaic_of_a_colour_picture_or_of_unknown_name_is_refused(whites):
         lfcal.calibrate(np.dstack([image] * 3), mosaic="RGGB")
     with pytest.raises(ValueError, match="RGGB"):
         lfcal.calibrate(image, mosaic="RGBG")
+
+
+@pytest.mark.parametrize("mosaic", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_where_green_is_is_measured_on_a_scene_and_neither_noise_nor_jpeg_hide_it(mosaic):
+    camera = Camera.design((300, 260), 23.0, "hex", 3.0).replace(mosaic=mosaic, filters=(0.9, 1.0, 0.9))
+    flat = simulate(SCENES["house"](camera), camera, samples=4, noise=(5000, 8)).flat
+    assert find_mosaic(flat).index("G") == mosaic.index("G")
+    packed = cv2.imdecode(cv2.imencode(".jpg", flat, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], cv2.IMREAD_GRAYSCALE)
+    assert find_mosaic(packed).index("G") == mosaic.index("G")
+
+
+def test_grey_flats_have_no_mosaic_compressed_or_not(house):
+    for grey in (house.flat[..., 1], house.white):
+        grey = (grey / 257).astype(np.uint8) if grey.dtype == np.uint16 else grey
+        assert find_mosaic(grey) is None
+        for quality in (95, 75, 50):
+            packed = cv2.imencode(".jpg", np.ascontiguousarray(grey), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+            assert find_mosaic(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)) is None
+
+
+@pytest.mark.parametrize("pitch", [6, 8, 10, 12, 16, 24])
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (0.5, 0.5), (0.0, 0.5), (0.3, 0.2)])
+def test_discs_on_whole_pixels_are_no_mosaic(pitch, origin):
+    y, x = np.mgrid[:400, :400]
+    dx, dy = ((value - start + pitch / 2) % pitch - pitch / 2 for value, start in zip((x, y), origin, strict=True))
+    assert find_mosaic(np.where(np.hypot(dx, dy) < 0.43 * pitch, 200, 10).astype(np.uint8)) is None
+
+
+def test_a_guess_on_a_white_image_gives_way_to_what_a_scene_shows_and_to_what_is_stated(whites):
+    camera = Camera.design((300, 260), 23.0, "hex", 3.0).replace(mosaic="GBRG", filters=(0.9, 1.0, 0.9))
+    capture = simulate(SCENES["house"](camera), camera, samples=4)
+    found = lfcal.calibrate(capture.white)
+    scene = found.with_mosaic_of(capture.flat)
+    assert scene.mosaic == find_mosaic(capture.flat)
+    assert sum("colour filters" in warning for warning in scene.warnings) == 1
+    stated = scene.with_mosaic("GBRG")
+    assert (stated.mosaic, stated.mosaic_guessed) == ("GBRG", False)
+    assert not any("colour filters" in warning for warning in stated.warnings)
+    assert stated.with_mosaic_of(capture.flat) is stated
+    assert lfcal.Calibration.from_dict(scene.to_dict()).mosaic_guessed
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+def test_filters_of_a_raytrix_are_found_and_no_capture_without_is_taken_for_one():
+    assert find_mosaic(lfcal.read_flat(CAPTURES / "R5b.png")) == "GBRG"
+    assert find_mosaic(lfcal.read_flat(CAPTURES / "R5b.white.png")) in ("GBRG", "GRBG")
+    for path in sorted(CAPTURES.glob("*")):
+        if path.suffix not in (".png", ".tif", ".jpg") or path.name.startswith("R5b"):
+            continue
+        flat = lfcal.read_flat(path)
+        for grey in [flat] if flat.ndim == 2 else np.moveaxis(flat, 2, 0):
+            assert find_mosaic(grey) is None, path.name

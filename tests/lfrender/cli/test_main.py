@@ -393,11 +393,35 @@ def test_help_imports_nothing_heavy():
     assert result.stdout.strip().endswith("[]")
 
 
-def test_a_mosaic_flat_is_rendered_in_colour_when_its_filters_are_named(house_files, tmp_path):
+@pytest.fixture
+def raw_house(house_files, tmp_path):
+    """The flat of the house seen through filters RGGB."""
     colour = lfcal.read_flat(house_files / "flat.png")
     raw = colour[:, :, 1].copy()
     raw[::2, ::2], raw[1::2, 1::2] = colour[::2, ::2, 0], colour[1::2, 1::2, 2]
     cv2.imwrite(str(tmp_path / "raw.png"), raw)
+    return tmp_path / "raw.png"
+
+
+@pytest.mark.parametrize(
+    "command, source",
+    [("render", "-c"), ("render", "--white"), ("views", "-c"), ("batch", "-c"), ("batch", "--white"), ("batch", "")],
+)
+def test_colour_filters_that_nobody_named_are_found_on_the_flat_and_said_to_be_a_guess(
+    house_files, raw_house, tmp_path, command, source
+):
+    camera = house_files / ("camera.json" if source == "-c" else "white.png")
+    output = tmp_path / ("out" if command == "batch" else "out.png")
+    more = [source, camera] if source else []
+    more += {"views": ["--stereo"], "batch": ["--format", "png"]}.get(command, [])
+    result = run(command, raw_house, "-o", output, *more)
+    assert result.exit_code == 0, result.stderr
+    assert "red and blue are a guess" in result.stderr
+    pictures = sorted(path for path in tmp_path.rglob("*.png") if path != raw_house)
+    assert pictures and all(lfcal.read_flat(path).ndim == 3 for path in pictures)
+
+
+def test_a_mosaic_flat_is_rendered_in_colour_when_its_filters_are_named(house_files, raw_house, tmp_path):
     camera = house_files / "camera.json"
     figures_of("render", tmp_path / "raw.png", "-c", camera, "--mosaic", "RGGB", "-o", tmp_path / "picture.png")
     figures_of("render", house_files / "flat.png", "-c", camera, "-o", tmp_path / "wanted.png")
