@@ -261,10 +261,10 @@ def measure_lens_lights(
     level = _fit_level(found.light, reliable, centres, lattice, settings)
     smooth = np.empty(len(centres), np.float32)
     evaluate_levels(centres, field_frame(lattice), level, smooth)
-    # Far from all light a polynomial can be close to 0.
-    np.maximum(smooth, np.float32(1e-30), out=smooth)
+    # Far from all light a polynomial can be close to 0; squares of the ratio stay finite.
+    np.maximum(smooth, np.float32(1e-9) * np.max(found.light), out=smooth)
     # Dust darkens parts of a lens: the lens itself has the light of the polynomial. Rims scatter the light of all.
-    scatter = np.float32(_TO_SIGMA) * found.scatter / np.maximum(found.light, np.float32(1e-30))
+    scatter = np.float32(_TO_SIGMA) * found.scatter / np.where(lit, found.light, np.float32(1))
     uneven = scatter > np.maximum(noise, np.float32(settings.unevenness) * np.median(scatter[few][lit[few]]))
     # Where the map does not fit, its errors are larger than the noise of the light of a lens.
     error = np.minimum(single, scatter) / np.sqrt(np.maximum(found.weight, 1e-9))
