@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -73,7 +74,6 @@ def prepare(flat: Array, name: str, calibration: Calibration, board: Board) -> B
 
 def _other_size(image: NDArray[np.float32], board: Board, larger: bool) -> str:
     """The number of corners of another checkerboard, where there is one; or only of a `larger` one."""
-    import cv2
 
     if board.pattern != "checkerboard":
         return ""

@@ -7,7 +7,7 @@ of the reduced flat does: their pixels are those that the whole reduced flat wou
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,15 +53,18 @@ class TileReader:
 
     def read_ahead(self, parts: Iterable[Rectangle]) -> Iterator[NDArray[Any]]:
         """The pixels of each part; the file is read for the next one meanwhile."""
+        rest = iter(parts)
+        part = next(rest, None)
+        if part is None:
+            return
+        # The first one is read in this thread, which imports what reading needs before others do so beside it.
+        pixels = self._read_raw(part)
         with ThreadPoolExecutor(1) as reader:
-            waiting: tuple[Rectangle, Future[NDArray[Any]]] | None = None
-            for part in parts:
-                next_one = part, reader.submit(self._read_raw, part)
-                if waiting is not None:
-                    yield self._demosaic(waiting[0], waiting[1].result())
-                waiting = next_one
-            if waiting is not None:
-                yield self._demosaic(waiting[0], waiting[1].result())
+            for following in rest:
+                waiting = reader.submit(self._read_raw, following)
+                yield self._demosaic(part, pixels)
+                part, pixels = following, waiting.result()
+            yield self._demosaic(part, pixels)
 
     def _read_raw(self, part: Rectangle) -> NDArray[Any]:
         return self.source.read(*self._widen(part))

@@ -116,6 +116,7 @@ def _submit_frames(
     earlier: KeyFrame | None = None
     key: KeyFrame | None = None
     first: KeyFrame | None = None
+    rendered = False
     wanted = None if overwrite else job.is_missing
     for number, (frame, reading) in enumerate(_read_ahead(frames, wanted)):
         if number % tuning.segment == 0:
@@ -139,11 +140,13 @@ def _submit_frames(
         except LightFieldError as error:
             yield job.failed(frame, error)
             continue
-        # Several frames at once keep all cores busy in steps of one thread, if kernels may be called from threads.
-        if flat.nbytes <= tuning.shared_bytes and numba.threading_layer() in ("omp", "tbb"):
+        # Several frames at once keep all cores busy in steps of one thread. The first one, in this thread, imports what
+        # all need.
+        if rendered and flat.nbytes <= tuning.shared_bytes:
             yield workers.submit(job.render_frame, number, frame, flat, first)
         else:
             yield job.render_frame(number, frame, flat, first)
+            rendered = True
 
 
 def _result(outcome: FrameResult | Future[FrameResult]) -> FrameResult:
@@ -162,11 +165,13 @@ def _read_ahead(
             return None
         return frame, _call(frame.read) if wanted is None or wanted(frame) else None
 
+    # The first one is read in this thread, which imports what reading needs before others do so beside it.
+    found = read_next()
     with ThreadPoolExecutor(1) as reader:
-        waiting = reader.submit(read_next)
-        while (found := waiting.result()) is not None:
+        while found is not None:
             waiting = reader.submit(read_next)
             yield found
+            found = waiting.result()
 
 
 def _call(read: Callable[[], NDArray[Any]]) -> Future[NDArray[Any]]:

@@ -1,0 +1,141 @@
+"""Whether commands end: `python -m benchmarks.fresh_processes [COUNT] [--empty N] [--busy]`.
+
+Renders a small simulated flat in COUNT fresh processes, two at a time: in every form that flats come in, with and
+without a camera file, and with the kernels compiled before; then in N pairs of processes, each pair with one empty
+cache. `--busy` keeps all cores busy meanwhile. Printed are the processes that did not end, ended later than 10 s after
+the median of their kind, or with a code or a traceback.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import cycle, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .first_run import make_flat
+
+_ROOT = Path(__file__).parents[1]
+_LATE = 10.0  # seconds after the median of a kind
+_HUNG = 600.0  # seconds
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A process: what it rendered, how, in how many seconds, and what was wrong."""
+
+    kind: str
+    name: str
+    seconds: float
+    fault: str
+
+
+def _write_flats(folder: Path) -> dict[str, Path]:
+    """The flat in each form, by its name; the camera file beside them."""
+    import tifffile
+    from PIL import Image
+
+    colour = make_flat()
+    gray = np.rint(colour.mean(2)).astype(np.uint8)
+    flats = {}
+    for name, pixels in {"colour": colour, "gray": gray, "rgba": np.dstack([colour, np.full_like(gray, 255)])}.items():
+        for suffix in ("png", "ppm", "bmp", "jpg", "webp") if name != "rgba" else ("png",):
+            flats[f"{name} {suffix}"] = folder / f"{name}.{suffix}"
+            Image.fromarray(pixels).save(flats[f"{name} {suffix}"])
+        whole: dict[str, Any] = {
+            "8": pixels, "16": pixels.astype(np.uint16) * 257,
+            "half": (pixels / 255).astype(np.float16), "float": (pixels / 255).astype(np.float32),
+        }  # fmt: skip
+        for depth, values in whole.items():
+            flats[f"{name} tif {depth}"] = folder / f"{name}{depth}.tif"
+            shown: dict[str, Any] = {"photometric": "minisblack" if name == "gray" else "rgb"}
+            if name == "rgba":
+                shown["extrasamples"] = ["unassalpha"]
+            tifffile.imwrite(flats[f"{name} tif {depth}"], values, **shown)
+    return flats
+
+
+def _run(kind: str, name: str, arguments: list[str], flat: Path | None, cache: Path) -> _Run:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(_ROOT)}
+    start = time.perf_counter()
+    command = [sys.executable, "-m", "lfrender.cli.main", *arguments]
+    with (flat or Path(os.devnull)).open("rb") as stdin:
+        try:
+            done = subprocess.run(command, env=environment, stdin=stdin, capture_output=True, text=True, timeout=_HUNG)
+        except subprocess.TimeoutExpired:
+            return _Run(kind, name, _HUNG, "did not end")
+    fault = f"ended with {done.returncode}: {done.stderr.strip()[-300:]}" if done.returncode else ""
+    if "Traceback" in done.stderr or "Exception ignored" in done.stderr:
+        fault = f"traceback: {done.stderr.strip()[-300:]}"
+    return _Run(kind, name, time.perf_counter() - start, fault)
+
+
+def _jobs(flats: dict[str, Path], camera: Path, folder: Path, cache: Path, count: int) -> list[tuple[Any, ...]]:
+    """Arguments of `_run`: each form with and without camera, the first forms also from stdin."""
+    kinds = []
+    for name, flat in flats.items():
+        kinds.append(("calibrated", name, ["render", str(flat)], None))
+        kinds.append(("with camera", name, ["render", str(flat), "-c", str(camera)], None))
+        kinds.append(("analyze", name, ["analyze", str(flat), "-c", str(camera)], None))
+        if "tif" in name or "png" in name:
+            kinds.append(("stdin", name, ["render", "-", "-c", str(camera)], flat))
+    jobs = []
+    for number, (kind, name, arguments, flat) in enumerate(islice(cycle(kinds), count)):
+        output = folder / f"{number}{'.npz' if kind == 'analyze' else '.tif'}"
+        jobs.append((kind, name, [*arguments, "-o", str(output), "--preset", "fast", "--quiet"], flat, cache))
+    return jobs
+
+
+def main() -> None:
+    """Print how the processes of each kind ended; the code is 1 if one did not as it should."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("count", type=int, nargs="?", default=200)
+    parser.add_argument("--empty", type=int, default=2)
+    parser.add_argument("--busy", action="store_true")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        flats = _write_flats(folder)
+        camera, cache = folder / "camera.json", folder / "cache"
+        prepare = [sys.executable, "-m", "lfcal.cli.main", "calibrate", str(flats["colour png"]), "-o", str(camera)]
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(_ROOT)}
+        subprocess.run(prepare, env=environment, check=True, capture_output=True)
+        loop = [sys.executable, "-c", "while True: pass"]
+        busy = [subprocess.Popen(loop) for _ in range(os.cpu_count() or 1)] if options.busy else []
+        try:
+            jobs = _jobs(flats, camera, folder, cache, options.count)
+            for number in range(options.empty):
+                pair = _jobs(flats, camera, folder, folder / f"empty{number}", 2)
+                jobs += [("empty cache", *job[1:]) for job in pair]
+            with ThreadPoolExecutor(2) as pool:
+                runs = list(pool.map(lambda job: _run(*job), jobs))
+        finally:
+            for process in busy:
+                process.kill()
+    faults = 0
+    for kind in dict.fromkeys(run.kind for run in runs):
+        same = [run for run in runs if run.kind == kind]
+        median = statistics.median(run.seconds for run in same)
+        latest = max(run.seconds for run in same)
+        print(f"{kind:12} {len(same):4} processes, median {median:6.1f} s, latest {latest:6.1f} s", flush=True)
+        for run in same:
+            fault = run.fault or ("late" if run.seconds > median + _LATE and kind != "empty cache" else "")
+            if fault:
+                faults += 1
+                print(f"  {run.name}: {run.seconds:.1f} s, {fault}")
+    print(f"{len(runs) - faults} of {len(runs)} processes ended as they should")
+    sys.exit(bool(faults))
+
+
+if __name__ == "__main__":
+    main()
