@@ -21,25 +21,35 @@ from lfcal.runtime.output_file import atomic_write
 from ..data.depth_map import DepthMap
 from ..data.frame_state import FrameState, LocalMatch
 from ..data.region import rescale_depth
+from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_connected, dilate_mask, neighbour_rows, opposite_neighbours
 from ..flat.texture import LensStatistics, classify_texture, sample_statistics
 from ..flat.validation import check_flat
 from ..runtime.cache import cached
 from .changed_lenses import find_changed_lenses
+from .edges.locate_edges import locate_edges, places_of_lenses, refine_grid
 from .matching.matcher import Matcher
 from .matching.shortcuts import Shortcuts
 from .pipeline import estimate_depth_map, estimate_lens_by_lens, prepare_flat
 from .planes.settings import PLANE
 from .presets import PRESETS
+from .same_surface import TOLERANCE
 from .settings import INCREMENTAL, IncrementalSettings
+from .surface.scene_grid import grid_shape
 from .validity.textureless import find_textureless
 
 __all__ = ["changed_since", "find_moved", "load_reference_match", "save_reference_match", "update_depth"]
 
 
 def update_depth(
-    flat: NDArray, calibration: Calibration, preset: str, shortcuts: Shortcuts, earlier: NDArray, before: DepthMap
+    flat: NDArray,
+    calibration: Calibration,
+    preset: str,
+    shortcuts: Shortcuts,
+    edges: bool,
+    earlier: NDArray,
+    before: DepthMap,
 ) -> DepthMap:
     """Estimate the depth of a frame from the `earlier` frame and its depth, `before`; arguments as for `analyze`.
 
@@ -72,17 +82,44 @@ def update_depth(
             return replace(before, saved=saved, frame_state=state)
     if not kept.any():
         depth = estimate_depth_map(gray, small, preset, shortcuts)
+        depth = locate_edges(gray, small, depth) if edges else depth
         state.reference, state.kept = None, None
         return replace(rescale_depth(depth, lattice, factor), frame_state=state)
     near = dilate_mask(dilate_mask(~kept, neighbours), neighbours)
     blank = find_textureless(gray, small, statistics, PRESETS[preset], asked=near) if shortcuts.blank else None
     old = rescale_depth(before, small, 1 / factor)
-    depth, _ = estimate_lens_by_lens(gray, small, preset, shortcuts, statistics, blank, kept, old)
+    start = replace(old, surface=_coarse_surface(old.surface, small, preset))
+    depth, _ = estimate_lens_by_lens(gray, small, preset, shortcuts, statistics, blank, kept, start)
+    if edges:
+        depth = _locate_new_edges(gray, small, depth, old.surface, dilate_mask(~kept, neighbours))
     after = replace(rescale_depth(depth, lattice, factor, {**depth.saved, **saved}), frame_state=state)
     if gray.image.nbytes <= INCREMENTAL.max_cached:
         # The strips that were cut out of it are kept as well.
         _latest_frame(calibration)[:] = [(weakref.ref(after), gray, statistics)]
     return after
+
+
+def _coarse_surface(surface: Surface, lattice: Lattice, preset: str) -> Surface:
+    """The surface on the grid that it has before edges are located."""
+    _, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
+    finer = round(spacing / surface.spacing)
+    return surface if finer <= 1 else Surface(surface.patch_size[::finer, ::finer].copy(), first, spacing)
+
+
+def _locate_new_edges(
+    gray: GrayFlat, lattice: Lattice, depth: DepthMap, old: Surface, changed: NDArray[np.bool_]
+) -> DepthMap:
+    """The depth map with its edges about the lenses that have `changed` (n,), and as in the `old` surface elsewhere."""
+    after = locate_edges(gray, lattice, depth, changed)
+    new, values = after.surface, after.surface.patch_size
+    finer = round(new.spacing / old.spacing)
+    if finer > 1:
+        values = refine_grid(values, finer, TOLERANCE * lattice.pitch)
+        new = Surface(values, old.first, old.spacing)
+    if values.shape != old.patch_size.shape:
+        return after
+    keep = ~places_of_lenses(changed, lattice, new)
+    return replace(after, surface=replace(new, patch_size=np.where(keep, old.patch_size, values)))
 
 
 def _check_previous(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,8 @@ class Preset:
         return max(1, min(_MAX_REDUCTION, int(pitch / self.least_pitch)))
 
 
+_BALANCED = Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5)
+
 PRESETS = {
     "fast": Preset(
         search_pitch=16,
@@ -47,6 +49,6 @@ PRESETS = {
         surface_cells=5,
         second_layer=False,
     ),
-    "balanced": Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5),
-    "accurate": Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8, edges=True),
+    "balanced": _BALANCED,
+    "accurate": replace(_BALANCED, edges=True),
 }

@@ -22,6 +22,8 @@ from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_source
 from ..data.region import rescale_depth
 from ..data.surface import Surface
+from ..depth.edges.locate_edges import locate_edges, refine_grid
+from ..depth.edges.settings import DEFAULT as EDGES
 from ..depth.matching.matcher import Matcher
 from ..depth.matching.shortcuts import Shortcuts
 from ..depth.pipeline import SceneStatistics, UnsmoothedEstimates, estimate_lens_by_lens
@@ -30,6 +32,7 @@ from ..depth.planes.detection import add_systematic_error, correlate_with_plane,
 from ..depth.planes.plane_fit import Plane, fit_plane
 from ..depth.planes.settings import PLANE
 from ..depth.presets import PRESETS
+from ..depth.same_surface import TOLERANCE
 from ..depth.surface.scene_grid import grid_shape
 from ..depth.validity.settings import CLASSIFY
 from ..depth.validity.textureless import find_textureless
@@ -188,7 +191,10 @@ def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> tu
     blank = None
     if flat.shortcuts.blank:
         blank = find_textureless(gray, part.lattice, plain, PRESETS[flat.preset], flat.overview.raw_noise)
-    return estimate_lens_by_lens(gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview)
+    depth, single = estimate_lens_by_lens(
+        gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview
+    )
+    return (locate_edges(gray, part.lattice, depth) if PRESETS[flat.preset].edges else depth), single
 
 
 def _match_on_plane(
@@ -240,7 +246,8 @@ def _analyze_tiles(
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
     confidence, reason, filled = np.zeros(n, np.float32), np.ones(n, np.int8), np.zeros(n, np.float32)
     single = UnsmoothedEstimates(np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32), np.full(n, np.inf))
-    surface = np.empty(shape, np.float32)
+    finer = EDGES.finer if PRESETS[preset].edges else 1
+    surface = np.empty((shape[0] * finer, shape[1] * finer), np.float32)
     saved: dict[str, float] = {}
     found = workers.map(_analyze_tile, flat, tiles, [part.rectangle for part in tiles])
     for number, (part, (depth, own)) in enumerate(zip(tiles, found, strict=True)):
@@ -251,7 +258,7 @@ def _analyze_tiles(
             (single.standard_error, own.standard_error), (single.systematic_error, own.systematic_error),
         ):  # fmt: skip
             into[rows] = some[part.inside]
-        _paste(surface, depth.surface, part, spacing)
+        _paste(surface, depth.surface, part, spacing, finer)
         for name, share in depth.saved.items():
             saved[name] = saved.get(name, 0.0) + share * len(rows) / n
         if progress is not None:
@@ -270,25 +277,33 @@ def _analyze_tiles(
         )
     if plane is not None:
         return plane_depth_map(plane, lattice, preset, reason, confidence, saved)
+    corner = first[0] - 0.5 * (1 - 1 / finer) * spacing
+    fine = Surface(surface, (corner, corner), spacing / finer)
     return DepthMap(
-        patch_size, error, confidence, filled, Surface(surface, first, spacing), lattice.pitch, lattice.image_size,
+        patch_size, error, confidence, filled, fine, lattice.pitch, lattice.image_size,
         preset, reason, saved,
     )  # fmt: skip
 
 
-def _paste(target: NDArray[np.float32], surface: Surface, part: LensTile, spacing: float) -> None:
-    """Copy the cells of the surface that lie in a tile from the tile's own surface."""
-    rows, columns = surface.patch_size.shape
-    u, v = np.rint(part.corner / spacing).astype(int).tolist()
+def _paste(target: NDArray[np.float32], surface: Surface, part: LensTile, spacing: float, finer: int) -> None:
+    """Copy the cells of the surface that lie in a tile from the tile's own surface.
+
+    Cells are `spacing` [px] wide, and have `finer` values of the `target` each way.
+    """
+    values = surface.patch_size
+    if round(spacing / surface.spacing) < finer:
+        values = refine_grid(values, finer, TOLERANCE * part.lattice.pitch)
+    rows, columns = values.shape
+    u, v = (np.rint(part.corner / spacing).astype(int) * finer).tolist()
     # The grid begins at the border of the first pixel, as the tiles do.
-    left, top = (int(np.ceil((at + 0.5) / spacing)) for at in part.core[:2])
+    left, top = (int(np.ceil((at + 0.5) / spacing)) * finer for at in part.core[:2])
     right, bottom = (
-        int(np.ceil((at + 0.5) / spacing)) if np.isfinite(at) else count
+        int(np.ceil((at + 0.5) / spacing)) * finer if np.isfinite(at) else count
         for at, count in zip(part.core[2:], target.shape[::-1], strict=True)
     )
     at_v = np.minimum(np.arange(top, bottom) - v, rows - 1)
     at_u = np.minimum(np.arange(left, right) - u, columns - 1)
-    target[top:bottom, left:right] = surface.patch_size[at_v[:, None], at_u]
+    target[top:bottom, left:right] = values[at_v[:, None], at_u]
 
 
 def _check_plane(

@@ -292,11 +292,7 @@ class Job:
         file = self.depth_file(key)
         if not file.exists():
             camera = self.camera(flat)
-            # Depth edges are not updated from frame to frame; pictures would change from the first to the second one.
-            if earlier is None:
-                depth = analyze(flat, camera, self.preset, edges=False)
-            else:
-                depth = self._analyze_after(earlier, flat)
+            depth = analyze(flat, camera, self.preset) if earlier is None else self._analyze_after(earlier, flat)
             if self.scale is None:
                 self.scale = default_scale(depth)
             if self.views is not None and self.still is None:

@@ -1,9 +1,13 @@
-"""How well the pixels of a microimage match those of other lenses, at one depth each."""
+"""How well the pixels of a microimage match those of other lenses, at one depth each.
+
+Work is done on boxes of pixels, one line each with `stride` pixels a row, in vector loops.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
 from ..depth_order import depth_order
@@ -11,155 +15,190 @@ from .microimage import LEFT_OUT
 
 __all__ = ["allow_mismatch", "compare_depth"]
 
-# Other lenses that a pixel is compared with, at most.
-_VIEWS = 10
-# Steps to the pixels of a patch: above, on the left, none, on the right, below.
-_DOWN = (-1, 0, 0, 0, 1)
-_ACROSS = (0, -1, 0, 1, 0)
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def allow_mismatch(light, stride, number, c, allowed):
+    """The mismatch that noise, blur and resampling explain, for each pixel with the four beside it."""
+    down, one, fifth = np.uint64(stride), np.uint64(1), np.float32(0.2)
+    share, noise2 = fifth * c.contrast, c.noise2
+    for n in range(np.uint64(number - 2 * stride)):
+        p = n + down
+        a, b, d, e, f = light[p - down], light[p - one], light[p], light[p + one], light[p + down]
+        mean = fifth * (a + b + d + e + f)
+        a, b, d, e, f = a - mean, b - mean, d - mean, e - mean, f - mean
+        allowed[p] = share * (a * a + b * b + d * d + e * e + f * f) + noise2
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def allow_mismatch(image, left, top, size, c, work):
-    """The mismatch that noise, blur and resampling explain, for an open pixel with the four beside it."""
-    for row in range(size):
-        for column in range(size):
-            if not work.open[row, column]:
-                continue
-            contrast = np.float32(0.0)
-            for channel in range(3):
-                total, squares = np.float32(0.0), np.float32(0.0)
-                for e in range(5):
-                    value = image[top + row + _DOWN[e], left + column + _ACROSS[e], channel]
-                    total += value
-                    squares += value * value
-                contrast += squares / 5 - (total / 5) ** 2
-            work.allowed[row * size + column] = c.contrast * contrast + c.noise2
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _square_differences(light, pixels, there, width, x, y, shift_x, fx, fy, radius, at, count, apart, seen):
+    """Squared differences of `count` pixels from place `at` on from those `there`, a fraction of a pixel on, and which
+    of them lie in the microimage: `y` below its middle, and `shift_x` more than `x` beside it.
+
+    Where it ends, 2 px beyond its `radius`, there are no differences.
+    """
+    w11 = fx * fy
+    w01, w10 = fx - w11, fy - w11
+    w00 = np.float32(1.0) - fx - w10
+    inner, outer = np.float32(radius * radius - y * y), np.float32((radius + 2) ** 2 - y * y)
+    one, down, beside = np.uint64(1), np.uint64(width), np.uint64(width + 1)
+    none, some, first = np.float32(0), np.float32(1), np.uint64(there)
+    for n in range(np.uint64(count)):
+        p, q = at + n, first + n
+        e = w00 * pixels[q] + w01 * pixels[q + one] + w10 * pixels[q + down] + w11 * pixels[q + beside] - light[p]
+        dx = x[p] + shift_x
+        away = dx * dx
+        apart[p] = e * e if away <= outer else none
+        seen[p] = some if away <= inner else none
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, _nrt=False)
-def _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, lenses, before, work):
-    """Fill a row of `apart` and `seen` for another lens, (to_x, to_y) from this one."""
-    height, width, pitch = image.shape[0], image.shape[1], lenses.pitch
-    wider = lenses.radius + 2
-    radius2, wider2 = np.float32(lenses.radius * lenses.radius), np.float32(wider * wider)
-    # Pixel (column, row) is at the same place under the other lens if the slope is 0.
-    start_x, start_y = np.float32(left + to_x - other_x), np.float32(top + row + to_y - other_y)
-    centre_x, centre_y, to_x, to_y = np.float32(other_x), np.float32(other_y), np.float32(to_x), np.float32(to_y)
-    seen, apart, wanted = work.seen[row * size :], work.apart[row * size :], work.wanted[row * size :]
-    slopes, one = work.slope[k, row], np.uint32(1)
-    seen[:size] = 0
-    for column in range(work.columns[row, 0], work.columns[row, 1]):
-        dx, dy = start_x + np.float32(column) + to_x * slopes[column], start_y + to_y * slopes[column]
-        away, x, y = dx * dx + dy * dy, centre_x + dx, centre_y + dy
-        if away > wider2 or x < 2 or y < 2 or x >= width - 3 or y >= height - 3:
-            apart[column] = 0
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _leave_out_occluded(before, there, nearest, pitch, at, count, seen):
+    """Unset `seen` where pixels `there` showed something beyond `nearest` in the order of depths."""
+    none, two, first = np.float32(0), np.float32(2 * pitch), np.uint64(there)
+    for n in range(np.uint64(count)):
+        s = before[first + n]
+        order = s if s > none else s + two
+        seen[at + n] = none if order > nearest else seen[at + n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look(pixels, shape, before, left, top, first, last, stride, to_x, to_y, lenses, work):
+    """Fill `apart` and `seen` in rows `first` to `last` for another lens, (to_x, to_y) from this one."""
+    height, width, pitch, apart, seen = shape[0], shape[1], lenses.pitch, work.apart, work.seen
+    for row in range(first, last):
+        # All pixels of a row are shifted alike.
+        at, slope = np.uint64(row * stride), work.slopes[row]
+        shift_x, shift_y = to_x * slope, to_y * slope
+        x, y = left + to_x + shift_x, top + row + to_y + shift_y
+        i, j = int(np.floor(x)), int(np.floor(y))
+        there = j * width + i
+        if j < 2 or j >= height - 3 or there < 0 or there + stride + width + 1 >= len(pixels):
+            for n in range(stride):
+                apart[row * stride + n], seen[row * stride + n] = 0, 0
             continue
-        i, j = np.uint32(x), np.uint32(y)
-        fx, fy = x - np.float32(i), y - np.float32(j)
-        w11 = fx * fy
-        w01, w10 = fx - w11, fy - w11
-        w00 = np.float32(1.0) - fx - w10
-        squares = np.float32(0.0)
-        for channel in range(3):
-            step = w00 * image[j, i, channel] + w01 * image[j, i + one, channel] + w10 * image[j + one, i, channel]
-            step += w11 * image[j + one, i + one, channel] - image[top + row, left + column, channel]
-            squares += step * step
-        apart[column] = squares
-        if away <= radius2 and wanted[column]:
-            if before.size > 1:
-                there = before[np.int32(y + np.float32(0.5)), np.int32(x + np.float32(0.5))]
-                if depth_order(there, pitch) > depth_order(work.value[k, row, column], pitch) + lenses.gap:
-                    continue
-            seen[column] = 1
+        down = work.y[at] + shift_y
+        _square_differences(work.light, pixels, there, width, work.x, down, np.float32(shift_x),
+                            np.float32(x - i), np.float32(y - j), lenses.radius, at, stride, apart, seen)  # fmt: skip
+        if i < 2 or i + stride >= width - 3:
+            for n in range(stride):
+                if i + n < 2 or i + n >= width - 3:
+                    seen[row * stride + n] = 0
+        if before.size > 1:
+            there = int(y + 0.5) * width + int(np.floor(x + 0.5))
+            nearest = np.float32(depth_order(slope * pitch, pitch) + lenses.gap)
+            _leave_out_occluded(before, there, nearest, pitch, at, stride, seen)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _add_lens(first, end, size, leave_out, work):
-    """Add the mismatch of pixels `first` to `end` with another lens; returns how many of them want no further one."""
-    seen, allowed, mismatch = work.seen[first:end], work.allowed[first:end], work.mismatch[first:end]
-    total, count, wanted = work.sum[first:end], work.count[first:end], work.wanted[first:end]
-    for p in range(end - first):
-        mismatch[p] = 0
-    for e in range(5):
-        apart = work.apart[first + _DOWN[e] * size + _ACROSS[e] :]
-        for p in range(end - first):
-            mismatch[p] += np.float32(0.2) * apart[p]
-    for p in range(end - first):
-        mismatch[p] *= seen[p] / (mismatch[p] + allowed[p])
-        total[p] += mismatch[p]
-        count[p] += seen[p]
-    for n in range(leave_out):
-        worst = work.worst[n, first:end]
-        for p in range(end - first):
-            worst[p], mismatch[p] = max(worst[p], mismatch[p]), min(worst[p], mismatch[p])
-    full = 0
-    for p in range(end - first):
-        done = wanted[p] and count[p] >= _VIEWS
-        full += done
-        wanted[p] = wanted[p] and not done
-    return full
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _add_lens(apart, seen, allowed, first, last, stride, leave_out, views, wanted, total, count, worst, mismatch):
+    """Add the mismatch of patches with another lens; pixels that have enough views want no further one."""
+    begin, number = np.uint64(first * stride), np.uint64((last - first) * stride)
+    one, down, fifth = np.uint64(1), np.uint64(stride), np.float32(0.2)
+    for n in range(number):
+        p = begin + n
+        e = fifth * (apart[p] + apart[p - one] + apart[p + one] + apart[p - down] + apart[p + down])
+        mismatch[p] = seen[p] * wanted[p] * e / (e + allowed[p])
+    for n in range(number):
+        total[begin + n] += mismatch[begin + n]
+    for n in range(number):
+        count[begin + n] += seen[begin + n] * wanted[begin + n]
+    for m in range(leave_out):
+        at = np.uint64(m * len(total)) + begin
+        for n in range(number):
+            w, e = worst[at + n], mismatch[begin + n]
+            worst[at + n], mismatch[begin + n] = max(w, e), min(w, e)
+    for n in range(number):
+        p = begin + n
+        wanted[p] = wanted[p] if count[p] < views else np.float32(0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _start_depth(k, size, work):
-    """Clear what is known of the comparison at depth k; returns how many pixels may show it."""
-    number = 0
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _is_done(wanted, row, stride):
+    """Whether no pixel of a row wants a further lens."""
+    left, at = np.float32(0), np.uint64(row * stride)
+    for n in range(np.uint64(stride)):
+        left += wanted[at + n]
+    return left == 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _start_depth(k, size, stride, pitch, work):
+    """Find the pixels that may show depth k, and their mean patch size [pitch] in each row, of all rows where there are
+    none; returns the first row and the end of them, and the mean [pitch]."""
+    among, present, wanted, value, slopes = work.among, work.present, work.wanted, work.value, work.slopes
+    first, last, every, amount = size, 0, 0, 0.0
     for row in range(size):
-        first, end = size, 0
-        for beside in range(max(0, row - 1), min(size, row + 2)):
-            for column in range(size):
-                if work.open[beside, column] and work.present[k, beside, column]:
-                    first, end = min(first, column - 1), max(end, column + 2)
-        work.columns[row, 0], work.columns[row, 1] = max(0, first), min(size, end)
-        for column in range(size):
-            wanted = work.open[row, column] and work.present[k, row, column]
-            work.wanted[row * size + column] = wanted
-            number += wanted
-    work.count[:], work.sum[:], work.worst[:] = 0, 0, 0
-    return number
+        number, total = 0, 0.0
+        for p in range(row * stride + work.left[row], row * stride + work.right[row]):
+            if among[p] > 1 and present[k, p] > 0:
+                wanted[p] = 1
+                number, total = number + 1, total + value[k, p]
+        slopes[row] = total / (number * pitch) if number else np.nan
+        if number:
+            every, amount, first, last = every + number, amount + total, min(first, row), row + 1
+    mean = amount / (max(every, 1) * pitch)
+    for row in range(size):
+        slopes[row] = mean if np.isnan(slopes[row]) else slopes[row]
+    return first, last, mean
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _mean_of_best(p, share, c, work):
-    """Mean of the `share` of the mismatches of a pixel that are the least."""
-    count = int(work.count[p])
-    if count == 0:
-        return c.unseen
-    number, total = max(1, int(share * count + 0.5), count - LEFT_OUT), work.sum[p]
-    for n in range(count - number):
-        total -= work.worst[n, p]
-    return max(total, 0) / number
+@njit(cache=True, nogil=True, error_model="numpy")
+def _finish_depth(k, first, last, stride, share, c, work):
+    """Add the mean of the `share` of the mismatches of each pixel that are the least to its cost of depth k."""
+    among, present, cost, number, total, worst = (
+        work.among, work.present, work.cost, work.count, work.sum, work.worst
+    )  # fmt: skip
+    for row in range(first, last):
+        for p in range(row * stride + work.left[row], row * stride + work.right[row]):
+            if among[p] > 1 and present[k, p] > 0:
+                count, mismatch = int(number[p]), c.unseen
+                if count > 0:
+                    counted, mismatch = max(1, int(share * count + 0.5), count - LEFT_OUT), total[p]
+                    for m in range(count - counted):
+                        mismatch -= worst[m * len(total) + p]
+                    mismatch = max(mismatch, np.float32(0.0)) / np.float32(counted)
+                cost[k, p] += mismatch
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def compare_depth(image, lens, k, share, left, top, size, lenses, before, c, work):
+@njit(cache=True, nogil=True, error_model="numpy")
+def compare_depth(pixels, shape, lens, k, share, left, top, size, stride, lenses, before, c, work):
     """Add the mismatch with other lenses to the costs of depth k, for the pixels that may show it.
 
     The least `share` of the mismatches counts. If `before` is known, lenses that it finds occluded are left out.
+    `pixels` and `before` are pictures of this `shape` in one line.
     """
     rows, low, ring, centres = lenses.rows, lenses.low, lenses.ring, lenses.centres
+    apart, seen, wanted = work.apart, work.seen, work.wanted
+    wanted[:] = 0
+    first, last, slope = _start_depth(k, size, stride, lenses.pitch, work)
+    if last == 0:
+        return
+    work.sum[:], work.count[:], work.worst[:] = 0, 0, 0
     at_i, at_j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
-    wanting, leave_out = _start_depth(k, size, work), LEFT_OUT if share < 1 else 0
-    slope = work.depths[k] / lenses.pitch
+    leave_out = LEFT_OUT if share < 1 else 0
+    first, last = max(first, 1), min(last, size - 1)
+    upper, lower = first, last
     for r in range(1, len(ring)):
-        if wanting == 0:
-            break
         ci, cj = at_i + ring[r, 0], at_j + ring[r, 1]
         if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1] or rows[cj, ci] < 0:
             continue
-        other_x, other_y = centres[rows[cj, ci], 0], centres[rows[cj, ci], 1]
-        to_x, to_y = other_x - centres[lens, 0], other_y - centres[lens, 1]
-        # The rows that both microimages show, a little more for pixels that show another depth.
-        more = lenses.radius + lenses.gap * (abs(to_x) + abs(to_y)) / lenses.pitch + 1
-        if np.hypot(to_x, to_y) * abs(slope) > lenses.radius + more:
+        other = rows[cj, ci]
+        to_x, to_y = centres[other, 0] - centres[lens, 0], centres[other, 1] - centres[lens, 1]
+        if (to_x * to_x + to_y * to_y) * slope * slope > 4 * lenses.radius * lenses.radius:
             continue
+        # Rows that both microimages show, and that want further lenses.
         middle = centres[lens, 1] - to_y * slope - top
-        first, end = max(1, int(middle - more)), min(size - 1, int(middle + more) + 2)
-        for row in range(first, end):
-            _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, lenses, before, work)
-        if first < end:
-            wanting -= _add_lens(first * size, end * size, size, leave_out, work)
-    for row in range(size):
-        for column in range(size):
-            if work.open[row, column] and work.present[k, row, column]:
-                work.cost[k, row, column] += _mean_of_best(row * size + column, share, c, work)
+        begin, end = max(upper, int(middle - lenses.radius)), min(lower, int(middle + lenses.radius) + 2)
+        if begin >= end:
+            continue
+        # Patches reach a row further.
+        _look(pixels, shape, before, left, top, begin - 1, end + 1, stride, to_x, to_y, lenses, work)
+        _add_lens(apart, seen, work.allowed, begin, end, stride, leave_out, c.views, wanted, work.sum, work.count,
+                  work.worst, work.mismatch)  # fmt: skip
+        while upper < lower and _is_done(wanted, upper, stride):
+            upper += 1
+        while upper < lower and _is_done(wanted, lower - 1, stride):
+            lower -= 1
+        if upper >= lower:
+            break
+    _finish_depth(k, first, last, stride, share, c, work)

@@ -17,7 +17,7 @@ _DEPTHS = 8
 _TOGETHER = 4
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _central_lenses(lenses, x, y, near, distance2):
     """Rows of the lenses nearest to scene point (x, y), the nearest first; returns how many there are."""
     inverse, origin, rows, low = lenses.inverse, lenses.origin, lenses.rows, lenses.low
@@ -25,7 +25,7 @@ def _central_lenses(lenses, x, y, near, distance2):
     across, down = x - origin[0], y - origin[1]
     i = int(np.floor(inverse[0, 0] * across + inverse[1, 0] * down + 0.5)) - low[0]
     j = int(np.floor(inverse[0, 1] * across + inverse[1, 1] * down + 0.5)) - low[1]
-    for r in range(len(ring)):
+    for r in range(min(len(ring), 3 * most)):
         ci, cj = i + ring[r, 0], j + ring[r, 1]
         if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1] or rows[cj, ci] < 0:
             continue
@@ -42,26 +42,27 @@ def _central_lenses(lenses, x, y, near, distance2):
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _vote(pixels, lenses, near, distance2, found, x, y, s):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _vote(pixels, centres, radius, pitch, gap, near, found, x, y, s):
     """Share of the lenses that show scene point (x, y) at depth `s`, and the mean patch size that they show."""
-    slope, votes, voters, size = s / lenses.pitch, 0.0, 0.0, 0.0
+    slope, votes, voters, size = s / pitch, 0.0, 0.0, 0.0
     for n in range(found):
-        if distance2[n] * slope * slope > lenses.radius * lenses.radius:
-            break
-        cx, cy = lenses.centres[near[n], 0], lenses.centres[near[n], 1]
-        u, v = int(cx - (x - cx) * slope + 0.5), int(cy - (y - cy) * slope + 0.5)
+        cx, cy = centres[near[n], 0], centres[near[n], 1]
+        dx, dy = (x - cx) * slope, (y - cy) * slope
+        if dx * dx + dy * dy > radius * radius:
+            continue
+        u, v = int(cx - dx + 0.5), int(cy - dy + 0.5)
         if u < 0 or v < 0 or v >= pixels.shape[0] or u >= pixels.shape[1] or np.isnan(pixels[v, u]):
             continue
         weight = 1.5 if n == 0 else 1.0
         voters += weight
-        if abs(pixels[v, u] - s) < lenses.gap:
+        if abs(pixels[v, u] - s) < gap:
             votes += weight
             size += weight * pixels[v, u]
-    return (votes / (voters), size / votes) if votes > 0 else (0.0, s)
+    return (votes / voters, size / votes) if votes > 0 else (0.0, s)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _list_depths(surface, v, first, end, reach, gap, depths):
     """Depths of the surface within `reach` [grid values] of points `first` to `end` of row v, their own first.
 
@@ -92,7 +93,7 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
     Parameters
     ----------
     pixels : (H, W) float32 [px]
-        Patch size that each pixel of the microimages shows, NaN between them.
+        Patch size that each pixel of the microimages shows, NaN where none was measured.
     lenses : LensArray
     surface : (rows, columns) float32 [px]
         Depths of a point are those of the `surface` within `reach` [grid values].
@@ -106,6 +107,7 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
     """
     fine = out.shape[0] // surface.shape[0]
     near, distance2, depths = np.empty(voters, np.int64), np.empty(voters), np.empty(_DEPTHS)
+    centres, radius, pitch, gap = lenses.centres, lenses.radius, lenses.pitch, lenses.gap
     for v in range(begin, end):
         number, listed = 0, 0
         for u in range(surface.shape[1]):
@@ -113,16 +115,17 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
                 continue
             if u >= listed:
                 listed = min(u + _TOGETHER, surface.shape[1])
-                number = _list_depths(surface, v, u, listed, reach, lenses.gap, depths)
+                number = _list_depths(surface, v, u, listed, reach, gap, depths)
+            found = _central_lenses(lenses, grid.first + u * grid.spacing, grid.first + v * grid.spacing, near,
+                                    distance2)  # fmt: skip
             for part in range(fine * fine):
                 row, column = v * fine + part // fine, u * fine + part % fine
                 x = grid.first + ((column + 0.5) / fine - 0.5) * grid.spacing
                 y = grid.first + ((row + 0.5) / fine - 0.5) * grid.spacing
-                found = _central_lenses(lenses, x, y, near, distance2)
                 best, nearness = 0.0, -np.inf
                 for k in range(number):
-                    share, size = _vote(pixels, lenses, near, distance2, found, x, y, depths[k])
-                    order = depth_order(size, lenses.pitch)
+                    share, size = _vote(pixels, centres, radius, pitch, gap, near, found, x, y, depths[k])
+                    order = depth_order(size, pitch)
                     if share > 0.5:
                         if best <= 0.5 or order > nearness:
                             out[row, column], best, nearness = size, share, order

@@ -56,18 +56,18 @@ class PointGrid(NamedTuple):
     spacing: Any
 
 
-def lens_array(lattice: Lattice, gap: float) -> LensArray:
-    """The lenses of a lattice, with the ring of 3.2 pitches in which scene points are seen at small patch sizes too."""
+def lens_array(lattice: Lattice, gap: float, radius: float) -> LensArray:
+    """The lenses of a lattice, with the ring of 2.3 pitches in which scene points are seen."""
     rows, low = lens_grid(lattice)
     span = np.arange(-4, 5)
     steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
     distance = np.linalg.norm(steps @ lattice.basis, axis=1)
     order = np.argsort(distance, kind="stable")
-    ring = np.ascontiguousarray(steps[order][distance[order] < 3.2 * lattice.pitch])
+    ring = np.ascontiguousarray(steps[order][distance[order] < 2.3 * lattice.pitch])
     return LensArray(
         lattice.centres(), lattice.indices().astype(np.int64), rows, np.asarray(low, np.int64), ring,
         np.asarray(lattice.origin, float), np.linalg.inv(lattice.basis).astype(float), float(lattice.pitch),
-        float(lattice.radius) - 1.0, float(gap),
+        float(radius), float(gap),
     )  # fmt: skip
 
 

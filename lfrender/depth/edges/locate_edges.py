@@ -1,92 +1,128 @@
-"""Depth edges of a surface on the pixels of the flat, which `analyze` ends with if asked for `edges`."""
+"""Depth edges of a surface on the pixels of the flat."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration
+from lfcal import Lattice
 
 from ...data.depth_map import DepthMap
 from ...data.surface import Surface
-from ...flat.gray_flat import white_level
+from ...flat.gray_flat import GrayFlat
 from ..same_surface import TOLERANCE
+from .agreement import measure_agreement
 from .fusion import fuse_pixel_depths
 from .geometry import LensArray, PointGrid, lens_array, mark_levels
 from .microimage import PixelCosts
 from .pixel_depths import measure_pixel_depths
 from .settings import DEFAULT, EdgeSettings
 
-__all__ = ["locate_edges"]
+__all__ = ["locate_edges", "places_of_lenses", "refine_grid"]
+
+# [pitch] a scene point is no farther from the lenses around the one at whose place it is.
+_AROUND = 1.6
 
 
 def locate_edges(
-    flat: NDArray[Any], calibration: Calibration, depth: DepthMap, settings: EdgeSettings = DEFAULT
+    gray: GrayFlat,
+    lattice: Lattice,
+    depth: DepthMap,
+    where: NDArray[np.bool_] | None = None,
+    settings: EdgeSettings = DEFAULT,
 ) -> DepthMap:
-    """The depth map with the edges of its surface where the pixels have them.
+    """The depth map with the edges of its surface where the pixels have them, on a finer grid; as it is if it has none.
 
     Parameters
     ----------
-    flat : (H, W, C) array
-    calibration : Calibration
+    gray : GrayFlat
+    lattice : Lattice
     depth : DepthMap
         Of this flat.
+    where : (n,) bool, optional
+        Lenses about whose places edges are located; all by default.
     settings : EdgeSettings
     """
-    lattice, surface = calibration.lattice, depth.surface
-    gap = TOLERANCE * lattice.pitch
-    values = surface.patch_size
-    if values.max() - values.min() < gap:
+    surface = depth.surface
+    values, spacing = surface.patch_size, surface.spacing
+    gap, reach = TOLERANCE * lattice.pitch, int(settings.reach * lattice.pitch / spacing)
+    several = _spread(values, reach) > settings.least_jump * lattice.pitch
+    if where is not None:
+        several &= places_of_lenses(where, lattice, surface)
+    if not several.any():
         return depth
-    image = _colours(flat, calibration)
-    lenses, grid = lens_array(lattice, gap), PointGrid(float(surface.first[0]), float(surface.spacing))
-    first = _measure(image, lenses, values, grid, np.zeros((1, 1), np.float32), settings)
-    values = _fuse(first, lenses, values, grid, settings, 1)
-    second = _measure(image, lenses, values, grid, first, settings)
-    finer = settings.finer
-    values = _fuse(second, lenses, values, grid, settings, finer)
-    cv2.medianBlur(values, settings.speck, values)
-    corner = grid.first - 0.5 * (1 - 1 / finer) * grid.spacing
-    return replace(depth, surface=Surface(values, (corner, corner), grid.spacing / finer))
-
-
-def _measure(
-    image: NDArray[np.float32], lenses: LensArray, surface: NDArray[np.float32], grid: PointGrid,
-    before: NDArray[np.float32], settings: EdgeSettings,
-) -> NDArray[np.float32]:  # fmt: skip
-    """(H, W) [px] the patch size of each pixel, NaN between the microimages."""
-    reach = settings.reach * lenses.pitch
+    noise = measure_agreement(gray, lattice, depth, gap, settings)
+    lenses, grid = (
+        lens_array(lattice, gap, float(lattice.radius) - 1.0),
+        PointGrid(float(surface.first[0]), float(spacing)),
+    )
+    wanted = _lenses_about(several, lenses, grid)
     costs = PixelCosts(
-        noise2=3 * settings.noise**2, contrast=settings.contrast_share, visible_share=settings.visible_share,
-        jump=settings.jump, edge2=settings.edge_colour**2, reach=reach, unseen=settings.unseen_cost,
-        around=settings.settled,
+        noise2=np.float32(noise**2), contrast=np.float32(settings.contrast_share),
+        visible_share=settings.visible_share, unseen=np.float32(settings.unseen), leave=np.float32(settings.leave),
+        least_jump=settings.least_jump * lattice.pitch,
+        jump=np.float32(settings.jump), edge2=np.float32(settings.edge_contrast**2),
+        reach=settings.reach * lattice.pitch, views=settings.views,
     )  # fmt: skip
-    pixels = np.full(image.shape[:2], np.nan, np.float32)
-    levels = mark_levels(surface, lenses.pitch, int(reach / grid.spacing))
-    measure_pixel_depths(image, lenses, surface, grid, levels, before, costs, pixels)
-    return pixels
+    size = _locate(gray.image, lenses, values, grid, several, wanted, costs, settings)
+    finer = settings.finer
+    corner = surface.first[0] - 0.5 * (1 - 1 / finer) * spacing
+    return replace(depth, surface=Surface(size, (corner, corner), spacing / finer))
 
 
-def _fuse(
-    pixels: NDArray[np.float32], lenses: LensArray, surface: NDArray[np.float32], grid: PointGrid,
-    settings: EdgeSettings, finer: int,
+def _locate(
+    image: NDArray[np.float32], lenses: LensArray, values: NDArray[np.float32], grid: PointGrid,
+    several: NDArray[np.bool_], wanted: NDArray[np.bool_], costs: PixelCosts, settings: EdgeSettings,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """(rows * finer, columns * finer) [px] the surface that the pixels show."""
-    reach = int(settings.reach * lenses.pitch / grid.spacing)
-    around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    several = cv2.dilate(surface, around) - cv2.erode(surface, around) > lenses.gap
-    fused: NDArray[np.float32] = np.empty((finer * len(surface), finer * surface.shape[1]), np.float32)
-    cv2.resize(surface, fused.shape[::-1], fused, interpolation=cv2.INTER_LINEAR)
-    fuse_pixel_depths(pixels, lenses, surface, grid, several, reach, settings.voters, fused)
+    """(rows * finer, columns * finer) [px] the surface that the pixels of the lenses `wanted` (n,) show."""
+    finer, reach = settings.finer, int(costs.reach / grid.spacing)
+    levels = mark_levels(values, lenses.pitch, reach)
+    first = np.full(image.shape, np.nan, np.float32)
+    measure_pixel_depths(image, lenses, values, grid, levels, wanted, np.zeros((1, 1), np.float32), costs, first)
+    second = first.copy()
+    measure_pixel_depths(image, lenses, values, grid, levels, wanted, first, costs, second)
+    fused = refine_grid(values, finer, lenses.gap)
+    fuse_pixel_depths(second, lenses, values, grid, several, reach, settings.voters, fused)
+    usual = cv2.medianBlur(fused, settings.speck)
+    np.copyto(fused, usual, where=np.repeat(np.repeat(several, finer, 0), finer, 1))
     return fused
 
 
-def _colours(flat: NDArray[Any], calibration: Calibration) -> NDArray[np.float32]:
-    """(H, W, 3) the flat in three colours, divided by its gain, white = 1."""
-    image = calibration.flatten(flat)[..., :3]
-    white = np.float32(white_level(flat, calibration))
-    return np.ascontiguousarray(np.broadcast_to(image / white, (*image.shape[:2], 3)), np.float32)
+def refine_grid(values: NDArray[np.float32], finer: int, gap: float) -> NDArray[np.float32]:
+    """A grid that is `finer` by a whole factor; between values that differ by more than a `gap` the nearest one."""
+    fine = np.asarray(cv2.resize(values, None, None, finer, finer, cv2.INTER_LINEAR), np.float32)
+    plain = _spread(values, 1) > gap
+    nearest = np.repeat(np.repeat(values, finer, 0), finer, 1)
+    np.copyto(fine, nearest, where=np.repeat(np.repeat(plain, finer, 0), finer, 1))
+    return fine
+
+
+def places_of_lenses(lenses: NDArray[np.bool_], lattice: Lattice, surface: Surface) -> NDArray[np.bool_]:
+    """(rows, columns) bool: grid values of a `surface` about some of the `lenses` (n,)."""
+    rows, columns = surface.patch_size.shape
+    out = np.zeros((rows, columns), np.uint8)
+    u, v = np.rint((lattice.centres()[lenses] - surface.first) / surface.spacing).astype(int).T
+    out[np.clip(v, 0, rows - 1), np.clip(u, 0, columns - 1)] = 1
+    return _spread_out(out, int(_AROUND * lattice.pitch / surface.spacing))
+
+
+def _spread_out(marks: NDArray[np.uint8], side: int) -> NDArray[np.bool_]:
+    return np.asarray(cv2.dilate(marks, np.ones((2 * side + 1, 2 * side + 1), np.uint8)) > 0)
+
+
+def _spread(values: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+    """Difference between the largest and the least value within `reach` grid values each way."""
+    around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    return np.asarray(cv2.dilate(values, around) - cv2.erode(values, around))
+
+
+def _lenses_about(several: NDArray[np.bool_], lenses: LensArray, grid: PointGrid) -> NDArray[np.bool_]:
+    """(n,) bool: lenses near enough to points with several depths to be among the nearest ones to these."""
+    side = int(2.0 * lenses.pitch / grid.spacing)
+    near = _spread_out(several.astype(np.uint8), side)
+    u, v = np.rint((lenses.centres - grid.first) / grid.spacing).astype(int).T
+    rows, columns = several.shape
+    return np.asarray(near[np.clip(v, 0, rows - 1), np.clip(u, 0, columns - 1)])

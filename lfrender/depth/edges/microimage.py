@@ -8,14 +8,18 @@ import numpy as np
 
 from lfcal.runtime.kernels.jit import njit
 
-__all__ = ["BINS", "DEPTHS", "LEFT_OUT", "Microimage", "PixelCosts", "make_microimage"]
+__all__ = ["BINS", "DEPTHS", "LEFT_OUT", "NEARBY", "OWN", "Microimage", "PixelCosts", "box_stride", "make_microimage"]
 
 #: Patch sizes of a lens, at most.
 DEPTHS = 16
 #: Lenses that a pixel need not agree with, at most.
-LEFT_OUT = 4
+LEFT_OUT = 2
 #: Bins of patch sizes that the surface has near a lens.
 BINS = 512
+#: A depth that the surface has near the place that a pixel shows at it; one that it has there.
+NEARBY, OWN = 1, 2
+# Rows of boxes are whole vectors.
+_VECTOR = 8
 
 
 class PixelCosts(NamedTuple):
@@ -24,48 +28,62 @@ class PixelCosts(NamedTuple):
     noise2: Any
     contrast: Any
     visible_share: Any
+    unseen: Any
+    leave: Any
+    least_jump: Any  # [px]
     jump: Any
     edge2: Any
     reach: Any  # [px]
-    unseen: Any
-    around: Any
+    views: Any
 
 
 class Microimage(NamedTuple):
-    """Work space for the pixels of one lens, `size` each way; k counts its depths, p is `row * size + column`."""
+    """Work space for the pixels of one lens in a box; k counts its depths, p is `row * stride + column`."""
 
-    inside: Any  # (size, size) bool: pixels of the microimage
-    value: Any  # (k, size, size) [px] patch size that each depth has there
-    slope: Any  # (k, size, size) the same [pitch]
-    cost: Any  # (k, size, size)
-    open: Any  # (size, size) bool: pixels that several depths are possible for
-    present: Any  # (k, size, size) bool: the surface has this depth nearby
-    columns: Any  # (size, 2) first column and end of the pixels that are compared, and of those beside them
-    wanted: Any  # (p,) bool: pixels that are compared with further lenses
+    left: Any  # (size,) first column of each row of the microimage
+    right: Any  # (size,) end of its columns
+    upper: Any  # (stride,) first row of each column with pixels that are not settled
+    lower: Any  # (stride,) end of its rows
+    depths: Any  # (k,) [px]
+    slopes: Any  # (size,) [pitch] mean patch size of the pixels of each row at the depth that is compared
+    bins: Any  # (2, BINS) number and sum of the patch sizes in each
+    x: Any  # (p,) [px] place, from the middle of the microimage
+    y: Any  # (p,) [px]
+    light: Any  # (p,) brightness
+    among: Any  # (p,) uint8: depths that are possible; pixels with one are settled
     allowed: Any  # (p,) mismatch that noise and blur explain
+    wanted: Any  # (p,) 1: pixels that are compared with further lenses
     apart: Any  # (p,) squared difference to another lens
-    mismatch: Any  # (p,) with it, of the patch
-    seen: Any  # (p,) 1 where the other lens shows a pixel, else 0
+    mismatch: Any  # (p,) with it, of a patch
+    seen: Any  # (p,) 1: pixels that the other lens shows
     count: Any  # (p,) lenses that a pixel has been compared with
     sum: Any  # (p,) of their mismatch
-    worst: Any  # (LEFT_OUT, p) the largest of these, the largest first
-    total: Any  # (k, size, size) sum of the paths of semi-global matching
-    jumps: Any  # (2, size, size) price of a depth edge to the next pixel of the row, of the column
+    worst: Any  # (LEFT_OUT * p,) the largest of these, all largest ones first
+    value: Any  # (k, p) [px] patch size that each depth has there
+    cost: Any  # (k, p)
+    total: Any  # (k, p) sum of the paths of semi-global matching
+    present: Any  # (k, p) uint8: 0, `NEARBY` or `OWN`
     path: Any  # (2, k) costs of the last and this pixel of a path
-    depths: Any  # (k,) [px]
-    bins: Any  # (2, BINS) number and sum of the patch sizes in each
+
+
+@njit(cache=True, nogil=True, inline="always")
+def box_stride(size):
+    """Pixels from row to row of a box that is `size` pixels wide, one more included."""
+    return (size + _VECTOR) // _VECTOR * _VECTOR
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def make_microimage(size):
-    """Work space for microimages of `size` pixels."""
-    flat, deep, line = (size, size), (DEPTHS, size, size), size * size
+    """Work space for microimages of `size` pixels each way."""
+    stride = box_stride(size)
+    # Bilinear interpolation reads a row and a pixel further.
+    n = (size + 2) * stride
+    none = np.float32(0)
     return Microimage(
-        np.zeros(flat, np.bool_), np.zeros(deep, np.float32), np.zeros(deep, np.float32), np.zeros(deep, np.float32),
-        np.zeros(flat, np.bool_), np.zeros(deep, np.bool_), np.zeros((size, 2), np.int64),
-        np.zeros(line, np.bool_),
-        np.ones(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32),
-        np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros((LEFT_OUT, line), np.float32),
-        np.zeros(deep, np.float32), np.zeros((2, size, size), np.float32), np.zeros((2, DEPTHS), np.float32),
-        np.zeros(DEPTHS), np.zeros((2, BINS)),
+        np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(stride, np.int64), np.zeros(stride, np.int64),
+        np.zeros(DEPTHS), np.zeros(size), np.zeros((2, BINS)), np.full(n, none), np.full(n, none), np.full(n, none),
+        np.zeros(n, np.uint8), np.full(n, np.float32(1)), np.full(n, none), np.full(n, none), np.full(n, none),
+        np.full(n, none), np.full(n, none), np.full(n, none), np.full(LEFT_OUT * n, none),
+        np.zeros((DEPTHS, n), np.float32), np.zeros((DEPTHS, n), np.float32), np.zeros((DEPTHS, n), np.float32),
+        np.zeros((DEPTHS, n), np.uint8), np.zeros((2, DEPTHS), np.float32),
     )  # fmt: skip

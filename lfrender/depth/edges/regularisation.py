@@ -6,63 +6,63 @@ import numpy as np
 
 from lfcal.runtime.kernels.jit import njit
 
-__all__ = ["aggregate", "price_jumps"]
+__all__ = ["aggregate"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def price_jumps(image, left, top, size, c, work):
-    """Prices of depth edges between neighbouring pixels: lower where their colours differ."""
-    for direction in range(2):
-        down, across = direction, 1 - direction
-        for row in range(size - down):
-            for column in range(size - across):
-                if work.inside[row, column] and work.inside[row + down, column + across]:
-                    apart = np.float32(0.0)
-                    for channel in range(3):
-                        step = image[top + row, left + column, channel]
-                        step -= image[top + row + down, left + column + across, channel]
-                        apart += step * step
-                    work.jumps[direction, row, column] = c.jump * np.exp(-apart / c.edge2)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _aggregate_line(work, size, number, gap, v, u, down, across):
-    """Add one path of semi-global matching, from pixel (u, v) on, to the total."""
-    previous, current, jumps = work.path[0], work.path[1], work.jumps[abs(down)]
-    lowest, linked = np.float32(0.0), False
-    for _ in range(size):
-        if work.inside[v, u]:
-            if linked:
-                # Between a pixel and the next, in the order of rows or columns.
-                jump = jumps[v - max(down, 0), u - max(across, 0)]
-                for k in range(number):
-                    best = jump
-                    for q in range(max(0, k - 1), min(number, k + 2)):
-                        # Depths ascend: others than those beside it are a jump away.
-                        if abs(work.value[k, v, u] - work.value[q, v - down, u - across]) < gap:
-                            best = min(best, previous[q] - lowest)
-                    current[k] = work.cost[k, v, u] + best
-            else:
-                for k in range(number):
-                    current[k] = work.cost[k, v, u]
-            lowest = current[0]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _aggregate_line(number, gap, c, p, step, steps, work):
+    """Add one path of semi-global matching to the total: `steps` pixels `step` apart, from p on."""
+    previous, current, value, cost, total, among, light = (
+        work.path[0], work.path[1], work.value, work.cost, work.total, work.among, work.light
+    )  # fmt: skip
+    lowest = np.float32(0.0)
+    for n in range(steps):
+        if among[p] == 1 or n == 0:
+            # Settled, or the first: nothing reaches it.
             for k in range(number):
-                work.total[k, v, u] += current[k]
-                previous[k] = current[k]
-                lowest = min(lowest, current[k])
-            linked = True
+                current[k] = cost[k, p]
         else:
-            linked = False
-        v, u = v + down, u + across
+            # The price of a depth edge is lower where the brightness differs.
+            edge = light[p] - light[p - step]
+            jump = c.jump / (1 + edge * edge / c.edge2)
+            for k in range(number):
+                best, s = jump, value[k, p]
+                for q in range(max(0, k - 1), min(number, k + 2)):
+                    # Depths ascend: others than those beside it are a jump away.
+                    if abs(s - value[q, p - step]) < gap:
+                        best = min(best, previous[q] - lowest)
+                current[k] = cost[k, p] + best
+        lowest = current[0]
+        for k in range(number):
+            total[k, p] += current[k]
+            previous[k] = current[k]
+            lowest = min(lowest, current[k])
+        p += step
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def aggregate(size, number, gap, work):
-    """Semi-global matching along four directions inside a microimage."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def aggregate(size, stride, number, gap, c, work):
+    """Semi-global matching along four directions inside a microimage, about the pixels that are not settled."""
+    among, upper, lower = work.among, work.upper, work.lower
     work.total[:number] = 0
-    last = size - 1
-    for line in range(size):
-        _aggregate_line(work, size, number, gap, line, 0, 0, 1)
-        _aggregate_line(work, size, number, gap, line, last, 0, -1)
-        _aggregate_line(work, size, number, gap, 0, line, 1, 0)
-        _aggregate_line(work, size, number, gap, last, line, -1, 0)
+    upper[:], lower[:] = size, 0
+    for row in range(size):
+        begin, end = size, 0
+        for column in range(work.left[row], work.right[row]):
+            if among[row * stride + column] != 1:
+                begin, end = min(begin, column), column + 1
+                upper[column], lower[column] = min(upper[column], row), row + 1
+        if end:
+            # With the settled pixel at either end.
+            begin, end = max(begin - 1, work.left[row]), min(end + 1, work.right[row])
+            _aggregate_line(number, gap, c, row * stride + begin, 1, end - begin, work)
+            _aggregate_line(number, gap, c, row * stride + end - 1, -1, end - begin, work)
+    for column in range(size):
+        begin, end = upper[column], lower[column]
+        if end:
+            if begin > 0 and work.left[begin - 1] <= column < work.right[begin - 1]:
+                begin -= 1
+            if end < size and work.left[end] <= column < work.right[end]:
+                end += 1
+            _aggregate_line(number, gap, c, begin * stride + column, stride, end - begin, work)
+            _aggregate_line(number, gap, c, (end - 1) * stride + column, -stride, end - begin, work)

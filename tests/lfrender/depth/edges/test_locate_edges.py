@@ -10,14 +10,16 @@ from scipy.ndimage import distance_transform_edt
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from lfrender.depth.edges.agreement import measure_agreement
 from lfrender.depth.edges.geometry import mark_levels
 from lfrender.depth.edges.locate_edges import locate_edges
 from lfrender.depth.edges.settings import DEFAULT
+from lfrender.depth.pipeline import prepare_flat
 
 
 @pytest.fixture(scope="module")
 def house_in_front():
-    """Branches before a house: flat, camera, depth without the edges, and the true surface."""
+    """Branches before a house: flat, camera, depth without the edges, the true surface, the grey flat, its lattice."""
     camera = Camera.design(size=(420, 340), pitch=20.0)
     shot = simulate(SCENES["house"](camera), camera, samples=16, seed=9)
     calibration = shot.truth.calibration
@@ -28,12 +30,13 @@ def house_in_front():
     true = lfrender.data.surface.Surface(
         np.ascontiguousarray(size[tuple(nearest)], np.float32), (affine[0, 2], affine[1, 2]), affine[0, 0]
     )
-    return shot.flat, calibration, depth, true
+    gray, lattice, _ = prepare_flat(shot.flat, calibration, "balanced")
+    return shot.flat, calibration, depth, true, gray, lattice
 
 
 def test_fewer_places_beside_branches_have_the_depth_of_the_other_surface(house_in_front):
-    flat, calibration, depth, true = house_in_front
-    after = locate_edges(flat, calibration, depth)
+    _, _, depth, true, gray, lattice = house_in_front
+    after = locate_edges(gray, lattice, depth)
 
     def wrong(found):
         surface = found.surface
@@ -47,8 +50,8 @@ def test_fewer_places_beside_branches_have_the_depth_of_the_other_surface(house_
 
 
 def test_its_grid_is_finer_about_the_same_places(house_in_front):
-    flat, calibration, depth, _ = house_in_front
-    after, before = locate_edges(flat, calibration, depth).surface, depth.surface
+    _, _, depth, _, gray, lattice = house_in_front
+    after, before = locate_edges(gray, lattice, depth).surface, depth.surface
     finer = len(after.patch_size) // len(before.patch_size)
     assert finer == round(before.spacing / after.spacing) == DEFAULT.finer
     middle = after.first[0] + 0.5 * (finer - 1) * after.spacing
@@ -56,27 +59,52 @@ def test_its_grid_is_finer_about_the_same_places(house_in_front):
 
 
 def test_analyze_ends_with_it_where_asked_for(house_in_front):
-    flat, calibration, depth, _ = house_in_front
+    flat, calibration, depth, _, gray, lattice = house_in_front
     found = lfrender.analyze(flat, calibration, edges=True)
-    assert np.array_equal(found.surface.patch_size, locate_edges(flat, calibration, depth).surface.patch_size)
+    assert np.array_equal(found.surface.patch_size, locate_edges(gray, lattice, depth).surface.patch_size)
     assert np.array_equal(found.patch_size, depth.patch_size, equal_nan=True)
-    with pytest.raises(ValueError, match="neither roi nor previous"):
-        lfrender.analyze(flat, calibration, edges=True, roi=(50, 50, 200, 200))
 
 
 def test_a_surface_without_edges_is_left_alone(house_in_front):
-    flat, calibration, depth, _ = house_in_front
-    flat_surface = replace(depth.surface, patch_size=np.full_like(depth.surface.patch_size, 6.0))
-    even = replace(depth, surface=flat_surface)
-    assert locate_edges(flat, calibration, even) is even
+    _, _, depth, _, gray, lattice = house_in_front
+    even = replace(depth, surface=replace(depth.surface, patch_size=np.full_like(depth.surface.patch_size, 6.0)))
+    assert locate_edges(gray, lattice, even) is even
 
 
-def test_grey_flats_of_16_bits_give_edges_too(house_in_front):
-    flat, calibration, depth, _ = house_in_front
-    grey = (flat.mean(2, keepdims=True) * 257).astype(np.uint16)
-    found = locate_edges(grey, calibration, depth)
-    assert np.isfinite(found.surface.patch_size).all()
-    assert not np.array_equal(found.surface.patch_size, depth.surface.patch_size)
+def test_parts_of_a_flat_have_the_same_edges(house_in_front):
+    flat, calibration, *_ = house_in_front
+    found = lfrender.analyze(flat, calibration, edges=True, roi=(60, 60, 330, 280))
+    whole = lfrender.analyze(flat, calibration, edges=True)
+    y, x = np.mgrid[110:230:3, 110:280:3]
+    points = np.stack([x, y], -1).reshape(-1, 2).astype(float)
+    apart = np.abs(found.surface.at(points) - whole.surface.at(points)) > 0.05 * whole.pitch
+    assert apart.mean() < 0.03
+
+
+def test_a_frame_after_another_has_edges_where_it_changed_and_the_old_ones_elsewhere(house_in_front):
+    flat, calibration, *_ = house_in_front
+    before = lfrender.analyze(flat, calibration, edges=True)
+    changed = flat.copy()
+    changed[100:200, 100:200] = flat[120:220, 140:240]
+    after = lfrender.analyze(changed, calibration, edges=True, previous=(flat, before))
+    assert after.surface.patch_size.shape == before.surface.patch_size.shape
+    same = after.surface.patch_size == before.surface.patch_size
+    # Far from the change all is as it was, and something is not within.
+    v, u = (np.array([20, 150]) - before.surface.first[0]) / before.surface.spacing
+    assert same[:, int(300 / before.surface.spacing) :].all()
+    assert not same[int(v) : int(u), int(v) : int(u)].all()
+
+
+def test_lenses_that_differ_in_their_light_agree_less(house_in_front):
+    _, _, depth, _, gray, lattice = house_in_front
+    rng = np.random.default_rng(0)
+    gap = 0.04 * lattice.pitch
+    even = replace(depth, filled_patch_size=np.full_like(depth.filled_patch_size, 6.0))
+    light = np.ones_like(gray.image)
+    for (x, y), factor in zip(gray.centres, rng.normal(1, 0.1, len(gray.centres)), strict=True):
+        light[max(0, int(y) - 10) : int(y) + 10, max(0, int(x) - 10) : int(x) + 10] = factor
+    uneven = replace(gray, image=np.ascontiguousarray(gray.image * light))
+    assert measure_agreement(uneven, lattice, even, gap) > 1.3 * measure_agreement(gray, lattice, even, gap)
 
 
 def test_levels_are_marked_within_reach():

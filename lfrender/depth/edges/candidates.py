@@ -1,0 +1,149 @@
+"""The depths that the pixels of a microimage may show: those that the surface has about the places they would be at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lfcal.runtime.kernels.jit import njit
+
+from .geometry import level_of
+from .microimage import BINS, DEPTHS, NEARBY, OWN
+
+__all__ = ["list_candidates", "list_depths"]
+
+# [pitch] smaller patch sizes count as this, or a microimage would span all of the scene.
+_LEAST = 0.02
+# [pitch] farther from its centre, a lens is none of the nearest to a scene point.
+_FAR = 2.0
+# Pixels that the first round leaves with one surface so far around them are not looked at again.
+_SETTLED = 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def list_depths(surface, grid, x, y, lenses, reach, work):
+    """Patch sizes of the surface that the lens at (x, y) may show, in `work.depths`; returns how many there are."""
+    rows, columns = surface.shape
+    first, spacing, pitch, radius = grid.first, grid.spacing, lenses.pitch, lenses.radius
+    bins, depths = work.bins, work.depths
+    bins[:] = 0
+    width = 0.25 * lenses.gap
+    span = int((_FAR * pitch + reach) / spacing) + 1
+    at_u, at_v = int((x - first) / spacing + 0.5), int((y - first) / spacing + 0.5)
+    # Every other value each way: no surface is narrower than these are apart.
+    for v in range(max(0, at_v - span), min(rows, at_v + span + 1), 2):
+        for u in range(max(0, at_u - span), min(columns, at_u + span + 1), 2):
+            s = surface[v, u]
+            away2 = (first + u * spacing - x) ** 2 + (first + v * spacing - y) ** 2
+            # A microimage shows radius * pitch / s of the scene each way.
+            if away2 * s * s <= (reach * abs(s) + radius * pitch) ** 2:
+                place = min(max(int(s / width + BINS // 2), 0), BINS - 1)
+                bins[0, place] += 1
+                bins[1, place] += s
+    found = place = 0
+    while place < BINS and found < DEPTHS:
+        end, number, amount = place, 0.0, 0.0
+        while end < BINS and bins[0, end] > 0 and end - place < 6:
+            number, amount, end = number + bins[0, end], amount + bins[1, end], end + 1
+        if number > 0:
+            depths[found] = amount / number
+            found += 1
+        place = max(end, place + 1)
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _outline(x, y, left, top, size, radius, shape, work):
+    """Set the columns of each row of the microimage, a pixel off the border of the flat."""
+    for row in range(size):
+        half2 = radius * radius - (top + row - y) ** 2
+        work.left[row], work.right[row] = 0, 0
+        if half2 >= 0 and 1 <= top + row < shape[0] - 1:
+            half = np.sqrt(half2)
+            work.left[row] = max(int(np.ceil(x - half)), 1) - left
+            work.right[row] = max(min(int(np.floor(x + half)), shape[1] - 2) + 1 - left, work.left[row])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_settled(before, px, py, gap):
+    """Whether the first round found one surface on all pixels around this one."""
+    s, height, width = before[py, px], before.shape[0], before.shape[1]
+    for v in range(max(0, py - _SETTLED), min(height, py + _SETTLED + 1)):
+        for u in range(max(0, px - _SETTLED), min(width, px + _SETTLED + 1)):
+            if abs(before[v, u] - s) > gap:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lenses, work):
+    """Fill `work.value` and `work.present` of depth k."""
+    first, spacing, pitch, gap = grid.first, grid.spacing, lenses.pitch, lenses.gap
+    rows, columns = surface.shape
+    expected, value, present, among = work.depths[k], work.value, work.present, work.among
+    steep = max(abs(expected), _LEAST * pitch)
+    steep = pitch / (steep if expected > 0 else -steep)
+    bit, one, step = np.uint64(level_of(expected, pitch)), np.uint64(1), steep / spacing
+    middle = (x - first) / spacing + 0.5 + (x - left) * step
+    for row in range(size):
+        v = int((y - first - (top + row - y) * steep) / spacing + 0.5)
+        v = min(max(v, 0), rows - 1)
+        for column in range(work.left[row], work.right[row]):
+            u = min(max(int(middle - column * step), 0), columns - 1)
+            p, s = row * stride + column, surface[v, u]
+            if abs(s - expected) < gap:
+                value[k, p], present[k, p] = s, OWN
+                among[p] += 1
+            else:
+                near = (levels[v, u] >> bit) & one != 0
+                value[k, p], present[k, p] = expected, NEARBY if near else 0
+                among[p] += near
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _keep_distinct(p, number, apart, work):
+    """Drop the depths of a pixel that differ by less than `apart` from one that the surface has there; whether it has
+    any."""
+    value, present, among = work.value, work.present, work.among
+    own = -1
+    for k in range(number):
+        if own < 0 and present[k, p] == OWN:
+            own = k
+    if own < 0:
+        return False
+    for k in range(number):
+        if k != own and present[k, p] > 0 and abs(value[k, p] - value[own, p]) < apart:
+            present[k, p] = 0
+            among[p] -= 1
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, leave, apart, shape,
+                    work):  # fmt: skip
+    """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere."""
+    widest = 0.0
+    for k in range(number):
+        widest = max(widest, abs(work.depths[k]))
+    _outline(x, y, left, top, size, min(lenses.radius, _FAR * widest), shape, work)
+    among, present, cost = work.among, work.present, work.cost
+    among[:] = 0
+    present[:number] = 0
+    for k in range(number):
+        work.value[k] = work.depths[k]
+        _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lenses, work)
+    choice = False
+    for row in range(size):
+        for column in range(work.left[row], work.right[row]):
+            p = row * stride + column
+            px, py = left + column, top + row
+            if before.size > 1 and among[p] > 1 and _is_settled(before, px, py, lenses.gap):
+                among[p] = 0
+                for k in range(number):
+                    if abs(work.value[k, p] - before[py, px]) >= lenses.gap:
+                        present[k, p] = 0
+                    among[p] += present[k, p] > 0
+            own = _keep_distinct(p, number, apart, work)
+            for k in range(number):
+                cost[k, p] = 1.0 if present[k, p] == 0 else (leave if own and present[k, p] != OWN else 0.0)
+            choice = choice or among[p] > 1
+    return choice
