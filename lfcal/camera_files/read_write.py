@@ -19,6 +19,7 @@ from ..camera.calibration import Calibration
 from ..camera.schema import check_plausible
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
+from ..runtime.image_formats import IMAGE_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
 from .centre_table import HEADER, format_centre_table, parse_centre_table
 from .key_value import format_key_value, parse_key_value
@@ -104,6 +105,11 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
     try:
         text = source.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
+        if source.suffix.lower() in IMAGE_SUFFIXES and source.exists():
+            raise CameraFileError(
+                f"{source}: is an image, not a camera file; give a white image as --white, or make a camera file of it "
+                "with 'lfcal calibrate'"
+            ) from error
         raise CameraFileError(f"{source}: cannot be read as a camera file ({error})") from error
     lines = (line.strip() for line in text.splitlines())
     first = next((line for line in lines if line and not line.startswith("#")), "")

@@ -6,9 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lfcal import CameraFileError
-from lfcal.runtime.image_formats import IMAGE_SUFFIXES
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -33,11 +30,6 @@ def read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
     """
     from lfcal import load
 
-    if path.suffix.lower() in IMAGE_SUFFIXES and path.exists():
-        raise CameraFileError(
-            f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
-            "'lfcal calibrate'"
-        )
     calibration = _check_file(path, load(path, (pixels.shape[1], pixels.shape[0])), pixels)
     return calibration.with_mosaic_of(_middle(pixels)[0]) if len(pixels.shape) == 2 else calibration
 

@@ -223,3 +223,7 @@ def test_show_and_flatten_say_that_a_camera_does_not_fit(house, house_files, tmp
     assert_refused(
         run("flatten", flat, "-c", tmp_path / "other.json", "-o", tmp_path / "g.tif"), "not made with this camera"
     )
+
+
+def test_an_image_in_the_place_of_a_camera_file_is_named(house_files):
+    assert_refused(run("info", house_files / "flat.png"), "is an image, not a camera file")
