@@ -36,7 +36,7 @@ class FinalLattice:
     residuals: Residuals | None = None  # of single microimages, in white images
     # [px] RMS distance from the first lattice, less that due to distortion and cut microimages
     displacement: float = 0.0
-    doubt: str | None = None  # why the centres may be those of the disc that cuts the microimages
+    doubt: str | None = None  # why the centres may be others, as those of the disc that cuts the microimages
 
 
 def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, start: FirstLattice) -> FinalLattice:

@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 __all__ = [
-    "LIMITS", "Limits", "find_board_doubt", "find_camera_doubt", "find_circle_doubt", "find_depth_doubt",
-    "find_exposure_doubt", "find_gain_doubt", "find_lattice_doubt", "find_mosaic_doubt", "find_type_doubt",
+    "LIMITS", "Limits", "find_board_doubt", "find_camera_doubt", "find_centroid_doubt", "find_circle_doubt",
+    "find_depth_doubt", "find_exposure_doubt", "find_gain_doubt", "find_lattice_doubt", "find_mosaic_doubt",
+    "find_type_doubt",
 ]  # fmt: skip
 
 
@@ -19,6 +20,7 @@ class Limits:
     """From where on a result is doubtful."""
 
     confidence: float = 0.7  # of a calibration, below it
+    centroids: float = 0.2  # [px] of whole microimages beside a fitted lattice
     off_gain: float = 0.03  # share of the pixels of a white image that differ from the gain map: 25 white images have
     # up to 0.027 (a binary mask), one with large specks of dust 0.05, a checkerboard seen through an array 0.12
     clipped: float = 0.02  # share of the pixels of a white image
@@ -48,6 +50,15 @@ def find_circle_doubt(on: float, beside: float) -> str | None:
     return None if not beside > on + LIMITS.circles_beside else (
         f"circles on the flat lie between the centres of the lattice (agreement {beside:.2f} there, {on:.2f} on it): "
         "gaps may have been taken for microimages; check the circles on the flat ('lfcal show')"
+    )  # fmt: skip
+
+
+def find_centroid_doubt(offset: float) -> str | None:
+    """Distance [px] of plain centroids of whole microimages in the middle of a white image from the lattice."""
+    return None if not offset > LIMITS.centroids else (
+        f"plain centroids of the microimages in the middle lie {offset:.2f} px beside the lattice, which follows their "
+        "edges: the light in them is uneven or reaches into the gaps; if the circles lie off the microimages ('lfcal "
+        "show'), light the white image evenly"
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
+from ..runtime.checks import find_centroid_doubt
 from ..runtime.errors import CalibrationError
 from .cutouts import cut_out_lenses
 from .gauss_newton import (
@@ -29,7 +30,7 @@ from .gauss_newton import (
     measure_offsets,
     predict_shift,
 )
-from .mechanical_vignetting import drop_needless_cut, fit_cutting_disc
+from .mechanical_vignetting import drop_needless_cut, fit_cutting_disc, measure_centroid_offset
 from .model import CatEye, WhiteModel
 from .settings import FIT, FitSettings
 
@@ -47,7 +48,7 @@ class WhiteFit:
 
     lattice: Lattice
     cat_eye: CatEye | None  # None where microimages are whole
-    doubt: str | None  # why another disc than the lens may be what cuts it, and what to do
+    doubt: str | None  # why the centres may be others, and what to do
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     errors: LatticeErrors  # as the scatter of the microimages implies
     lenses_used: int
@@ -127,6 +128,7 @@ def _summarise(state: FitState, step: StepResult, settings: FitSettings) -> Whit
             f"centres are known to {error:.2f} px only; close the aperture of the main lens for a white image without "
             "vignetting"
         )
+    doubt = doubt or find_centroid_doubt(measure_centroid_offset(state))
     return WhiteFit(
         state.model.lattice, state.model.cat_eye, doubt, step.residual_rms, errors, step.used, compare_halves(step),
         residuals,

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..lattice.cell import clip_rows
 from ..lattice.distortion import Distortion
+from ..runtime.checks import LIMITS
 from ..runtime.errors import CalibrationError
 from ..runtime.kernels.jit import njit
 from .gauss_newton import FitState, converge, evaluate_cost, fit_profile, update_positions
@@ -20,7 +21,7 @@ from .model import CatEye, TwoDiscs, WhiteModel, field_position
 from .settings import TWO_DISCS, VIGNETTING
 from .two_discs import choose_lens, fit_two_discs, remove_neighbours
 
-__all__ = ["drop_needless_cut", "fit_cutting_disc"]
+__all__ = ["drop_needless_cut", "fit_cutting_disc", "measure_centroid_offset"]
 
 
 def fit_cutting_disc(plain: FitState, alternative: FitState, orders: tuple[str, ...]) -> FitState:
@@ -47,8 +48,28 @@ def fit_cutting_disc(plain: FitState, alternative: FitState, orders: tuple[str, 
     # A disc that stays outside the microimages cuts nothing.
     assert best.model.cat_eye is not None
     depth = best.lenses.radius + np.hypot(*best.lenses.cut_offset.T).max() - best.model.cat_eye.radius
+    # Where nothing is cut, in the middle, centroids are those of the lenses.
+    beside = measure_centroid_offset(best)
+    if beside > max(LIMITS.centroids, measure_centroid_offset(plain)):
+        return plain
     allowed = (1 - VIGNETTING.least_gain) * min(evaluate_cost(plain, plain), evaluate_cost(alternative, plain))
     return best if evaluate_cost(best, plain) < allowed and depth > VIGNETTING.least_depth else plain
+
+
+def measure_centroid_offset(state: FitState) -> float:
+    """Distance [px] of plain centroids of microimages in the middle of the field from their lattice; 0 for too few."""
+    lenses = state.lenses
+    far = np.hypot(*field_position(lenses.centres, state.model.lattice).T)
+    near = np.flatnonzero(far < VIGNETTING.middle)[: VIGNETTING.middle_lenses]
+    if len(near) < VIGNETTING.fewest_lenses:
+        return 0.0
+    places = np.arange(lenses.light.shape[1]) + (lenses.corners - lenses.centres)[near, :, None]
+    x, y = places[:, 0, None, :], places[:, 1, :, None]
+    window = np.clip(lenses.inradius + 0.5 - np.hypot(x, y), 0, 1)
+    light = lenses.light[near]
+    light = window * np.clip(light - np.quantile(light, VIGNETTING.dark, axis=(1, 2))[:, None, None], 0, None)
+    total = np.maximum(light.sum((1, 2)), 1e-30)
+    return float(np.hypot(*(np.median((light * way).sum((1, 2)) / total) for way in (x, y))))
 
 
 def _cut_model(plain: WhiteModel, discs: TwoDiscs) -> WhiteModel:

@@ -123,6 +123,11 @@ class VignettingSettings:
     least_narrowing: float = 0.01  # [px] cos(2 * angle) of the edge; a cut by one pixel has 20 times this
     narrowing_significance: float = 6.0  # standard errors of it
     outlier: float = 6.0  # [standard deviations] of pixels
+    # Centroids in the middle: there cut microimages are whole.
+    middle: float = 0.25  # of the way to the corners
+    middle_lenses: int = 300  # at most
+    fewest_lenses: int = 12
+    dark: float = 0.05  # quantile of the light in a window that stands for that of the gaps
 
 
 @dataclass(frozen=True)

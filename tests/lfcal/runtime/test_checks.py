@@ -16,6 +16,7 @@ from lfcal.runtime.checks import LIMITS
         (checks.find_gain_doubt, (LIMITS.off_gain,), (0.031,)),
         (checks.find_exposure_doubt, (LIMITS.clipped,), (0.021,)),
         (checks.find_type_doubt, (3, True), (3, False)),
+        (checks.find_centroid_doubt, (0.1,), (0.3,)),
         (checks.find_mosaic_doubt, (None,), ("GBRG",)),
         (checks.find_camera_doubt, (0.9, 0.06, 0.033, "middle"), (0.9, 0.0, 0.034, "middle")),
         (checks.find_depth_doubt, (0.96, 0.04, 0.03), (0.96, 0.04, 0.019)),

@@ -209,3 +209,17 @@ def test_white_image_and_capture_of_a_raytrix_with_colour_filters_agree():
     apart = white.points(np.rint(white.to_index(centres))) - centres
     assert white.pitch == pytest.approx(23.37, abs=0.01)
     assert np.sqrt((apart**2).sum(1).mean()) < 0.3
+
+
+@pytest.mark.parametrize("slope, said", [(0.0, False), (0.015, True)])
+def test_plain_centroids_beside_the_lattice_are_said(drawn, slope, said):
+    truth = drawn("hexagonal", 23.3, 2.0, 32.0, size=(700, 500), inner=0.0)
+    image = truth.image()
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    places = np.column_stack([x.ravel(), y.ravel()])
+    centres = truth.centres(truth.index_of(places).round())
+    shade = 1 + slope * (places - centres)[:, 0].reshape(image.shape)
+    camera = lfcal.calibrate((image * shade * 0.7).astype(image.dtype), kind="white")
+    # The light is shaded alike in all microimages: their centroids lie 0.015 R^2 / 4 px to the right.
+    assert any("plain centroids" in warning for warning in camera.warnings) == said
+    assert _error(camera, truth) < 0.05
