@@ -14,8 +14,7 @@ from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
-from ..runtime.intrinsics import prefetch
-from .settings import GRAY, KERNEL
+from .settings import GRAY
 
 __all__ = [
     "GrayFlat", "correction_cell", "correction_tables", "downsample", "downsample_lattice", "has_uneven_lenses",
@@ -349,17 +348,12 @@ def _downsample_row(image, top, first, factor, line, into):
 def _downsample_boxes(begin, end, image, centres, half, factor, out):
     """Fill the pixels of `out` no farther than `half` from a centre, each way."""
     height, width = out.shape
-    pixels, down = image.reshape(-1), image.shape[1]
     for lens in range(begin, end):
         x, y = int(np.rint(centres[lens, 0])), int(np.rint(centres[lens, 1]))
         left, right = max(0, x - half), min(width - 1, x + half)
         columns = max(right + 1 - left, 0)
         line = np.empty(columns * factor, np.float32)
         for v in range(max(0, y - half), min(height - 1, y + half) + 1):
-            # Rows of a box lie too far apart for the prefetcher of the processor.
-            for r in range((v + KERNEL.ahead) * factor, (v + KERNEL.ahead + 1) * factor):
-                for k in range(0, len(line) + KERNEL.line, KERNEL.line):
-                    prefetch(pixels, np.uint64(r * down + left * factor + k))
             _downsample_row(image, v * factor, left * factor, factor, line, out[v, left : left + columns])
 
 

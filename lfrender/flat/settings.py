@@ -104,8 +104,6 @@ class DemosaicSettings:
 class KernelSettings(NamedTuple):
     """Sizes that the kernels of flats are compiled with."""
 
-    line: int = 16  # float32 values in a line of the memory cache
-    ahead: int = 2  # [rows of a box] that are prefetched
     bunch: int = 32  # values a vector loop takes at a time
     lens_block: int = 32  # [lenses] that share working memory
     beside: int = 2  # [px] read beyond a microimage

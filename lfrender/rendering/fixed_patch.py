@@ -16,17 +16,20 @@ from lfcal import Lattice
 from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.cache import cached
-from ..runtime.intrinsics import GAIN_BITS, TOGETHER, TURNED, prefetch
-from ..runtime.run_interpolation import BUNCH, copy_run, padded_length, read_run, read_run_of_bytes, read_turned_run
+from ..runtime.run_interpolation import (
+    BUNCH,
+    GAIN_BITS,
+    TOGETHER,
+    copy_run,
+    padded_length,
+    read_run,
+    read_run_of_bytes,
+)
 
 __all__ = ["covers_all_patches", "render_patches"]
 
 # Steps per pixel at which the gain is tabled: between them it changes by a fraction of a grey level.
 _PHASES = 8
-# Bytes that a processor fetches at once.
-_LINE_OF_MEMORY = 64
-# Lenses that are read while memory is fetched.
-_LATER = 8
 
 
 class _Source(NamedTuple):
@@ -77,7 +80,6 @@ class _Borders(NamedTuple):
     around: Any  # (k, 2) to the neighbour
     room: Any  # (k,) the line is x = room + tilt * y from the centre
     tilt: Any  # (k,)
-    above: Any  # the first row of a cell lies farther above the centre than this
 
 
 class _Run(NamedTuple):
@@ -165,29 +167,6 @@ def _find_run(picture, size, v, u, end, cx, cy, slope):
     return _Run(lens_x, lens_y, middle, dx, dy, column, row, low, high)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def _prefetch_next_row(flat, begin, beyond):
-    """Prefetch what the next row of the picture reads here: the processor cannot predict the steps between lenses."""
-    line_of_memory = np.uint64(_LINE_OF_MEMORY // flat.itemsize)
-    prefetch(flat, begin)
-    prefetch(flat, beyond)
-    for k in range(begin + line_of_memory, beyond, line_of_memory):
-        prefetch(flat, k)
-
-
-@njit(cache=True, nogil=True, forceinline=True)
-def _prefetch_later(source, picture, x, y, v, slope, from_middle, length):
-    """Prefetch the first row of the cell of a lens at (x, y) [output px]."""
-    flat, across = source.pixels, np.uint64(source.channels)
-    down, line_of_memory = np.uint64(source.width * source.channels), np.uint64(_LINE_OF_MEMORY // flat.itemsize)
-    row = int(y * picture.spacing + picture.first + (v - y) * slope) - source.corner[1]
-    column = int(x * picture.spacing + picture.first) + from_middle - source.corner[0]
-    later = np.uint64(row) * down + np.uint64(column) * across
-    for k in range(np.uint64(0), length + line_of_memory, line_of_memory):
-        prefetch(flat, later + k)
-        prefetch(flat, later + down + k)
-
-
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _gain_place(gain, run, from_middle, across):
     """Where the gains of a run begin in the line of the table."""
@@ -200,11 +179,10 @@ def _gain_place(gain, run, from_middle, across):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _draw_run(source, gain, picture, run, end, v, look_ahead, later_x, later_y, row, line):
+def _draw_run(source, gain, picture, run, end, row, line):
     """Read a run into `row`, as far as it can be read; `line` is memory for a row."""
     flat, slope = source.pixels, -1 if picture.slope > 0 else 1
     turned, of_bytes = picture.slope > 0, flat.itemsize == 1
-    at_once = turned and of_bytes and source.channels == 3
     across, down = np.uint64(source.channels), np.uint64(source.width * source.channels)
     low, high, left = run.low, run.high, picture.part[0]
     fx = np.float32(run.x + run.dx - run.column)
@@ -213,25 +191,11 @@ def _draw_run(source, gain, picture, run, end, v, look_ahead, later_x, later_y, 
     at = np.uint64(run.row - source.corner[1]) * down
     at += np.uint64(run.column + from_middle - source.corner[0]) * across
     into, length = np.uint64(low - left) * across, np.uint64(high - low) * across
-    ahead = at - down if turned else at + down + down
     # What is read beyond a run must exist, though it is not used.
-    bunch, turned_bunch = np.uint64(TOGETHER if of_bytes else BUNCH), np.uint64(3 * TURNED)
-    bunched, turned_length = padded_length(length, bunch, of_bytes), max(length, turned_bunch)
-    if at_once:
-        _prefetch_next_row(flat, ahead + length - turned_length, ahead + length + across)
-    else:
-        _prefetch_next_row(flat, ahead, ahead + bunched + across)
-    if look_ahead:
-        _prefetch_later(source, picture, later_x, later_y, v, slope, from_middle, length)
+    bunched = padded_length(length, np.uint64(TOGETHER if of_bytes else BUNCH), of_bytes)
     gain_at = _gain_place(gain, run, from_middle, across)
     # Writing beyond the end of a run must neither leave the row nor overwrite pixels, reading must not leave the flat.
     last_place, room = np.uint64(len(flat) - (source.width + 1) * source.channels), np.uint64(len(row))
-    spare = high == end and turned_length < min(at + length, room - into)
-    if at_once and spare and at + length < last_place:
-        read_turned_run(
-            flat, at + length, across, down, fx, fy, gain.line, gain_at + length, row, into, turned_length
-        )  # fmt: skip
-        return
     if at + bunched <= last_place:
         length = bunched
     direct = not turned and high == end and into + length <= room
@@ -277,10 +241,7 @@ def _draw_row(source, lattice, gain, picture, borders, v, row, valid):
                         x, at = first + k * picture.spacing, k - part[0]
                         valid[at] = _read_beside(source, gain, picture, x, y, lenses, row, at * source.channels)
             if run.high > run.low:
-                # Before the first row of a cell, no row has prefetched it: look some lenses ahead.
-                later_x, later_y = cx + _LATER * step_x, cy + _LATER * step_y
-                look_ahead = cy - v > borders.above
-                _draw_run(source, gain, picture, run, end, v, look_ahead, later_x, later_y, row, line)
+                _draw_run(source, gain, picture, run, end, row, line)
             u = end
         cx, cy = cx + step_x, cy + step_y
 
@@ -381,8 +342,7 @@ def _find_borders(beside: NDArray[np.float64], spacing: float) -> _Borders:
     steps = beside * (1 / spacing)
     right = steps[steps[:, 0] > 1e-9]
     x, y = right.T
-    nearest = np.sqrt(beside[:, 0] ** 2 + beside[:, 1] ** 2).min()
-    return _Borders(right, 0.5 * (x * x + y * y) / x, -y / x, 0.5 * nearest * (1 / spacing) - 1)
+    return _Borders(right, 0.5 * (x * x + y * y) / x, -y / x)
 
 
 def _tabulate_gain(

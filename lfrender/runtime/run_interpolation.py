@@ -7,10 +7,14 @@ import numpy as np
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
-from .intrinsics import LEFT_BITS, TOGETHER, TURNED, read_bytes, read_turned, read_turned_with_gain, read_with_gain
+__all__ = ["BUNCH", "GAIN_BITS", "TOGETHER", "copy_run", "padded_length", "read_run", "read_run_of_bytes"]
 
-__all__ = ["BUNCH", "copy_run", "padded_length", "read_run", "read_run_of_bytes", "read_turned_run"]
-
+#: Fractional bits of a gain below 4 in 16 bits.
+GAIN_BITS = 14
+# Fractional bits of the upper half of its product with a byte weighted by 256ths.
+_LEFT_BITS = 6
+#: Bytes that are read together.
+TOGETHER = 16
 #: Values that are read together, as vector instructions want it; those beyond the end of a run are overwritten.
 BUNCH = 32
 
@@ -23,22 +27,6 @@ def _weights_of_bytes(fx, fy):
     return (
         np.uint16(256 - right - low + corner), np.uint16(right - corner), np.uint16(low - corner), np.uint16(corner),
     )  # fmt: skip
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def read_turned_run(flat, at, across, down, fx, fy, gain, gain_at, out, start, size):
-    """As `read_run_of_bytes` for pixels of three bytes, in reverse order, up to the places `at` and `gain_at`."""
-    weights = _weights_of_bytes(fx, fy)
-    bunch = np.uint64(3 * TURNED)
-    for k in range(np.uint64(0), size, bunch):
-        # The last bunch begins within the one before it.
-        into = min(k, size - bunch)
-        place = at - into - bunch
-        places = (place, place + across, place + down, place + down + across)
-        if len(gain) == 0:
-            read_turned(flat, places, weights, out, start + into)
-        else:
-            read_turned_with_gain(flat, places, weights, gain, gain_at - into - bunch, out, start + into)
 
 
 # Python's error model checks every division, which no vector loop can.
@@ -64,26 +52,16 @@ def read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, out, start,
     """The same for bytes, with weights in 256ths: twice as many at a time."""
     at_b, at_c, at_d = at + across, at + down, at + down + across
     wa, wb, wc, wd = _weights_of_bytes(fx, fy)
-    # The last bunch begins within the one before it; fewer bytes than one are read one by one.
-    bunch = np.uint64(TOGETHER)
-    bunched = size if size >= bunch else np.uint64(0)
+    half, left_half = np.uint16(128), np.uint16(1 << (_LEFT_BITS - 1))
     if len(gain) == 0:
-        for n in range(np.uint64(0), bunched, bunch):
-            k = min(n, size - bunch)
-            read_bytes(flat, (at + k, at_b + k, at_c + k, at_d + k), (wa, wb, wc, wd), out, start + k)
-        for k in range(bunched, size):
+        for k in range(size):
             value = np.uint16(wa * flat[at + k] + wb * flat[at_b + k] + wc * flat[at_c + k] + wd * flat[at_d + k])
-            out[start + k] = np.uint16(value + np.uint16(128)) >> np.uint16(8)
+            out[start + k] = np.uint16(value + half) >> np.uint16(8)
     else:
-        for n in range(np.uint64(0), bunched, bunch):
-            k = min(n, size - bunch)
-            read_with_gain(
-                flat, (at + k, at_b + k, at_c + k, at_d + k), (wa, wb, wc, wd), gain, gain_at + k, out, start + k
-            )
-        for k in range(bunched, size):
+        for k in range(size):
             value = np.uint16(wa * flat[at + k] + wb * flat[at_b + k] + wc * flat[at_c + k] + wd * flat[at_d + k])
             value = np.uint16((np.uint32(value) * np.uint32(gain[gain_at + k])) >> np.uint32(16))
-            value = np.uint16(value + np.uint16(1 << (LEFT_BITS - 1))) >> np.uint16(LEFT_BITS)
+            value = np.uint16(value + left_half) >> np.uint16(_LEFT_BITS)
             out[start + k] = min(value, np.uint16(255))
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
-from ...runtime.intrinsics import prefetch, two_at
 from ..settings import WEIGHTS
 
 __all__ = [
@@ -37,8 +36,6 @@ THIRD = np.uint64(2 * LINE)
 FOURTH = np.uint64(3 * LINE)
 # Runs whose places are found before the first of them is read.
 QUEUE = 3
-# Pixels of a run per prefetched line of memory.
-_AHEAD = np.uint64(16)
 # Where the second, third and fourth value of all pixels of a run begin.
 _ONE = np.uint64(1)
 _TWO = np.uint64(2)
@@ -185,14 +182,9 @@ def _place(columns, rows, slope, limits, share, lens, flat, spacing, per_light_s
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _prefetch_run(line, words, down, whole, at, lanes):
-    """Prefetch the memory that a run reads: the processor cannot predict the steps from lens to lens."""
-    for first in range(np.uint64(0), lanes, _AHEAD):
-        for k in range(first, first + np.uint64(ROWS)):
-            prefetch(line, words * np.uint64(np.uint32(whole[at + k])))
-        prefetch(line, words * (np.uint64(np.uint32(whole[at + first + np.uint64(ROWS - 1)])) + down))
-    for k in range(lanes - np.uint64(ROWS), lanes):
-        prefetch(line, words * np.uint64(np.uint32(whole[at + k])))
+def _two_at(line, place):
+    """The two numbers of four bytes from a place on, the first in the lower half."""
+    return np.uint64(line[place]) | (np.uint64(line[place + _ONE]) << np.uint64(32))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
@@ -203,15 +195,15 @@ def _fetch(line, words, down, lights, whole, pairs, light_pairs, q, lanes):
         pixel = np.uint64(np.uint32(whole[at + k]))
         entry = np.uint64(np.uint32(whole[at + _F + k]))
         if words == _ONE:
-            pairs[pair_at + k] = two_at(line, pixel)
-            pairs[pair_at + _F + k] = two_at(line, pixel + down)
+            pairs[pair_at + k] = _two_at(line, pixel)
+            pairs[pair_at + _F + k] = _two_at(line, pixel + down)
         else:
             pixel += pixel
-            pairs[corners_at + k + k] = two_at(line, pixel)
-            pairs[corners_at + _ONE + k + k] = two_at(line, pixel + _TWO)
+            pairs[corners_at + k + k] = _two_at(line, pixel)
+            pairs[corners_at + _ONE + k + k] = _two_at(line, pixel + _TWO)
             pixel += down + down
-            pairs[corners_at + _BOTH + k + k] = two_at(line, pixel)
-            pairs[corners_at + _BOTH + _ONE + k + k] = two_at(line, pixel + _TWO)
+            pairs[corners_at + _BOTH + k + k] = _two_at(line, pixel)
+            pairs[corners_at + _BOTH + _ONE + k + k] = _two_at(line, pixel + _TWO)
         light_pairs[light_at + k] = lights[entry]
 
 
@@ -383,12 +375,6 @@ def read_lenses(source, band, lowest, highest, first, row, column, spacing, coun
                 columns, rows, slope, limits, share, lens, flat, step, per_light_step, np.uint64(u), lanes, work, whole,
                 at,
             )  # fmt: skip
-            if words == _ONE:
-                _prefetch_run(line, _ONE, stride, whole, at, lanes)
-            else:
-                _prefetch_run(line, _TWO, stride, whole, at, lanes)
-            if edged[number]:
-                _prefetch_run(depth, _ONE, stride, whole, at, lanes)
             found += 1
     _read_queue(
         line, depth, lights, flat, sizes, runs, done, found, work, whole, corners, pairs, light, light_pairs, values,

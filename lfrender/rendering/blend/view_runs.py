@@ -26,7 +26,6 @@ from .lens_runs import (
     _find_columns,
     _Flat,
     _locate_lens,
-    _prefetch_run,
     _read_queue,
     count_pixels,
 )
@@ -145,9 +144,6 @@ def read_lenses_about(view, source, band, lowest, highest, first, row, column, s
                 columns, rows, slope, limits, share, lens, flat, (step, per_light_step), np.uint64(u), lanes, work,
                 whole, at, view, values, np.uint64(found) * PER_RUN,
             )  # fmt: skip
-            _prefetch_run(line, flat.words, stride, whole, at, lanes)
-            if edged[number]:
-                _prefetch_run(depth, np.uint64(1), stride, whole, at, lanes)
             found += 1
     _reduce_occluded(depth, sizes, stride, flat.edge, per_pitch2, runs, done, found, work, whole, values)
     _read_queue(

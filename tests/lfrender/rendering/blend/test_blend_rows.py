@@ -65,9 +65,9 @@ def test_the_usual_picture_is_blended_lens_by_lens(made, monkeypatch):
 def test_flats_of_bytes_and_shorts_are_drawn_by_the_same_compiled_kernel():
     flat, camera, depth = capture()
     lfrender.render(flat, camera, depth)
-    before = len(blend_rows.overloads)
+    before = len(blend_rows.kernel.signatures)
     lfrender.render(shorts(flat), camera, depth)
-    assert len(blend_rows.overloads) == before
+    assert len(blend_rows.kernel.signatures) == before
 
 
 @pytest.mark.parametrize("made", [np.asarray, shorts])
