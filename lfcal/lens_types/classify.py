@@ -122,10 +122,11 @@ class _PatternSpectrum:
         def threshold(usual: float, beating: float) -> NDArray[np.float64]:
             return np.where(beats, beating, usual)
 
-        # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side can be used.
+        # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side can be used; on
+        # white images it can in any case, where it shows radii that differ, and no scene.
         found = [
             (differences(features.outer_light), threshold(*settings.min_outer_light), sound),
-            (differences(features.inner_loss), np.full(len(beats), settings.min_inner_loss), beats & sound),
+            (differences(features.inner_loss), np.full(len(beats), settings.min_inner_loss), (beats | white) & sound),
         ]
         if white:
             found.append((differences(features.level), np.full(len(beats), settings.min_level), sound))

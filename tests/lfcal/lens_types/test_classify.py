@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from lfcal.images.preprocessing import sqrt_luminance
 from lfcal.lens_types.classify import find_lens_types
 from lfcal.lens_types.lens_sample import measure_lens_features, sample_lenses
 
+KINDS = Path(__file__).resolve().parents[3].parent / "shared" / "kinds"
 _FOCI = (-0.5, -0.35, -0.22)
 _MOSAIC = np.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 
@@ -155,3 +157,36 @@ def test_ray_traced_single_type_cameras_are_not_split(shared, folder):
         size = (truth["W"], truth["H"])
         lattice = lfcal.Lattice(truth["origin_px"], truth["basis_px"], size, 0.47 * truth["D"])
         assert search(picture, lattice, white) is None
+
+
+@pytest.mark.parametrize("shares", [(1.0, 1.0), (1.0, 0.9)])
+def test_two_types_of_unlike_radius_are_found_on_a_white_image_and_alike_ones_are_not(shares):
+    camera = Camera.design((500, 450), 30.3, "square", -1.3, microimage_fill=0.94)
+    focal = camera.microlens_focal_lengths[0]
+    camera = camera.replace(microlens_focal_lengths=(focal, focal), type_apertures=shares, stray=0.05)
+    taken = simulate(SCENES["blank"](camera), camera, samples=8, noise=(9000, 5), gamma=False)
+    found = lfcal.calibrate(taken.white, kind="white")
+    assert (found.lens_types is not None) == (shares[0] != shares[1])
+    index = found.lattice.indices()
+    if found.lens_types is not None:
+        near = taken.truth.calibration.lattice.to_index(found.lattice.points(index)).round()
+        assert len({(int(a), int(b) % 2) for a, b in zip(found.lens_types.of(index), near.sum(1), strict=True)}) == 2
+
+
+@pytest.mark.skipif(not KINDS.is_dir(), reason="no white images of other kinds beside the repository")
+def test_alternating_types_whose_rims_pass_the_usable_radius_alike_are_found_by_the_light_before_them():
+    camera = lfcal.calibrate(KINDS / "types2_sq.png")
+    assert camera.lens_types is not None and camera.lens_types.count == 2
+    assert camera.confidence > 0.9
+    light = camera.flatten(lfcal.read_flat(KINDS / "types2_sq.png").astype(np.float32))
+    kind, centres = camera.lens_types.of(camera.lattice.indices()), camera.lattice.centres()
+    inside = ((centres > 40) & (centres < np.array(camera.image_size) - 40)).all(1)
+    y, x = np.mgrid[-15:16, -15:16]
+    rim = {0: [], 1: []}
+    for (u, v), of in zip(centres[inside][::5], kind[inside][::5], strict=True):
+        column, row = round(u), round(v)
+        far = np.hypot(x + column - u, y + row - v) / camera.lattice.radius
+        window = light[row - 15 : row + 16, column - 15 : column + 16]
+        rim[int(of)].append(window[(far > 0.9) & (far < 0.98)].mean() / window[far < 0.5].mean())
+    # One profile for both leaves them 0.6 and 1.3 times as bright at the rim as in the middle.
+    assert all(np.mean(values) == pytest.approx(1, abs=0.15) for values in rim.values())
