@@ -56,8 +56,7 @@ def find_mosaic(flat: NDArray[Any], settings: MosaicSettings = MOSAIC) -> Mosaic
     outer, inner = phases[:, [0, 3]], phases[:, [1, 2]]
     # Where red and blue are hardly unlike, as on some white images, green is the brighter diagonal.
     green_inside = alike > opposite if unlike else inner.mean() > outer.mean()
-    others, green = (outer, inner) if green_inside else (inner, outer)
-    red_first = _is_red_first(others, green.mean(1), settings)
+    red_first = _is_red_first(outer if green_inside else inner, settings)
     if green_inside:
         return "RGGB" if red_first else "BGGR"
     return "GRBG" if red_first else "GBRG"
@@ -83,16 +82,16 @@ def _peaks(blocks: NDArray[np.float32], settings: MosaicSettings) -> tuple[float
     return alike, opposite, diagonal
 
 
-def _is_red_first(others: NDArray[np.float64], green: NDArray[np.float64], settings: MosaicSettings) -> bool:
+def _is_red_first(others: NDArray[np.float64], settings: MosaicSettings) -> bool:
     """Whether the first of two colours (n, 2) is more likely red than blue; a guess.
 
-    Most scenes are rather warm than cold, their saturated things are rather red than blue, and materials vary more at
-    long wavelengths. All three are differences of logarithms of about one spread, so they are added.
+    Saturated things are red more often than blue, which no white balance changes: the logarithm of red over blue has
+    the longer tail above its median (on 12 of 15 pictures). Where it has none, as on white images, the brighter is red.
     """
-    first, second = np.log((others.T + 1e-6) / (green + 1e-6))
-    balance = first - second
-    spread = np.log((first.std() + settings.colour_noise) / (second.std() + settings.colour_noise))
-    return bool(balance.mean() + np.cbrt(((balance - np.median(balance)) ** 3).mean()) + spread > 0)
+    first, second = np.log(others.T + 1e-6)
+    low, middle, high = np.quantile(first - second, [settings.tail, 0.5, 1 - settings.tail])
+    longer = high + low - 2 * middle
+    return bool((longer if abs(longer) > settings.colour_noise else middle) > 0)
 
 
 def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:

@@ -23,7 +23,8 @@ class MosaicSettings:
     peak: float = 1.0
     unlike: float = 3.0
     diagonal_peak: float = 1.5
-    colour_noise: float = 0.05  # deviation of the logarithm of a colour without one, such as on white images
+    tail: float = 0.02  # share of the places that are the most saturated
+    colour_noise: float = 0.01  # difference of the tails on white images
     window: float = 1 / 8  # [shorter side] of the square over which phases get the same mean
     smallest_window: int = 65  # [px] enough to hold many lenses
 
