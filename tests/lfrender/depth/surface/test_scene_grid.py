@@ -23,6 +23,9 @@ def test_the_lens_of_a_point_is_the_one_whose_cell_it_lies_in():
     index = {tuple(ij): row for row, ij in enumerate(LATTICE.indices().tolist())}
     for v, u in np.random.default_rng(1).integers(0, 75, (200, 2)):
         point = np.array([[grid.first + 2.9 * u, grid.first + 2.9 * v]])
-        i, j = np.rint(LATTICE.to_index(point))[0].astype(int)
+        place = LATTICE.to_index(point)[0]
+        i, j = np.rint(place).astype(int)
+        if np.abs(np.abs(place - (i, j)) - 0.5).min() < 1e-9:
+            continue  # on the border of two cells, rounding decides
         assert tuple(map(int, nearest_lens(grid, u, v))) == (i, j)
         assert lens_at(grid.rows, grid.low, i, j) == index.get((i, j), -1)
