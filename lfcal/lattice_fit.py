@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .lattice.lattice import Lattice
 from .lattice.residuals import Residuals
+from .lattice.robust_fit import LatticeFit, field_rms
 from .lattice.standard_errors import LatticeErrors, equal_weight_errors
 from .runtime.errors import CalibrationError
 from .settings import CALIBRATION
@@ -116,9 +117,32 @@ def fit_lattice_to_scenes(
     if len(lights) > 1:
         rims /= np.float32(len(lights))
     fit = fit_scene(rims, found)
+    if start.clear_gaps:
+        fit = _follow_gaps(fit, picture, start)
+        if fit.distortion is None and start.explains(found.basis) > start.explains(fit.basis) + CALIBRATION.explained:
+            return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
     if fit.residual_rms > CALIBRATION.faint_rims * found.pitch and not fit.half_difference < start.half_difference:
         # Averages of whole tiles are the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius, fit.distortion)
     errors = equal_weight_errors(lattice, fit.uncertainty)
     return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.half_difference, errors)
+
+
+def _follow_gaps(fit: LatticeFit, picture: NDArray[np.float32], start: FirstLattice) -> LatticeFit:
+    """A fit to the edges of a scene, or one to its gaps where they differ.
+
+    Scene detail that is alike in many lenses draws the edges after it, but what is dark in all of them stays.
+    """
+    from .images.preprocessing import normalise_locally
+    from .scene_fit.fit import fit_scene
+
+    found = start.lattice
+    darkness = np.minimum(normalise_locally(picture, CALIBRATION.dark_window * found.pitch), 0)
+    try:
+        by_gaps = fit_scene(darkness, found)
+    except CalibrationError:
+        return fit
+    index = np.column_stack([np.ones(len(found)), found.indices()])
+    change = np.vstack([fit.origin - by_gaps.origin, fit.basis - by_gaps.basis])
+    return by_gaps if field_rms(index, change) > CALIBRATION.beside_gaps * found.pitch else fit

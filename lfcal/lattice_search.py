@@ -117,11 +117,11 @@ def find_lattices_without_glare(
 ) -> tuple[LatticeCandidate, Iterator[LatticeCandidate]]:
     """The lattices of scenes, or those on the root of their luminance where bright places may outweigh microimages.
 
-    Those on the root are taken where contrast is high, or their average microimage is rounder.
+    Those on the root are taken where contrast is high or their average microimage is rounder, if gaps are not clear.
     """
     # A ninth of the pixels is enough.
     glares = float(np.asarray(found.picture)[::3, ::3].std()) > CALIBRATION.glare
-    if not glares and found.start.roundness >= CALIBRATION.min_roundness:
+    if found.start.clear_gaps or (not glares and found.start.roundness >= CALIBRATION.min_roundness):
         return found, others
 
     def find_softer() -> Iterator[LatticeCandidate]:

@@ -151,6 +151,11 @@ def _calibrate(
             scene, other, _ = _measure_first(_find_candidates(None, flats, "scene", filtered, hint))
             if scene.confidence > camera.confidence or (unexplained and scene.confidence == camera.confidence):
                 camera, found = scene, other
+        if camera.source == "white" and camera.confidence == 0:
+            raise CalibrationError(
+                "the lenses are lit too differently for a white image, and no lattice is proved if the flat is a scene;"
+                " give a white image, or state what it shows (--kind white or scene)"
+            )
     types = camera.lens_types
     doubts = (
         find_lattice_doubt(camera.confidence, found.fit.half_difference),
@@ -163,10 +168,27 @@ def _may_be_scene(camera: Calibration) -> bool:
     """Whether what was calibrated as a white image is lit more unlike from lens to lens than by dust."""
     gain = np.zeros(0) if camera.gain_map is None else camera.gain_map.lens_gain
     lit = gain[gain > 0]
+    # The light of a spot of few pixels depends on where it lies on them.
+    if np.pi * camera.lattice.radius**2 < CALIBRATION.fewest_pixels:
+        return False
+    if len(lit) and _enclosed_share(gain <= 0, camera.lattice.indices()) > CALIBRATION.enclosed_dark:
+        return True
     unlike = len(lit) > 0 and float((np.abs(lit / np.median(lit) - 1) > CALIBRATION.unlike_gain).mean())
     # Where the lattice is uncertain, half as many are enough.
     share = 1.0 if camera.confidence >= LIMITS.confidence else 0.5
     return unlike > share * CALIBRATION.unlike_lenses
+
+
+def _enclosed_share(dark: NDArray[np.bool_], index: NDArray[np.int64]) -> float:
+    """Share of the lenses (n,) at indices (n, 2) that are dark between lit ones, in both lattice directions."""
+    enclosed = dark.copy()
+    for axis in (0, 1):
+        row = index[:, 1 - axis] - index[:, 1 - axis].min()
+        first, last = np.full(row.max() + 1, np.iinfo(np.int64).max), np.full(row.max() + 1, np.iinfo(np.int64).min)
+        np.minimum.at(first, row[~dark], index[~dark, axis])
+        np.maximum.at(last, row[~dark], index[~dark, axis])
+        enclosed &= (first[row] < index[:, axis]) & (index[:, axis] < last[row])
+    return float(enclosed.mean())
 
 
 def _find_large(flat: NDArray[Any], kind: str, filtered: bool, block: int) -> LatticeCandidate | None:
@@ -307,7 +329,7 @@ def _find_doubt(found: LatticeCandidate, lattice: Lattice) -> str | None:
         return None
     if found.start.doubt is not None:
         raise found.start.doubt
-    doubt = find_shape_doubt(found.picture, lattice)
+    doubt = find_shape_doubt(found.picture, lattice, found.white and found.start.clear_gaps)
     if doubt is not None and found.single is not None and check_parallax(found.single, lattice, False):
         return None
     return doubt and (

@@ -178,7 +178,10 @@ class AverageCell:
 
 
 def find_shape_doubt(
-    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, settings: CellTestSettings = DEFAULT.cell_tests
+    picture: NDArray[np.float32] | StackedCrops,
+    lattice: Lattice,
+    clear_gaps: bool = False,
+    settings: CellTestSettings = DEFAULT.cell_tests,
 ) -> str | None:
     """Why the average cell may be no microimage, None where its shape proves it.
 
@@ -187,6 +190,8 @@ def find_shape_doubt(
     picture : (h, w) float32, or crops
         As made by `images.preprocessing.sqrt_luminance`.
     lattice : Lattice [px]
+    clear_gaps : bool
+        Whether there are dark gaps at all borders of cells, which proves a microimage of any shape.
 
     Raises
     ------
@@ -208,7 +213,7 @@ def find_shape_doubt(
         return "two kinds of them alternate, as threads or bricks do"
     if cell.gap_brightness > settings.gap_brightness:
         return "the gaps between them are not darker than their middles"
-    if cell.unexplained + margin > settings.unexplained:
+    if not clear_gaps and cell.unexplained + margin > settings.unexplained:
         return "the light in them does not have the shape of that behind a lens"
     return None
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain, zip_longest
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -24,9 +24,10 @@ from ..runtime.errors import CalibrationError
 from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres, is_checkerboard
 from .cell_tests import check_cell, check_edges
 from .folding import fold_lit_tiles, fold_tiles, measure_repeatability
-from .period_refinement import refine_basis
+from .gaps import Gaps, gap_tone, measure_gaps, window_likelihood
+from .period_refinement import refine_basis, similar_bases
 from .settings import DEFAULT, DetectionSettings, FirstLatticeSettings
-from .spectrum import compute_spectra, find_candidate_bases
+from .spectrum import find_bases, is_same_lattice
 from .tile_harmonics import fit_harmonics
 
 __all__ = [
@@ -58,7 +59,13 @@ class FirstLattice:
     half_difference: float  # [px] RMS distance over the flat of the lattices of two halves of the tiles
     repeatability: float  # correlation of the average microimages of two halves of the tiles
     doubt: CalibrationError | None = None  # why this may be no lattice of microimages, unless parallax proves it
+    clear_gaps: bool = False  # dark gaps at every border of cells of different content
     confirmed: bool = False  # circles found by Hough vote lie on it, where halves of the flat hardly repeat
+
+    def explains(self, basis: NDArray[np.float64]) -> float:
+        """`window_likelihood` of a basis (2, 2) [px of the flat] on the picture."""
+        scale = self.brightness.shape[0] / self.lattice.image_size[1]
+        return window_likelihood(self.brightness, scale * basis, int(8 * scale * self.lattice.pitch))
 
 
 def find_first_lattice(picture: NDArray[np.float32], settings: DetectionSettings = DEFAULT) -> FirstLattice:
@@ -74,7 +81,7 @@ def find_first_lattice(picture: NDArray[np.float32], settings: DetectionSettings
     CalibrationError
         If nothing repeats in two directions, or no microimages do.
     """
-    return _build_lattice(next(_find_bases(picture, settings)), picture, edge_strength(picture), settings)
+    return _build_lattice(next(find_bases(picture, settings)), picture, edge_strength(picture), settings)
 
 
 def fit_first_lattice(
@@ -98,7 +105,7 @@ def find_first_lattices(picture: NDArray[np.float32], settings: DetectionSetting
     CalibrationError
         As `find_first_lattice`, if there is none at all.
     """
-    yield from _build_lattices(_find_bases(picture, settings), picture, settings)
+    yield from _build_lattices(find_bases(picture, settings), picture, settings)
 
 
 def find_stated_lattices(
@@ -109,25 +116,36 @@ def find_stated_lattices(
     Raises
     ------
     CalibrationError
-        If nothing repeats on the picture as stated.
+        If nothing repeats on the picture as stated, or in more than one way.
     """
     bases: list[NDArray[np.float64]] = []
     with suppress(CalibrationError):
-        bases += _find_bases(picture, settings)
-    edges = edge_strength(picture)
+        bases += find_bases(picture, settings)
+    edges, first = edge_strength(picture), settings.first_lattice
     found: list[FirstLattice] = []
     for number, basis in enumerate(bases + hint.bases()):
         if found and number >= len(bases):
             break
         with suppress(CalibrationError, np.linalg.LinAlgError):
             one = _build_lattice(basis, picture, edges, settings)
-            if hint.allows(one.lattice) and one.repeatability >= settings.first_lattice.stated_repeatability:
+            if hint.allows(one.lattice) and one.repeatability >= first.stated_repeatability:
                 found.append(replace(one, doubt=None))
     if not found:
         turned = "" if hint.rotation is None else f", turned by about {hint.rotation:g} degrees"
         raise CalibrationError(
             f"no microimages repeat about every {hint.pitch:g} px{turned}; give other figures, or a white image"
         )
+    explained = [one.explains(one.lattice.basis) for one in found]
+    best = found[int(np.argmax(explained))]
+    for one, share in zip(found, explained, strict=True):
+        other = one.lattice.basis
+        if share > first.as_likely * max(explained) and not is_same_lattice(
+            other, best.lattice.basis, first.same_stated
+        ):
+            raise CalibrationError(
+                f"several lattices of about {hint.pitch:g} px explain the flat nearly as well "
+                f"({best.lattice.pitch:.2f} and {one.lattice.pitch:.2f} px); give a white image"
+            )
     return sorted(found, key=lambda one: -one.roundness)
 
 
@@ -142,7 +160,7 @@ def find_first_lattices_at_half_size(
 
     height, width = (length // 2 for length in picture.shape)
     half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-    bases = _find_bases(half, settings)
+    bases = find_bases(half, settings)
     min_pitch = settings.first_lattice.halved_pitch
     start: FirstLattice | None = None
     starts: Iterator[FirstLattice] = iter(())
@@ -159,52 +177,6 @@ def find_first_lattices_at_half_size(
         small = found.lattice
         lattice = Lattice(2 * small.origin + 0.5, 2 * small.basis, picture.shape[::-1], 2 * small.radius)
         yield replace(found, lattice=lattice, half_difference=2 * found.half_difference)
-
-
-def _find_bases(picture: NDArray[np.float32], settings: DetectionSettings) -> Iterator[NDArray[np.float64]]:
-    """Bases to try: the best supported over short and long periods, then others; CalibrationError where there is none.
-
-    Detail of a flat scene repeats at another period than that of the lenses, and may have stronger peaks.
-    """
-    spectral, first = settings.spectrum, settings.first_lattice
-    best, wide = None, []
-    for reduction in first.reductions:
-        spectra = compute_spectra(picture, reduction, (spectral.background,), spectral)
-        if not spectra:
-            break
-        wide.append(find_candidate_bases(spectra[0], first.candidates, spectral))
-        for candidate in wide[-1][:1]:
-            if best is None or candidate.support > best.support:
-                best = candidate
-        if best is not None and best.support > first.clear_support:
-            break
-    if best is None or best.support < first.min_support:
-        raise CalibrationError(
-            "no pattern repeats in two directions all over the image; "
-            "give a raw flat from the sensor, not a rendered or scaled picture"
-        )
-    tried = [best.basis]
-    yield best.basis
-    narrow = [
-        candidate
-        for reduction in first.reductions
-        for spectrum in compute_spectra(picture, reduction, spectral.narrow_backgrounds, spectral)
-        for candidate in find_candidate_bases(spectrum, first.candidates, spectral)
-    ]
-    narrow.sort(key=lambda one: -one.support)
-    for candidate in narrow + [one for rank in zip_longest(*wide) for one in rank if one is not None]:
-        if len(tried) >= first.tries:
-            return
-        if not any(_is_same_lattice(candidate.basis, basis, first.same_basis) for basis in tried):
-            tried.append(candidate.basis)
-            yield candidate.basis
-
-
-def _is_same_lattice(one: NDArray[np.float64], other: NDArray[np.float64], tolerance: float) -> bool:
-    """Whether two bases span nearly the same points."""
-    steps = one @ np.linalg.inv(other)
-    whole = np.rint(steps)
-    return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < tolerance)
 
 
 def _build_lattices(
@@ -237,7 +209,7 @@ def _build_lattices(
     # The average of several lens types is less round than that of one.
     for found in sorted(certain, key=lambda one: -one.roundness):
         same = (one.lattice.basis for one in given)
-        if not any(_is_same_lattice(found.lattice.basis, b, settings.first_lattice.same_basis) for b in same):
+        if not any(is_same_lattice(found.lattice.basis, b, settings.first_lattice.same_basis) for b in same):
             given.append(found)
             yield found
     if given:
@@ -270,7 +242,7 @@ def _confirm_by_circles(
             pitches.append(pitch)
     for pitch in pitches:
         proposed = propose_basis(picture, pitch)
-        if proposed is None or any(_is_same_lattice(proposed, basis, first.same_basis) for basis in known):
+        if proposed is None or any(is_same_lattice(proposed, basis, first.same_basis) for basis in known):
             continue
         known.append(proposed)
         with suppress(CalibrationError, np.linalg.LinAlgError):
@@ -297,7 +269,9 @@ def _build_lattice(
     """`find_first_lattice` from a basis of the spectrum; CalibrationError where that is none of microimages."""
     first = settings.first_lattice
     height, width = picture.shape
+    start = basis
     basis, side, features, coherence = _refine_cell(basis, picture, edges, settings)
+    basis, gaps = _choose_by_gaps(features, [basis, *similar_bases(basis, start, first.max_change)], side, settings)
     if 2 * _inradius(basis) < first.min_pitch:
         raise CalibrationError(
             f"the image repeats every {2 * _inradius(basis):.1f} px; microimages must be at least 6 px apart, "
@@ -314,17 +288,37 @@ def _build_lattice(
     light = tone.mean().reshape(_BINS, 4, _BINS, 4).mean((1, 3)) ** 2
     centre = choose_lens_centre(find_round_centres(cells, basis, settings.centre), light, basis, settings.centre)
     repeatability = measure_repeatability(folds, first.certain_repeatability)
-    doubt = check_cell(cells, light, basis, centre.position, repeatability, settings.cell_tests)
-    if doubt is not None and (
-        centre.roundness < first.doubtful_roundness or repeatability > first.doubtful_repeatability
-    ):
-        raise doubt
+    if gaps.weakest < settings.gaps.missing and gaps.strongest > settings.gaps.clear:
+        raise CalibrationError(NO_MICROIMAGES)
+    doubt, place = None, gaps.centre @ gaps.basis
+    proved = gaps.prove_lattice(settings.gaps) and gap_tone(light, gaps, settings.gaps) < settings.gaps.most_tone
+    if not proved:
+        place = centre.position @ basis
+        doubt = check_cell(cells, light, basis, centre.position, repeatability, settings.cell_tests)
+        if doubt is not None and (
+            centre.roundness < first.doubtful_roundness or repeatability > first.doubtful_repeatability
+        ):
+            raise doubt
     middle = (np.array([width, height]) - 1) / 2
-    fit = fit_harmonics(folds[1:], _nearest_point(middle, centre.position @ basis, basis), settings.harmonics)
+    fit = fit_harmonics(folds[1:], _nearest_point(middle, place, basis), settings.harmonics)
     _check_change(fit.basis, basis, first.max_change)
     origin, basis = _nearest_point(middle, fit.origin, fit.basis), reduce_basis(fit.basis)
     lattice = Lattice(origin, basis, (width, height), _inradius(basis))
-    return FirstLattice(lattice, features[0], centre.roundness, fit.half_difference, repeatability, doubt)
+    return FirstLattice(lattice, features[0], centre.roundness, fit.half_difference, repeatability, doubt, proved)
+
+
+def _choose_by_gaps(
+    features: list[NDArray[np.float32]], choices: list[NDArray[np.float64]], side: int, settings: DetectionSettings
+) -> tuple[NDArray[np.float64], Gaps]:
+    """The likeliest of several bases (2, 2) [px], where gaps prove it, else the first; and the gaps of its cells.
+
+    Scene detail that moves from lens to lens draws the period after it, but then gaps do not lie over gaps.
+    """
+    likely = max(choices, key=lambda one: window_likelihood(features[0], one, side, settings.gaps))
+    gaps = measure_gaps(features, likely, side, settings.gaps)
+    if gaps.prove_lattice(settings.gaps):
+        return gaps.basis, gaps
+    return choices[0], gaps if likely is choices[0] else measure_gaps(features, choices[0], side, settings.gaps)
 
 
 def _refine_cell(

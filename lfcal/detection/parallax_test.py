@@ -169,6 +169,9 @@ def compare_neighbours(
     tone_spread = float(np.median(spreads))
     if not texture > min_texture:
         return NeighbourComparison(tone_spread, texture, gap_tone)
+    if np.median(values, axis=0).min() < settings.unlit * np.median(tones):
+        # Spots smaller than what is compared show nothing.
+        return NeighbourComparison(tone_spread, 0.0, gap_tone)
     near = [step for step in forward if np.hypot(*step) < settings.neighbour_distance * nearest]
     radius = settings.compared * min(lattice.radius, nearest / 2)
     return NeighbourComparison(

@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lattice.lattice import reduce_basis
 from .folding import TileFolds
 from .settings import DEFAULT, FirstLatticeSettings
 
-__all__ = ["refine_basis"]
+__all__ = ["refine_basis", "similar_bases"]
 
 
 def refine_basis(
@@ -55,6 +56,19 @@ def refine_basis(
     change, coherence = _maximise_coherence(stack, index, centre - centre.mean(0), start)
     reciprocal = np.linalg.inv(first.basis).T + change
     return np.asarray(np.linalg.inv(reciprocal).T), coherence
+
+
+def similar_bases(
+    refined: NDArray[np.float64], start: NDArray[np.float64], max_change: float
+) -> list[NDArray[np.float64]]:
+    """Bases that differ from a refined one by at most `max_change`: of the cells of `start`, and regular ones."""
+    a, b = refined = reduce_basis(refined)
+    found = [np.rint(6 * refined @ np.linalg.inv(start)) / 6 @ start]
+    for degrees in (90.0, 60.0, 120.0):
+        angle = np.radians(degrees) * np.sign(a[0] * b[1] - a[1] * b[0])
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        found += [np.array([a, a @ turn]), np.array([b @ turn.T, b])]
+    return [one for one in found if np.abs(one @ np.linalg.inv(refined) - np.eye(2)).max() < max_change]
 
 
 def _strongest(spectra: list[NDArray[np.complex64]], count: int) -> list[tuple[int, int, int]]:

@@ -12,6 +12,7 @@ __all__ = [
     "DetectionSettings",
     "DownscaleSettings",
     "FirstLatticeSettings",
+    "GapSettings",
     "HarmonicSettings",
     "ParallaxSettings",
     "ProfileSettings",
@@ -62,6 +63,8 @@ class FirstLatticeSettings:
     tone_samples: int = 32  # pixels along a tile that give its mean tone
     repeatability: float = 0.8  # least correlation of the average microimages of two halves of the flat
     stated_repeatability: float = 0.4  # the same where the pitch was stated beforehand, or circles confirm it
+    same_stated: float = 0.005  # share of its steps by which stated lattices may differ and be one
+    as_likely: float = 0.9  # share of the greatest likelihood from which on another lattice is as likely
     circle_agreement: float = 0.2  # share of circles beyond chance that must lie on an uncertain lattice
     circle_pitches: float = 0.15  # logarithm by which pitches differ at which circles are looked for
     certain_repeatability: float = 0.97  # where one feature reaches this, the other may be too faint
@@ -84,6 +87,27 @@ class CentreSettings:
     core: float = 0.25  # [pitch] around a centre that is lens for any fill factor
     nearly_as_round: float = 0.5  # share of the best roundness from which on brightness decides
     gap_brightness: float = 0.85  # most of a gap over that of a lens, unless the picture has been flattened
+
+
+@dataclass(frozen=True)
+class GapSettings:
+    """Tuned values of `gaps`; contrasts measured on captures, white images and cameras drawn at random."""
+
+    bins: int = 36  # along a cell
+    tiles: int = 60  # of the flat that are averaged
+    darkest: float = 0.01  # quantile of the mean cell that is the level of the gaps
+    middle: float = 0.6  # [inradius of the cell] radius of its middle
+    symmetry: float = 0.15  # [shortest step] from the darkest borders within which the centre of symmetry is looked for
+    oblique: float = 0.08  # cosine of the angle of a cell from which on it has six neighbours
+    cells: tuple[int, ...] = (1, 2, 3)  # steps each way in which borders are told apart
+    faint: float = 0.3  # contrast of brightness [standard deviations] below which edges count too
+    least_variance: float = 1e-3  # share of all variance that each place has at least
+    clear: float = 0.25  # weakest gap from which on it proves a lattice; lattices too fine have up to 0.02
+    dark: float = 0.58  # contrast that dark gaps have [standard deviations]: bricks 0.5, arrays 0.6 to 2.4
+    most_tone: float = 0.65  # light of dark gaps over that of cells: arrays up to 0.6, bars from 0.7
+    content: float = 0.15  # least content of cells over the contrast: weaves 0.13, scenes 0.17
+    idle_tile: float = 0.1  # share of the squared lattice amplitude below which a tile is beside the array
+    missing: float = 0.04  # weakest gap below which there is none: lattices too fine have up to 0.02, arrays 0.1
 
 
 @dataclass(frozen=True)
@@ -123,6 +147,7 @@ class ParallaxSettings:
     core: float = 0.6  # [half the nearest step] radius of the middle of a microimage
     core_in_radius: float = 0.7  # most of it over the usable radius
     core_samples: int = 9  # across it
+    unlit: float = 0.05  # share of the tone of a lens below which a place in the middle of most lenses has no light
     dark_lens: float = 0.45  # share of the tone of a bright lens; stray light beside an array has a sixth of its light
     type_periods: tuple[tuple[int, int], ...] = ((6, 360), (3, 0))  # period of lens types, and lenses it needs
     compared: float = 0.8  # [usable radius] part of a microimage that is compared
@@ -179,7 +204,7 @@ class CaptureSettings:
 
     level_window: float = 2.0  # [pitch] in which brightness is normalised
     scatter_inside: float = 0.15  # most scatter inside microimages of a white image, over the depth of the gaps
-    scatter_of_lit: float = 0.06  # the same without dark lenses: scenes have dark places too
+    scatter_of_lit: float = 0.09  # the same without dark lenses: scenes have 0.11, white images of dots 0.08
 
 
 @dataclass(frozen=True)
@@ -204,6 +229,7 @@ class DetectionSettings:
     spectrum: SpectrumSettings = SpectrumSettings()
     first_lattice: FirstLatticeSettings = FirstLatticeSettings()
     centre: CentreSettings = CentreSettings()
+    gaps: GapSettings = GapSettings()
     cell_tests: CellTestSettings = CellTestSettings()
     parallax: ParallaxSettings = ParallaxSettings()
     profile: ProfileSettings = ProfileSettings()

@@ -6,8 +6,9 @@ peaks that are one frequency bin wide and lie at all integer combinations of two
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, zip_longest
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,10 @@ from numpy.typing import NDArray
 
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import reduce_basis
-from .settings import DEFAULT, SpectrumSettings
+from ..runtime.errors import CalibrationError
+from .settings import DEFAULT, DetectionSettings, SpectrumSettings
 
-__all__ = ["Candidate", "Spectrum", "compute_spectra", "find_candidate_bases"]
+__all__ = ["Candidate", "Spectrum", "compute_spectra", "find_bases", "find_candidate_bases", "is_same_lattice"]
 
 
 @dataclass(frozen=True)
@@ -268,3 +270,49 @@ def _peak_pairs(peaks: NDArray[np.float64], seeds: int) -> NDArray[np.float64]:
     pairs = peaks[np.array(list(combinations(chosen, 2)))]
     lengths = np.hypot(pairs[..., 0], pairs[..., 1])
     return pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]]
+
+
+def find_bases(picture: NDArray[np.float32], settings: DetectionSettings) -> Iterator[NDArray[np.float64]]:
+    """Bases to try: the best supported over short and long periods, then others; CalibrationError where there is none.
+
+    Detail of a flat scene repeats at another period than that of the lenses, and may have stronger peaks.
+    """
+    spectral, first = settings.spectrum, settings.first_lattice
+    best, wide = None, []
+    for reduction in first.reductions:
+        spectra = compute_spectra(picture, reduction, (spectral.background,), spectral)
+        if not spectra:
+            break
+        wide.append(find_candidate_bases(spectra[0], first.candidates, spectral))
+        for candidate in wide[-1][:1]:
+            if best is None or candidate.support > best.support:
+                best = candidate
+        if best is not None and best.support > first.clear_support:
+            break
+    if best is None or best.support < first.min_support:
+        raise CalibrationError(
+            "no pattern repeats in two directions all over the image; "
+            "give a raw flat from the sensor, not a rendered or scaled picture"
+        )
+    tried = [best.basis]
+    yield best.basis
+    narrow = [
+        candidate
+        for reduction in first.reductions
+        for spectrum in compute_spectra(picture, reduction, spectral.narrow_backgrounds, spectral)
+        for candidate in find_candidate_bases(spectrum, first.candidates, spectral)
+    ]
+    narrow.sort(key=lambda one: -one.support)
+    for candidate in narrow + [one for rank in zip_longest(*wide) for one in rank if one is not None]:
+        if len(tried) >= first.tries:
+            return
+        if not any(is_same_lattice(candidate.basis, basis, first.same_basis) for basis in tried):
+            tried.append(candidate.basis)
+            yield candidate.basis
+
+
+def is_same_lattice(one: NDArray[np.float64], other: NDArray[np.float64], tolerance: float) -> bool:
+    """Whether two bases span nearly the same points."""
+    steps = one @ np.linalg.inv(other)
+    whole = np.rint(steps)
+    return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < tolerance)

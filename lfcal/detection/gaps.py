@@ -1,0 +1,204 @@
+"""Gaps between microimages: lines on which a flat is dark or never changes, while what they part is content of its own.
+
+All pixels are sorted by their place in the cell of a lattice. The root mean square of brightness above that of the
+gaps, `sqrt(variance + (mean - darkest)^2)`, is large wherever light or scene content comes through a lens, and small in
+gaps, whatever the shape of the aperture: disc, square, hexagon, or a disc cut off. It is so too in flats whose gaps
+a camera has brightened afterwards, where only content ends at them. On a lattice too fine some borders of the cells
+have no gap: they are compared one by one, on cells of two and three steps each way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..lattice.lattice import reduce_basis
+from .folding import fold_tiles
+from .settings import DEFAULT, GapSettings
+
+__all__ = ["Gaps", "gap_tone", "measure_gaps", "window_likelihood"]
+
+_AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """Gaps at the borders of the cells of a lattice."""
+
+    basis: NDArray[np.float64]  # (2, 2) [px] reduced
+    centre: NDArray[np.float64]  # (2,) middle of a cell, in fractional coordinates of `basis`
+    contrast: float  # of the middle of cells over their borders, in standard deviations of the flat
+    weakest: float  # 1 - RMS at a border over that in the cells beside it; 1 is a black gap, 0 none
+    strongest: float
+    content: float  # standard deviation in the middle of cells, of what differs from one to another, over `contrast`
+    by_brightness: bool  # gaps are dark; else they only show less change
+
+    def prove_lattice(self, settings: GapSettings = DEFAULT.gaps) -> bool:
+        """Whether gaps part all cells from each other, and these have content of their own: an array of lenses."""
+        return (
+            self.weakest >= settings.clear
+            and self.contrast >= settings.dark
+            and self.content >= settings.content
+            and self.by_brightness
+        )
+
+
+def window_likelihood(
+    brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int, settings: GapSettings = DEFAULT.gaps
+) -> float:
+    """Gain in log likelihood [nats per pixel] if each place of a cell has a mean and a variance of its own.
+
+    The same window everywhere with content of its own inside: greatest where gaps lie over gaps in all of the flat.
+
+    Parameters
+    ----------
+    brightness : (h, w) float32
+        Locally normalised.
+    basis : (2, 2) float64 [px]
+    side : int [px]
+        Of the tiles that are averaged.
+    """
+    value, square = (fold.mean() for fold in fold_tiles([brightness, brightness**2], basis, side, settings.bins))
+    variance = np.maximum(square - value**2, 0)
+    whole = float(variance.mean() + value.var())
+    # Places of no variance at all, as in saturated gaps, must not count without limit.
+    return float(0.5 * (np.log(whole) - np.log(variance + settings.least_variance * whole).mean()))
+
+
+def measure_gaps(
+    features: list[NDArray[np.float32]],
+    basis: NDArray[np.float64],
+    side: int,
+    settings: GapSettings = DEFAULT.gaps,
+) -> Gaps:
+    """Gaps of a lattice, of which only the `basis` (2, 2) [px] is known.
+
+    Parameters
+    ----------
+    features : list of (h, w) float32
+        Brightness and edges, locally normalised. Edges are used where brightness shows little.
+    side : int [px]
+        Of the tiles that are averaged.
+    """
+    basis = reduce_basis(basis)
+    middle, border = _cell_parts(basis, settings)
+    template = np.conj(np.fft.fft2(middle - border))
+    contrast, chosen, best = -np.inf, 0, middle
+    at: NDArray[np.float64] = np.zeros(2)
+    fold = _Fold(features[0], basis, side, settings)
+    for number in range(1 + len(features)):
+        # Brightness, then the standard deviation of brightness and of edges.
+        rms = fold.rms(features[max(number - 1, 0)], 1, number == 0)
+        found = np.fft.ifft2(np.fft.fft2(rms) * template).real
+        if found.max() > contrast:
+            contrast, chosen, best = float(found.max()), number, rms
+            at = np.array(np.unravel_index(int(found.argmax()), found.shape), dtype=np.float64)[::-1] + 0.5
+        if number == 0 and contrast > settings.faint:
+            break
+    centre = _most_symmetric(best, at, basis, settings)
+    feature, weakest, strongest = features[max(chosen - 1, 0)], np.inf, -np.inf
+    for cells in settings.cells:
+        rms = fold.rms(feature, cells, chosen == 0)
+        found = _border_contrasts(rms, cells, centre, basis, settings)
+        weakest, strongest = min(weakest, float(found.min())), max(strongest, float(found.max()))
+    variance = fold.moments(feature, 1)[1]
+    shift = np.floor(centre * settings.bins).astype(int)
+    content = float(np.sqrt((variance * np.roll(middle, shift[::-1], (0, 1))).sum())) / contrast
+    return Gaps(basis, centre, contrast, weakest, strongest, content, chosen == 0)
+
+
+def gap_tone(light: NDArray[np.float64], gaps: Gaps, settings: GapSettings = DEFAULT.gaps) -> float:
+    """Light at the borders of the average cell (bins, bins) over that in its middle."""
+    middle, border = _cell_parts(gaps.basis, settings)
+    shift = np.floor(gaps.centre * settings.bins).astype(int)[::-1]
+    inside, between = (float((light * np.roll(part, shift, (0, 1))).sum()) for part in (middle, border))
+    return between / max(inside, 1e-30)
+
+
+class _Fold:
+    """Pixels of a flat by their place in cells of a lattice, without tiles in which next to nothing repeats."""
+
+    def __init__(self, brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int, settings: GapSettings):
+        self.basis, self.side, self.settings = basis, side, settings
+        power = fold_tiles([brightness], basis, side, settings.bins, settings.tiles)[0].lattice_power()
+        self.lit = power >= settings.idle_tile * np.quantile(power, 0.9)
+
+    def moments(self, feature: NDArray[np.float32], cells: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean and variance (bins, bins) of a feature over `cells` x `cells` cells."""
+        bins = self.settings.bins if cells == 1 else cells * self.settings.bins * 2 // 3
+        folds = fold_tiles([feature, feature**2], cells * self.basis, self.side, bins, self.settings.tiles)
+        value, square = (fold.mask(self.lit).mean() for fold in folds)
+        return value, np.maximum(square - value**2, 0)
+
+    def rms(self, feature: NDArray[np.float32], cells: int, with_mean: bool) -> NDArray[np.float64]:
+        """(bins, bins) root mean square over the darkest place of a cell, or standard deviation only."""
+        value, variance = self.moments(feature, cells)
+        darkest = np.quantile(value, self.settings.darkest)
+        return np.sqrt(variance + np.maximum(value - darkest, 0) ** 2 if with_mean else variance)
+
+
+def _cell_parts(basis: NDArray[np.float64], settings: GapSettings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weights (bins, bins) of the middle and of the border of a cell about bin (0, 0), each of sum 1."""
+    share = np.arange(settings.bins) / settings.bins
+    index = np.stack(np.meshgrid(share, share), -1).reshape(-1, 1, 2)
+    offsets = (index - np.rint(index) - _AROUND) @ basis
+    offset = offsets[np.arange(len(index)), np.hypot(offsets[..., 0], offsets[..., 1]).argmin(1)]
+    steps = _AROUND[np.abs(_AROUND).sum(1) > 0] @ basis
+    length = np.hypot(*steps.T)
+    inradius = length.min() / 2
+    to_border = (0.5 * length - offset @ steps.T / length).min(1)
+    parts = (np.hypot(*offset.T) < settings.middle * inradius, to_border < max(1.5 * inradius / settings.bins, 0.5))
+    middle, border = (part.reshape(settings.bins, -1) / part.sum() for part in parts)
+    return middle, border
+
+
+def _most_symmetric(
+    rms: NDArray[np.float64], near: NDArray[np.float64], basis: NDArray[np.float64], settings: GapSettings
+) -> NDArray[np.float64]:
+    """(2,) fractional coordinates of the centre of a half turn that changes a cell (bins, bins) least, near a bin."""
+    bins = len(rms)
+    correlation = np.fft.ifft2(np.fft.fft2(rms - rms.mean()) ** 2).real
+    steps = np.arange(-bins // 2, bins // 2 + 1) / 2
+    tried = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    reach = settings.symmetry * np.hypot(*basis.T).min()
+    tried = near + tried[np.hypot(*(tried / bins @ basis).T) < reach]
+    # Bins k and m turn into each other about (k + m + 1) / 2.
+    turn = np.rint(2 * tried - 1).astype(int) % bins
+    centre: NDArray[np.float64] = tried[correlation[turn[:, 1], turn[:, 0]].argmax()] / bins
+    return centre
+
+
+def _border_contrasts(
+    rms: NDArray[np.float64],
+    cells: int,
+    centre: NDArray[np.float64],
+    basis: NDArray[np.float64],
+    settings: GapSettings,
+) -> NDArray[np.float64]:
+    """Contrast of every border between neighbours among `cells` x `cells`, as `Gaps.weakest`."""
+    first, second = basis
+    shorter = np.array([1, -1]) if first @ second > 0 else np.array([1, 1])
+    oblique = abs(first @ second) > settings.oblique * np.hypot(*first) * np.hypot(*second)
+    steps = np.array([(1, 0), (0, 1), *([shorter] if oblique else [])])
+    inverse = np.linalg.inv(basis)
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 2), -1).reshape(-1, 2)
+    reach = 0.5 * settings.middle * np.hypot(*(steps @ basis).T).min()
+    inside = grid[np.hypot(*grid.T) <= 1] * reach @ inverse
+    places = np.stack(np.meshgrid(*[np.arange(cells)] * 2), -1).reshape(-1, 1, 2) + centre
+
+    def sample(offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+        """RMS over points at `offsets` (m, 2) from each centre."""
+        bins = np.floor((places + offsets) / cells % 1 * len(rms)).astype(int) % len(rms)
+        return np.sqrt((rms[bins[..., 1], bins[..., 0]] ** 2).mean(1))
+
+    found = []
+    for step in steps:
+        ahead = step @ basis
+        # A side of a hexagonal cell is 0.58 steps long.
+        along = np.linspace(-0.3, 0.3, 9)[:, None] * np.array([-ahead[1], ahead[0]])
+        lines = [(ahead * (0.5 + shift / 36) + along) @ inverse for shift in (-1, 0, 1)]
+        border = np.min([sample(line) for line in lines], axis=0)
+        found.append(1 - border / np.maximum(np.minimum(sample(inside), sample(inside + step)), 1e-9))
+    return np.concatenate(found)
