@@ -25,7 +25,7 @@ from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_cen
 from .cell_tests import check_cell, check_edges
 from .folding import fold_lit_tiles, fold_tiles, measure_repeatability
 from .gaps import Gaps, gap_tone, measure_gaps, window_likelihood
-from .period_refinement import refine_basis, similar_bases
+from .period_refinement import finer_bases, refine_basis, similar_bases
 from .settings import DEFAULT, DetectionSettings, FirstLatticeSettings
 from .spectrum import find_bases, is_same_lattice
 from .tile_harmonics import fit_harmonics
@@ -288,7 +288,7 @@ def _build_lattice(
     light = tone.mean().reshape(_BINS, 4, _BINS, 4).mean((1, 3)) ** 2
     centre = choose_lens_centre(find_round_centres(cells, basis, settings.centre), light, basis, settings.centre)
     repeatability = measure_repeatability(folds, first.certain_repeatability)
-    if gaps.weakest < settings.gaps.missing and gaps.strongest > settings.gaps.clear:
+    if gaps.lack_some(settings.gaps):
         raise CalibrationError(NO_MICROIMAGES)
     doubt, place = None, gaps.centre @ gaps.basis
     proved = gaps.prove_lattice(settings.gaps) and gap_tone(light, gaps, settings.gaps) < settings.gaps.most_tone
@@ -318,7 +318,15 @@ def _choose_by_gaps(
     gaps = measure_gaps(features, likely, side, settings.gaps)
     if gaps.prove_lattice(settings.gaps):
         return gaps.basis, gaps
-    return choices[0], gaps if likely is choices[0] else measure_gaps(features, choices[0], side, settings.gaps)
+    if likely is not choices[0]:
+        gaps = measure_gaps(features, choices[0], side, settings.gaps)
+    if gaps.lack_some(settings.gaps):
+        # Cells of several lenses, as of an array of several types.
+        for finer in finer_bases(gaps.basis):
+            found = measure_gaps(features, finer, side, settings.gaps)
+            if found.prove_lattice(settings.gaps):
+                return found.basis, found
+    return choices[0], gaps
 
 
 def _refine_cell(

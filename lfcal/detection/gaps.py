@@ -35,6 +35,10 @@ class Gaps:
     content: float  # standard deviation in the middle of cells, of what differs from one to another, over `contrast`
     by_brightness: bool  # gaps are dark; else they only show less change
 
+    def lack_some(self, settings: GapSettings = DEFAULT.gaps) -> bool:
+        """Whether some borders have clear gaps and others none: the cells are not those of one lens each."""
+        return self.weakest < settings.missing and self.strongest > settings.clear
+
     def prove_lattice(self, settings: GapSettings = DEFAULT.gaps) -> bool:
         """Whether gaps part all cells from each other, and these have content of their own: an array of lenses."""
         return (

@@ -13,7 +13,7 @@ from ..lattice.lattice import reduce_basis
 from .folding import TileFolds
 from .settings import DEFAULT, FirstLatticeSettings
 
-__all__ = ["refine_basis", "similar_bases"]
+__all__ = ["finer_bases", "refine_basis", "similar_bases"]
 
 
 def refine_basis(
@@ -56,6 +56,14 @@ def refine_basis(
     change, coherence = _maximise_coherence(stack, index, centre - centre.mean(0), start)
     reciprocal = np.linalg.inv(first.basis).T + change
     return np.asarray(np.linalg.inv(reciprocal).T), coherence
+
+
+def finer_bases(basis: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Bases (2, 2) [px] of all lattices of which each cell of `basis` holds two or three cells."""
+    a, b = basis
+    halves = [np.array(pair) for pair in ((a / 2, b), (a, b / 2), ((a + b) / 2, b))]
+    thirds = [np.array(pair) for pair in ((a / 3, b), (a, b / 3), ((a + b) / 3, b), ((a + 2 * b) / 3, b))]
+    return [reduce_basis(one) for one in (*thirds, *halves)]
 
 
 def similar_bases(
