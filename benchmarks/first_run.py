@@ -27,6 +27,7 @@ _CAPTURES = _ROOT.parent / "shared" / "captures"
 _LFRENDER, _LFCAL = ("-m", "lfrender.cli.main"), ("-m", "lfcal.cli.main")
 _KINDS: dict[str, dict[str, Any]] = {
     "gray": {"channels": 1}, "16 bit": {"bits": 16}, "gray, 16 bit": {"channels": 1, "bits": 16},
+    "float": {"bits": 32}, "gray, float": {"channels": 1, "bits": 32},
     "square": {"lattice": "square"}, "three lens types": {"focus": (0.02, 0.04, 0.06)},
 }  # fmt: skip
 
@@ -104,17 +105,12 @@ def _first_picture(cache: Path, folder: Path) -> None:
 
 
 def _other_kinds(cache: Path, folder: Path) -> None:
-    from PIL import Image
+    import tifffile
 
     for kind, options in _KINDS.items():
         flat = folder / f"{kind.replace(' ', '')}.tif"
         pixels = make_flat(**options)
-        if pixels.ndim == 3 and pixels.dtype == np.uint16:
-            import tifffile
-
-            tifffile.imwrite(flat, pixels, photometric="rgb")
-        else:
-            Image.fromarray(pixels).save(flat)
+        tifffile.imwrite(flat, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
         arguments = *_LFRENDER, "render", str(flat), "-o", str(folder / "kind.tif"), "--quiet"
         first = _run(*arguments, cache=cache)
         again = _run(*arguments, cache=cache)
@@ -146,7 +142,8 @@ def _simulate(lattice: str, focus: Any, size: tuple[int, int], channels: int = 3
     def convert(pixels: Any) -> Any:
         if channels == 1 and pixels.ndim == 3:
             pixels = np.rint(pixels.mean(2)).astype(np.uint8)
-        return pixels.astype(np.uint16) * 257 if bits == 16 else pixels
+        whole = {8: pixels, 16: pixels.astype(np.uint16) * 257, 32: pixels.astype(np.float32) / np.float32(255)}
+        return whole[bits]
 
     return replace(capture, flat=convert(capture.flat), white=convert(capture.white))
 

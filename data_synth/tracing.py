@@ -21,9 +21,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from .camera import Camera
 from .surfaces import Patch, Scene
@@ -148,7 +149,7 @@ def _sequence(samples: int) -> NDArray[np.float64]:
     return np.column_stack([even[:, :2], radius * np.cos(angle), radius * np.sin(angle)])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _hash(seed: int, x: int, y: int, k: int) -> float:
     """A number in 0..1 that looks random over its arguments (SplitMix64 finaliser)."""
     z = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(x) * np.uint64(0xBF58476D1CE4E5B9)
@@ -159,13 +160,13 @@ def _hash(seed: int, x: int, y: int, k: int) -> float:
     return np.float64(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _wrapped(value):
     """A value in 0..2 brought to 0..1."""
     return value - 1.0 if value >= 1.0 else value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _corner(row, u, v):
     """Where to interpolate a texture: first texel, steps to the next ones, and shares of those.
 
@@ -179,7 +180,7 @@ def _corner(row, u, v):
     return int(row[13]) + j * width + i, right, below, x - i, y - j
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _opaque(texels, row, u, v):
     """Whether the cut-out texture has something at `(u, v)`."""
     p, right, below, fx, fy = _corner(row, u, v)
@@ -188,7 +189,7 @@ def _opaque(texels, row, u, v):
     return upper * (1 - fy) + lower * fy >= 0.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _meet_patch(row, ox, oy, dx, dy):
     """Depth and texture coordinates where the ray meets the patch; depth inf where it does not."""
     along = row[4] * dx + row[5] * dy + row[6]
@@ -203,7 +204,7 @@ def _meet_patch(row, ox, oy, dx, dy):
     return z, u, v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _meet_sphere(row, ox, oy, dx, dy):
     """Depth and texture coordinates where the ray first meets the sphere; depth inf where it does not."""
     cx, cy, radius = ox - row[1], oy - row[2], row[4]
@@ -219,7 +220,7 @@ def _meet_sphere(row, ox, oy, dx, dy):
     return z, math.atan2(nx, -nz) / (2 * math.pi) + 0.5, math.asin(min(max(ny, -1.0), 1.0)) / math.pi + 0.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _hit(table, texels, chosen, count, ax, ay, sx, sy):
     """Nearest of the `chosen` surfaces (nearest bounds first): table row or -1, depth, texture coordinates."""
     best, depth, best_u, best_v = -1, np.inf, 0.0, 0.0
@@ -236,7 +237,7 @@ def _hit(table, texels, chosen, count, ax, ay, sx, sy):
     return best, depth, best_u, best_v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _choose(chosen, table, ax, ay, sx, sy, start_spread, slope_spread):
     """List the surfaces that a bundle around the ray can meet: starts and slopes differ by the spreads at most."""
     count = 0
@@ -253,7 +254,7 @@ def _choose(chosen, table, ax, ay, sx, sy, start_spread, slope_spread):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _add(total, table, texels, background, found, u, v, weight):
     """Add the radiance at a hit to `total`, its weight to the fourth channel."""
     total[3] += weight
@@ -268,7 +269,7 @@ def _add(total, table, texels, background, found, u, v, weight):
         total[k] += c * texels[p + below, k] + d * texels[p + below + right, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _bent(cam, x, y, slope_x, slope_y):
     """Start and slope in object space of a ray that leaves the array at `(x, y)` [mm] with a slope in its frame.
 
@@ -286,7 +287,7 @@ def _bent(cam, x, y, slope_x, slope_y):
     return ax, ay, gain * ax + inner * sx, gain * ay + inner * sy, gain * sx, gain * sy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _passes(cam, ax, ay, half):
     """Whether a ray through `(ax, ay)` of the main lens passes its aperture of half width `half`."""
     if cam[36] == 0:
@@ -294,7 +295,7 @@ def _passes(cam, ax, ay, half):
     return max(abs(ax * cam[37] + ay * cam[38]), abs(ay * cam[37] - ax * cam[38])) <= half
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _through_lens(total, x, y, cam, cx, cy, power, half, table, texels, background, points, shift, chosen):
     """Add the light that reaches pixel `(x, y)` through one microlens with centre `(cx, cy)` [mm]."""
     pixel, focal, dl, b = cam[0], cam[3], cam[4], cam[5]
@@ -341,7 +342,7 @@ def _through_lens(total, x, y, cam, cx, cy, power, half, table, texels, backgrou
         _add(total, table, texels, background, found, u, v, share)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _sensor_rows(picture, first, last, cam, lenses, table, texels, background, points, seed):
     """Sum the light of all microlenses that can reach each pixel of rows `first` to `last`."""
     chosen, shift, total = np.empty(len(table), np.int64), np.empty(3), np.empty(4)
@@ -369,7 +370,7 @@ def _sensor_rows(picture, first, last, cam, lenses, table, texels, background, p
                 picture[y, x, k] = total[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _pinhole_rows(picture, first, last, cam, table, texels, background, affine, points, seed):
     """Mean radiance over each output pixel for rays through the main-lens centre."""
     chosen, shift, total = np.empty(len(table), np.int64), np.empty(2), np.empty(4)
@@ -395,7 +396,7 @@ def _pinhole_rows(picture, first, last, cam, table, texels, background, affine, 
                 picture[y, x, k] = total[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _nearest_rows(depth, first, last, start, slope, table, texels):
     """Depth along each ray `first` to `last`."""
     chosen = np.empty(len(table), np.int64)

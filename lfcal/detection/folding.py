@@ -11,9 +11,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .settings import FirstLatticeSettings
 
 __all__ = [
@@ -27,7 +28,7 @@ HIGHEST_HARMONIC = 6
 VECTOR_LENGTH = 16
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def compute_cell_bins(u, v, step_u, step_v, bins, begin, count, out):
     """Set `out` from `begin` on to the bins, row by row, of `count` pixels of a line from lattice coordinates (u, v).
 
@@ -46,12 +47,7 @@ def compute_cell_bins(u, v, step_u, step_v, bins, begin, count, out):
             out[begun + np.uint64(lane)] = np.uint32(row * many) + column
 
 
-@njit(
-    cache=True,
-    nogil=True,
-    share=lambda first, second, inverse, side, columns, bins, tiles, *_: len(tiles),
-    error_model="numpy",
-)
+@kernel(share=lambda first, second, inverse, side, columns, bins, tiles, *_: len(tiles), error_model="numpy")
 def _fold(begin, end, first, second, inverse, side, columns, bins, tiles, totals, count):
     """Fill the `totals` (2, t, bins * bins) of both pictures, and the `count` (t, bins * bins) of pixels."""
     height, width = first.shape

@@ -17,7 +17,7 @@ from ..lattice.lens_subset import StackedCrops, select_whole_lenses
 from ..lattice.lit_lenses import find_lit_lenses
 from ..lattice.robust_fit import TUKEY_CUTOFF, LatticeFit, field_rms, fit_lattice_shifts, shift_standard_error
 from ..runtime.errors import CalibrationError
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .settings import DEFAULT, ProfileSettings
 
 __all__ = ["RadialProfile", "fit_lattice", "measure_radial_profile"]
@@ -25,7 +25,7 @@ __all__ = ["RadialProfile", "fit_lattice", "measure_radial_profile"]
 _CHUNKS = 64
 
 
-@njit(cache=True, nogil=True, share=lambda picture, centres, faces, inner, reach, step, chunks, *_: chunks)
+@kernel(share=lambda picture, centres, faces, inner, reach, step, chunks, *_: chunks)
 def _accumulate_profile(begin, end, picture, centres, faces, inner, reach, step, chunks, total, square, count):
     """Sums over the distance to the centre; chunks of fixed size, so that the number of threads changes no bit."""
     lenses = centres.shape[0]
@@ -52,7 +52,7 @@ def _accumulate_profile(begin, end, picture, centres, faces, inner, reach, step,
                     count[chunk, ring + 1] += part
 
 
-@njit(cache=True, nogil=True, share=lambda picture, centres, *_: len(centres))
+@kernel(share=lambda picture, centres, *_: len(centres))
 def _accumulate_equations(
     begin, end, picture, centres, faces, inner, first, reach, step, level, slope, weight, cutoff, normal, right
 ):

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .settings import KERNEL
 
 __all__ = [
@@ -22,7 +23,7 @@ RIM_START = 7
 ROOT_HALF = math.sqrt(0.5)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@njit(error_model="numpy", fastmath=False)
 def _monomials(x, y, count, out):
     """1, x, y, x^2, x*y, y^2 ...: each degree is the one before times x, and its last term times y."""
     out[0] = 1.0
@@ -37,7 +38,7 @@ def _monomials(x, y, count, out):
         degree += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@njit(error_model="numpy", fastmath=False)
 def evaluate_shape(cx, cy, shape, powers, lens):
     """Write the description of the lens at `(cx, cy)` into `lens`; `powers` gets the monomials of the field."""
     field, radius, shading, rim, cut = shape.frame, shape.radius, shape.shading, shape.rim, shape.cut
@@ -63,7 +64,7 @@ def evaluate_shape(cx, cy, shape, powers, lens):
         lens[RIM_START + row] = total / radius
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def evaluate_level(cx, cy, field, level, powers):
     """Exponential of a polynomial of the field at one place; `powers` gets the monomials of the field."""
     _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
@@ -77,7 +78,7 @@ def evaluate_level(cx, cy, field, level, powers):
     return math.exp(total + other)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda centres, *_: len(centres))
+@kernel(error_model="numpy", share=lambda centres, *_: len(centres))
 def evaluate_levels(begin, end, centres, field, level, out):
     """`evaluate_level` at places (n, 2)."""
     powers = np.empty(64)
@@ -85,7 +86,7 @@ def evaluate_levels(begin, end, centres, field, level, out):
         out[n] = evaluate_level(centres[n, 0], centres[n, 1], field, level, powers)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(error_model="numpy", inline="always")
 def relative_light(dx, dy, lens, profile, step, cut):
     """Relative light at `(dx, dy)` [px] from the centre of a lens, distance on the profile [px], share not cut off."""
     r = math.sqrt(dx * dx + dy * dy)
@@ -121,7 +122,7 @@ def relative_light(dx, dy, lens, profile, step, cut):
     return value, stretched, through
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda flat, gain, out, *_: len(out))
+@kernel(error_model="numpy", share=lambda flat, gain, out, *_: len(out))
 def flatten_rows(begin, end, flat, gain, out, highest):
     """`flat` (h, w, c) divided by `gain` (h, w) where that is not NaN; rounded and clipped at `highest` if above 0."""
     for y in range(begin, end):
@@ -137,7 +138,7 @@ def flatten_rows(begin, end, flat, gain, out, highest):
                     out[y, x, k] = even
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def find_usable_radius(centres, lens_gain, limit, out, shape):
     """Least distance [px] over all directions at which the light of each lens falls below one half, up to `limit`."""
     profile, step, cut, directions = shape.profile, shape.step, shape.cut, KERNEL.directions
@@ -163,7 +164,7 @@ def find_usable_radius(centres, lens_gain, limit, out, shape):
         out[n] = least
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def radial_mean(centres, out, shape):
     """Relative light at distances `0, step, ...`, averaged over all directions of each lens; `out` is (n, k)."""
     profile, step, cut, directions = shape.profile, shape.step, shape.cut, KERNEL.directions

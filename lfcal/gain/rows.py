@@ -10,10 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .kernel import RIM_START, evaluate_level, evaluate_shape, relative_light
 from .settings import DEFAULT, KERNEL, GainSettings
 
@@ -77,7 +78,7 @@ def make_row_tables(
     return RowTables(centres, gains, types, np.ascontiguousarray(starts - low), sides, ahead)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _find_first_lens(y, a, b, centres):
     """Column and row of the lens nearest to the first pixel of row `y`, by descent from lens `(a, b)`."""
     while True:
@@ -93,7 +94,7 @@ def _find_first_lens(y, a, b, centres):
         a, b = p, q
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _find_next_lens(y, a, b, width, centres, ahead):
     """First pixel of row `y` that is nearer to the next lens than to `(a, b)`, and column and row of that lens."""
     if a < 1 or b < 1 or a > centres.shape[1] - 2 or b > centres.shape[0] - 2:
@@ -110,7 +111,7 @@ def _find_next_lens(y, a, b, width, centres, ahead):
     return min(max(math.ceil(cx + least), 0), width), p, q
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens):
     """Light of the lens `(a, b)`; its description is written into `lens`, from the cache `keys`, `lenses` if there."""
     centres = tables.centres
@@ -126,7 +127,7 @@ def _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens):
     return lenses[slot, -1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _fill_rows(begin, end, out, top, left, least, tables, level, shape, profiles, keys, powers, lens, lenses):
     """As `fill_gain`, with its work space."""
     right = left + out.shape[1]
@@ -148,7 +149,7 @@ def _fill_rows(begin, end, out, top, left, least, tables, level, shape, profiles
             x, a, b = max(x, stop), p, q
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda out, *_: len(out))
+@kernel(error_model="numpy", share=lambda out, *_: len(out))
 def fill_gain(begin, end, out, top, left, least, tables, level, shape, profiles):
     """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where there is less than
     `least` of the light of a lens; `profiles` (t, k) are those of the types of lenses."""

@@ -9,10 +9,10 @@ import math
 from functools import cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import njit
 from .kernel import RIM_START, ROOT_HALF
 from .settings import KERNEL
 
@@ -37,7 +37,7 @@ def make_profile_tables(
     return profile[..., :-1].astype(np.float32), np.diff(profile).astype(np.float32), make_edge_table()
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def relative_light_round(pixels, count, lens, profile, rise, scale, light, ring):
     """Relative light of a round uncut lens at `count` places (2, k) float32, and the `ring` of the profile there.
 
@@ -57,7 +57,7 @@ def relative_light_round(pixels, count, lens, profile, rise, scale, light, ring)
         light[k] *= one + x * (p + uu * x + uv * y) + y * (q + vv * y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def relative_light_general(pixels, count, lens, profile, rise, step, cut, table, work, light, ring):
     """`relative_light_round` of a lens that is cut (`table`: `make_edge_table`) or whose rim varies with the direction.
 
@@ -111,7 +111,7 @@ def relative_light_general(pixels, count, lens, profile, rise, step, cut, table,
         light[k] *= one + x * (p + uu * x + uv * y) + y * (q + vv * y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def relative_light_at(pixels, count, lens, shape, tables, work, light, ring):
     """`relative_light_round` for most lenses, `relative_light_general` for the others; `tables`: `make_profile_tables`.
 

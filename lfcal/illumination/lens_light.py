@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap, count_terms, field_frame
@@ -20,7 +21,7 @@ from ..lattice.cell import cell_normals, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
 from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .estimate import GainFit, field_monomials
 from .settings import LIGHT_KERNEL, LIGHTS, LensLightSettings
 
@@ -69,7 +70,7 @@ class _LensMeasurements(NamedTuple):
     scatter: NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _median(values, count):
     """Median of the first values and half their interquartile range; sorts them in place."""
     for k in range(1, count):
@@ -81,7 +82,7 @@ def _median(values, count):
     return 0.5 * (values[(count - 1) // 2] + values[count // 2]), 0.5 * (values[3 * count // 4] - values[count // 4])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _copy_pixels(picture, y, x, dx, dy, pixels, count):
     """Copy a few adjacent pixels, as in `_read_pixels`."""
     # Unsigned indices need no check for counting from the end, so that several pixels are moved at once.
@@ -95,7 +96,7 @@ def _copy_pixels(picture, y, x, dx, dy, pixels, count):
         pixels[light, at + k] = picture[row, start + k] * picture[row, start + k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _read_pixels(picture, cx, cy, grid, pixels):
     """Write offset x, y from the centre and luminance of the pixels of a cell into `pixels` (3, k); their number."""
     height, width = picture.shape
@@ -120,7 +121,7 @@ def _read_pixels(picture, cx, cy, grid, pixels):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _sum_pixels(pixels, count, shape, sums):
     """Sums of shape, light, their squares and product; of the ratios of bright pixels, their squares, and number.
 
@@ -148,7 +149,7 @@ def _sum_pixels(pixels, count, shape, sums):
     sums[5], sums[6], sums[7], sums[8], sums[9] = mr, mrr, bright, most, more
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, top, chosen, *_: len(chosen))
+@kernel(error_model="numpy", share=lambda picture, top, chosen, *_: len(chosen))
 def _measure_lenses(begin, end, picture, top, chosen, centres, grid, noise, shape, tables, out):
     """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n).
 

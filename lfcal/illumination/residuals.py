@@ -11,6 +11,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
@@ -18,7 +19,7 @@ from ..gain.kernel import RIM_START, evaluate_shape, relative_light
 from ..lattice.cell import is_outside_cell
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .sample import Cell, Sample
 from .settings import KERNEL
 
@@ -82,7 +83,7 @@ class GainResiduals(NamedTuple):
     cut_right: NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _solve3(m, r):
     """Solution of a symmetric 3 x 3 system by Cramer's rule; of its first unknown alone if it is singular."""
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
@@ -95,7 +96,7 @@ def _solve3(m, r):
     return x, y, z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _fit_lens_light(picture, cx, cy, shift, rows, stride, options, lens, shape):
     """Light of a lens, its relative slope in x and y [1/px], and its weight: 0 if it is clipped or too steep."""
     profile, step, cut = shape.profile, shape.step, shape.cut
@@ -138,7 +139,7 @@ def _fit_lens_light(picture, cx, cy, shift, rows, stride, options, lens, shape):
     return light, gx / (light * core), gy / (light * core), weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _add_equation(features, count, weight, e, normal, right):
     """Add a pixel to the normal equations, lower half, of `count` unknowns."""
     for a in range(count):
@@ -147,7 +148,7 @@ def _add_equation(features, count, weight, e, normal, right):
             normal[a, b] += weight * features[a] * features[b]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _differentiate_cut(ex, ey, field_x, field_y, s, through, plane, cut, features):
     """Derivatives of the light of a pixel by shift (2), growth, radius and softness of the cutting disc."""
     far = math.sqrt(ex * ex + ey * ey)
@@ -158,15 +159,13 @@ def _differentiate_cut(ex, ey, field_x, field_y, s, through, plane, cut, feature
     features[3], features[4] = push, -push * depth
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _direction_bin(dx, dy):
     """Bin of a direction; bins are centred on multiples of their width."""
     return math.floor(math.atan2(dy, dx) / (2 * math.pi) * KERNEL.directions + 0.5) % KERNEL.directions
 
 
-@njit(
-    cache=True, nogil=True, error_model="numpy", share=lambda picture, sample, *_: len(sample.first) - 1, fastmath=FAST
-)
+@kernel(error_model="numpy", share=lambda picture, sample, *_: len(sample.first) - 1, fastmath=FAST)
 def _add_residuals(begin, end, picture, sample, cell, options, shape, slope, sums):
     """Add the pixels of all lenses of a sample to the sums; `slope` (k,) is the derivative of the profile."""
     centres, places, first, stride = sample.centres, sample.places, sample.first, sample.stride

@@ -18,7 +18,7 @@ from ..gain.gain_map import GainMap
 from ..gain.kernel import RIM_START, evaluate_shape, relative_light
 from ..lattice.cell import is_outside_cell
 from ..lattice.lattice import Lattice
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .sample import Cell, Sample, draw_sample
 from .settings import KERNEL, SCENE_PROFILE, SceneProfileSettings
 
@@ -38,7 +38,7 @@ class RingSums(NamedTuple):
     weight: NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, sample, *_: len(sample.first) - 1)
+@kernel(error_model="numpy", share=lambda picture, sample, *_: len(sample.first) - 1)
 def _sum_light(begin, end, picture, sample, cell, brightest, shape, types, light, weight):
     """Add up `RingSums`; `types` (n,) are those of the sampled lenses."""
     centres, places, first, stride, reach = (

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 
 __all__ = ["interpolate_linear"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _interpolate(picture, positions, out):
     height, width = picture.shape
     for k in range(len(positions)):

@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .settings import PREPROCESSING
 
 __all__ = ["edge_strength", "luminance", "normalise_locally", "sqrt_luminance"]
@@ -47,7 +48,7 @@ def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
     return grey
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _root_gradient(above, here, below, left, x, right):
     across = (above[right] - above[left]) + (below[right] - below[left])
     across += (here[right] - here[left]) + (here[right] - here[left])
@@ -56,7 +57,7 @@ def _root_gradient(above, here, below, left, x, right):
     return np.sqrt(np.sqrt(across * across + down * down))
 
 
-@njit(cache=True, nogil=True, share=lambda picture, *_: len(picture))
+@kernel(share=lambda picture, *_: len(picture))
 def _edge_strength(begin, end, picture, out):
     height, width = picture.shape
     # Unsigned indices: signed ones may count from the end, which prevents vector loops.
@@ -78,7 +79,7 @@ def edge_strength(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _mirrored(at, count):
     """Index into `count` values for one that may lie beyond them: mirrored, the ends not repeated."""
     last = count - 1
@@ -89,7 +90,7 @@ def _mirrored(at, count):
     return at
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _add_row(row, squares, sums):
     for x in range(len(row)):
         value = np.float64(row[x])
@@ -97,7 +98,7 @@ def _add_row(row, squares, sums):
         squares[x] += value * value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _exchange_row(row, other, squares, sums):
     """Add a `row` to the column sums, and subtract an `other` one."""
     for x in range(len(row)):
@@ -106,7 +107,7 @@ def _exchange_row(row, other, squares, sums):
         squares[x] += value * value - gone * gone
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def _cumulate(sums, half, out):
     """Fill `out` (n + 2 half + 1,) with cumulative sums of `sums` (n,), its ends mirrored."""
     count, total = len(sums), 0.0
@@ -131,7 +132,7 @@ def _cumulate(sums, half, out):
         out[half + count + x + 1] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _normalise_row(row, sums, squares, side, floor, clip, out):
     """Normalise a row, from cumulative sums over windows of `side` rows, and over their squares."""
     share = 1.0 / (side * side)
@@ -144,7 +145,7 @@ def _normalise_row(row, sums, squares, side, floor, clip, out):
         out[x] = min(max(value, -clip), clip)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, _, together, *__: -(-len(picture) // together))
+@kernel(error_model="numpy", share=lambda picture, _, together, *__: -(-len(picture) // together))
 def _normalise(begin, end, picture, half, together, floor, clip, out):
     """See `normalise_locally`; each thread takes `together` rows one after the other."""
     height, width = picture.shape

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from ..runtime.kernels.jit import njit
 from .lattice import Lattice
 
 __all__ = [
@@ -69,7 +69,7 @@ def cell_row_bounds(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     return sides
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(error_model="numpy", inline="always")
 def row_interval(dy, sides):
     """First and last x in row `dy` of a cell, all relative to its centre [px]; `sides` from `cell_row_bounds`."""
     high = min(min(sides[0, 0] - dy * sides[0, 1], sides[1, 0] - dy * sides[1, 1]), sides[2, 0] - dy * sides[2, 1])
@@ -77,7 +77,7 @@ def row_interval(dy, sides):
     return low, high
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@njit(error_model="numpy", fastmath=False)
 def is_outside_cell(dx, dy, normals):
     """Whether an offset from the centre lies outside of the cell with these normals."""
     most = 0.0
@@ -86,7 +86,7 @@ def is_outside_cell(dx, dy, normals):
     return most > 0.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@njit(error_model="numpy", fastmath=False)
 def clip_rows(centre, reach, corner, side):
     """First row of a window (`side` rows from `corner`) within `reach` of `centre`, and one after the last such row."""
     return max(int(np.ceil(centre - reach)) - corner, 0), min(int(np.floor(centre + reach)) + 1 - corner, side)

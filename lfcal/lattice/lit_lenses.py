@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .lattice import Lattice, reduce_basis
 from .lens_subset import StackedCrops, sample_lenses
 from .settings import LIT_LENSES
@@ -66,7 +66,7 @@ class LitLenses:
         return LitLenses(lattice, indices[inside], crop[inside])
 
 
-@njit(cache=True, nogil=True, share=lambda picture, centres, *_: len(centres))
+@kernel(share=lambda picture, centres, *_: len(centres))
 def _measure_core_and_gaps(begin, end, picture, centres, corners, core, gaps):
     """Mean of a picture over the 3 x 3 px at the centre of each lens, and over the corners of its cell."""
     height, width = picture.shape

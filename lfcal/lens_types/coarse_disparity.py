@@ -8,10 +8,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .lens_sample import LensSample
 from .settings import DEFAULT, DisparitySettings
 
@@ -19,7 +20,7 @@ __all__ = ["estimate_coarse_disparity"]
 
 
 # The error model of Python checks every division, which prevents vector loops.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _sums(pixels, width, height, cx, cy, first, second, number):
     """Number of pairs of pixels of two lenses on the picture, of `number`, and sums over their values.
 
@@ -44,7 +45,7 @@ def _sums(pixels, width, height, cx, cy, first, second, number):
     return count, sum_a, sum_b, sum_aa, sum_bb, sum_ab
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, centres, *_: len(centres))
+@kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres))
 def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, covariance, variance):
     """Covariances and mean variances (n, ratios) of lenses and their neighbours, added up over the `steps`."""
     height, width = picture.shape

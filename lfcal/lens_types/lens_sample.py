@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .settings import DEFAULT, SampleSettings
 
 __all__ = ["LensFeatures", "LensSample", "measure_lens_features", "outlier_limit", "sample_lenses"]
@@ -123,7 +123,7 @@ def _sample_crops(lattice: Lattice, crops: StackedCrops, settings: SampleSetting
     return LensSample(lattice, index, centre, whole, centre - crops.offsets[home][:, None, None])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, centres, *_: len(centres))
+@kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres))
 def _accumulate(begin, end, picture, centres, radius, inside, lag, rows, energy, gradient, light, count):
     """Squared differences and gradients within `inside`, and light by distance to the centre, of each lens."""
     height, width = picture.shape

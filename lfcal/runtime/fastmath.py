@@ -10,14 +10,14 @@ Results must not depend on what a process has compiled before, so there are thre
   `fastmath=False`.
 """
 
-from .kernels.jit import njit
+from numba import njit
 
 __all__ = ["FAST", "square"]
 
 FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def square(value):
     """The square of a value, for kernels with `FAST`."""
     return value * value

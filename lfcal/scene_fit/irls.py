@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..lattice.lens_subset import sample_mask
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .settings import SCENE
 
 __all__ = ["LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]
@@ -47,7 +48,7 @@ class LensShifts:
         return replace(self, design=self.design[chosen], shift=self.shift[chosen], variance=self.variance[chosen])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _fit_weighted(design, shift, weight, basis, ratio, change):
     """Weighted least squares: change (3, 2) of origin and basis."""
     total = 1e-300
@@ -93,7 +94,7 @@ def _fit_weighted(design, shift, weight, basis, ratio, change):
     change[0, 1] = my - mi * change[1, 1] - mj * change[2, 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _weighted_quantile(values, weight, wanted, about, near, near_weight):
     """Least value up to which the weights sum to `wanted`.
 
@@ -144,7 +145,7 @@ def _weighted_quantile(values, weight, wanted, about, near, near_weight):
             low = more
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _iterate(
     design, shift, spread, prior, basis, ratio, inliers, outlier, passes, converged, weights, changes, variances
 ):

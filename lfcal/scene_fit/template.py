@@ -9,13 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
 from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .settings import SCENE
 
 __all__ = ["LensEquations", "build_lens_equations"]
@@ -24,7 +25,7 @@ __all__ = ["LensEquations", "build_lens_equations"]
 _CHUNKS = 16
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
     """Write bins and values of the pixels of a cell; return their number. Some more may be overwritten."""
     height, width = picture.shape
@@ -55,7 +56,7 @@ def _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, v
     return number
 
 
-@njit(cache=True, nogil=True, share=lambda picture, centres, sides, room, inverse, stride, bins, chunks, *_: chunks)
+@kernel(share=lambda picture, centres, sides, room, inverse, stride, bins, chunks, *_: chunks)
 def _fold(begin, end, picture, centres, sides, room, inverse, stride, bins, chunks, sums):
     """Sum pixels, their squares and their number in the bins of the cell, for each chunk of lenses."""
     lenses = centres.shape[0]
@@ -74,7 +75,7 @@ def _fold(begin, end, picture, centres, sides, room, inverse, stride, bins, chun
                 cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3] = a, b, c, d
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _sum_for_contrast(values, level, weight, number):
     """Sums for the contrast and the offset of a lens."""
     zero = np.float32(0)
@@ -90,7 +91,7 @@ def _sum_for_contrast(values, level, weight, number):
     return one, sum_level, square, value, product
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _sum_for_shift(values, level, weight, slope_x, slope_y, number, contrast, offset, cutoff):
     """Sums for the shift of a lens, with robust weights."""
     one, zero = np.float32(1), np.float32(0)
@@ -112,7 +113,7 @@ def _sum_for_shift(values, level, weight, slope_x, slope_y, number, contrast, of
     return xx, xy, yy, bx, by, squares, weights
 
 
-@njit(cache=True, nogil=True, share=lambda picture, centres, sides, room, inverse, stride, bins, chunks, *_: chunks)
+@kernel(share=lambda picture, centres, sides, room, inverse, stride, bins, chunks, *_: chunks)
 def _accumulate(
     begin, end, picture, centres, sides, room, inverse, stride, bins, chunks, maps, cutoff, most, normal, right, noise,
 ):  # fmt: skip

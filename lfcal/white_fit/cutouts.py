@@ -14,7 +14,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..lattice.lit_lenses import LitLenses
 from ..runtime.errors import CalibrationError
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .edge_profile import find_edge
 from .gauss_newton import FitState, median_by_brightness, update_positions, update_weights
 from .model import WhiteModel
@@ -116,7 +116,7 @@ def _resize(values: NDArray[Any], rings: int) -> NDArray[Any]:
     return np.pad(values, (0, max(rings - len(values), 0)), mode="edge")[:rings]
 
 
-@njit(cache=True, nogil=True, share=lambda tones, corners, *_: len(corners))
+@kernel(share=lambda tones, corners, *_: len(corners))
 def _copy_squares(begin, end, tones, corners, out):
     side = out.shape[1]
     height, width = tones.shape

@@ -15,11 +15,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows, is_outside_cell
 from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .settings import PIXELS, SOLVER
 
 __all__ = ["Cell", "Cut", "Profile", "Sums", "Windows", "accumulate", "light_through_both", "sum_by_ring"]
@@ -94,7 +95,7 @@ class Sums(NamedTuple):
     scatter: NDArray[np.float64]  # (n, 2) weighted squared residuals, and their number
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def light_through_both(alpha, beta, first, second, correlation):
     """Light through two edges at once, and its derivative with each of them over that of the edge alone.
 
@@ -120,7 +121,7 @@ def light_through_both(alpha, beta, first, second, correlation):
     return joint, with_first, with_second
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _through_cut(inward, per_blur, tail, on_rim, alpha, correlation, along_both):
     """Light that passes the cut, and its derivatives with the profile, position and radius of the cut, and correlation.
 
@@ -143,7 +144,7 @@ def _through_cut(inward, per_blur, tail, on_rim, alpha, correlation, along_both)
     return joint * per_own, falling, change * (cutting * per_own), turning
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _add_to_band(band, ring, after, w, wr, angle, falling, through):
     """Add a pixel to the sums that `sum_by_ring` takes apart.
 
@@ -163,13 +164,7 @@ def _add_to_band(band, ring, after, w, wr, angle, falling, through):
     band[ring, 8] += own_turned * after
 
 
-@njit(
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-    share=lambda windows, cell, profile, cut, learn, sums: len(sums[3]),
-    fastmath=FAST,
-)
+@kernel(error_model="numpy", share=lambda windows, cell, profile, cut, learn, sums: len(sums[3]), fastmath=FAST)
 def accumulate(begin, end, windows, cell, profile, cut, learn, sums):
     """Add up all lenses into `sums`: upper halves of normal matrices; of the profile only to `learn` it."""
     light, corners, centres, gain, lens_weight, slope, shade = windows

@@ -15,7 +15,7 @@ from ..lattice.cell import clip_rows
 from ..lattice.distortion import Distortion
 from ..runtime.checks import LIMITS
 from ..runtime.errors import CalibrationError
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .gauss_newton import FitState, converge, evaluate_cost, fit_profile, update_positions
 from .model import CatEye, TwoDiscs, WhiteModel, field_position
 from .settings import TWO_DISCS, VIGNETTING
@@ -133,7 +133,7 @@ def _measure_narrowing(state: FitState) -> tuple[float, float]:
     return force / information, information**-0.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda windows, *_: len(windows[2]))
+@kernel(error_model="numpy", share=lambda windows, *_: len(windows[2]))
 def _accumulate_narrowing(begin, end, windows, field, inradius, step, rings, edge, saturation, outlier, out):
     """Per lens (n, 2): right side and normal matrix of the amplitude of `_measure_narrowing`."""
     light, corners, centres, gain, lens_weight, gain_slope, shade = windows

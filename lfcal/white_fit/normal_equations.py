@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows, is_outside_cell
 from ..lattice.robust_fit import tukey_weights
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .edge_profile import edge_depths, estimate_edge_blur
 from .kernel import Cell, Cut, Profile, Sums, Windows, accumulate, sum_by_ring
 from .model import LOCAL_PARAMETERS
@@ -130,7 +130,7 @@ class NormalEquations:
     cost: float  # the same over all pixels
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda windows, cell, step, total, *_: len(total))
+@kernel(error_model="numpy", share=lambda windows, cell, step, total, *_: len(total))
 def _accumulate_profile(begin, end, windows, cell, step, total, count):
     light, corners, centres, gain, _, _, _ = windows
     normals, inradius, circumradius = cell

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..lattice.cell import clip_rows
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .normal_equations import Microimages
 from .settings import PIXELS
 
@@ -61,7 +61,7 @@ def _powers(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return powers
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda windows, *_: len(windows[0]), fastmath=FAST)
+@kernel(error_model="numpy", share=lambda windows, *_: len(windows[0]), fastmath=FAST)
 def _measure_slopes(begin, end, windows, profile, step, reach, out):
     """(n, 3): slope of the light of each lens beyond `slope`, relative to its profile [1/px], and its weight [px^2]."""
     light, corners, centres, gain, _, slope, _ = windows

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import njit
+from ..runtime.kernels.jit import kernel
 from .kernel import light_through_both
 from .model import TwoDiscs, WhiteModel, field_position
 from .normal_equations import Microimages
@@ -290,7 +290,7 @@ def remove_neighbours(lenses: Microimages, model: WhiteModel) -> Microimages:
     return replace(lenses, light=light, gap=discs.gap * float(lenses.profile[0]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda place, *_: len(place), fastmath=FAST)
+@kernel(error_model="numpy", share=lambda place, *_: len(place), fastmath=FAST)
 def _evaluate(begin, end, place, lens, field, steps, p, scale, reach, own, model, table):
     """Light (n,) of pixels, with that of the lens itself only if `own`.
 

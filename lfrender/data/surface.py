@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.frozen import Frozen
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from .settings import DEFAULT, DataSettings
 
@@ -36,7 +37,7 @@ class DepthGrid(NamedTuple):
     edge: Any  # patch sizes that differ by less belong to one surface
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(fastmath=FAST, inline="always")
 def patch_size_at(surface, grid, x, y):
     """Patch size at scene point (x, y): linear between the values of the surface, nearest across a depth edge."""
     rows, columns = surface.shape
@@ -51,7 +52,7 @@ def patch_size_at(surface, grid, x, y):
     return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
 
 
-@njit(cache=True, nogil=True, share=lambda values, first_x, first_y, spacing, points, out: len(out))
+@kernel(share=lambda values, first_x, first_y, spacing, points, out: len(out))
 def _nearest(begin, end, values, first_x, first_y, spacing, points, out):
     rows, columns = values.shape
     for k in range(begin, end):
@@ -59,7 +60,7 @@ def _nearest(begin, end, values, first_x, first_y, spacing, points, out):
         out[k] = values[min(max(int(v), 0), rows - 1), min(max(int(u), 0), columns - 1)]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _differ(old, new, top, bottom, left, right):
     """Whether any value of some rows and columns differs."""
     for v in range(top, bottom):
@@ -69,7 +70,7 @@ def _differ(old, new, top, bottom, left, right):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda old, new, some: len(some))
+@kernel(error_model="numpy", fastmath=FAST, share=lambda old, new, some: len(some))
 def _mark_blocks(begin, end, old, new, some):
     """Set `some` of the blocks that differ between two surfaces, and unset the rest."""
     rows, columns = new.shape
@@ -79,7 +80,7 @@ def _mark_blocks(begin, end, old, new, some):
             some[j, i] = _differ(old, new, v, min(v + _BLOCK, rows), u, min(u + _BLOCK, columns))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda *given: len(given[6]))
+@kernel(error_model="numpy", fastmath=FAST, share=lambda *given: len(given[6]))
 def _mark_changes(begin, end, old, new, some, first_x, first_y, spacing, centres, reach, changed):
     """Set `changed` of lenses with a value within `reach` that differs between two surfaces, in `some` blocks."""
     rows, columns = new.shape
@@ -99,7 +100,7 @@ def _mark_changes(begin, end, old, new, some, first_x, first_y, spacing, centres
                     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[5]))
+@kernel(error_model="numpy", share=lambda *given: len(given[5]))
 def _sample(begin, end, surface, grid, first_x, first_y, spacing, out):
     for v in range(begin, end):
         y = np.float32(first_y + v * spacing)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from .settings import DEFAULT, DataSettings
 from .surface import Surface, patch_size_at
@@ -116,7 +116,7 @@ def virtual_depth(patch_size: NDArray[np.float32], pitch: float) -> NDArray[np.f
     return depth
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda surface, *_: len(surface))
+@kernel(error_model="numpy", fastmath=FAST, share=lambda surface, *_: len(surface))
 def _warp(begin, end, surface, grid, view, still, nearest, farthest, bounds, least, pitch, out):
     """Follow the ray of every grid value of `out` (h, w) from near to far until it meets the surface.
 

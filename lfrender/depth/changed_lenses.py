@@ -6,11 +6,12 @@ Squared differences of pixels, and of sums over small blocks, are compared with 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Calibration
 from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..flat.gray_flat import trusted_radius, white_level
 from ..runtime.quantiles import quantile
@@ -31,7 +32,7 @@ _ROUGH = np.float32(1 / 36)
 
 # The error model of NumPy, because Python's checks every division, which prevents vector loops. Sums of short integers
 # have 64 bits until they are stored, for which there is no vector conversion to float32: stored ones are converted.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _over_channels(row, channels, out):
     """Sum over the channels of each pixel of a row."""
     # Loops with a constant step are vectorised.
@@ -45,7 +46,7 @@ def _over_channels(row, channels, out):
                 out[x] += row[k]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _over_blocks(row, side, out):
     """Sum over each `side` pixels of a row."""
     if side == 4:
@@ -56,7 +57,7 @@ def _over_blocks(row, side, out):
             out[u] = row[2 * u] + row[2 * u + 1]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda *given: given[5].shape[1])
+@kernel(fastmath=FAST, error_model="numpy", share=lambda *given: given[5].shape[1])
 def _compare_blocks(begin, end, first, second, channels, side, like, out):
     """Fill `out` (4, h, w): per block of `side` x `side` pixels, 2 or 4, the sum of the differences, that of their
     squares, the brightness, and, in every other row, the squared response of the first flat to a Laplacian mask
@@ -105,7 +106,7 @@ def _compare_blocks(begin, end, first, second, channels, side, like, out):
             _over_blocks(rough, side, out[3, v])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda blocks, centres, *_: len(centres))
+@kernel(error_model="numpy", fastmath=FAST, share=lambda blocks, centres, *_: len(centres))
 def _pool(begin, end, blocks, centres, side, radius, per_pixel, out):
     """Per lens: mean, variance of blocks, roughness^2, difference^2 of a pixel and of a block, and number of blocks."""
     _, rows, columns = blocks.shape

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from numba import njit
+
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 __all__ = ["depth_order"]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(fastmath=FAST, inline="always")
 def depth_order(s, pitch):
     """A monotonic function of nearness to the camera: telescopic patch sizes first, then binocular ones.
 

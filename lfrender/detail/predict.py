@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from .defocus import Defocus
 from .settings import RESTORE, SolveSettings
@@ -156,7 +156,7 @@ def convolve(image: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray
 
 
 # Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector loop takes together.
-@njit(cache=True, nogil=True, share=lambda image, kernel, channels, out: len(out))
+@kernel(share=lambda image, kernel, channels, out: len(out))
 def _convolve(begin, end, image, kernel, channels, out):
     """Sum of the rows of `image`, moved by as much and times as much as the kernel tells."""
     for y in range(begin, end):
@@ -197,7 +197,7 @@ def _seen_places(
     return u, v, kinds
 
 
-@njit(cache=True, nogil=True, share=lambda pixels, *_: len(pixels))
+@kernel(share=lambda pixels, *_: len(pixels))
 def _find_places(begin, end, pixels, index, centres, starts, types, sizes, numbers, columns, rows, kinds):
     """Place of the picture that each pixel shows through the nearest lens, at the patch size that is found there."""
     pitch, left, top, spacing, first_column, first_row = numbers

@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.buffers import allocate_pooled
 from .filters import DetailFilters
@@ -122,7 +123,7 @@ def smooth_picture(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 # Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector loop takes together.
-@njit(cache=True, nogil=True, share=lambda image, *_: len(image))
+@kernel(share=lambda image, *_: len(image))
 def _smooth(begin, end, image, step, out):
     """Average `image` (h, w) with the weights 1, 2, 1 along each axis, the outer ones `step` away."""
     line = np.empty(image.shape[1] + 2 * step, np.float32)
@@ -131,7 +132,7 @@ def _smooth(begin, end, image, step, out):
         _smooth_row(image[above], image[y], image[below], step, line, out[y])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _smooth_row(above, here, below, step, line, out):
     """A row of `_smooth`; `line` is scratch."""
     width, quarter, two = len(here), np.float32(0.25), np.float32(2)
@@ -144,9 +145,7 @@ def _smooth_row(above, here, below, step, line, out):
         out[x] = quarter * (two * own[x] + before[x] + after[x])
 
 
-@njit(
-    cache=True, nogil=True, error_model="numpy", share=lambda image, *_: (len(image) + _STRIP - 1) // _STRIP
-)  # fmt: skip
+@kernel(error_model="numpy", share=lambda image, *_: (len(image) + _STRIP - 1) // _STRIP)
 def _restore_rows(begin, end, image, patch_size, allowed, bright, lookup, steps, bands, out):
     """Restore strips of rows. Of each smoothing only the last rows are kept, which stay in the processor's cache."""
     height, width, channels = image.shape
@@ -184,7 +183,7 @@ def _restore_rows(begin, end, image, patch_size, allowed, bright, lookup, steps,
                     _store_row(layers[0, c], above, at, below, share, bright[y], lookup, image[y], c, lines, out[y])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _smooth_planes(planes, y, first, height, step, scratch, out):
     """Row `y` of `out` (n, kept, w), those of `planes` smoothed, which hold rows from `first` on."""
     kept = planes.shape[1]
@@ -193,7 +192,7 @@ def _smooth_planes(planes, y, first, height, step, scratch, out):
         _smooth_row(planes[n, above], planes[n, at], planes[n, below], step, scratch, out[n, at])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _to_light(image, lookup, at, out):
     """Row `at` of the planes (C, kept, w): a row of the picture (w, C) with white as one, squared if it is encoded."""
     unit, encoded = np.float32(1) / lookup.white, lookup.encoded
@@ -204,7 +203,7 @@ def _to_light(image, lookup, at, out):
             into[x] = value * value if encoded else value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _find_power(layers, at, out):
     """Row `at` of `out` (bands, kept, w): mean square over the channels of each band but the finest."""
     unit = np.float32(1) / np.float32(layers.shape[1])
@@ -219,7 +218,7 @@ def _find_power(layers, at, out):
                 into[x] += difference * difference * unit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _find_factors(coarsest, power, at, sizes, share, lookup, kinds, lines):
     """Lines 0 to 3: what is added of each band, from row `at` of the coarsest layer and the power.
 
@@ -268,7 +267,7 @@ def _find_factors(coarsest, power, at, sizes, share, lookup, kinds, lines):
         f2[x], f3[x] = taken * gain[2] + rest * f2[x], taken * gain[3] + rest * f3[x]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _add_row(layers, c, at, lines):
     """Line 4: row `at` of a channel with the bands added."""
     light, own = lines[4], layers[0, c, at]
@@ -280,7 +279,7 @@ def _add_row(layers, c, at, lines):
             light[x] += factor[x] * (upper[x] - lower[x])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _store_row(plane, row_above, row, row_below, share, bright, lookup, image, c, lines, out):
     """Line 4 as values, in the range of their neighbours in three rows of `plane` but for the overshoot."""
     overshoot, white, encoded, zero = lookup.overshoot, lookup.white, lookup.encoded, np.float32(0)

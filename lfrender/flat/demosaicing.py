@@ -9,11 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from .distorted_lookup import displacement_at, lens_displacements, nearest_index
 from .settings import COLOUR, DemosaicSettings
@@ -36,12 +37,7 @@ class _Mosaic(NamedTuple):
     similar: np.float32
 
 
-@njit(
-    cache=True,
-    nogil=True,
-    share=lambda origin, inverse, basis, displacement, low, left, top, out: len(out),
-    fastmath=FAST,
-)
+@kernel(share=lambda origin, inverse, basis, displacement, low, left, top, out: len(out), fastmath=FAST)
 def _number_lenses(begin, end, origin, inverse, basis, displacement, low, left, top, out):
     """Number of the lens whose centre is nearest to each pixel; different for lenses that could be neighbours."""
     width = out.shape[1]
@@ -65,13 +61,13 @@ def _number_lenses(begin, end, origin, inverse, basis, displacement, low, left, 
                         out[y, x] = ((int(i) + di) & 127) * 128 + ((int(j) + dj) & 127)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(fastmath=FAST, inline="always")
 def _belongs(lens, own, y, x):
     """Whether a pixel is on the flat and belongs to the microimage `own`."""
     return 0 <= y < lens.shape[0] and 0 <= x < lens.shape[1] and lens[y, x] == own
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(fastmath=FAST, inline="always")
 def _interpolate_green(flat, lens, y, x, step_y, step_x):
     """Green at a red or blue pixel from its two neighbours in one direction, the change there, and their number.
 
@@ -96,7 +92,7 @@ def _interpolate_green(flat, lens, y, x, step_y, step_x):
     return total / max(count, 1), abs(change), count
 
 
-@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
+@kernel(share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
 def _fill_green(begin, end, mosaic, even, out):
     """Green by the directions of edges; changes below `even` do not show one."""
     flat, lens, colours = mosaic.flat, mosaic.lens, mosaic.colours
@@ -116,7 +112,7 @@ def _fill_green(begin, end, mosaic, even, out):
                 out[y, x, 1] = flat[y, x]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(fastmath=FAST, inline="always")
 def _interpolate_difference(flat, lens, colours, near, similar, wanted, guide, y, x, out):
     """The colour `wanted` from the colour `guide`: that plus their mean difference at the pixels around of that colour,
     weighted by distance and by similarity of the guide."""
@@ -134,7 +130,7 @@ def _interpolate_difference(flat, lens, colours, near, similar, wanted, guide, y
     return max(out[y, x, guide] + total, np.float32(0.0))
 
 
-@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
+@kernel(share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
 def _fill_colour(begin, end, mosaic, colour, out):
     """Red or blue, guided by green."""
     flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar
@@ -147,7 +143,7 @@ def _fill_colour(begin, end, mosaic, colour, out):
                 out[y, x, colour] = _interpolate_difference(flat, lens, colours, near, similar, colour, 1, y, x, out)
 
 
-@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
+@kernel(share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
 def _refill_rim(begin, end, mosaic, out):
     """Green at the rim of a microimage, where a neighbour is missing: guided by the colour of the pixel."""
     flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 __all__ = ["displacement_at", "lens_displacements", "nearest_index"]
 
@@ -39,7 +39,7 @@ def lens_displacements(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[n
     return displacement.reshape(*i.shape, 2).astype(np.float32), low
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(fastmath=FAST, inline="always")
 def displacement_at(displacement, low, i, j):
     """Displacement x, y of lens (i, j), or of the nearest lens in the table."""
     row = min(max(int(j) - low[1], 0), displacement.shape[0] - 1)
@@ -47,7 +47,7 @@ def displacement_at(displacement, low, i, j):
     return displacement[row, column, 0], displacement[row, column, 1]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(fastmath=FAST, inline="always")
 def nearest_index(x, y, origin, inverse, displacement, low):
     """Index i, j (whole floats) of the lens whose lattice cell holds a flat position, by fixed-point iteration.
 

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
@@ -101,7 +102,7 @@ def white_level(flat: NDArray, calibration: Calibration) -> float:
     return highest if calibration.white_level is None else min(highest, calibration.white_level)
 
 
-@njit(cache=True, nogil=True, share=lambda rows, channels, scale, gain, out: len(out), fastmath=FAST)
+@kernel(share=lambda rows, channels, scale, gain, out: len(out), fastmath=FAST)
 def _average_channels(begin, end, rows, channels, scale, gain, out):
     """Mean over the channels of rows of interleaved pixels, times `scale` and, unless that is empty, `gain` (h, w)."""
     width = out.shape[1]
@@ -126,7 +127,7 @@ def _average_channels(begin, end, rows, channels, scale, gain, out):
                 into[x] *= gain[y, x]
 
 
-@njit(cache=True, nogil=True, share=lambda rows, channels, factor, scale, gain, like, out: len(out), fastmath=FAST)
+@kernel(share=lambda rows, channels, factor, scale, gain, like, out: len(out), fastmath=FAST)
 def _average_blocks(begin, end, rows, channels, factor, scale, gain, like, out):
     """`_average_channels` over blocks of `factor` x `factor` pixels; rows are summed in the type of `like`."""
     width = out.shape[1]
@@ -157,7 +158,7 @@ def _average_blocks(begin, end, rows, channels, factor, scale, gain, like, out):
                 into[x] *= gain[y, x]
 
 
-@njit(cache=True, nogil=True, share=lambda centres, *_: len(centres), fastmath=FAST)
+@kernel(share=lambda centres, *_: len(centres), fastmath=FAST)
 def _correct_lenses(begin, end, centres, tables, radius, around, share, gains, step, image):
     """Multiply the pixels within `radius` of a lens centre by their gain, from row `tables` (n,) of `gains` (t, k).
 
@@ -200,7 +201,7 @@ def _correct_lenses(begin, end, centres, tables, radius, around, share, gains, s
                 row[k] *= gain[min(np.int32((dx * dx + dy2) * inverse), last)]
 
 
-@njit(cache=True, nogil=True, share=lambda centres, *_: len(centres), fastmath=FAST)
+@kernel(share=lambda centres, *_: len(centres), fastmath=FAST)
 def _fill_unlit(begin, end, centres, radius, light, image):
     """Replace pixels whose `light` is NaN by the mean of the others within `radius` of their lens.
 
@@ -319,7 +320,7 @@ def trusted_radius(calibration: Calibration) -> float:
     return radius
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _downsample_row(image, top, first, factor, line, into):
     """Means of blocks of `factor` x `factor` pixels, from row `top` and column `first` on; `line` is working memory."""
     for k in range(len(line)):
@@ -344,7 +345,7 @@ def _downsample_row(image, top, first, factor, line, into):
             into[u] = weight * total
 
 
-@njit(cache=True, nogil=True, share=lambda image, centres, *_: len(centres), error_model="numpy")
+@kernel(share=lambda image, centres, *_: len(centres), error_model="numpy")
 def _downsample_boxes(begin, end, image, centres, half, factor, out):
     """Fill the pixels of `out` no farther than `half` from a centre, each way."""
     height, width = out.shape
@@ -357,7 +358,7 @@ def _downsample_boxes(begin, end, image, centres, half, factor, out):
             _downsample_row(image, v * factor, left * factor, factor, line, out[v, left : left + columns])
 
 
-@njit(cache=True, nogil=True, share=lambda image, factor, out: len(out), error_model="numpy")
+@kernel(share=lambda image, factor, out: len(out), error_model="numpy")
 def _downsample_all(begin, end, image, factor, out):
     for v in range(begin, end):
         _downsample_row(image, v * factor, 0, factor, np.empty(out.shape[1] * factor, np.float32), out[v])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from .gray_flat import trusted_radius
 from .settings import BLUR, LensBlurSettings
@@ -110,7 +110,7 @@ def _make_models(
     return widths, average(lags.astype(np.float64)) - average(np.zeros(1))
 
 
-@njit(cache=True, nogil=True, share=lambda flat, centres, *_: len(centres), fastmath=FAST)
+@kernel(share=lambda flat, centres, *_: len(centres), fastmath=FAST)
 def _mean_square_differences(begin, end, flat, centres, radius, lags, out):
     """Mean square difference along rows and columns at each of the `lags`, within a circle in each microimage."""
     height, width, channels = flat.shape

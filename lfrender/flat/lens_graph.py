@@ -6,10 +6,11 @@ from collections.abc import Callable, Hashable
 from typing import TypeVar
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.cache import cached
 from .settings import GRAPH, LensGraphSettings
@@ -83,7 +84,7 @@ def join_opposite(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> ND
     return both if first is backward else np.hstack([forward, backward])
 
 
-@njit(cache=True, nogil=True, share=lambda mask, rows, *_: len(rows))
+@kernel(share=lambda mask, rows, *_: len(rows))
 def _count_in_mask(begin, end, mask, rows, out):
     for lens in range(begin, end):
         count = 0
@@ -94,7 +95,7 @@ def _count_in_mask(begin, end, mask, rows, out):
         out[lens] = count
 
 
-@njit(cache=True, nogil=True, share=lambda mask, sizes, rows, *_: len(rows))
+@kernel(share=lambda mask, sizes, rows, *_: len(rows))
 def _count_similar(begin, end, mask, sizes, rows, gap, out):
     for lens in range(begin, end):
         count = 0
@@ -156,7 +157,7 @@ def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:
     return np.asarray(cKDTree(lattice.centres()).query(np.asarray(points, dtype=float))[1], dtype=np.int64)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _find_rings_of(neighbours, lens, paths, out):
     """Write the neighbours of a lens and their neighbours into `out` (m,), each once, then -1; returns their number.
 
@@ -183,7 +184,7 @@ def _find_rings_of(neighbours, lens, paths, out):
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _is_complete(neighbours, lens):
     least = 0
     for k in range(neighbours.shape[1]):
@@ -191,7 +192,7 @@ def _is_complete(neighbours, lens):
     return least == 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda neighbours, out: len(out))
+@kernel(error_model="numpy", share=lambda neighbours, out: len(out))
 def _find_two_rings(begin, end, neighbours, out):
     """As `_find_rings_of`, for each lens. The paths of one lens with complete rings serve all that have all neighbours;
     lenses of the second ring to which such a path is broken are left out."""
@@ -217,7 +218,7 @@ def _find_two_rings(begin, end, neighbours, out):
         out[lens, count:] = -1
 
 
-@njit(cache=True, nogil=True, share=lambda neighbours, steps, out: len(out))
+@kernel(share=lambda neighbours, steps, out: len(out))
 def _walk(begin, end, neighbours, steps, out):
     """The lenses `steps` steps from each in the directions of its neighbours, -1 if the way leaves the flat."""
     for lens in range(begin, end):

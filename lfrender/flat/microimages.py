@@ -12,10 +12,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
@@ -99,7 +100,7 @@ class OverlapMasks(NamedTuple):
     counts: NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
     """Copy every `step`-th row of a box from (left, top) on, one after the other, to `out` from `begin` on.
 
@@ -118,7 +119,7 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
                 out[into + k] = pixels[np.uint64(at) + k]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda image, middle, *_: len(middle))
+@kernel(fastmath=FAST, error_model="numpy", share=lambda image, middle, *_: len(middle))
 def _extract(begin, end, image, middle, means, half, width, rows, step, wanted, done, values):
     pixels, across = image.reshape(-1), image.shape[1]
     size = rows * step * width
@@ -135,7 +136,7 @@ def _extract(begin, end, image, middle, means, half, width, rows, step, wanted, 
             strip[k] -= mean
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _clear_beyond(size, spare, wanted, done, values):
     """Vector loops read on beyond a strip: what is there must be a number."""
     for lens in range(len(wanted)):
@@ -183,7 +184,7 @@ def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
     return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def overlap_range(dx, dy, half, width, step, bunch):
     """First position in a strip that another microimage, shifted by `dx, dy` pixels, may hold too, and the number of
     positions, as a multiple of `bunch`; not above 0 if there is none."""
@@ -192,7 +193,7 @@ def overlap_range(dx, dy, half, width, step, bunch):
     return first, (number + bunch - 1) // bunch * bunch
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@kernel(fastmath=FAST)
 def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, counts):
     for dy in range(-reach, reach + 1):
         for dx in range(-reach, reach + 1):

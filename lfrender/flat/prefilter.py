@@ -8,9 +8,10 @@ many lenses and places, it has the sharpness of the flat itself then.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.buffers import allocate_scratch
 
@@ -41,7 +42,7 @@ def prefilter_flat(pixels: NDArray) -> NDArray:
 
 
 # Without fastmath: a part of a flat gets the same bits as the whole, whatever pixels a vector loop handles together.
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda flat, *_: len(flat))
+@kernel(error_model="numpy", share=lambda flat, *_: len(flat))
 def _filter_floats(begin, end, flat, channels, out):
     height, width = flat.shape
     middle, side = np.float32(1 + 4 * (1 / 12)), np.float32(1 / 12)
@@ -59,7 +60,7 @@ def _filter_floats(begin, end, flat, channels, out):
             into[k] = middle * here[k] - side * ((left + right) + (above[k] + below[k]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _filter_row_of_shorts(flat, y, channels, highest, into):
     """One row, rounded: sixteen twelfths of a pixel minus one twelfth of each neighbour, plus a half.
 
@@ -82,13 +83,13 @@ def _filter_row_of_shorts(flat, y, channels, highest, into):
         into[k] = min(max(np.float32(here[k]) * sixteen - sides + six, zero) * twelfth, highest)
 
 
-@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+@kernel(share=lambda flat, *_: len(flat))
 def _filter_shorts(begin, end, flat, channels, highest, out):
     for y in range(begin, end):
         _filter_row_of_shorts(flat, y, channels, highest, out[y])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _filter_row_of_bytes(flat, y, channels, line, into):
     """`_filter_row_of_shorts` for bytes; a line between two loops keeps them to 16 bits, of which a vector holds
     more."""
@@ -110,13 +111,13 @@ def _filter_row_of_bytes(flat, y, channels, line, into):
         into[k] = np.uint8((np.uint32(value) * np.uint32(5462)) >> np.uint32(16))
 
 
-@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+@kernel(share=lambda flat, *_: len(flat))
 def _filter_bytes(begin, end, flat, channels, out):
     for y in range(begin, end):
         _filter_row_of_bytes(flat, y, channels, np.empty(flat.shape[1], np.int16), out[y])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _pack_row(row, channels, into):
     """Put the channels of each pixel of a row into one number, the first lowest."""
     kind = into.dtype.type
@@ -133,7 +134,7 @@ def _pack_row(row, channels, into):
             into[x] = pixel
 
 
-@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+@kernel(share=lambda flat, *_: len(flat))
 def _filter_and_pack_bytes(begin, end, flat, channels, out):
     for y in range(begin, end):
         row = np.empty(flat.shape[1], np.uint8)
@@ -141,7 +142,7 @@ def _filter_and_pack_bytes(begin, end, flat, channels, out):
         _pack_row(row, channels, out[y])
 
 
-@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+@kernel(share=lambda flat, *_: len(flat))
 def _filter_and_pack_shorts(begin, end, flat, channels, highest, out):
     for y in range(begin, end):
         row = np.empty(flat.shape[1], np.uint16)

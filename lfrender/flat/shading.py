@@ -12,11 +12,12 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
@@ -39,7 +40,7 @@ class _StripTable(NamedTuple):
 
 
 # NumPy's error model: Python's checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _add_strip(strip, aside, down, count, w00, w01, w10, w11, shade):
     """Add a strip, interpolated between pixels, to the first `count` values of `shade`."""
     a00, a01 = strip[aside : aside + count], strip[aside + 1 : aside + 1 + count]
@@ -48,7 +49,7 @@ def _add_strip(strip, aside, down, count, w00, w01, w10, w11, shade):
         shade[k] += w00 * a00[k] + w01 * a01[k] + w10 * a10[k] + w11 * a11[k]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _add_lenses(strips, centres, near, lens, weights, contrast, shade):
     """Add the microimages of the lenses `near`, minus their means, to `shade` at the pixels of a lens.
 
@@ -78,14 +79,14 @@ def _add_lenses(strips, centres, near, lens, weights, contrast, shade):
     return total, expected
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _chord(centre_x, centre_y, y, radius, width):
     """First and last pixel of row `y` of the flat inside a circle."""
     half = np.sqrt(max(np.float32(0.0), radius * radius - (y - centre_y) * (y - centre_y)))
     return max(0, int(np.ceil(centre_x - half))), min(width - 1, int(np.floor(centre_x + half)))
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _mean_square(shade, wide, left, top, cx, cy, radius, width, height):
     """Mean square of `shade` within a microimage."""
     energy = np.float32(0.0)
@@ -100,15 +101,13 @@ def _mean_square(shade, wide, left, top, cx, cy, radius, width, height):
     return energy / np.float32(max(count, 1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _subtract_row(row, shade, share, out):
     for k in range(len(row)):
         out[k] = row[k] - share * shade[k]
 
 
-@njit(
-    cache=True, nogil=True, error_model="numpy", _nrt=True, share=lambda *given: len(given[0] if given[4] else given[1])
-)
+@kernel(error_model="numpy", share=lambda *given: len(given[0] if given[4] else given[1]))
 def _copy_image(begin, end, image, centres, wanted, radius, everywhere, out):
     """Copy the image, or the boxes about the `wanted` lenses."""
     height, across = image.shape
@@ -126,7 +125,7 @@ def _copy_image(begin, end, image, centres, wanted, radius, everywhere, out):
                         out[y, x] = image[y, x]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda _, centres, *__: len(centres))
+@kernel(error_model="numpy", share=lambda _, centres, *__: len(centres))
 def _subtract_shading(
     begin, end, image, centres, wanted, near, weights, contrast, radius, largest, significance, strips, out
 ):  # fmt: skip

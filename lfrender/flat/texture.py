@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.cache import cached
 from .gray_flat import GrayFlat
@@ -83,7 +84,7 @@ class Texture:
 
 # Inlined before any optimisation: else sums would be in another order when compiled than when loaded from the cache.
 # Positions are unsigned: signed ones are checked for counting from the end.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _sum_pixels(box, columns, lines, start, above, below, count, ex, ey, low, high, last, r2, middle2, near):
     """Number, sum and sum of squares of the pixels in a circle, minus `near`; sum of squares of a checkerboard filter;
     number, sum and sum of squares in the smaller circle.
@@ -117,14 +118,14 @@ def _sum_pixels(box, columns, lines, start, above, below, count, ex, ey, low, hi
     return number, total, squares, rough, inner_number, inner_total, inner_squares
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _mean_and_deviation(number, total, squares):
     inverse = np.float32(1.0) / max(number, np.float32(1.0))
     mean = total * inverse
     return mean, np.sqrt(max(squares * inverse - mean * mean, np.float32(0.0)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda _, centres, *__: len(centres))
+@kernel(error_model="numpy", share=lambda _, centres, *__: len(centres))
 def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
     """Mean, contrast, contrast of the middle and roughness of the `wanted` lenses, into `out` (4, n)."""
     height, width = image.shape

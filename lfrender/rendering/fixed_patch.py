@@ -10,10 +10,11 @@ import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.cache import cached
 from ..runtime.run_interpolation import (
@@ -96,7 +97,7 @@ class _Run(NamedTuple):
     high: Any
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _find_nearest(x, y, lattice):
     """Index of the lens whose centre is nearest to (x, y)."""
     origin, inverse, basis, steps = lattice.origin, lattice.inverse, lattice.basis, lattice.steps
@@ -113,7 +114,7 @@ def _find_nearest(x, y, lattice):
     return best_i, best_j
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _read_beside(source, gain, picture, x, y, lenses, row, at):
     """One pixel of the picture from the nearest of some `lenses` (k, 2) that shows the point (x, y) on the flat."""
     size, slope, flat, corner = source.size, picture.slope, source.pixels, source.corner
@@ -142,7 +143,7 @@ def _read_beside(source, gain, picture, x, y, lenses, row, at):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def _find_run(picture, size, v, u, end, cx, cy, slope):
     """The run of the columns `u` to `end` of row `v`, read from the lens at (cx, cy) [output px]."""
     middle = int(np.rint(cx))
@@ -167,7 +168,7 @@ def _find_run(picture, size, v, u, end, cx, cy, slope):
     return _Run(lens_x, lens_y, middle, dx, dy, column, row, low, high)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def _gain_place(gain, run, from_middle, across):
     """Where the gains of a run begin in the line of the table."""
     if len(gain.line) == 0:
@@ -178,7 +179,7 @@ def _gain_place(gain, run, from_middle, across):
     return gain_row * gain.line_size + step // phases * across + np.uint64(BUNCH)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def _draw_run(source, gain, picture, run, end, row, line):
     """Read a run into `row`, as far as it can be read; `line` is memory for a row."""
     flat, slope = source.pixels, -1 if picture.slope > 0 else 1
@@ -210,7 +211,7 @@ def _draw_run(source, gain, picture, run, end, row, line):
         copy_run(line, row, low - left, high - left, source.channels, turned)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _draw_row(source, lattice, gain, picture, borders, v, row, valid):
     """Draw row `v` of the picture, cell by cell from its first column on, whatever part of it is drawn."""
     part, first, slope = picture.part, picture.first, -1 if picture.slope > 0 else 1
@@ -247,7 +248,7 @@ def _draw_row(source, lattice, gain, picture, borders, v, row, valid):
 
 
 # Without fastmath: sums in any order would differ between a process that compiles this and one that loads it.
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[5]))
+@kernel(error_model="numpy", share=lambda *given: len(given[5]))
 def _draw_patches(begin, end, source, lattice, borders, gain, picture, out, valid):
     """Fill `out` (rows, columns C), which is the `part` of the picture; all bits are those of the whole picture."""
     for at in range(begin, end):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
@@ -21,9 +21,7 @@ __all__ = ["find_changed_pixels", "redraw"]
 _STRIP = 16
 
 
-@njit(
-    cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda places, side, out: -(-len(out) // _STRIP)
-)
+@kernel(error_model="numpy", fastmath=FAST, share=lambda places, side, out: -(-len(out) // _STRIP))
 def _mark_pixels(begin, end, places, side, out):
     """Set the pixels of `out` within `side` of some of `places` (m, 2), and unset the rest."""
     rows, columns = out.shape

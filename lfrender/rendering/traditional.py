@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 from lfcal.runtime.checks import find_depth_doubt
 from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..data.depth_map import REASONS, DepthMap
 from ..data.rendering import Rendering, finish_picture
@@ -31,7 +31,7 @@ TOO_LITTLE = (
 _ON_SURFACE, _MOST_NEIGHBOURS = 3, 6
 
 
-@njit(cache=True, nogil=True, share=lambda flat, centres, *_: len(centres), fastmath=FAST)
+@kernel(share=lambda flat, centres, *_: len(centres), fastmath=FAST)
 def _lens_means(begin, end, flat, centres, radius, gains, gain_step, unlit, out, lit):
     """Mean of each microimage over the pixels that are not `unlit` ((0, 0): all are lit), and how many those are."""
     height, width, channels = flat.shape

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-
-from lfcal.runtime.kernels.jit import njit
+from numba import njit
 
 __all__ = ["solve_cholesky"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def solve_cholesky(left, right, out):
     """Solve `left @ out = right`; `left`, of which the lower half is read, becomes its Cholesky factor."""
     for i in range(len(right)):

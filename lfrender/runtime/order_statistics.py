@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from lfcal.runtime.kernels.jit import njit
+from numba import njit
 
 __all__ = ["count_below", "median_of", "select"]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def count_below(ordered, value):
     """How many of the `ordered` values (n,) are below a value; NaN counts as the largest of all."""
     first, beyond = 0, len(ordered)
@@ -20,7 +20,7 @@ def count_below(ordered, value):
     return first
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@njit(fastmath=False)
 def select(values, place):
     """The value at a `place` in the order of `values` (n,), which are reordered: smaller ones before it, larger after.
 
@@ -48,7 +48,7 @@ def select(values, place):
     return values[place]
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@njit(fastmath=False)
 def median_of(values):
     """Median of `values` (n,), n at least 1 and none NaN, which are reordered."""
     half = len(values) // 2

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 __all__ = ["BUNCH", "GAIN_BITS", "TOGETHER", "copy_run", "padded_length", "read_run", "read_run_of_bytes"]
 
@@ -19,7 +19,7 @@ TOGETHER = 16
 BUNCH = 32
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False, forceinline=True)
+@njit(error_model="numpy", fastmath=False, forceinline=True)
 def _weights_of_bytes(fx, fy):
     """Weights of the four pixels about a place in whole 256ths, rounded so that their sum is 256 whatever they are."""
     right, low = np.rint(256 * fx), np.rint(256 * fy)
@@ -30,7 +30,7 @@ def _weights_of_bytes(fx, fy):
 
 
 # Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, start, size):
     """Interpolate a run of values, times the gain if there is one, rounded by adding `half`.
 
@@ -47,7 +47,7 @@ def read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, star
         out[start + k] = min(value + half, top)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, out, start, size):
     """The same for bytes, with weights in 256ths: twice as many at a time."""
     at_b, at_c, at_d = at + across, at + down, at + down + across
@@ -65,13 +65,13 @@ def read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, out, start,
             out[start + k] = min(value, np.uint16(255))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def padded_length(length, bunch, overlap):
     """Values to read for a run: at least a bunch, and a whole number of them unless they may `overlap`."""
     return max(length, bunch) if overlap else (length + bunch - np.uint64(1)) // bunch * bunch
 
 
-@njit(cache=True, nogil=True)
+@njit
 def copy_run(line, row, first, last, channels, turned):
     """Copy the pixels of `line` from `first` to `last` into `row`, in reverse order if `turned`."""
     if not turned:

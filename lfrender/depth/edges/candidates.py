@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-
-from lfcal.runtime.kernels.jit import njit
+from numba import njit
 
 from .geometry import level_of
 from .microimage import BINS, DEPTHS, NEARBY, OWN
@@ -19,7 +18,7 @@ _FAR = 2.0
 _SETTLED = 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def list_depths(surface, grid, x, y, lenses, reach, work):
     """Patch sizes of the surface that the lens at (x, y) may show, in `work.depths`; returns how many there are."""
     rows, columns = surface.shape
@@ -51,7 +50,7 @@ def list_depths(surface, grid, x, y, lenses, reach, work):
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _outline(x, y, left, top, size, radius, shape, work):
     """Set the columns of each row of the microimage, a pixel off the border of the flat."""
     for row in range(size):
@@ -63,7 +62,7 @@ def _outline(x, y, left, top, size, radius, shape, work):
             work.right[row] = max(min(int(np.floor(x + half)), shape[1] - 2) + 1 - left, work.left[row])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _is_settled(before, px, py, gap):
     """Whether the first round found one surface on all pixels around this one."""
     s, height, width = before[py, px], before.shape[0], before.shape[1]
@@ -74,7 +73,7 @@ def _is_settled(before, px, py, gap):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lenses, work):
     """Fill `work.value` and `work.present` of depth k."""
     first, spacing, pitch, gap = grid.first, grid.spacing, lenses.pitch, lenses.gap
@@ -99,7 +98,7 @@ def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lense
                 among[p] += near
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _keep_distinct(p, number, apart, work):
     """Drop the depths of a pixel that differ by less than `apart` from one that the surface has there; whether it has
     any."""
@@ -117,7 +116,7 @@ def _keep_distinct(p, number, apart, work):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, leave, apart, shape,
                     work):  # fmt: skip
     """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere."""

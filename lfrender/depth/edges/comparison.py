@@ -6,9 +6,9 @@ Work is done on boxes of pixels, one line each with `stride` pixels a row, in ve
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 from ..depth_order import depth_order
 from .microimage import LEFT_OUT
@@ -16,7 +16,7 @@ from .microimage import LEFT_OUT
 __all__ = ["allow_mismatch", "compare_depth"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(error_model="numpy", fastmath=FAST)
 def allow_mismatch(light, stride, number, c, allowed):
     """The mismatch that noise, blur and resampling explain, for each pixel with the four beside it."""
     down, one, fifth = np.uint64(stride), np.uint64(1), np.float32(0.2)
@@ -29,7 +29,7 @@ def allow_mismatch(light, stride, number, c, allowed):
         allowed[p] = share * (a * a + b * b + d * d + e * e + f * f) + noise2
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(error_model="numpy", fastmath=FAST)
 def _square_differences(light, pixels, there, width, x, y, shift_x, fx, fy, radius, at, count, apart, seen):
     """Squared differences of `count` pixels from place `at` on from those `there`, a fraction of a pixel on, and which
     of them lie in the microimage: `y` below its middle, and `shift_x` more than `x` beside it.
@@ -51,7 +51,7 @@ def _square_differences(light, pixels, there, width, x, y, shift_x, fx, fy, radi
         seen[p] = some if away <= inner else none
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(error_model="numpy", fastmath=FAST)
 def _leave_out_occluded(before, there, nearest, pitch, at, count, seen):
     """Unset `seen` where pixels `there` showed something beyond `nearest` in the order of depths."""
     none, two, first = np.float32(0), np.float32(2 * pitch), np.uint64(there)
@@ -61,7 +61,7 @@ def _leave_out_occluded(before, there, nearest, pitch, at, count, seen):
         seen[at + n] = none if order > nearest else seen[at + n]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _look(pixels, shape, before, left, top, first, last, stride, to_x, to_y, lenses, work):
     """Fill `apart` and `seen` in rows `first` to `last` for another lens, (to_x, to_y) from this one."""
     height, width, pitch, apart, seen = shape[0], shape[1], lenses.pitch, work.apart, work.seen
@@ -89,7 +89,7 @@ def _look(pixels, shape, before, left, top, first, last, stride, to_x, to_y, len
             _leave_out_occluded(before, there, nearest, pitch, at, stride, seen)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(error_model="numpy", fastmath=FAST)
 def _add_lens(apart, seen, allowed, first, last, stride, leave_out, views, wanted, total, count, worst, mismatch):
     """Add the mismatch of patches with another lens; pixels that have enough views want no further one."""
     begin, number = np.uint64(first * stride), np.uint64((last - first) * stride)
@@ -112,7 +112,7 @@ def _add_lens(apart, seen, allowed, first, last, stride, leave_out, views, wante
         wanted[p] = wanted[p] if count[p] < views else np.float32(0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(error_model="numpy", fastmath=FAST)
 def _is_done(wanted, row, stride):
     """Whether no pixel of a row wants a further lens."""
     left, at = np.float32(0), np.uint64(row * stride)
@@ -121,7 +121,7 @@ def _is_done(wanted, row, stride):
     return left == 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _start_depth(k, size, stride, pitch, work):
     """Find the pixels that may show depth k, and their mean patch size [pitch] in each row, of all rows where there are
     none; returns the first row and the end of them, and the mean [pitch]."""
@@ -142,7 +142,7 @@ def _start_depth(k, size, stride, pitch, work):
     return first, last, mean
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _finish_depth(k, first, last, stride, share, c, work):
     """Add the mean of the `share` of the mismatches of each pixel that are the least to its cost of depth k."""
     among, present, cost, number, total, worst = (
@@ -160,7 +160,7 @@ def _finish_depth(k, first, last, stride, share, c, work):
                 cost[k, p] += mismatch
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def compare_depth(pixels, shape, lens, k, share, left, top, size, stride, lenses, before, c, work):
     """Add the mismatch with other lenses to the costs of depth k, for the pixels that may show it.
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ..depth_order import depth_order
 from .geometry import LensArray, PointGrid
@@ -17,7 +18,7 @@ _DEPTHS = 8
 _TOGETHER = 4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _central_lenses(lenses, x, y, near, distance2):
     """Rows of the lenses nearest to scene point (x, y), the nearest first; returns how many there are."""
     inverse, origin, rows, low = lenses.inverse, lenses.origin, lenses.rows, lenses.low
@@ -42,7 +43,7 @@ def _central_lenses(lenses, x, y, near, distance2):
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _vote(pixels, centres, radius, pitch, gap, near, found, x, y, s):
     """Share of the lenses that show scene point (x, y) at depth `s`, and the mean patch size that they show."""
     slope, votes, voters, size = s / pitch, 0.0, 0.0, 0.0
@@ -62,7 +63,7 @@ def _vote(pixels, centres, radius, pitch, gap, near, found, x, y, s):
     return (votes / voters, size / votes) if votes > 0 else (0.0, s)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _list_depths(surface, v, first, end, reach, gap, depths):
     """Depths of the surface within `reach` [grid values] of points `first` to `end` of row v, their own first.
 
@@ -83,7 +84,7 @@ def _list_depths(surface, v, first, end, reach, gap, depths):
     return number
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda pixels, lenses, surface, *_: len(surface))
+@kernel(error_model="numpy", share=lambda pixels, lenses, surface, *_: len(surface))
 def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, voters,
                       out):  # fmt: skip
     """Fill `out` with the nearest depth that most of the central lenses show at each scene point.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.kernels.jit import njit
 
 from ...flat.lens_graph import lens_grid
 
@@ -71,14 +71,14 @@ def lens_array(lattice: Lattice, gap: float, radius: float) -> LensArray:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def value_at(values, first, spacing, x, y):
     """Grid value nearest to scene point (x, y)."""
     u, v = int((x - first) / spacing + 0.5), int((y - first) / spacing + 0.5)
     return values[min(max(v, 0), values.shape[0] - 1), min(max(u, 0), values.shape[1] - 1)]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def level_of(s, pitch):
     """Number of the level of a patch size."""
     return min(max(int((s / pitch + _RANGE) * (0.5 * LEVELS / _RANGE)), 0), LEVELS - 1)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-
-from lfcal.runtime.kernels.jit import njit
+from numba import njit
 
 __all__ = ["BINS", "DEPTHS", "LEFT_OUT", "NEARBY", "OWN", "Microimage", "PixelCosts", "box_stride", "make_microimage"]
 
@@ -66,13 +65,13 @@ class Microimage(NamedTuple):
     path: Any  # (2, k) costs of the last and this pixel of a path
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def box_stride(size):
     """Pixels from row to row of a box that is `size` pixels wide, one more included."""
     return (size + _VECTOR) // _VECTOR * _VECTOR
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def make_microimage(size):
     """Work space for microimages of `size` pixels each way."""
     stride = box_stride(size)

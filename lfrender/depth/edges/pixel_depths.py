@@ -8,7 +8,9 @@ the first one finds occluded are left out (view selection, Schoenberger et al. 2
 
 from __future__ import annotations
 
-from lfcal.runtime.kernels.jit import njit
+from numba import njit
+
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.microimages import copy_box
 from .candidates import list_candidates, list_depths
@@ -20,7 +22,7 @@ from .regularisation import aggregate
 __all__ = ["measure_pixel_depths"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _copy_microimage(pixels, width, x, y, left, top, size, stride, work):
     """Fill the brightness and the place of the pixels of a box."""
     copy_box(pixels, width, left, top, size, stride, work.light)
@@ -30,7 +32,7 @@ def _copy_microimage(pixels, width, x, y, left, top, size, stride, work):
             work.y[row * stride + column] = top + row - y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, c, size, work, out):
     """Fill `out` with the patch sizes of the pixels of one lens."""
     x, y = lenses.centres[lens, 0], lenses.centres[lens, 1]
@@ -60,7 +62,7 @@ def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, c,
             out[top + row, left + column] = value[best, p]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda image, lenses, *_: len(lenses.centres))
+@kernel(error_model="numpy", share=lambda image, lenses, *_: len(lenses.centres))
 def measure_pixel_depths(begin, end, image, lenses: LensArray, surface, grid: PointGrid, levels, wanted, before,
                          c: PixelCosts, out):  # fmt: skip
     """Fill `out` (H, W) with the patch size [px] that each pixel of the microimages shows.

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-
-from lfcal.runtime.kernels.jit import njit
+from numba import njit
 
 __all__ = ["aggregate"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _aggregate_line(number, gap, c, p, step, steps, work):
     """Add one path of semi-global matching to the total: `steps` pixels `step` apart, from p on."""
     previous, current, value, cost, total, among, light = (
@@ -40,7 +39,7 @@ def _aggregate_line(number, gap, c, p, step, steps, work):
         p += step
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def aggregate(size, stride, number, gap, c, work):
     """Semi-global matching along four directions inside a microimage, about the pixels that are not settled."""
     among, upper, lower = work.among, work.upper, work.lower

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.gray_flat import GrayFlat
 from .cost_volume import mean_steps
@@ -33,7 +33,7 @@ def overlap_weights(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.
     return (weight / max(len(steps), 1)).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda cost, weight, rows, best, *_: len(best))
+@kernel(error_model="numpy", share=lambda cost, weight, rows, best, *_: len(best))
 def _measure_ambiguity(
     begin, end, cost, weight, rows, best, wanted, tolerance, settings, uniqueness, primary, secondary
 ):

@@ -7,9 +7,10 @@ The cost is `1 - rho`: one minus the correlation coefficient over the pixels tha
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import OverlapMasks, Strips, extract_strips, make_shift_masks
@@ -33,7 +34,7 @@ def shading_decay(ratio: NDArray[np.float32]) -> NDArray[np.float32]:
 
 # No fast math here: Numba optimises such a body once when it compiles and twice when it loads it from the cache, which
 # would add in another order. The loops over pixels keep their order.
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _add_pair_costs(
     begin, end, terms: PairTerms, rows, active, done, shifts, near_zero, which, table: StripTable, own_mask, fresh, out
 ):
@@ -82,7 +83,7 @@ def _add_pair_costs(
                 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda terms, rows, *_: len(rows))
+@kernel(error_model="numpy", share=lambda terms, rows, *_: len(rows))
 def _pair_costs(
     begin, end, terms: PairTerms, rows, active, done, shifts, near_zero, which, table: StripTable, fresh, out
 ):

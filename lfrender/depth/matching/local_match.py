@@ -6,10 +6,11 @@ One pass over the pixels gives the cost and its derivatives, and so a Gauss-Newt
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import Strips
@@ -24,7 +25,7 @@ __all__ = ["match_locally"]
 
 
 # Indices are unsigned, because signed ones are checked for counting from the end.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _sums(strips, own, other, upper, lower, masks, mask, count, weights, slopes):
     """Sums over the masked pixels of one strip, the interpolated ones of another, their difference and derivative."""
     one = np.uint64(1)
@@ -50,7 +51,7 @@ def _sums(strips, own, other, upper, lower, masks, mask, count, weights, slopes)
 
 
 # No fast math here, as in `cost_volume._pair_costs`.
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda terms, rows, *_: len(rows))
+@kernel(error_model="numpy", share=lambda terms, rows, *_: len(rows))
 def _local_costs(begin, end, terms: PairTerms, rows, active, expected, table: StripTable, out):
     """Fill `out` (n, d, 3) with the cost of each pair, and its first and second derivative."""
     centres, radius, pitch, means, doubts, noise2, shading, half_weight = terms

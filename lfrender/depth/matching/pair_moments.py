@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, overlap_range
@@ -66,7 +66,7 @@ def strip_table(strips: Strips, masks: OverlapMasks, gray: GrayFlat) -> StripTab
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(error_model="numpy", inline="always")
 def match_cost(count, sa, sb, squares, srr, difference, pixels, floor, half_weight, doubt):
     """Cost of a pair, one less its weighted correlation, from sums over the `count` pixels that it shares.
 
@@ -86,7 +86,7 @@ def match_cost(count, sa, sb, squares, srr, difference, pixels, floor, half_weig
 
 # The error model of NumPy, because Python's checks every division, which prevents vector loops. Indices are unsigned,
 # because signed ones are checked for counting from the end.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def strip_moments(strips, own, other, upper, lower, masks, mask, count, weights):
     """Sums over the masked pixels of one strip and the interpolated ones of another, `upper` and `lower` values on: of
     both, of the squares of both, and of those of their difference."""
@@ -107,7 +107,7 @@ def strip_moments(strips, own, other, upper, lower, masks, mask, count, weights)
     return sa, sb, squares, srr
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _fill_mask(columns, lines, start, count, discs, box, radius2, out):
     """Mask the pixels of a strip from `start` on that lie in both discs, at `ax, ay, bx, by` from its middle, and in a
     box; how many do."""
@@ -123,7 +123,7 @@ def _fill_mask(columns, lines, start, count, discs, box, radius2, out):
     return number
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(error_model="numpy", inline="always")
 def shared_pixels(
     dx, dy, whole, middle, other, discs, radius2, slots, ends, counts, columns, lines, layout, size, own_mask
 ):

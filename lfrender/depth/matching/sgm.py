@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...runtime.cache import cached
 
@@ -16,7 +17,7 @@ __all__ = ["aggregate_costs", "average_pair_costs"]
 _LANES = 16
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda *given: len(given[4]))
+@kernel(error_model="numpy", fastmath=FAST, share=lambda *given: len(given[4]))
 def _lens_costs(begin, end, pair, forward, backward, lenses, out):
     """Mean pair cost of each of the `lenses` over all neighbours that it has."""
     half = forward.shape[1]
@@ -51,7 +52,7 @@ def average_pair_costs(
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _relax(message, other, places, shift, price):
     """The least of each message and those `shift` labels beside it plus the `price`, in `other`."""
     here, left, right = np.uint64(_LANES), np.uint64(_LANES - shift), np.uint64(_LANES + shift)
@@ -59,7 +60,7 @@ def _relax(message, other, places, shift, price):
         other[here + k] = min(message[here + k], min(message[left + k], message[right + k]) + price)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _walk(cost, chain, slope, jump, total):
     """One path along the lenses of `chain`, added to `total`.
 
@@ -96,7 +97,7 @@ def _walk(cost, chain, slope, jump, total):
             covered, shift = covered + shift, min(2 * shift, _LANES)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda cost, chains, starts, *_: len(starts) - 1)
+@kernel(error_model="numpy", share=lambda cost, chains, starts, *_: len(starts) - 1)
 def _walk_all(begin, end, cost, chains, starts, slope, jump, wanted, total):
     for c in range(begin, end):
         some = False
@@ -107,7 +108,7 @@ def _walk_all(begin, end, cost, chains, starts, slope, jump, wanted, total):
         _walk(cost, chains[starts[c] : starts[c + 1]], slope, jump, total)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _follow(following, before, order, starts):
     """Fill `order` with all straight rows of lenses in turn, `starts` with the start of each; return their number."""
     count = chains = 0

@@ -9,10 +9,11 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import join_opposite
@@ -54,7 +55,7 @@ _Robust = namedtuple("_Robust", "outlier2 rounds early")
 _Planes = namedtuple("_Planes", "sizes slants spreads")
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
     """Fill `s, v, x, y` with the patch sizes, variances and places of the pairs of a lens; returns their number."""
     half = neighbours.shape[1] // 2
@@ -78,7 +79,7 @@ def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _fit_plane(count, s, v, x, y, z, gx, gy, known, robust):
     """Plane through the pairs by IRLS with the weights of Geman and McClure, with a prior slant (gx, gy).
 
@@ -122,7 +123,7 @@ def _fit_plane(count, s, v, x, y, z, gx, gy, known, robust):
     return z, gx, gy, height, slope, chi2, weights
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda centres, *_: len(centres))
+@kernel(fastmath=FAST, error_model="numpy", share=lambda centres, *_: len(centres))
 def _fit_planes(begin, end, centres, pitch, neighbours, pairs: PairFits, start, prior, robust: _Robust, out: _Planes):
     """Fit a plane to the pairs of each lens, from `start` (n,) and with the `prior` (n, 3): slant, inverse variance."""
     most, sizes, slants, spreads = neighbours.shape[1], out.sizes, out.slants, out.spreads
@@ -147,7 +148,7 @@ def _fit_planes(begin, end, centres, pitch, neighbours, pairs: PairFits, start, 
         spreads[lens, 3] = max(weights - 1 - 2 * own, np.float32(0.0))
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
+@kernel(fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
 def _predict_slants(begin, end, neighbours, gap, planes: _Planes, prior):
     """Fill `prior` with the mean slant of each lens and its neighbours on one surface, and its inverse variance."""
     sizes, slants, spreads = planes.sizes, planes.slants, planes.spreads
@@ -180,7 +181,7 @@ def _predict_slants(begin, end, neighbours, gap, planes: _Planes, prior):
         prior[lens, 2] = np.float32(1.0) / (curvature + 1 / total)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
+@kernel(fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
 def _standard_errors(begin, end, neighbours, pitch, gap, planes: _Planes, out, slant_errors):
     """Errors of lenses, scaled by the scatter of their pairs and of their neighbours' on one surface, and for what all
     pairs of a lens share by one and |s| over the pitch."""

@@ -12,10 +12,11 @@ from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.gray_flat import GrayFlat, downsample
 from ..same_surface import TOLERANCE, same_surface
@@ -69,7 +70,7 @@ _LINEAR = np.float32(0.04)
 
 
 # Python's error model checks every division for zero, which prevents vector loops.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _sums(light, slope_x, slope_y, laplacian, other, columns, rows, overlap, offset, scale2):
     """Sums over the pixels of a microimage that the other shows too, weighted after Geman and McClure.
 
@@ -125,7 +126,7 @@ def _sums(light, slope_x, slope_y, laplacian, other, columns, rows, overlap, off
     return sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr, (sl, sll, spl, sql, slr), (st, stt, spt, sqt, slt, srt)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@njit(fastmath=FAST, forceinline=True)
 def _blur_shares(constant, ramp, of_l, of_t, prior):
     """What the Laplacian and the squared slope take off the normal equations of a shift: squares, product, residual.
 
@@ -149,7 +150,7 @@ def _blur_shares(constant, ramp, of_l, of_t, prior):
 
 # Arrays are passed one by one, although there are many: taken out of tuples here, their references would be counted for
 # every pair, which costs a third of the time.
-@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@njit(fastmath=FAST, forceinline=True)
 def _fit_pair(
     pixels, size, shape, columns, rows, corner, centres, radius, pitch, start, scale2, light, slope_x, slope_y,
     laplacian, box, lines, shifted, whole, constants,
@@ -198,7 +199,7 @@ def _fit_pair(
     return s, variance, x, y
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _start_values(first, second, tolerance):
     """Start values of the two fits of a pair, and whether both are one: the mean of what is one surface."""
     first, second = second if np.isnan(first) else first, first if np.isnan(second) else second
@@ -207,7 +208,7 @@ def _start_values(first, second, tolerance):
     return middle if together else first, middle if together else second, together
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda image, centres, *_: len(centres))
+@kernel(error_model="numpy", share=lambda image, centres, *_: len(centres))
 def _fit_pairs(
     begin, end, image, centres, radius, pitch, rows, start, scale2, constants, kinds, sizes, variances, places
 ):

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
+from numba import njit
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 from ...flat.microimages import copy_box
 
@@ -49,12 +49,12 @@ Buffers = namedtuple("Buffers", "box lines shifted step")
 Overlap = namedtuple("Overlap", "start number ux uy ax ay qx qy mx my r2 low_x high_x low_y high_y")
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def flat_pixels(image):
     return Flat(image.reshape(-1), image.shape[0], image.shape[1])
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(fastmath=FAST, inline="always")
 def bspline_weights(f):
     """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`.
 
@@ -72,13 +72,13 @@ def bspline_weights(f):
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _whole(count):
     """The next whole multiple of what vector loops take at a time."""
     return (count + _WHOLE - 1) // _WHOLE * _WHOLE
 
 
-@njit(cache=True, nogil=True)
+@njit
 def pixel_raster(radius):
     side = int(2 * radius) + 1
     stride = side + SPLINE_MARGIN
@@ -90,21 +90,21 @@ def pixel_raster(radius):
 
 
 # Vector loops read values that have not been set: these must be numbers.
-@njit(cache=True, nogil=True)
+@njit
 def new_cutout(size):
     return Cutout(
         np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
     )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def new_buffers(size):
     return Buffers(
         np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32), np.full(2, _NO_STEP)
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def first_pixel(centre, radius, side, size):
     """First of `side` pixels that hold a microimage, so that these and those beside them lie on the flat."""
     return min(max(int(np.ceil(centre - radius)), 1), size - side - 1)
@@ -112,7 +112,7 @@ def first_pixel(centre, radius, side, size):
 
 # Without fast math: sums whose order it is free to choose would have other bits where the kernel is compiled than where
 # it is loaded.
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def cut_smoothed(flat, raster, left, top, buffers, out, bent):
     """Fill the cutout `out` from pixel (left, top) on: smoothed by (1, 4, 1) / 6 in both directions, with slopes.
 
@@ -151,7 +151,7 @@ def cut_smoothed(flat, raster, left, top, buffers, out, bent):
                 laplacian[into + k] = beside - four * box[middle + k]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
     """Weighted sums of four values so far `apart`, for `number` places from `start` on."""
     first, second = np.uint64(start), np.uint64(start + apart)
@@ -162,7 +162,7 @@ def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
         )
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def resample_shifted(pixels, size, shape, corner, centres, radius, s, pitch, box, lines, shifted, step):
     """Fill `shifted` with the second of two microimages at the pixels of the first, and return the `Overlap`.
 

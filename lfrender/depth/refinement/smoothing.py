@@ -11,9 +11,10 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import distant_rings, two_rings
@@ -36,7 +37,7 @@ _GATHERED, _NEAR = 9, 13
 _INLIER_SHARE = np.float32(0.83)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(error_model="numpy", inline="always")
 def _inverted(a, b, c, d, e, f):
     """Inverse of the symmetric matrix ((a, b, c), (b, d, e), (c, e, f)): its upper half, and a factor to it."""
     i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
@@ -45,7 +46,7 @@ def _inverted(a, b, c, d, e, f):
 
 # Exact sums, here and below: with fast math they would have other bits where Numba compiles than where it loads them.
 # Divisions are in loops without sums: these become vector loops, except with Python's error model, which checks them.
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _predict(count, near, slant_known, rounds):
     """What `count` neighbours predict of a lens by a weighted plane: difference from its size, its variance, and mean
     variance; difference of slant, and the variance of that."""
@@ -87,7 +88,7 @@ def _predict(count, near, slant_known, rounds):
     return height, inverse + uneven, count / total, -x_slant, -y_slant, slanted
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _curvature(count, near, own, own_variance, own_curved, slant_known):
     """Curvature [px / pitch^2] of the surface about a lens, and its variance, by a weighted paraboloid.
 
@@ -136,14 +137,14 @@ def _curvature(count, near, own, own_variance, own_curved, slant_known):
     return spread * left, spread * max((scatter + 1) / (max(freedom, 0.0) + 1), 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(error_model="numpy", inline="always")
 def _mean_reach(size, radius):
     """Half the mean square distance [pitches^2], on the scene, between what a lens shows and what its centre does; at
     most a pitch."""
     return min(radius * radius / (4 * size * size), 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius, gathered, constants, near):
     """Fill `near` from `count` gathered neighbours; returns the sum of their robust weights."""
     sizes, variances, ahead_x, ahead_y = gathered[0], gathered[1], gathered[2], gathered[3]
@@ -172,7 +173,7 @@ def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius,
     return weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _gather(
     lens, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, centred, trust, constants, gathered, near
 ):  # fmt: skip
@@ -201,7 +202,7 @@ def _gather(
     return count, weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda centres, *_: len(centres))
+@kernel(error_model="numpy", share=lambda centres, *_: len(centres))
 def _smooth(
     begin, end, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, wanted, centred, trust,
     constants: _Constants, out,

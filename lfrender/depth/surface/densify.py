@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...data.surface import Surface
 from ...flat.gray_flat import GrayFlat
@@ -32,7 +33,7 @@ __all__ = ["densify"]
 _NOTHING = np.empty((0, 0), np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@njit(fastmath=FAST, forceinline=True)
 def _aggregate(depths, costs, single, gap, jump, total):
     """Add one path of semi-global matching along a line of scene points to `total`.
 
@@ -68,7 +69,7 @@ def _aggregate(depths, costs, single, gap, jump, total):
             previous[k] = message[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[1])
+@kernel(error_model="numpy", share=lambda depths, *_: depths.shape[1])
 def _follow_lines(begin, end, depths, costs, gap, jump, single, total, fresh, out):
     """Add the paths along each line of scene points, both ways, to `total`, which is cleared first if `fresh`; or else
     set `out` to the cheapest hypothesis of each point."""

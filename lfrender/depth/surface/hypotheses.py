@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
+from numba import njit
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.distorted_lookup import nearest_index
 from ..depth_order import depth_order
@@ -47,7 +48,7 @@ def hypothesis_constants(
     return HypothesisConstants._make((*named, gap, np.float32(pitch), np.float32(voting_reach**2), *views))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _add_occlusion(depths, costs, matches, c):
     """Raise the cost of each hypothesis by how well a nearer one matches: past the edge of the nearer surface the one
     behind it matches as well."""
@@ -62,7 +63,7 @@ def _add_occlusion(depths, costs, matches, c):
         costs[k] += c.occluded_cost * nearer
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _keep_coarse(coarse, v, u, gap, depths, weights, count):
     """Keep those of `count` hypotheses that a value of twice the spacing about point (v, u) has; all if none has."""
     kept = 0
@@ -77,7 +78,7 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
     return kept if kept else count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _measure_mismatch(image, near_x, near_y, work, c, central, x, y, everyone, depths, costs, seen):
     """Turn the weights of hypotheses in `costs`, out of `everyone`, into their mismatch plus the price of few votes."""
     # All pixels are fetched before the first comparison: what was just written in single values is slow to read as a
@@ -94,7 +95,7 @@ def _measure_mismatch(image, near_x, near_y, work, c, central, x, y, everyone, d
         costs[k] = view_mismatch(work, c, k == nearest, seen[k], base) + c.unvoted_cost * unvoted
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: given[9].shape[1])
+@kernel(error_model="numpy", share=lambda *given: given[9].shape[1])
 def propose_hypotheses(
     begin, end, image, table, around, ring, agreeing, grid: SceneGrid, constants: HypothesisConstants, wanted, coarse,
     depths, costs,

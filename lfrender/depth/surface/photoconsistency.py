@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-
-from lfcal.runtime.kernels.jit import njit
+from numba import njit
 
 from .settings import SURFACE, SurfaceSettings
 
@@ -40,7 +39,7 @@ def view_constants(radius: float, floor: float, settings: SurfaceSettings = SURF
     return ViewConstants(*map(np.float32, (*named, radius, floor)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _fetch(pixels, stride, px, py, work, lane):
     """Put the 4 x 4 pixels about (px, py) into the place `lane` of `work` and every eighth on, and its fractions."""
     i, j = int(px), int(py)
@@ -53,14 +52,14 @@ def _fetch(pixels, stride, px, py, work, lane):
     work[lane + _FX], work[lane + _FY] = px - np.float32(i), py - np.float32(j)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(error_model="numpy", inline="always")
 def _between(work, at, fx):
     """Three values between the four pixels of a row."""
     a, b, c, d = work[at], work[at + _EIGHT], work[at + np.uint64(16)], work[at + np.uint64(24)]
     return a + fx * (b - a), b + fx * (c - b), c + fx * (d - c)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _interpolate(work, base):
     """The 3 x 3 samples about the place of each lane, their mean and variance; those a pixel apart share their weights,
     and most pixels."""
@@ -84,7 +83,7 @@ def _interpolate(work, base):
         work[at + _VARIANCE] = max(ninth * squares - mean * mean, np.float32(0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _compare(work, base, r, unknown, floor):
     """Mismatch of the samples of each lane with those of lane `r`."""
     ninth, half = np.float32(1 / 9), unknown * floor
@@ -101,12 +100,12 @@ def _compare(work, base, r, unknown, floor):
         work[base + _COST + m] = (ninth * squares + half) / (work[base + _VARIANCE + m] + variance + apart * apart)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(error_model="numpy", inline="always")
 def _ordered(a, b):
     return min(a, b), max(a, b)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _mean_of_best(work, base, views, r, number):
     """Mean of the `number` smallest costs of `views` lanes except `r`."""
     work[base + _COST + r] = np.inf
@@ -137,7 +136,7 @@ def _mean_of_best(work, base, views, r, number):
     return total / np.float32(number)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def sample_views(image, near_x, near_y, work, radius, count, x, y, slope, base):
     """Put the pixels of the first `count` lenses at scene point (x, y), at depth `slope` = s / D, into `work`.
 
@@ -159,7 +158,7 @@ def sample_views(image, near_x, near_y, work, radius, count, x, y, slope, base):
     return seen
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def view_mismatch(work, constants, nearest, seen, base):
     """Mean mismatch of the better part of the `seen` views found by `sample_views` with one of the most central.
 

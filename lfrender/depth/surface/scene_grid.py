@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.kernels.jit import njit
 
 from ...flat.distorted_lookup import lens_displacements, nearest_index
 from ...flat.lens_graph import lens_grid
@@ -56,7 +56,7 @@ def scene_grid(lattice: Lattice, first: float, spacing: float) -> SceneGrid:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def lens_at(rows, low, i, j):
     """Row of lens (i, j) by `rows` and `low` of a `SceneGrid`, -1 where there is none."""
     ci, cj = i - low[0], j - low[1]
@@ -65,7 +65,7 @@ def lens_at(rows, low, i, j):
     return rows[cj, ci]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def nearest_lens(grid, u, v):
     """Index i, j (whole floats) of the lens at whose place the scene point (u, v) of the grid lies."""
     x, y = grid.first + u * grid.spacing, grid.first + v * grid.spacing

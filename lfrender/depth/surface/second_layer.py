@@ -10,10 +10,11 @@ from collections import namedtuple
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.lens_graph import join_opposite
 from ...flat.texture import Texture
@@ -34,7 +35,7 @@ __all__ = ["find_second_layer"]
 _Pixels = namedtuple("_Pixels", "x y places light")
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _find_unexplained(flat, windows, centres, lens, radius, s, pitch, rows, row_step, floor, out):
     """Gather the pixels of a lens that fewer than half of the neighbours that show them confirm at patch size `s`;
     returns their number."""
@@ -58,7 +59,7 @@ def _find_unexplained(flat, windows, centres, lens, radius, s, pitch, rows, row_
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _moments(flat, own, number, bx, by, radius, tx, ty, mean):
     """Number of those of some pixels of one lens whose partner, `(tx, ty)` away, lies in the other lens, and sums of
     their brightness less the `mean`, of its squares, and of squares of differences."""
@@ -90,7 +91,7 @@ def _moments(flat, own, number, bx, by, radius, tx, ty, mean):
     return count, sa, sb, squares, srr
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda image, centres, *_: len(centres))
+@kernel(error_model="numpy", fastmath=FAST, share=lambda image, centres, *_: len(centres))
 def _match_unexplained(
     begin, end, image, centres, radius, pitch, rows, first, means, floors, wanted, shifts, floor, half, row_step, out
 ):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.gray_flat import downsample
 from ...flat.lens_graph import join_opposite
@@ -30,7 +30,7 @@ _KEYS = 1 << 20
 _FIRST, _LAYER, _FOUND, _SECOND = range(4)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda *given: len(given[5]))
+@kernel(fastmath=FAST, error_model="numpy", share=lambda *given: len(given[5]))
 def _measure_shares(begin, end, image, centres, radius, pitch, rows, lenses, sizes, firsts, floor, out):
     """Share of the pixels of some `lenses` (m,) that half of their neighbours confirm at `sizes`, and not at `firsts`
     (m,); 0 where these are too few."""

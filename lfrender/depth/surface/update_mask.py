@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from .scene_grid import SceneGrid, nearest_lens
 
@@ -15,7 +16,7 @@ __all__ = ["mark_changed_points"]
 _CELL = 1.2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _mark_cell(grid, i, j, centre_x, centre_y, half_x, half_y, out):
     """Set `out` at the scene points nearest to lens (i, j), within a box about its centre."""
     rows, columns = out.shape
@@ -47,7 +48,7 @@ def mark_changed_points(
     _mark_cells(unchanged, centres, indices, around, ring, grid, out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda unchanged, *_: len(unchanged))
+@kernel(error_model="numpy", share=lambda unchanged, *_: len(unchanged))
 def _mark_cells(begin, end, unchanged, centres, indices, around, ring, grid: SceneGrid, out):
     basis = grid.basis
     half_x = 0.5 * (abs(basis[0, 0]) + abs(basis[1, 0])) * _CELL

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 from .scene_grid import lens_at
 
@@ -15,7 +15,7 @@ __all__ = ["cluster_votes", "find_central", "find_voters", "gather_table", "mean
 _X, _Y, _TRUST, _SIZE = range(4)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def gather_table(table, rows, lookup, low, ring, i, j, lens, out):
     """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there are."""
     count = 0
@@ -29,7 +29,7 @@ def gather_table(table, rows, lookup, low, ring, i, j, lens, out):
 
 
 # Python's error model checks every division for zero, which prevents vector loops.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def mean_around(table, count, x, y, vote2):
     """Weighted mean of the first depths of the `count` lenses around a scene point; NaN if there are none."""
     weight = total = np.float32(0.0)
@@ -45,7 +45,7 @@ def mean_around(table, count, x, y, vote2):
     return total / weight if count > 0 else np.float32(np.nan)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def find_voters(table, count, x, y, vote2, distance, voters, shares):
     """Squared distances of the `count` lenses around a scene point, those that vote for its depth, and their weights;
     how many, and the range of their depths."""
@@ -69,7 +69,7 @@ def find_voters(table, count, x, y, vote2, distance, voters, shares):
     return found, high - low
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def find_central(table, count, distance, near, near_x, near_y):
     """Centres of the nearest of the `count` lenses around a scene point, in order; returns how many."""
     most = len(near)
@@ -89,7 +89,7 @@ def find_central(table, count, distance, near, near_x, near_y):
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def sort_votes(table, count, voters, shares, votes, sizes, weights):
     """Depths of `count` voters sorted by patch size, and their weights; returns their number."""
     number = 0
@@ -107,7 +107,7 @@ def sort_votes(table, count, voters, shares, votes, sizes, weights):
     return number
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def cluster_votes(number, sizes, weights, gap, depths, shares):
     """Means and weights of clusters of sorted votes, the weightiest first, as many as there is room for; their number.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
+from numba import njit
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 from ...flat.microimages import copy_box
 
@@ -24,7 +24,7 @@ FEWEST = 4
 Windows = namedtuple("Windows", "stride corner light other squares lines differences limits showing confirming")
 
 
-@njit(cache=True, nogil=True)
+@njit
 def new_windows(radius):
     half = int(np.ceil(radius)) + 1
     stride = 2 * half + 2
@@ -36,7 +36,7 @@ def new_windows(radius):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def copy_windows(flat, x, y, windows):
     """Copy the microimage centred at (x, y)."""
     stride = windows.stride
@@ -47,7 +47,7 @@ def copy_windows(flat, x, y, windows):
 
 
 # Python's error model checks every division for zero, which prevents vector loops.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _square_differences(own, there, stride, count, w00, w01, w10, w11, out):
     """Squared difference of a microimage, `stride` pixels a row, from the bilinear interpolation of another."""
     down = np.uint64(stride)
@@ -57,7 +57,7 @@ def _square_differences(own, there, stride, count, w00, w01, w10, w11, out):
         out[k] = e * e
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _sum_windows(squares, v, stride, begin, end, lines, out, at):
     """Sums over 3 x 3 pixels about each pixel of row `v`, infinite but for `begin` to `end`; from place `at` on."""
     above, here, below = np.uint64((v - 1) * stride), np.uint64(v * stride), np.uint64((v + 1) * stride)
@@ -70,7 +70,7 @@ def _sum_windows(squares, v, stride, begin, end, lines, out, at):
         out[into + k] = lines[k] + lines[k + one] + lines[k + two] if (u >= first) & (u <= last) else far
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def set_limits(windows, begin_row, row_step, floor):
     """Let windows that differ by less than their own variance and a `floor` be alike: every `row_step`-th row."""
     stride, light, apart, squares = windows.stride, windows.light, windows.other, windows.squares
@@ -90,7 +90,7 @@ def set_limits(windows, begin_row, row_step, floor):
         row += stride
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _compare_windows(flat, windows, a, b, radius, s, pitch, begin_row, row_step):
     """Sums of squared differences over 3 x 3 pixels of one lens from another, by their centres; infinite where that one
     does not show the pixels."""
@@ -119,7 +119,7 @@ def _compare_windows(flat, windows, a, b, radius, s, pitch, begin_row, row_step)
         row += stride
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def count_views(flat, windows, centres, lens, radius, s, pitch, rows, begin_row, row_step):
     """Count in `windows` the neighbours, by `rows`, that show each window of a lens at patch size `s`, and those that
     differ by no more than its limit; returns the number of neighbours.
@@ -145,7 +145,7 @@ def count_views(flat, windows, centres, lens, radius, s, pitch, rows, begin_row,
     return neighbours
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(fastmath=FAST, inline="always")
 def inner_columns(y, ax, ay, radius, height, width):
     """First and last column of row `y` inside a microimage, and a pixel off the border; last < first if none."""
     half = radius * radius - (y - ay) * (y - ay)

@@ -10,8 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...data.surface import patch_size_at
 from ...flat.distorted_lookup import displacement_at, nearest_index
@@ -89,7 +90,7 @@ class Output(NamedTuple):
 # arrays one by one, and the loop over a row is one long function.
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _crosses_edge(surface, depth, x, y, s, half):
     """Whether a corner of the output pixel at (x, y), `half` its side away, belongs to another surface than `s`."""
     for corner in range(4):
@@ -100,7 +101,7 @@ def _crosses_edge(surface, depth, x, y, s, half):
     return False
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _interpolate(line, at, across, down, w00, w01, w10, w11):
     """Weighted sum of four values about place `at`."""
     return (w00 * np.float32(line[at]) + w01 * np.float32(line[at + across])) + (
@@ -108,7 +109,7 @@ def _interpolate(line, at, across, down, w00, w01, w10, w11):
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def put_value(out, u, channel, value):
     """Store a value in its bytes, the lowest first: truncated to one or two, or as a float of four."""
     low = np.uint32(0xFF)
@@ -123,7 +124,7 @@ def put_value(out, u, channel, value):
             out[u, channel, k] = (bits >> np.uint32(8 * k)) & low
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _blend_row(
     v, channels, flat, light, lenses, surface, depth, grid, weighting, output, types_about, rings_about, squares
 ):
@@ -328,7 +329,7 @@ def _blend_row(
             put_value(row, u, 3, min(total3 * per_sample + half, top))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _look_up_about(cell, steps):
     """(m, m, k) values of a repeating `cell` (m, m) at `steps` (k, 2) from each of its lenses; 0 if it is empty."""
     size = max(len(cell), 1)
@@ -341,7 +342,7 @@ def _look_up_about(cell, steps):
     return about
 
 
-@njit(cache=True, nogil=True, _nrt=True, share=lambda *given: len(given[8].image))
+@kernel(share=lambda *given: len(given[8].image))
 def blend_pixels(begin, end, channels, flat, light, lenses, surface, depth, grid, weighting, output):
     """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a `DepthGrid`.
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...runtime.order_statistics import count_below
 from ..settings import WEIGHTS
@@ -52,7 +53,7 @@ class _RowMemory(NamedTuple):
     ratio: Any  # (LINE,) int32: entry of the shares
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _sample_row(surface, depth, x, y, spacing, count, memory, sizes):
     """Fill `sizes` with the patch sizes at the first `count` columns that are drawn, as `patch_size_at`."""
     columns, places, level, near, edge = memory.columns, memory.place, memory.level, memory.near, memory.edge
@@ -84,7 +85,7 @@ def _sample_row(surface, depth, x, y, spacing, count, memory, sizes):
             sizes[k] = (np.float32(1.0) - fx) * level[at] + fx * level[at + one]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _fill_band(memory, count, pitch, radius, reach, band):
     """Put patch sizes and columns in the order of memory, column by column, with slope and squared reach."""
     along, columns = memory.along, memory.columns
@@ -105,7 +106,7 @@ def _fill_band(memory, count, pitch, radius, reach, band):
     across[beyond : beyond + 2 * LANES] = 0
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _normalise(sums, count):
     """Divide the weighted `sums` of `count` pixels by their weights."""
     for k in range(count):
@@ -116,7 +117,7 @@ def _normalise(sums, count):
         sums[FOURTH + k] *= inverse
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _store(totals, sizes, wanted, row, columns, count, end, largest, output, v, left, section):
     """Round and store row `v` of the picture, `row` of the band; columns from `end` on do not exist."""
     out, valid, half, top = output.image[v], output.valid[v], output.half, output.top
@@ -137,7 +138,7 @@ def _store(totals, sizes, wanted, row, columns, count, end, largest, output, v, 
             put_value(out, u, 2, min(totals[FOURTH + at] + half, top))
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _wanted_columns(wanted, first, end, section, count, memory):
     """List the columns of all groups in which some row from `first` to `end` is wanted; returns their number."""
     some, before, columns = memory.some, memory.before, memory.columns
@@ -158,7 +159,7 @@ def _wanted_columns(wanted, first, end, section, count, memory):
     return COLUMNS * found
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _fill_shares(shares, slope, count, places, share):
     """Weight of each lens type at every pixel."""
     last = np.float32(shares.shape[1] - 1)
@@ -170,7 +171,7 @@ def _fill_shares(shares, slope, count, places, share):
             share[t * LINE + k] = shares[t, np.uint64(np.uint32(places[k]))]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _allocate_row(columns, cell, spacing):
     """Memory for rows of a picture on a depth grid whose cells are `cell` wide."""
     beneath = int((min(SECTION, columns) + COLUMNS) * spacing / cell) + 4
@@ -181,7 +182,7 @@ def _allocate_row(columns, cell, spacing):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _allocate_band(types):
     """Memory for a band; all types of lenses count alike until their shares are filled in."""
     row_of = np.empty(LANES, np.int32)
@@ -193,7 +194,7 @@ def _allocate_band(types):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _allocate_buffers(runs, lenses):
     """Memory for so many runs of pixels, and lenses beside a band."""
     pairs, light = np.empty(QUEUE * 4 * LANES, np.uint64), np.empty(QUEUE * 2 * LANES, np.float32)
@@ -204,7 +205,7 @@ def _allocate_buffers(runs, lenses):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _blend_section(
     source, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
 ):  # fmt: skip
@@ -247,7 +248,7 @@ def _blend_section(
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _most_runs(centres, grid, bands, reach):
     """Most lenses that lie beside a band, and most runs of pixels that they show in a section of it."""
     tall = 0
@@ -258,7 +259,7 @@ def _most_runs(centres, grid, bands, reach):
     return tall, tall * (ROWS * (int(2 * reach / grid.spacing) + 1 + 2 * COLUMNS) // LANES + 2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: -(-len(given[7].image) // ROWS))
+@kernel(error_model="numpy", share=lambda *given: -(-len(given[7].image) // ROWS))
 def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting, output, left):
     """Draw the pixels of a `Grid` into an `Output`.
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 from ..settings import WEIGHTS
 
@@ -136,13 +136,13 @@ class _Lens(NamedTuple):
     border: Any  # it may reach beyond the border of the flat
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def count_pixels(groups):
     """Pixels of so many groups."""
     return np.uint64(groups) * np.uint64(_GROUP)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _place(columns, rows, slope, limits, share, lens, flat, spacing, per_light_step, u, lanes, work, whole, at):
     """Where some pixels from `u` on read a lens, and with which weight.
 
@@ -181,13 +181,13 @@ def _place(columns, rows, slope, limits, share, lens, flat, spacing, per_light_s
         whole[at + _F + k] = np.int32(np.int32(min(d2 * tilt * tilt * per_light_step, last_entry)) + light_at)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _two_at(line, place):
     """The two numbers of four bytes from a place on, the first in the lower half."""
     return np.uint64(line[place]) | (np.uint64(line[place + _ONE]) << np.uint64(32))
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _fetch(line, words, down, lights, whole, pairs, light_pairs, q, lanes):
     """The four pixels about each place, two by two where they have one word, and the gain and weight of its light."""
     at, corners_at, pair_at, light_at = q * _WORK, q * PER_RUN, q * _BOTH, q * _F
@@ -207,14 +207,14 @@ def _fetch(line, words, down, lights, whole, pairs, light_pairs, q, lanes):
         light_pairs[light_at + k] = lights[entry]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _interpolate(a, b, c, d, lowest, w00, w01, w10, w11):
     """Weighted sum of the `lowest` bits of four pixels."""
     upper = w00 * np.float32(np.int32(a & lowest)) + w01 * np.float32(np.int32(b & lowest))
     return upper + (w10 * np.float32(np.int32(c & lowest)) + w11 * np.float32(np.int32(d & lowest)))
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _add(corners, light, work, values, sums, q, base, u, lanes):
     """Interpolate some readings, keep them in `values` from `base` on, and add them to the sums of their pixels."""
     corners_at, light_at, at = q * PER_RUN, q * _BOTH, q * _WORK
@@ -243,7 +243,7 @@ def _add(corners, light, work, values, sums, q, base, u, lanes):
         sums[FOURTH + u + k] += weight * v2
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def add_agreeing(values, base, means, u, lanes, t2, per_channel, totals):
     """Add readings to the `totals` of their pixels, weighted by how close they are to the `means` (Geman-McClure)."""
     for k in range(lanes):
@@ -257,7 +257,7 @@ def add_agreeing(values, base, means, u, lanes, t2, per_channel, totals):
         totals[FOURTH + u + k] += weight * v2
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _reduce_occluded(depth, edge, stride, sizes, u, whole, at, lanes, work):
     """Reduce the weight of readings whose nearest pixel shows another depth; leaves that pixel in `whole`."""
     half = np.float32(0.5)
@@ -272,7 +272,7 @@ def _reduce_occluded(depth, edge, stride, sizes, u, whole, at, lanes, work):
         work[at + _W + k] *= WEIGHTS.occluded if occluded else np.float32(1.0)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _read_queue(
     line, depth, lights, flat, sizes, runs, begin, end, work, whole, corners, pairs, light, light_pairs, values, sums
 ):  # fmt: skip
@@ -299,7 +299,7 @@ def _read_queue(
             _add(pairs, light, work, values, sums, q, np.uint64(n) * PER_RUN, u, lanes)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _find_columns(centres, lowest, highest, x, top, bottom, spacing, column, reach, count, ranges):
     """Fill `ranges` with the first column that each lens shows from `top` to `bottom`, and the one after the last."""
     per_spacing, first, end = 1 / spacing, np.int32(column), np.int32(count)
@@ -312,7 +312,7 @@ def _find_columns(centres, lowest, highest, x, top, bottom, spacing, column, rea
         ranges[1, n] = min(np.int32(np.floor((across + wide) * per_spacing)) + np.int32(1) - first, end)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _locate_lens(lenses, lens, flat, first, row, column, spacing):
     """Place of a lens relative to a band, counted from the first pixel of the picture, whatever part is drawn."""
     cx, cy, radius = lenses.centres[lens, 0], lenses.centres[lens, 1], lenses.radius
@@ -331,7 +331,7 @@ def _locate_lens(lenses, lens, flat, first, row, column, spacing):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def read_lenses(source, band, lowest, highest, first, row, column, spacing, count, before, buffers):
     """Add up the readings of the lenses `lowest` to `highest` in a part of a band; returns the number of runs.
 

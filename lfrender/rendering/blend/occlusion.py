@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from threading import local
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...data.surface import Surface, mark_changed_places
 from ...depth.depth_order import depth_order
@@ -32,7 +33,7 @@ _GAP = 0.01
 _BAND = 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda surface, lows, highs: len(lows))
+@kernel(error_model="numpy", fastmath=FAST, share=lambda surface, lows, highs: len(lows))
 def _compute_ranges(begin, end, surface, lows, highs):
     """Fill `lows` and `highs` with the least and largest value of each square of the surface."""
     for v in range(begin, end):
@@ -45,7 +46,7 @@ def _compute_ranges(begin, end, surface, lows, highs):
             lows[v, u], highs[v, u] = low, high
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _is_smooth(lows, highs, low_v, high_v, low_u, high_u, edge):
     """Whether the values of all squares that hold these rows and columns differ by less than an `edge`."""
     low, high = np.float32(np.inf), np.float32(-np.inf)
@@ -55,7 +56,7 @@ def _is_smooth(lows, highs, low_v, high_v, low_u, high_u, edge):
     return high - low < edge
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _project(
     surface, lows, highs, first_x, first_y, spacing, centres, lenses, radius, pitch, reach, edge, corner, edged, out
 ):  # fmt: skip
@@ -108,7 +109,7 @@ def _project(
                             out[y - top, x - left] = s
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _erase(centres, lenses, radius, corner, edged, out):
     """Set the pixels of lenses that were `edged` to NaN."""
     left, top = corner
@@ -123,7 +124,7 @@ def _erase(centres, lenses, radius, corner, edged, out):
                     out[y - top, x - left] = np.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[5]))
+@kernel(error_model="numpy", share=lambda *given: len(given[5]))
 def _project_bands(
     begin, end, surface, ranges, place, centres, order, ends, radius, pitch, reach, edge, corner, fresh, edged, out
 ):  # fmt: skip

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 
 from ...runtime.order_statistics import count_below
 from ..settings import WEIGHTS
@@ -26,7 +27,7 @@ from .view_runs import read_lenses_about
 __all__ = ["blend_view_rows"]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _blend_section(
     view, source, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
 ):  # fmt: skip
@@ -71,7 +72,7 @@ def _blend_section(
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: -(-len(given[8].image) // ROWS))
+@kernel(error_model="numpy", share=lambda *given: -(-len(given[8].image) // ROWS))
 def blend_view_rows(begin, end, view, flat, light, lenses, surface, depth, grid, weighting, output, left):
     """Draw the pixels of a `Grid` into an `Output` as `blend_rows`, from a viewpoint.
 

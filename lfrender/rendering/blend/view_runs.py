@@ -7,9 +7,9 @@ microimage.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import njit
 
 from ..settings import WEIGHTS
 from .lens_runs import (
@@ -33,7 +33,7 @@ from .lens_runs import (
 __all__ = ["read_lenses_about"]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _place(
     columns, rows, slope, limits, share, lens, flat, steps, u, lanes, work, whole, at, view, values, base
 ):  # fmt: skip
@@ -80,7 +80,7 @@ def _place(
         whole[at + _F + k] = np.int32(np.int32(min(delta2 * per_light_step, last_entry)) + light_at)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _reduce_occluded(depth, sizes, stride, edge, per_pitch2, runs, begin, end, work, whole, values):
     """Reduce the weight of readings whose nearest pixel shows another depth, of the runs from `begin` to `end`.
 
@@ -103,7 +103,7 @@ def _reduce_occluded(depth, sizes, stride, edge, per_pitch2, runs, begin, end, w
             work[at + _W + k] *= WEIGHTS.occluded / (beside * beside) if occluded else np.float32(1.0)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def read_lenses_about(view, source, band, lowest, highest, first, row, column, spacing, count, before, buffers):
     """Add up the readings of the lenses `lowest` to `highest` in a part of a band, as `lens_runs.read_lenses`."""
     line, depth, lights, stride = source.line, source.depth, source.lights, source.stride

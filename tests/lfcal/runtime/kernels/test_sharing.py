@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.jit import kernel
 from lfcal.runtime.kernels.sharing import share_out
 
 
@@ -46,7 +46,7 @@ def test_errors_of_all_threads_are_raised(threads):
 
 
 def test_a_kernel_gets_its_part_as_first_arguments(threads):
-    @njit(nogil=True, share=lambda values, out: len(values))
+    @kernel(share=lambda values, out: len(values))
     def double(begin, end, values, out):
         for k in range(begin, end):
             out[k] = 2 * values[k]
