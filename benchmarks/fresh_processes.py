@@ -82,7 +82,7 @@ def _run(kind: str, name: str, arguments: list[str], flat: Path | None, cache: P
 
 def _jobs(flats: dict[str, Path], camera: Path, folder: Path, cache: Path, count: int) -> list[tuple[Any, ...]]:
     """Arguments of `_run`: each form with and without camera, the first forms also from stdin."""
-    kinds = []
+    kinds: list[tuple[str, str, list[str], Path | None]] = []
     for name, flat in flats.items():
         kinds.append(("calibrated", name, ["render", str(flat)], None))
         kinds.append(("with camera", name, ["render", str(flat), "-c", str(camera)], None))
@@ -90,9 +90,9 @@ def _jobs(flats: dict[str, Path], camera: Path, folder: Path, cache: Path, count
         if "tif" in name or "png" in name:
             kinds.append(("stdin", name, ["render", "-", "-c", str(camera)], flat))
     jobs = []
-    for number, (kind, name, arguments, flat) in enumerate(islice(cycle(kinds), count)):
+    for number, (kind, name, arguments, stdin) in enumerate(islice(cycle(kinds), count)):
         output = folder / f"{number}{'.npz' if kind == 'analyze' else '.tif'}"
-        jobs.append((kind, name, [*arguments, "-o", str(output), "--preset", "fast", "--quiet"], flat, cache))
+        jobs.append((kind, name, [*arguments, "-o", str(output), "--preset", "fast", "--quiet"], stdin, cache))
     return jobs
 
 

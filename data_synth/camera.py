@@ -283,7 +283,7 @@ class Camera:
     def half_apertures(self, types: ArrayLike) -> NDArray[np.float64]:
         """Half of the aperture [mm] that lenses of the given types let pass."""
         shares = np.broadcast_to(self.type_apertures, len(self.microlens_focal_lengths))
-        return shares[types] * (self.aperture / 2)
+        return shares[np.asarray(types)] * (self.aperture / 2)
 
     def calibration(self, vignetting: Vignetting | None = None) -> Calibration:
         """The true calibration of this camera."""

@@ -213,7 +213,8 @@ def _prepare_all(
     missing = [f for f in prepared if f not in found]
     others = Counter(f.other for f in prepared if f.other)
     size, number = others.most_common(1)[0] if others else ("", 0)
-    if number > sum(not f.other for f in found):
+    # Few flats of something else may show a small board by chance.
+    if number > sum(not f.other for f in found) and 2 * number >= len(prepared):
         raise BoardError(
             f"{number} of {len(prepared)} flats show a checkerboard of {size} corners, not of {board.columns} x "
             f"{board.rows}: give the number of its inner corners"

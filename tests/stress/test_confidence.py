@@ -142,16 +142,17 @@ def test_flats_of_few_lenses_are_calibrated_or_refused(truth, exposure):
     assert calibrate_white(truth, exposure).wrong == 0
 
 
-def test_a_model_that_half_of_the_pixels_contradict_is_not_trusted():
+def test_soft_microimages_shaded_across_are_right_or_not_trusted():
     truth = WhiteImage(
         "hexagonal", 6.0, 189.6062788628874, 36.330153900974295, 16, strength=0.0392872742208088,
         k1=-0.009869306855372587, hot=21, dust=5, fill=0.6, soft=2.8671049049688486, gap=0.15789990840610163,
         outer=0.622791154589641, size=(127, 95), seed=678817,
     )  # fmt: skip
     camera = lfcal.calibrate(truth.image(1.0))
-    assert any("differ from the gain map" in warning for warning in camera.warnings)
-    # Centres were off by up to 0.8 px at a confidence of 0.99.
-    assert camera.confidence < 0.2
+    # Light that reaches into the gaps once put centres up to 0.8 px off at a confidence of 0.99.
+    found = camera.lattice.centres()
+    off = np.linalg.norm(truth.centres(np.rint(truth.index_of(found))) - found, axis=1)
+    assert off.max() < 0.1 or camera.confidence < 0.2
     plain = lfcal.calibrate(replace(truth, k1=0.0, strength=0.0, soft=0.5, fill=0.9, hot=0, dust=0).image(1.0))
     assert plain.confidence > 0.9
 

@@ -41,7 +41,7 @@ def encode_type(kind: Any) -> Any:
     if isinstance(kind, types.BaseTuple):
         made_by = getattr(kind, "instance_class", None)
         name = f"{made_by.__module__}:{made_by.__qualname__}" if made_by else ""
-        return ["tuple", name, *map(encode_type, kind.types)]
+        return ["tuple", name, *map(encode_type, _members(kind))]
     if isinstance(kind, types.Omitted):
         return ["omitted", kind.value]
     if isinstance(kind, (types.Integer, types.Float, types.Boolean, types.NoneType)) and not hasattr(
@@ -49,6 +49,10 @@ def encode_type(kind: Any) -> Any:
     ):
         return str(kind)
     raise TypeError(f"no name for {kind}")
+
+
+def _members(kind: Any) -> Any:
+    return kind.types
 
 
 def decode_type(entry: Any) -> Any:

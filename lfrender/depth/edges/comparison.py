@@ -39,7 +39,7 @@ def _square_differences(light, pixels, there, width, x, y, shift_x, fx, fy, radi
     w11 = fx * fy
     w01, w10 = fx - w11, fy - w11
     w00 = np.float32(1.0) - fx - w10
-    inner, outer = np.float32(radius * radius - y * y), np.float32((radius + 2) ** 2 - y * y)
+    inner, outer = np.float32(radius * radius - y * y), np.float32((radius + 2) * (radius + 2) - y * y)
     one, down, beside = np.uint64(1), np.uint64(width), np.uint64(width + 1)
     none, some, first = np.float32(0), np.float32(1), np.uint64(there)
     for n in range(np.uint64(count)):

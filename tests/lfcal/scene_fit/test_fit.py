@@ -178,6 +178,6 @@ def test_turned_microscope_capture_is_calibrated_as_well(shared):
 
 def test_part_of_a_microscope_capture_is_a_scene_whose_pixels_no_gain_map_explains(shared):
     scene = lfcal.read_flat(shared("captures", "GUV.tif"))
-    assert lfcal.calibrate(scene[145:290, 145:290]).source == "scene"
+    assert lfcal.calibrate(scene[:145, :145]).source == "scene"
     # A stated pitch needs no proof; that does not make it a white image.
     assert lfcal.calibrate(scene, pitch=15.0).source == "scene"
