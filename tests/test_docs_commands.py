@@ -156,7 +156,7 @@ def _single_commands():
             yield pytest.param(program, words, id=f"{page.stem}: {program} {' '.join(words)}"[:90])
 
 
-@pytest.mark.parametrize(("program", "words"), _single_commands())
+@pytest.mark.parametrize(("program", "words"), list(_single_commands()))
 def test_a_command_of_the_documentation_runs(program, words, prepared, tmp_path, monkeypatch):
     folder = tmp_path / "work"
     shutil.copytree(prepared, folder)

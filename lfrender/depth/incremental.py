@@ -184,7 +184,8 @@ def load_reference_match(depth: DepthMap, path: Path) -> DepthMap:
     if not path.exists():
         return depth
     try:
-        with np.load(path) as file:
+        # np.load leaves a damaged file open if it opened it itself.
+        with open(path, "rb") as stream, np.load(stream) as file:
             reference = LocalMatch(*(file[f.name] for f in fields(LocalMatch)))
             return replace(depth, frame_state=FrameState(reference, file["kept"]))
     except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:

@@ -95,6 +95,7 @@ def write_report(
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
     >>> sample = lfrender.data.house(size=(240, 180), samples=2)
@@ -102,7 +103,7 @@ def write_report(
     >>> depth = lfrender.analyze(flat, camera, "fast")
     >>> with TemporaryDirectory() as folder:
     ...     write_report(f"{folder}/report.html", flat, camera, depth)
-    ...     open(f"{folder}/report.html").read(15)
+    ...     Path(folder, "report.html").read_text()[:15]
     '<!doctype html>'
     """
     pictures = draw_pictures(flat, calibration, depth) if pictures is None else pictures

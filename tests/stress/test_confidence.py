@@ -17,6 +17,7 @@ from benchmarks.white_images import WhiteImage
 _SWEEPS = {f"{stage} {sweep.name}": sweep for stage, several in sweeps().items() for sweep in several}
 
 
+@pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")
 @pytest.mark.parametrize(
     ("name", "values"),
     [
@@ -195,6 +196,7 @@ def test_pixels_that_are_no_numbers_are_named_everywhere(value):
             call(flat, case.calibration)
 
 
+@pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")
 @pytest.mark.parametrize("level", [0.0, 1e-42, 0.5, 1.0])
 def test_even_flats_show_nothing(level):
     case = PlaneFlat()

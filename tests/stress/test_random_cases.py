@@ -55,6 +55,7 @@ def test_wrong_answers_of_one_in_a_thousand_are_not_rare():
         assert not summary([*rows[1:], rows[0] | {name: 1000 * RARE}])[1]
 
 
+@pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")
 @pytest.mark.parametrize("stage", ["calibration", "lookalikes", "depth", "rendering"])
 def test_every_stage_is_driven_by_what_hypothesis_draws(stage):
     found = outcomes(stage, 4, 4)

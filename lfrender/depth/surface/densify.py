@@ -227,8 +227,9 @@ def _interpolate(
         rows, columns = out[row::2, column::2].shape
         mean = cv2.blur(coarse, (1 + column, 1 + row), anchor=(0, 0), borderType=cv2.BORDER_REPLICATE)
         out[row::2, column::2] = mean[:rows, :columns]
-        # Beyond the flat the coarse grid may reach where no lens looks.
-        apart = ~same_surface(low, high, gap) | np.isnan(mean)
+        # Beyond the flat the coarse grid may reach where no lens looks: there OpenCV gives the ends of all numbers.
+        with np.errstate(over="ignore"):
+            apart = ~same_surface(low, high, gap) | np.isnan(mean)
         differ[row::2, column::2] = apart[:rows, :columns]
     return differ
 

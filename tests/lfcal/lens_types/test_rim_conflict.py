@@ -15,7 +15,7 @@ from lfcal.lens_types.type_check import find_rim_conflict
 _CELL = np.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 
 
-@pytest.mark.parametrize("order", permutations(range(3)))
+@pytest.mark.parametrize("order", list(permutations(range(3))))
 def test_every_other_order_of_types_than_that_of_rims_3_per_cent_apart_is_noticed(order):
     ramp = np.clip(np.arange(60) * 0.25 - 5, 0, 1)
     light = 1 + 0.03 * np.array([[-1], [0], [1]]) * ramp

@@ -103,4 +103,5 @@ def test_dense_depth_is_written_in_metres(tmp_path):
     distance = dense_distance(dense, optics_of(CAMERA))
     np.testing.assert_allclose(distance, CAMERA.depth_at(-0.3) / 1000, rtol=1e-6)
     write_dense(tmp_path / "depth.tif", dense, distance)
-    assert "[m]" in tifffile.TiffFile(tmp_path / "depth.tif").pages[0].description
+    with tifffile.TiffFile(tmp_path / "depth.tif") as tiff:
+        assert "[m]" in tiff.pages[0].description

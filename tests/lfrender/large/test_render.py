@@ -76,6 +76,9 @@ def killed_after(count):
     return progress
 
 
+# What was killed closes nothing.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("name", ["picture.tif", "picture.zarr"])
 def test_a_killed_run_leaves_no_picture_and_is_continued_from_the_finished_tiles(tmp_path, name):
     if name.endswith("zarr"):
@@ -97,6 +100,9 @@ def test_a_killed_run_leaves_no_picture_and_is_continued_from_the_finished_tiles
     assert sorted(p.name for p in tmp_path.iterdir()) == ["flat.tif", name]
 
 
+# What was killed closes nothing.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_a_run_with_other_settings_starts_from_the_beginning(tmp_path):
     flat, camera, _, _ = capture()
     with pytest.raises(Killed):

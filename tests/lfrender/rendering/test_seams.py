@@ -198,6 +198,7 @@ def test_a_wrong_depth_shows_the_lattice():
     assert lattice_amplitude(tiled, calibration.lattice) > 0.01 * tiled.image.std()
 
 
+@pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")
 @pytest.mark.parametrize("scene", ["plane", "ramp", "slope"])
 def test_the_picture_is_as_bright_as_the_corrected_flat(scene):
     shot = capture(scene)

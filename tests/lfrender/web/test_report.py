@@ -127,6 +127,7 @@ def test_the_histogram_has_both_modes_on_either_side_and_marks_outliers(captured
     assert sum(int(n) for n in pale) == int(counted.group(1) if counted else 0)
 
 
+@pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")
 def test_a_depth_map_without_any_depth_has_a_report_too(captured, tmp_path):
     flat, camera, depth = captured
     blank = replace(depth, patch_size=np.full(len(depth), np.nan, np.float32), reason=None, saved={})
