@@ -27,7 +27,7 @@ def discard_outdated() -> int:
             folders = Path(given).glob("*") if given else [source.parent / "__pycache__"]
             for index in (file for folder in folders for file in folder.glob(f"{source.stem}.*.nbi")):
                 if index.stat().st_mtime < max(file.stat().st_mtime for file in _needed(source)):
-                    index.unlink()
+                    index.unlink(missing_ok=True)
                     count += 1
     return count
 
