@@ -7,7 +7,6 @@ The cost is `1 - rho`: one minus the correlation coefficient over the pixels tha
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import kernel
@@ -32,18 +31,16 @@ def shading_decay(ratio: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.exp(-np.square(ratio / COST.shading_reach))
 
 
-# No fast math here: Numba optimises such a body once when it compiles and twice when it loads it from the cache, which
-# would add in another order. The loops over pixels keep their order.
-@njit(error_model="numpy")
-def _add_pair_costs(
-    begin, end, terms: PairTerms, rows, active, done, shifts, near_zero, which, table: StripTable, own_mask, fresh, out
+@kernel(error_model="numpy", share=lambda terms, rows, *_: len(rows))
+def _pair_costs(
+    begin, end, terms: PairTerms, rows, active, done, shifts, near_zero, which, table: StripTable, fresh, out
 ):
-    """As `_pair_costs`, with room for a mask: without arrays of its own, so that no references are counted."""
     centres, radius, pitch, means, doubts, noise2, shading, half_weight = terms
     values, middle, whole, columns, lines, slots, masks, ends, counts, layout, height, across = table
     _, width, tall, step, _ = layout
     size, length = tall * step * width, masks.shape[1]
-    line, one = masks.reshape(-1), np.float32(1.0)
+    line, one, own_mask = masks.reshape(-1), np.float32(1.0), np.empty(length, np.float32)
+    reach = len(slots) // 2
     for lens in range(begin, end):
         if fresh:
             out[lens] = 1.0
@@ -63,11 +60,18 @@ def _add_pair_costs(
                 tx, ty = (bx - ax) * grow, (by - ay) * grow
                 floor_x, floor_y = np.floor(tx), np.floor(ty)
                 fx, fy, dx, dy = tx - floor_x, ty - floor_y, int(floor_x) - nx + mx, int(floor_y) - ny + my
-                count, slot, first, number, upper, lower = shared_pixels(
-                    dx, dy, whole[lens] and whole[other], (mx, my), (nx, ny),
-                    (ax - mx, ay - my, bx - tx - mx, by - ty - my), radius * radius, slots, ends, counts,
-                    columns, lines, layout, (height, across), own_mask,
-                )  # fmt: skip
+                # Looked up here, since a call counts references to all arrays.
+                slot = np.int32(-1)
+                if whole[lens] and whole[other] and abs(dx) <= reach and abs(dy) <= reach:
+                    slot = slots[dy + reach, dx + reach]
+                if slot >= 0 and counts[slot] * step > COST.min_overlap * radius * radius:
+                    count = np.float32(counts[slot])
+                    first, number, upper, lower = ends[slot, 0], ends[slot, 1], ends[slot, 2], ends[slot, 3]
+                else:
+                    count, slot, first, number, upper, lower = shared_pixels(
+                        dx, dy, False, (mx, my), (nx, ny), (ax - mx, ay - my, bx - tx - mx, by - ty - my),
+                        radius * radius, slots, ends, counts, columns, lines, layout, (height, across), own_mask,
+                    )  # fmt: skip
                 if count < 4:
                     continue
                 weights = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
@@ -81,14 +85,6 @@ def _add_pair_costs(
                 out[lens, d, k] = match_cost(
                     count, sa, sb, squares, srr, difference, count * step, floor, half_weight, doubt * near_zero[k]
                 )
-
-
-@kernel(error_model="numpy", share=lambda terms, rows, *_: len(rows))
-def _pair_costs(
-    begin, end, terms: PairTerms, rows, active, done, shifts, near_zero, which, table: StripTable, fresh, out
-):
-    own_mask = np.empty(table.masks.shape[1], np.float32)
-    _add_pair_costs(begin, end, terms, rows, active, done, shifts, near_zero, which, table, own_mask, fresh, out)
 
 
 def overlap_masks(
