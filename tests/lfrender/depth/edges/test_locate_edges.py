@@ -23,7 +23,7 @@ def house_in_front():
     camera = Camera.design(size=(420, 340), pitch=20.0)
     shot = simulate(SCENES["house"](camera), camera, samples=16, seed=9)
     calibration = shot.truth.calibration
-    depth = lfrender.analyze(shot.flat, calibration, edges=False)
+    depth = lfrender.analyze(shot.flat, calibration)
     size = shot.truth.reference_patch_size
     nearest = distance_transform_edt(~np.isfinite(size), return_distances=False, return_indices=True)
     affine = shot.truth.reference_affine
