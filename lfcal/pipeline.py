@@ -180,8 +180,12 @@ def _may_be_scene(camera: Calibration) -> bool:
 
 
 def _enclosed_share(dark: NDArray[np.bool_], index: NDArray[np.int64]) -> float:
-    """Share of the lenses (n,) at indices (n, 2) that are dark between lit ones, in both lattice directions."""
-    enclosed = dark.copy()
+    """Share of the lenses (n,) at indices (n, 2) that are dark between lit ones, in both lattice directions, and beside
+    other dark ones: single lenses are missing on white images too."""
+    i, j = (index - index.min(0) + 1).T
+    grid = np.zeros((i.max() + 2, j.max() + 2), np.bool_)
+    grid[i, j] = dark
+    enclosed = dark & (grid[i - 1, j] | grid[i + 1, j] | grid[i, j - 1] | grid[i, j + 1])
     for axis in (0, 1):
         row = index[:, 1 - axis] - index[:, 1 - axis].min()
         first, last = np.full(row.max() + 1, np.iinfo(np.int64).max), np.full(row.max() + 1, np.iinfo(np.int64).min)

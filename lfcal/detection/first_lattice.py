@@ -25,10 +25,9 @@ from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_cen
 from .cell_tests import check_cell, check_edges
 from .folding import fold_lit_tiles, fold_tiles, measure_repeatability
 from .gaps import Gaps, gap_tone, measure_gaps, window_likelihood
-from .period_refinement import finer_bases, refine_basis, similar_bases
 from .settings import DEFAULT, DetectionSettings, FirstLatticeSettings
 from .spectrum import find_bases, is_same_lattice
-from .tile_harmonics import fit_harmonics
+from .tile_lattice import finer_bases, fit_harmonics, refine_basis, similar_bases
 
 __all__ = [
     "NO_MICROIMAGES",

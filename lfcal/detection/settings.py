@@ -40,7 +40,7 @@ class SpectrumSettings:
 
 @dataclass(frozen=True)
 class FirstLatticeSettings:
-    """Tuned values of `first_lattice` and `period_refinement`."""
+    """Tuned values of `first_lattice` and of the periods in `tile_lattice`."""
 
     reductions: tuple[int, ...] = (1, 2, 4)  # factors of downscaling at which periods are looked for
     candidates: int = 6  # bases kept of each spectrum
@@ -188,7 +188,7 @@ class ProfileSettings:
 
 @dataclass(frozen=True)
 class HarmonicSettings:
-    """Tuned values of `tile_harmonics`."""
+    """Tuned values of the harmonics in `tile_lattice`."""
 
     shortest_harmonic: float = SpectrumSettings.shortest_harmonic  # [px]
     significance: float = 9.0  # [squared standard errors] of the mean of a harmonic over the tiles

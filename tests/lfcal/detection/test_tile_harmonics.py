@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lfcal.detection.folding import fold_tiles
-from lfcal.detection.tile_harmonics import fit_harmonics
+from lfcal.detection.tile_lattice import fit_harmonics
 
 
 def test_origin_and_basis_are_found_from_a_start_off_by_half_a_pixel(whites):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lfcal.detection.folding import fold_tiles
-from lfcal.detection.period_refinement import finer_bases, refine_basis
 from lfcal.detection.spectrum import is_same_lattice
+from lfcal.detection.tile_lattice import finer_bases, refine_basis
 
 
 def test_basis_off_by_a_thousandth_is_refined_over_the_whole_flat(whites):
