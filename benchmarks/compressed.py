@@ -21,7 +21,7 @@ import lfcal
 import lfrender
 
 _CAPTURES = ("Fujita2.png", "Boys2.webp", "MiniGarden2.webp", "TempleBoatGiantR32.webp", "R42_crop.png")
-_MODES: tuple[Literal["off", "natural", "restored"], ...] = ("off", "natural", "restored")
+_MODES: tuple[Literal["off", "natural"], ...] = ("off", "natural")
 _HINTS = {"R42_crop.png": 34.5}  # [px] pitch
 _WINDOW = 9  # [px] in which the contrast of a place is measured
 

@@ -2,8 +2,8 @@
 
 Prints, at 0.15 D, 0.3 D and the default scale, PSNR of the picture with `detail="off"`, and what is gained [dB] by
 `detail="natural"`: over all, beside depth edges, on blank places and in the border (a pitch wide); then over all by
-`detail="restored"`, by `sharpen="auto"`, and by three methods of scikit-image applied to the picture: Wiener,
-Richardson-Lucy and total variation. These are given the disc of defocus that is measured for the median patch size.
+`sharpen="auto"`, and by three methods of scikit-image applied to the picture: Wiener, Richardson-Lucy and total
+variation. These are given the disc of defocus that `natural` undoes at the median patch size.
 Without a folder, the scenes of `benchmarks.pictures` are simulated; `python -m benchmarks.detail 200 221` simulates
 random cameras before random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or 75;
 with a third number all of those of 8 bits are JPEG of this quality.
@@ -26,6 +26,7 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import resample
 from lfrender.data.depth_map import default_scale
+from lfrender.detail.discs import sure_discs
 
 from .pictures import _SCENES, _SIZE
 from .truth_flats import _REFERENCE, SCALES
@@ -149,7 +150,6 @@ def _rows(case: _Case) -> Iterator[str]:
             lfrender.render(case.flat, case.camera, depth, scale=scale, detail="off"),
             lfrender.render(case.flat, case.camera, depth, scale=scale, detail="natural"),
             lfrender.render(case.flat, case.camera, depth, scale=scale, sharpen="auto"),
-            lfrender.render(case.flat, case.camera, depth, scale=scale, detail="restored"),
         ]
         white = np.float64(np.iinfo(drawn[0].image.dtype).max)
         images = [one.image.reshape(*one.valid.shape, -1) / white for one in drawn]
@@ -159,9 +159,8 @@ def _rows(case: _Case) -> Iterator[str]:
         plain = [_psnr(images[0], wanted, mask) for mask in masks]
         gained = [_psnr(images[1], wanted, mask) - before for mask, before in zip(masks, plain, strict=True)]
         ratio = float(np.nanmedian(depth.patch_size)) / pitch
-        found = drawn[1].defocus
-        diameter = 0.0 if found is None else float(found.diameters(ratio).mean()) * scale / (abs(ratio) * pitch)
-        others = [images[3], images[2], *_baselines(images[0], diameter)]
+        disc = float(sure_discs(case.camera, np.array([ratio])).mean())
+        others = [images[2], *_baselines(images[0], disc * scale / (abs(ratio) * pitch))]
         gained += [_psnr(other, wanted, masks[0]) - plain[0] for other in others]
         cells = ["" if np.isnan(gain) else f"{gain:+.2f}" for gain in gained]
         yield f"| {case.name} | {scale:.1f} | {plain[0]:.2f} | {' | '.join(cells)} |"
@@ -172,8 +171,8 @@ def _main() -> None:
     if len(sys.argv) > 2:
         first, end, *quality = map(int, sys.argv[1:])
         cases = (_random_case(seed, *quality) for seed in range(first, end))
-    columns = "scene", "pixels per pitch", "off [dB]", "natural", "edges", "blank", "border", "restored", "sharpen"
-    print(f"| {' | '.join((*columns, 'Wiener', 'R.-L.', 'TV'))} |\n|{'---|' * 12}")
+    columns = "scene", "pixels per pitch", "off [dB]", "natural", "edges", "blank", "border", "sharpen"
+    print(f"| {' | '.join((*columns, 'Wiener', 'R.-L.', 'TV'))} |\n|{'---|' * 11}")
     for case in cases:
         for row in _rows(case):
             print(row, flush=True)

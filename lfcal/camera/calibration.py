@@ -79,7 +79,7 @@ class Calibration(Frozen):
     optics : Optics or None
         Main lens, distances and their covariance, which turn patch sizes into metres; None where not calibrated.
     lens_blur : LensBlur or None
-        Aperture and focus of the microlenses, as pictures with `detail` need them; None where not measured.
+        Blur of the microlenses, which pictures with `detail` undo; None where it is not known.
     encoded : bool or None
         Whether its flats are encoded for display, about as the square root of light, or linear; None where only their
         type tells it: those of 8 bits are.

@@ -43,6 +43,7 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "mosaic": camera.mosaic or "none",
         "defect_pixels": len(camera.defects.pixels),
         "defect_lenses": len(camera.defects.lenses),
+        "lens_blur": camera.lens_blur and camera.lens_blur.to_dict(),
         "optics": camera.optics and describe_optics(camera.optics),
         "warnings": list(camera.warnings),
     }
@@ -78,4 +79,11 @@ def summarise(camera: Calibration) -> list[str]:
     counts = (len(camera.defects.pixels), "defective pixels"), (len(camera.defects.lenses), "unlit lenses")
     defects = "".join(f"; {number:,} {what}" for number, what in counts if number)
     sentences.append(f"{how[:1].upper()}{how[1:]}{sure}{defects}.")
+    if camera.lens_blur is not None:
+        discs, ratios = camera.lens_blur.discs, camera.lens_blur.ratios
+        depths = (
+            f"s / D from {ratios.min():.2f} to {ratios.max():.2f}" if len(ratios) > 1 else f"s / D = {ratios[0]:.2f}"
+        )
+        wide = f"{discs.min():.1f} to {discs.max():.1f} px" if discs.size > 1 else f"{discs.min():.1f} px"
+        sentences.append(f"Microlenses blur over discs of {wide} at {depths}.")
     return sentences

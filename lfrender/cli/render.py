@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,6 @@ from .figures import (
 )
 from .inputs import CaptureInput
 from .options import (
-    OUTPUT,
     at_most_one,
     capture_command,
     cluster_options,
@@ -37,9 +35,6 @@ from .options import (
 if TYPE_CHECKING:
     from typing import Literal
 
-    from lfcal import Calibration
-
-    from ..data.rendering import Rendering
     from ..rendering.render import Detail
 
 __all__ = ["render"]
@@ -65,14 +60,8 @@ __all__ = ["render"]
     roi_option("Draw only this part, between two opposite corners [px of the flat]."),
     click.option(
         "--detail",
-        type=click.Choice(["natural", "restored", "off"]),
+        type=click.Choice(["natural", "off"]),
         help="Undo the blur of the microlenses, place by place, as noise allows. [default: natural, for depth maps]",
-    ),
-    click.option(
-        "--save-blur",
-        type=OUTPUT,
-        metavar="CAMERA.json",
-        help="Write the camera with the blur of its microlenses that was measured: later flats need not measure it.",
     ),
     click.option(
         "--sharpen",
@@ -101,7 +90,6 @@ def render(
     traditional: bool,
     scale: float | None,
     detail: Detail | None,
-    save_blur: Path | None,
     sharpen: str | None,
     eight_bits: bool,
     alpha: bool,
@@ -123,9 +111,6 @@ def render(
     at_most_one("--scale", scale, *mean)
     at_most_one("--detail", detail, "--sharpen", sharpen, "--patch-size", patch_size, *mean)
     at_most_one("--roi", roi, "--sharpen", sharpen, *mean, "--tile", tile)
-    plain = "--detail off", detail == "off" or None
-    for without in (plain, ("--sharpen", sharpen), ("--patch-size", patch_size), mean):
-        at_most_one("--save-blur", save_blur, *without)
     at_most_one("--workers", workers, "--scheduler", scheduler)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--sharpen", sharpen, *mean)
     for other in (("--depth", capture.depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
@@ -145,8 +130,6 @@ def render(
             raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
         if eight_bits and (in_tiles or is_large(capture.flat)):
             raise click.UsageError("--8bit is for flats that are drawn as a whole: write the pixels as they are")
-        if save_blur and (in_tiles or is_large(capture.flat)):
-            raise click.UsageError("--save-blur is for flats that are drawn as a whole: draw a crop of this one first")
         if in_tiles or is_large(capture.flat):
             from .large import render_in_tiles
 
@@ -179,8 +162,6 @@ def render(
             traditional = True
             capture.report.warn(TOO_LITTLE.format("--scale"))
         picture = run_traditional(pixels, calibration) if traditional else run(pixels, calibration, depth, **options)
-    if save_blur:
-        _save_blur(save_blur, calibration, picture)
     from ..output.picture import eight_bits as to_eight_bits
     from ..output.picture import needs_eight_bits
 
@@ -199,17 +180,6 @@ def render(
         camera_sentence(calibration, capture.camera), *depth_sentences(calibration, None if traditional else depth),
         picture_sentence(output, picture, what, capture.report.took), *stated,
     )  # fmt: skip
-
-
-def _save_blur(path: Path, calibration: Calibration, picture: Rendering) -> None:
-    from lfcal import FlatError
-
-    if picture.defocus is None:
-        raise FlatError(
-            "the blur of the microlenses could not be measured: too few of them have a depth; "
-            "leave out --save-blur, or take a flat with more texture"
-        )
-    replace(calibration, lens_blur=picture.defocus.blur).save(path)
 
 
 def _describe_drawing(traditional: bool, patch_size: float | None, blend: bool) -> str:

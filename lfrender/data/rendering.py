@@ -13,8 +13,6 @@ from lfcal.runtime.frozen import Frozen
 if TYPE_CHECKING:
     from lfcal import Calibration
 
-    from ..detail.defocus import Defocus
-
 __all__ = ["Rendering", "check_patch_size", "check_scale", "convert_to_dtype", "finish_picture"]
 
 
@@ -47,8 +45,8 @@ class Rendering(Frozen):
         Output pixels per microlens pitch, `P`.
     white : float, optional
         White level of an integer image, if it is less than the largest value of the type.
-    defocus : Defocus, optional
-        The blur of the microlenses as measured on the flat, if the detail of the picture was restored.
+    noise : float, optional [white]
+        Standard deviation of the noise of a pixel of the flat in the light of white, if the detail was restored.
 
     Examples
     --------
@@ -68,7 +66,7 @@ class Rendering(Frozen):
     valid: NDArray[np.bool_]
     scale: float
     white: float | None = None
-    defocus: Defocus | None = None
+    noise: float | None = None
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the picture over scene coordinates.

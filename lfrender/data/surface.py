@@ -152,15 +152,6 @@ class Surface(Frozen):
         return out
 
 
-def nearest_patch_size(surface: Surface, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float32]:
-    """(rows, columns) float32 [px]: grid values nearest to columns at `x` and rows at `y` [px]."""
-    rows, columns = (
-        np.clip(np.rint((at - first) / surface.spacing).astype(int), 0, count - 1)
-        for at, first, count in zip((y, x), surface.first[::-1], surface.patch_size.shape, strict=True)
-    )
-    return surface.patch_size.take(columns, 1).take(rows, 0)
-
-
 def edge_step(pitch: float, settings: DataSettings = DEFAULT) -> float:
     """Patch sizes that differ by less than this belong to one surface [px]."""
     return max(settings.edge_pixels, settings.edge_share * pitch)

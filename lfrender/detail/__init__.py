@@ -1,1 +1,1 @@
-"""Detail of pictures: the blur of the microlenses, measured on the flat, and a filter that undoes it."""
+"""Detail of pictures: the noise of the flat, the known blur of its microlenses, and a filter that undoes it."""

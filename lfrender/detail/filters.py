@@ -17,19 +17,15 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from ..flat.lens_type_weights import focus_weights
-from .defocus import Defocus
-from .images import image_power
+from .discs import sure_discs
 from .settings import RESTORE, SMOOTHING, RestoreSettings
 from .transfer import disc_transfer, interpolation_transfer
 
-__all__ = ["DetailFilters", "averaged_views", "make_filters", "trusted_share"]
+__all__ = ["DetailFilters", "make_filters"]
 
 _Table = NDArray[np.float64]
-# What folds back onto a frequency: the spectrum of the scene about these multiples of the picture's sampling. Those of
-# the flat's sampling make images of coarser detail.
+# What folds back onto a frequency: the spectrum of the scene about these multiples of the picture's sampling.
 _FOLDS = ((0, 0), (-1, 0), (0, -1), (-1, -1))
-# Where in sums over frequencies the powers of the coarser bands are.
-_POWER = np.s_[1 - len(SMOOTHING) :]
 
 
 @dataclass(frozen=True)
@@ -38,10 +34,13 @@ class DetailFilters:
 
     Parameters
     ----------
-    gains : (p, n, 4) float32
-        By power of the detail over light, and patch size: first the negative ones from zero, then the positive ones.
-    power, noise : (n, 3) float32
-        Predicted power of each band but the finest: of detail of unit power, and of noise in the light of white.
+    gains : (p, n + 1, 4) float32
+        By power of the detail over light, and patch size: first the negative ones from zero, then the positive ones;
+        the last restores nothing.
+    noise : (2, n + 1) float32
+        Predicted power of the second band, and of the two coarser ones together, of noise in the light of white.
+    per_power : (2, n + 1) float32
+        Power of detail for each unit of power of these.
     per_ratio : float
         Entries for each unit of `|s / D|`.
     weakest, per_octave : float
@@ -49,20 +48,24 @@ class DetailFilters:
     """
 
     gains: NDArray[np.float32]
-    power: NDArray[np.float32]
     noise: NDArray[np.float32]
+    per_power: NDArray[np.float32]
     per_ratio: float
     weakest: float
     per_octave: float
 
+    @property
+    def count(self) -> int:
+        """Number of filters, without the last, which restores nothing."""
+        return self.gains.shape[1] - 1
+
 
 def make_filters(
-    defocus: Defocus,
     calibration: Calibration,
+    noise: float,
     scale: float,
     reach: float,
     blur: float,
-    channels: int,
     depths: tuple[float, float],
     settings: RestoreSettings = RESTORE,
 ) -> DetailFilters:
@@ -70,15 +73,16 @@ def make_filters(
 
     Parameters
     ----------
-    defocus : Defocus
     calibration : Calibration
+        With the blur of the microlenses, as far as it is known.
+    noise : float [white]
+        As `measure_noise`.
     scale : float
         Output pixels per pitch.
     reach : float [pitch]
         Lenses farther from a scene point are not averaged.
     blur : float
         As `measure_lens_blur`: how the picture was averaged over its pixels, where these are coarse.
-    channels : int
     depths : (float, float) [px]
         Least and largest signed patch size of the picture; there are no filters for others.
     """
@@ -87,40 +91,35 @@ def make_filters(
     step = levels[1] / levels[0]
     of_level = np.concatenate([-levels, levels])
     some = _is_near(of_level, step, np.array(depths) / calibration.lattice.pitch)
-    found = _Levels.of(of_level[some], defocus, calibration, scale, reach, blur, settings).sums(channels)
-    # Gains do not depend on their scale, which varies much with depth.
-    found[..., : 1 - len(SMOOTHING)] /= found[0, :, :1]
-    sums = np.zeros((len(found), len(of_level), found.shape[2]))
-    sums[:, some] = found
+    known, wanted, grain, seen = _Levels.of(of_level[some], noise, calibration, scale, reach, blur, settings).sums()
     fine = np.arange(round(settings.largest_ratio * settings.per_ratio) + 1) / settings.per_ratio
-    fine = np.maximum(fine, settings.least_ratio)
-    at = np.log(fine / settings.least_ratio) / np.log(step)
+    at = np.log(np.maximum(fine, settings.least_ratio) / settings.least_ratio) / np.log(step)
     near = np.concatenate([at, at + settings.levels])
-    used = np.interp(near, np.arange(len(some)), some) > 0
-    known, wanted, grain, seen, *images = _between(sums, near[used], 1)
-    alike = image_power(calibration, np.concatenate([-fine, fine])[used], reach)
-    image = (alike[..., None] * images).sum(0)
-    fitted = _fit(powers, known + image, wanted, grain, settings)
-    power, noise = np.ones((2, len(used), len(SMOOTHING) - 1))
-    power[used], noise[used] = (seen + image)[:, _POWER], grain[:, _POWER]
-    trusted = np.tile(trusted_share(averaged_views(fine, calibration, reach), settings), 2)[:, None]
+
+    def spread(found: _Table) -> _Table:
+        """From the levels that the picture needs to all entries, along the second axis."""
+        table = np.zeros((found.shape[0], len(of_level), *found.shape[2:]))
+        table[:, some] = found
+        return _between(table, near, 1)
+
     first, last = (int(np.float32(p).view(np.int32)) / 2**23 for p in powers[[0, -1]])
     logs = np.arange(int((last - first) * settings.per_octave) + 1) / settings.per_octave + first
     strengths = (logs * 2**23).astype(np.int32).view(np.float32)
     rows = np.log10(np.maximum(strengths, powers[0]) / powers[0]) / np.log10(powers[1] / powers[0])
-    gains = np.zeros((len(rows), len(used), len(SMOOTHING)), np.float32)
-    gains[:, used] = trusted[used] * _between(fitted, rows, 0)
-    return DetailFilters(
-        gains,
-        power.astype(np.float32),
-        noise.astype(np.float32),
-        settings.per_ratio,
-        first * settings.per_octave,
-        settings.per_octave,
-    )
+    trusted = _trusted_share(np.abs(of_level[some]), calibration, reach, settings)
+    gains = _between(spread(trusted[:, None] * _fit(powers, known, wanted, grain, settings)), rows, 0)
+    # Of the second band, and of the coarser ones.
+    power, noises = (spread(np.stack([one[:, -3], one[:, -2] + one[:, -1]])) for one in (seen, grain))
+    per_power = np.divide(1, power, out=np.zeros_like(power), where=power > 0)
+    # The last restores nothing.
+    tables = [
+        np.pad(one, ((0, 0), (0, 1), (0, 0))[: one.ndim]).astype(np.float32) for one in (gains, noises, per_power)
+    ]
+    octaves = settings.per_octave
+    return DetailFilters(tables[0], tables[1], tables[2], settings.per_ratio, first * octaves, octaves)
 
 
-def averaged_views(ratio: _Table, calibration: Calibration, reach: float) -> _Table:
+def _averaged_views(ratio: _Table, calibration: Calibration, reach: float) -> _Table:
     """How many lenses a place is averaged over, at these `|s / D|`: at least one."""
     lattice = calibration.lattice
     limit = np.minimum(lattice.radius / ratio, reach * lattice.pitch)
@@ -128,10 +127,10 @@ def averaged_views(ratio: _Table, calibration: Calibration, reach: float) -> _Ta
     return np.maximum(0.75 * np.pi * limit**2 / abs(float(np.linalg.det(lattice.basis))), 1.0)
 
 
-def trusted_share(views: _Table, settings: RestoreSettings = RESTORE) -> _Table:
-    """How much of the detail is restored where so many lenses are averaged, from 0 to 1."""
+def _trusted_share(ratio: _Table, calibration: Calibration, reach: float, settings: RestoreSettings) -> _Table:
+    """How much of the detail is restored at these `|s / D|`: from 0 to 1, by how many lenses are averaged."""
     few, enough = settings.least_views, settings.enough_views
-    return np.asarray(np.clip((views - few) / (enough - few), 0, 1))
+    return np.asarray(np.clip((_averaged_views(ratio, calibration, reach) - few) / (enough - few), 0, 1))
 
 
 def _is_near(ratios: _Table, step: float, depths: _Table) -> NDArray[np.bool_]:
@@ -155,21 +154,21 @@ class _Levels:
 
     @classmethod
     def of(
-        cls, ratios: _Table, defocus: Defocus, calibration: Calibration, scale: float, reach: float, blur: float,
+        cls, ratios: _Table, noise: float, calibration: Calibration, scale: float, reach: float, blur: float,
         settings: RestoreSettings,
     ) -> _Levels:  # fmt: skip
         lattice, size = calibration.lattice, np.abs(ratios)
         grown = scale / (size * lattice.pitch)
-        discs = defocus.diameters(ratios).T * grown[:, None]
+        discs = sure_discs(calibration, ratios).T * grown[:, None]
         weights = focus_weights(calibration.lens_types)[1]
         at = np.rint((np.clip(ratios, -1, 1) + 1) / 2 * (weights.shape[1] - 1)).astype(int)
         shares = weights[:, at].T.astype(float) if len(weights) == discs.shape[1] else np.ones(discs.shape)
         shares /= shares.sum(1, keepdims=True)
-        averaged = averaged_views(size, calibration, reach)
+        averaged = _averaged_views(size, calibration, reach)
         # Pictures that are little coarser than the flat are read once per pixel.
         apart = np.sqrt(np.maximum(1 - (blur * scale) ** 2 - grown**2, 0.0)) if blur > 0 else np.zeros_like(grown)
         even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)
-        return cls(grown[:, None], discs, shares, apart[:, None], (defocus.noise**2 / even)[:, None], settings)
+        return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None], settings)
 
     def pixel(self, fx: _Table, fy: _Table) -> _Table:
         """(n, f) transfer function of a pixel of the flat."""
@@ -180,33 +179,20 @@ class _Levels:
         read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
         return read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart) if self.apart.any() else read
 
-    def _focus(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
-        """(n, f) what disc and pixel leave of each frequency of a scene, and the power that is expected of it."""
-        frequency = np.hypot(fx, fy)
-        periods = self.discs[..., None] * np.atleast_2d(frequency)[:, None]
-        disc = (self.shares[..., None] * np.interp(periods, *_tabulated_disc())).sum(1)
-        left = disc * np.sinc(fx * self.grown) * np.sinc(fy * self.grown)
-        return left, np.maximum(frequency, 0.01) ** -self.settings.slope
-
     def left(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
         """(n, f) what is left of each frequency of a scene, and (f,) the power that is expected of it."""
-        left, scene = self._focus(fx, fy)
-        return left * self._read(fx, fy), scene
+        frequency = np.hypot(fx, fy)
+        disc = (
+            self.shares[..., None]
+            * np.interp(self.discs[..., None] * np.atleast_2d(frequency)[:, None], *_tabulated_disc())
+        ).sum(1)
+        pixel = np.sinc(fx * self.grown) * np.sinc(fy * self.grown)
+        return disc * pixel * self._read(fx, fy), np.maximum(frequency, 0.01) ** -self.settings.slope
 
-    def images(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
-        """(n, f) power of the images of coarser detail if they add up: those along the axes, and diagonal ones."""
-        found = []
-        for x, y in _FOLDS[1:]:
-            of = fx + x / self.grown, fy + y / self.grown
-            left, scene = self._focus(*of)
-            found.append(left**2 * scene * (np.hypot(*of) < np.hypot(fx, fy)))
-        along, across, diagonal = np.stack(found) * self._read(fx, fy) ** 2
-        return along + across, diagonal
+    def sums(self) -> _Table:
+        """(4, n, 23) of what follows, weighted by `_basis`: what fits need to know of powers over frequencies.
 
-    def sums(self, channels: int) -> _Table:
-        """(6, n, 23) of what follows, weighted by `_basis`: what fits need to know of powers over frequencies.
-
-        What noise is compared with; what is wanted of it; noise; power of detail, and of its images.
+        What noise is compared with; what is wanted of it; noise; power of detail.
         """
         fx, fy, basis = _basis(self.settings.frequencies)
         (left, scene), *folded = (self.left(fx + x, fy + y) for x, y in _FOLDS)
@@ -216,12 +202,8 @@ class _Levels:
         known = seen * (1 + self.contradiction(fx, fy)) + alias
         # Never blurrier than it is but by noise.
         wanted = np.maximum(np.maximum(pixel, left) * left * scene, known)
-        grain = channels * self.grain(fx, fy)
-        return np.stack([known, wanted, grain, seen + alias, *self.images(fx, fy)]) @ basis.T
-
-    def grain(self, fx: _Table, fy: _Table) -> _Table:
-        """(n, f) power of the noise of one channel of a picture with the light of white, of one for each channel."""
-        return np.asarray(self.variance * self.grown**2 * self._read(fx, fy) ** 2)
+        grain = self.variance * self.grown**2 * self._read(fx, fy) ** 2
+        return np.stack([known, wanted, grain, seen + alias]) @ basis.T
 
     def contradiction(self, fx: _Table, fy: _Table) -> _Table:
         """(n, f) share of the power in which lenses differ."""

@@ -1,307 +1,304 @@
 """Restore the detail of a picture: each place by the filter of its patch size and its power above the noise.
 
-Lenses blur light. Values that are encoded for display (`spectra.is_encoded`) are squared before they are filtered.
+Lenses blur light. Values that are encoded for display (`is_encoded`) are squared before they are filtered. The filter
+works on the mean over the channels; all channels of a pixel change by the same factor, so that no colours appear.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from lfcal.runtime.kernels.jit import kernel
 
-from ..runtime.buffers import allocate_pooled
 from .filters import DetailFilters
-from .settings import AVERAGING, RESTORE, SMOOTHING, SPECTRA, RestoreSettings
+from .settings import AVERAGING, RESTORE, SMOOTHING, RestoreSettings
 
-__all__ = ["off_edges", "restore_detail", "smooth_picture", "spread_clipped"]
+__all__ = ["Places", "restore_detail"]
 
 # Rows that are restored together.
 _STRIP = 128
 
 
+class Places(NamedTuple):
+    """Which filter each pixel of a picture takes, and how much of it."""
+
+    kinds: NDArray[np.uint16]  # (r, c) index of the filter on a grid; the last of all restores nothing
+    rows: NDArray[np.int64]  # (h,) row of the grid of each row of the picture
+    columns: NDArray[np.int64]  # (w,) likewise
+    beside: NDArray[np.float32]  # (h,) 1 where detail is restored, 0 at the border
+    along: NDArray[np.float32]  # (w,) likewise; of both the least counts
+
+
 class _Lookup(NamedTuple):
-    """What kernels look up, by power of the detail (p) and patch size (n), as `DetailFilters`."""
+    """What kernels look up, by power of the detail (p) and filter (n), as `DetailFilters`."""
 
     gains: NDArray[np.float32]  # (p, n, 4)
-    noise: NDArray[np.float32]  # (3, n) of the bands but the finest, in the light of white
-    per_fine: NDArray[np.float32]  # (n,) power of detail for each unit of power of the second band
-    per_coarse: NDArray[np.float32]  # (n,) likewise, of the coarser ones together
-    per_level: np.float32  # [1 / px]
+    noise: NDArray[np.float32]  # (2, n) of the second band, and of the coarser ones, in the light of white
+    per_power: NDArray[np.float32]  # (2, n) power of detail for each unit of power of these
     weakest: np.float32
-    per_power: np.float32
+    per_octave: np.float32
     overshoot: np.float32
     darkest: np.float32
-    white: np.float32
+    unit: np.float32  # 1 / white
     encoded: bool
+    half: np.float32  # that is added before values are truncated to integers
+    top: np.float32  # largest value
 
 
 def restore_detail(
     image: NDArray[np.float32],
     valid: NDArray[np.bool_],
-    patch_size: NDArray[np.float32],
+    places: Places,
     filters: DetailFilters,
     white: float,
     encoded: bool,
-    pitch: float,
-    inner: NDArray[np.float32],
+    dtype: DTypeLike = np.float32,
     settings: RestoreSettings = RESTORE,
-) -> NDArray[np.float32]:
-    """A picture as sharp as noise and depth edges allow, and less noisy. A part with `HALO` gets the whole's bits.
+) -> NDArray[Any]:
+    """A picture as sharp as noise allows, and less noisy. A part with `HALO` gets the whole's bits.
 
     Parameters
     ----------
     image : (h, w, C) float32
     valid : (h, w) bool
         Pixels that were seen; beside others nothing is restored.
-    patch_size : (h, w) float32 [px]
-        Of each pixel.
+    places : Places
     filters : DetailFilters
     white : float
         Value of white.
     encoded : bool
         Values are about the square root of light.
-    pitch : float [px]
-    inner : (h, w) float32
-        1 where detail is restored, 0 where it is left as it is.
+    dtype : data type
+        Of the result.
 
     Returns
     -------
-    (h, w, C) float32
+    (h, w, C) array
     """
-    single, (fine, *coarse) = np.float32, filters.power.T
+    import cv2
+
+    height, _, channels = image.shape
+    seen = np.empty((0, 0), np.uint8)
+    if not valid.all():
+        reach = 2 * sum(SMOOTHING) + 1
+        seen = np.asarray(cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8)), np.uint8)
+    # No overshoot beside clipped values: lenses blurred more light than these show.
+    rows = image.reshape(height, -1)
+    unclipped = cv2.inRange(rows, -np.inf, white * (1 - 0.5 / 255))
+    if not unclipped.all():
+        reach = 2 * settings.beside_clipped + 1
+        unclipped = cv2.erode(unclipped, np.ones((reach, (reach - 1) * channels + 1), np.uint8))
+    kind = np.dtype(dtype)
+    half, top = (0.5, float(np.iinfo(kind).max)) if kind.kind in "ui" else (0.0, np.inf)
     lookup = _Lookup(
-        filters.gains, np.ascontiguousarray(filters.noise.T), 1 / fine, 1 / sum(coarse),
-        single(filters.per_ratio / pitch), single(filters.weakest), single(filters.per_octave),
-        single(settings.overshoot), single(SPECTRA.darkest), single(white), encoded,
+        filters.gains, filters.noise, filters.per_power, np.float32(filters.weakest), np.float32(filters.per_octave),
+        np.float32(settings.overshoot), np.float32(settings.darkest), np.float32(1 / white), encoded,
+        np.float32(half), np.float32(top),
     )  # fmt: skip
-    allowed = off_edges(valid, patch_size, pitch, settings) * inner
-    steps, bands = np.array((*SMOOTHING, *AVERAGING)), len(SMOOTHING)
-    out = allocate_pooled(image.shape, np.float32)
-    bright = spread_clipped(image, white, settings)
-    _restore_rows(image, patch_size, allowed, bright, lookup, steps, bands, out)
+    out = np.empty(image.shape, dtype)
+    steps = np.array((*SMOOTHING, *AVERAGING))
+    _restore_rows(rows, unclipped, out.reshape(height, -1), channels, seen, places, lookup, steps, len(SMOOTHING))
     return out
 
 
-def off_edges(
-    valid: NDArray[np.bool_], patch_size: NDArray[np.float32], pitch: float, settings: RestoreSettings
-) -> NDArray[np.float32]:
-    """(h, w) 1 on one surface, 0 beside depth edges and places that were not seen."""
-    import cv2
-
-    side = 2 * settings.beside_edge + 1
-    around = np.ones((side, side), np.uint8)
-    spread = cv2.dilate(patch_size, around) - cv2.erode(patch_size, around)
-    level = (spread <= settings.edge * pitch).astype(np.float32)
-    soft = np.empty_like(level)
-    _smooth(level, 1, soft)
-    reach = 2 * sum(SMOOTHING) + 1
-    return soft * cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8))
-
-
-def spread_clipped(image: NDArray[np.float32], white: float, settings: RestoreSettings = RESTORE) -> NDArray[np.uint8]:
-    """(h, w, C) 255 about values as bright as white, which are clipped: lenses blurred more light than they show."""
-    import cv2
-
-    bright = cv2.convertScaleAbs(image, alpha=255 / white)
-    if bright.max() == 255:
-        side = 2 * settings.beside_clipped + 1
-        bright = cv2.dilate(bright, np.ones((side, side), np.uint8))
-    return np.asarray(bright, np.uint8).reshape(image.shape)
-
-
-def smooth_picture(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A picture (h, w, C) averaged with its neighbours, with the weights 1, 2, 1 along each axis."""
-    planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
-    out = np.empty_like(planes)
-    for one, smoothed in zip(planes, out, strict=True):
-        _smooth(one, 1, smoothed)
-    return np.ascontiguousarray(out.transpose(1, 2, 0))
-
-
 # Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector loop takes together.
-@kernel(share=lambda image, *_: len(image))
-def _smooth(begin, end, image, step, out):
-    """Average `image` (h, w) with the weights 1, 2, 1 along each axis, the outer ones `step` away."""
-    line = np.empty(image.shape[1] + 2 * step, np.float32)
-    for y in range(begin, end):
-        above, below = max(y - step, 0), min(y + step, len(image) - 1)
-        _smooth_row(image[above], image[y], image[below], step, line, out[y])
-
-
-@njit
-def _smooth_row(above, here, below, step, line, out):
-    """A row of `_smooth`; `line` is scratch."""
-    width, quarter, two = len(here), np.float32(0.25), np.float32(2)
-    before, own, after = line[:width], line[step : step + width], line[2 * step :]
-    for x in range(width):
-        own[x] = quarter * (two * here[x] + above[x] + below[x])
-    for k in range(step):
-        line[k], line[step + width + k] = own[0], own[width - 1]
-    for x in range(width):
-        out[x] = quarter * (two * own[x] + before[x] + after[x])
-
-
 @kernel(error_model="numpy", share=lambda image, *_: (len(image) + _STRIP - 1) // _STRIP)
-def _restore_rows(begin, end, image, patch_size, allowed, bright, lookup, steps, bands, out):
+def _restore_rows(begin, end, image, unclipped, out, channels, seen, places, lookup, steps, bands):
     """Restore strips of rows. Of each smoothing only the last rows are kept, which stay in the processor's cache."""
-    height, width, channels = image.shape
+    height, width = len(image), image.shape[1] // channels
     halo = steps.sum()
-    kept = halo + 2
-    layers = np.zeros((bands + 1, channels, kept, width), np.float32)
-    powers = np.zeros((len(steps) - bands + 1, bands - 1, kept, width), np.float32)
+    kept = halo + 1
+    layers = np.zeros((bands + 1, kept, width), np.float32)
+    powers = np.zeros((len(steps) - bands + 1, 2, kept, width), np.float32)
     scratch, kinds = np.empty(width + 2 * steps.max(), np.float32), np.empty(width, np.uint32)
-    lines = np.empty((10, width), np.float32)
+    lines, wide = np.empty((9, width), np.float32), np.empty((5, width * channels), np.float32)
     for strip in range(begin, end):
         top, bottom = strip * _STRIP, min((strip + 1) * _STRIP, height)
         first = max(top - halo, 0)
         for newest in range(first, bottom + halo):
             if newest < height:
-                _to_light(image[newest], lookup, newest % kept, layers[0])
+                _to_light(image[newest], channels, lookup, layers[0, newest % kept])
             # Each smoothing lags behind the one before it by its step.
             y = newest
             for k in range(bands):
                 y -= steps[k]
                 if first <= y < height:
-                    _smooth_planes(layers[k], y, first, height, steps[k], scratch, layers[k + 1])
+                    _smooth_at(layers[k], y, first, height, steps[k], scratch, layers[k + 1])
             if first <= y < height:
                 _find_power(layers, y % kept, powers[0])
             for k in range(bands, len(steps)):
                 y -= steps[k]
                 if first <= y < height:
-                    seen, smoothed = powers[k - bands], powers[k - bands + 1]
-                    _smooth_planes(seen, y, first, height, steps[k], scratch, smoothed)
+                    for n in range(2):
+                        _smooth_at(
+                            powers[k - bands, n], y, first, height, steps[k], scratch, powers[k - bands + 1, n]
+                        )  # fmt: skip
             if top <= y < bottom:
-                above, at, below = max(y - 1, 0) % kept, y % kept, min(y + 1, height - 1) % kept
-                share = allowed[y]
-                _find_factors(layers[-1], powers[-1], at, patch_size[y], share, lookup, kinds, lines)
-                for c in range(channels):
-                    _add_row(layers, c, at, lines)
-                    _store_row(layers[0, c], above, at, below, share, bright[y], lookup, image[y], c, lines, out[y])
+                share, at = lines[0], y % kept
+                _look_up(places, seen, y, lookup.gains.shape[1] - 1, kinds, share)
+                _find_factors(layers[-1, at], powers[-1, :, at], share, lookup, kinds, lines)
+                _find_ratio(layers, at, lookup, lines)
+                above, below = image[max(y - 1, 0)], image[min(y + 1, height - 1)]
+                _store_row(above, image[y], below, unclipped[y], lines[0], channels, lookup, wide, out[y])
 
 
 @njit
-def _smooth_planes(planes, y, first, height, step, scratch, out):
-    """Row `y` of `out` (n, kept, w), those of `planes` smoothed, which hold rows from `first` on."""
-    kept = planes.shape[1]
-    above, at, below = max(y - step, first) % kept, y % kept, min(y + step, height - 1) % kept
-    for n in range(len(planes)):
-        _smooth_row(planes[n, above], planes[n, at], planes[n, below], step, scratch, out[n, at])
+def _to_light(row, channels, lookup, out):
+    """Mean light over the channels of a row of the picture, with white as one."""
+    width, unit = len(out), lookup.unit
+    share = (unit * unit if lookup.encoded else unit) / np.float32(channels)
+    # The compiler uses vector instructions for strides it knows.
+    if channels == 3 and lookup.encoded:
+        for x in range(width):
+            r, g, b = row[3 * x], row[3 * x + 1], row[3 * x + 2]
+            out[x] = (r * r + g * g + b * b) * share
+    elif channels == 3:
+        for x in range(width):
+            out[x] = (row[3 * x] + row[3 * x + 1] + row[3 * x + 2]) * share
+    else:
+        for x in range(width):
+            total = np.float32(0)
+            for c in range(channels):
+                value = row[x * channels + c]
+                total += value * value if lookup.encoded else value
+            out[x] = total * share
 
 
-@njit(error_model="numpy")
-def _to_light(image, lookup, at, out):
-    """Row `at` of the planes (C, kept, w): a row of the picture (w, C) with white as one, squared if it is encoded."""
-    unit, encoded = np.float32(1) / lookup.white, lookup.encoded
-    for c in range(len(out)):
-        into = out[c, at]
-        for x in range(len(image)):
-            value = image[x, c] * unit
-            into[x] = value * value if encoded else value
+@njit
+def _smooth_at(plane, y, first, height, step, scratch, out):
+    """Row `y` of `out` (kept, w): the mean of `plane` with the weights 1, 2, 1 along each axis, `step` apart."""
+    kept, width, quarter, two = len(plane), plane.shape[1], np.float32(0.25), np.float32(2)
+    above, here, below = plane[max(y - step, first) % kept], plane[y % kept], plane[min(y + step, height - 1) % kept]
+    before, own, after, into = scratch[:width], scratch[step : step + width], scratch[2 * step :], out[y % kept]
+    for x in range(width):
+        own[x] = quarter * (two * here[x] + above[x] + below[x])
+    for k in range(step):
+        scratch[k], scratch[step + width + k] = own[0], own[width - 1]
+    for x in range(width):
+        into[x] = quarter * (two * own[x] + before[x] + after[x])
 
 
-@njit(error_model="numpy")
+@njit
 def _find_power(layers, at, out):
-    """Row `at` of `out` (bands, kept, w): mean square over the channels of each band but the finest."""
-    unit = np.float32(1) / np.float32(layers.shape[1])
-    for band in range(len(out)):
-        into = out[band, at]
-        for x in range(len(into)):
-            into[x] = 0
-        for c in range(layers.shape[1]):
-            upper, lower = layers[band + 1, c, at], layers[band + 2, c, at]
-            for x in range(len(into)):
-                difference = upper[x] - lower[x]
-                into[x] += difference * difference * unit
+    """Row `at` of `out` (2, kept, w): square of the second band, and of the two coarser ones together."""
+    one, two, three, last = layers[1, at], layers[2, at], layers[3, at], layers[4, at]
+    fine, coarse = out[0, at], out[1, at]
+    for x in range(len(one)):
+        difference = one[x] - two[x]
+        fine[x] = difference * difference
+    for x in range(len(one)):
+        middle, wide = two[x] - three[x], three[x] - last[x]
+        coarse[x] = middle * middle + wide * wide
+
+
+@njit
+def _look_up(places, seen, y, nothing, kinds, share):
+    """Index of the filter of each pixel of row `y`, and how much of it is taken."""
+    row, columns, along, beside = places.kinds[places.rows[y]], places.columns, places.along, places.beside[y]
+    for x in range(len(kinds)):
+        kinds[x] = row[columns[x]]
+    for x in range(len(kinds)):
+        share[x] = min(beside, along[x]) if kinds[x] < nothing else np.float32(0)
+    if len(seen):
+        line = seen[y]
+        for x in range(len(kinds)):
+            share[x] = share[x] if line[x] else np.float32(0)
 
 
 @njit(error_model="numpy")
-def _find_factors(coarsest, power, at, sizes, share, lookup, kinds, lines):
-    """Lines 0 to 3: what is added of each band, from row `at` of the coarsest layer and the power.
-
-    `kinds` and the other lines are scratch.
-    """
-    gains, width, per_level, weakest = lookup.gains, len(sizes), lookup.per_level, lookup.weakest
-    steps, levels = gains.shape[0], gains.shape[1] // 2
+def _find_factors(coarsest, power, share, lookup, kinds, lines):
+    """Lines 1 to 4: what is added of each band, from a row of the coarsest layer and of the power (2, w)."""
+    gains, width, darkest = lookup.gains, len(share), lookup.darkest
     zero, one, tiny, half = np.float32(0), np.float32(1), np.float32(1e-20), np.float32(0.5)
-    above_zero = half + np.float32(levels)
-    last_level, last_step, channels = np.float32(levels - 1), np.float32(steps - 1), len(coarsest)
-    f0, f1, f2, f3, light, strength, part = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5], lines[6]
-    light[:] = zero
-    for c in range(channels):
-        row = coarsest[c, at]
+    f0, f1, f2, f3, fine, coarse, strength, light = (
+        lines[1], lines[2], lines[3], lines[4], lines[5], lines[6], lines[7], lines[8]
+    )  # fmt: skip
+    for x in range(width):
+        light[x] = max(coarsest[x], darkest)
+    for band in range(2):
+        found, noise, per_power = power[band], lookup.noise[band], lookup.per_power[band]
+        above, rest = (fine, f1) if band == 0 else (coarse, f2)
         for x in range(width):
-            light[x] += row[x]
-    for x in range(width):
-        light[x] = max(light[x] / np.float32(channels), lookup.darkest)
-    for x in range(width):
-        s = sizes[x]
-        kinds[x] = np.uint32(min(abs(s) * per_level, last_level) + (above_zero if s > 0 else half))
-    for band in range(3):
-        seen, rest, above, noise = power[band, at], lines[1 + band], lines[7 + band], lookup.noise[band]
+            above[x] = max(found[x] - light[x] * noise[kinds[x]], zero)
         for x in range(width):
-            above[x] = max(seen[x] - light[x] * noise[kinds[x]], zero)
+            rest[x] = above[x] / max(found[x], tiny) - one
         for x in range(width):
-            rest[x] = above[x] / max(seen[x], tiny) - one
-    fine, middle, coarse, per_fine, per_coarse = lines[7], lines[8], lines[9], lookup.per_fine, lookup.per_coarse
-    for x in range(width):
-        fine[x] *= per_fine[kinds[x]]
-    for x in range(width):
-        strength[x] = max(fine[x], (middle[x] + coarse[x]) * per_coarse[kinds[x]])
+            above[x] *= per_power[kinds[x]]
     # Less of it where fine detail is weaker than the coarse predicts; there noise alone is taken away.
     for x in range(width):
-        part[x] = share[x] * fine[x] / max(strength[x], tiny)
+        strength[x] = max(max(fine[x], coarse[x]), tiny)
+    for x in range(width):
+        fine[x] = share[x] * fine[x] / strength[x]
     for x in range(width):
         strength[x] = max(strength[x] / light[x], tiny)
     # The bits of a number above zero grow with its logarithm.
-    logarithm, per_bit = strength.view(np.int32), lookup.per_power / np.float32(1 << 23)
+    logarithm, per_bit = strength.view(np.int32), lookup.per_octave / np.float32(1 << 23)
+    last, weakest = np.float32(len(gains) - 1), lookup.weakest
     for x in range(width):
         row = np.float32(logarithm[x]) * per_bit - weakest
-        gain = gains[np.uint32(min(max(row, zero), last_step) + half), kinds[x]]
-        taken, rest = part[x], share[x] - part[x]
-        noise = rest * f1[x]
-        f0[x], f1[x] = taken * gain[0] + noise, taken * gain[1] + noise
-        f2[x], f3[x] = taken * gain[2] + rest * f2[x], taken * gain[3] + rest * f3[x]
+        gain = gains[np.uint32(min(max(row, zero), last) + half), kinds[x]]
+        taken, rest = fine[x], share[x] - fine[x]
+        noise, wide = rest * f1[x], rest * f2[x]
+        f0[x], f1[x], f2[x], f3[x] = (
+            taken * gain[0] + noise, taken * gain[1] + noise, taken * gain[2] + wide, taken * gain[3] + wide
+        )  # fmt: skip
+
+
+@njit(error_model="numpy")
+def _find_ratio(layers, at, lookup, lines):
+    """Line 0: by what each value of a row changes."""
+    ratio, f0, f1, f2, f3 = lines[0], lines[1], lines[2], lines[3], lines[4]
+    own, a, b, c, d = layers[0, at], layers[1, at], layers[2, at], layers[3, at], layers[4, at]
+    zero, one, tiny = np.float32(0), np.float32(1), np.float32(1e-7)
+    # Loops over few arrays are vectorised.
+    for x in range(len(ratio)):
+        ratio[x] = f0[x] * (own[x] - a[x])
+    for x in range(len(ratio)):
+        ratio[x] += f1[x] * (a[x] - b[x])
+    for x in range(len(ratio)):
+        ratio[x] += f2[x] * (b[x] - c[x])
+    for x in range(len(ratio)):
+        ratio[x] += f3[x] * (c[x] - d[x])
+    for x in range(len(ratio)):
+        ratio[x] = max(one + ratio[x] / max(own[x], tiny), zero)
+    if lookup.encoded:
+        for x in range(len(ratio)):
+            ratio[x] = np.sqrt(ratio[x])
 
 
 @njit
-def _add_row(layers, c, at, lines):
-    """Line 4: row `at` of a channel with the bands added."""
-    light, own = lines[4], layers[0, c, at]
-    for x in range(len(light)):
-        light[x] = own[x]
-    for band in range(4):
-        factor, upper, lower = lines[band], layers[band, c, at], layers[band + 1, c, at]
-        for x in range(len(light)):
-            light[x] += factor[x] * (upper[x] - lower[x])
-
-
-@njit
-def _store_row(plane, row_above, row, row_below, share, bright, lookup, image, c, lines, out):
-    """Line 4 as values, in the range of their neighbours in three rows of `plane` but for the overshoot."""
-    overshoot, white, encoded, zero = lookup.overshoot, lookup.white, lookup.encoded, np.float32(0)
-    above, here, below, width = plane[row_above], plane[row], plane[row_below], plane.shape[1]
-    light, low, high, least, most = lines[4], lines[5], lines[6], lines[7], lines[8]
-    for x in range(width):
-        low[x] = min(here[x], min(above[x], below[x]))
-        high[x] = max(here[x], max(above[x], below[x]))
-    low1, low2, high1, high2, into_low, into_high = low[1:], low[2:], high[1:], high[2:], least[1:], most[1:]
-    for x in range(width - 2):
-        into_low[x] = min(low[x], min(low1[x], low2[x]))
-    for x in range(width - 2):
-        into_high[x] = max(high[x], max(high1[x], high2[x]))
-    for x, other in ((0, min(1, width - 1)), (width - 1, max(width - 2, 0))):
-        least[x], most[x] = min(low[x], low[other]), max(high[x], high[other])
-    if encoded:
-        for x in range(width):
-            light[x] = np.sqrt(max(light[x], zero))
-        for x in range(width):
-            least[x], most[x] = np.sqrt(least[x]), np.sqrt(most[x])
-    for x in range(width):
-        beyond = overshoot * (most[x] - least[x]) if bright[x, c] < 255 else zero
-        light[x] = min(max(light[x], least[x] - beyond), most[x] + beyond) * white
-    for x in range(width):
-        out[x, c] = light[x] if share[x] > zero else image[x, c]
+def _store_row(above, here, below, unclipped, ratio, channels, lookup, wide, out):
+    """A row with each pixel times its ratio, in the range of the neighbours in three rows but for the overshoot."""
+    low, high, least, most, scaled = wide[0], wide[1], wide[2], wide[3], wide[4]
+    size, zero = len(here), np.float32(0)
+    if channels == 3:
+        for x in range(len(ratio)):
+            scaled[3 * x] = scaled[3 * x + 1] = scaled[3 * x + 2] = ratio[x]
+    else:
+        for x in range(len(ratio)):
+            scaled[x * channels : (x + 1) * channels] = ratio[x]
+    for i in range(size):
+        low[i] = min(here[i], min(above[i], below[i]))
+        high[i] = max(here[i], max(above[i], below[i]))
+    low1, low2, high1, high2 = low[channels:], low[2 * channels :], high[channels:], high[2 * channels :]
+    into_low, into_high = least[channels:], most[channels:]
+    for i in range(size - 2 * channels):
+        into_low[i] = min(low[i], min(low1[i], low2[i]))
+    for i in range(size - 2 * channels):
+        into_high[i] = max(high[i], max(high1[i], high2[i]))
+    for c in range(channels):
+        for at, other in (
+            (c, min(channels + c, size - channels + c)),
+            (size - channels + c, max(size - 2 * channels, 0) + c),
+        ):
+            least[at], most[at] = min(low[at], low[other]), max(high[at], high[other])
+    overshoot, half, top = lookup.overshoot, lookup.half, lookup.top
+    for i in range(size):
+        beyond = overshoot * (most[i] - least[i]) if unclipped[i] else zero
+        scaled[i] = min(max(here[i] * scaled[i], least[i] - beyond), most[i] + beyond)
+    for i in range(size):
+        out[i] = min(max(scaled[i] + half, zero), top)

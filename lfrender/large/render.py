@@ -158,7 +158,7 @@ def render_large(
     key = fingerprint(
         file_identity(source.path), [source.page], file_identity(source.dark), calibration.to_dict(), depth_key,
         drawing.scale, drawing.blend, drawing.blur,
-        repr(drawing.defocus), drawing.solved, side,
+        [drawing.noise], side,
         text, [alpha, compress, output.suffix.lower(), str(source.dtype)],
     )  # fmt: skip
     checkpoint = Checkpoint(output)

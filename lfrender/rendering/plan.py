@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-from ..data.rendering import convert_to_dtype
 from ..data.surface import DepthGrid, Surface, edge_step, sample_surface_at
 from ..data.viewpoint import Viewpoint
-from ..detail.defocus import Defocus
 from ..detail.settings import HALO
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_cell, correction_tables, has_uneven_lenses, white_level
@@ -61,10 +59,8 @@ class RenderPlan:
     aperture : float
         Part of the radius of microimages that is read.
     viewpoint : Viewpoint
-    defocus : Defocus, optional
-        Of the microlenses: the detail of the picture is restored.
-    solved : bool
-        By `solve_detail`, of the whole picture.
+    noise : float, optional [white]
+        Of the flat, as `measure_noise`: the detail of the picture is restored.
     """
 
     calibration: Calibration
@@ -77,8 +73,7 @@ class RenderPlan:
     aperture: float = 1.0
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
     lit: LitFlat | None = None  # of the whole flat, if several pictures are drawn from it
-    defocus: Defocus | None = None
-    solved: bool = False
+    noise: float | None = None
 
     @property
     def spacing(self) -> float:
@@ -102,11 +97,7 @@ class RenderPlan:
         """How far from scene points the flat is read [px]."""
         lattice = self.calibration.lattice
         aside = float(np.hypot(*self.viewpoint.offset)) + float(np.abs(self._moved).max())
-        beside = self.spacing * (1 if self.defocus is None else 1 + HALO)
-        if self.solved:
-            from ..detail.solve import solve_halo
-
-            beside += self.spacing * solve_halo(self)
+        beside = self.spacing * (1 if self.noise is None else 1 + HALO)
         return int(np.ceil(self.reach * lattice.pitch + lattice.radius + 2 * aside + beside)) + DEFAULT.margin
 
     def required_part(self, part: Part) -> Part:
@@ -165,13 +156,10 @@ class RenderPlan:
             Pixels that some lens shows.
         """
         part = part or (0, 0, *self.size)
-        if self.defocus is not None:
+        if self.noise is not None:
             from ..detail.draw import draw_detail
-            from ..detail.solve import solve_detail
 
-            draw = solve_detail if self.solved else draw_detail
-            image, valid = draw(self, pixels, corner, part)
-            return convert_to_dtype(image, pixels.dtype) if stored else image, valid
+            return draw_detail(self, pixels, corner, part, pixels.dtype if stored else np.float32)
         shape = (part[3] - part[1], part[2] - part[0], pixels.shape[2])
         if not self._shows_patches:
             return self.blend_part(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
@@ -197,11 +185,11 @@ class RenderPlan:
         The others are taken from an earlier picture, `image` (rows, columns, C) and `valid`.
         """
         image, valid = image.copy(), valid.copy()
-        if wanted.any() and self.defocus is not None:
+        if wanted.any() and self.noise is not None:
             from ..detail.draw import draw_changed_detail
 
             restored, changed = draw_changed_detail(self, pixels, wanted, valid)
-            np.copyto(image, convert_to_dtype(restored, image.dtype), where=changed[..., None])
+            np.copyto(image, restored, where=changed[..., None])
         elif wanted.any():
             self.blend_part(pixels, (0, 0), (0, 0, *self.size), image, valid, wanted)
         return image, valid

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +18,15 @@ from ..data.region import check_region
 from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..depth.analyze import analyze
-from ..detail.defocus import Defocus, measure_defocus
+from ..detail.noise import measure_noise
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure
-from ..runtime.cache import cached_latest
 from .plan import Part, RenderPlan
 from .settings import DEFAULT, RenderSettings
 from .traditional import TOO_LITTLE, resolves_too_little, traditional
 
 #: How the detail of a picture is restored.
-Detail = Literal["natural", "restored", "off"]
+Detail = Literal["natural", "off"]
 
 __all__ = ["Detail", "expand_roi", "make_plan", "render"]
 
@@ -65,11 +63,10 @@ def render(
     blend : bool, optional
         True averages all lenses that agree on a point, False reads each point from the lens
         whose centre is nearest. By default True for a depth map and False for one patch size.
-    detail : "natural", "restored" or "off", optional
-        Undo the blur of the microlenses, place by place, as noise, seams and depth edges allow; it is measured on the
-        flat, by the lenses that `depth` resolves. By default "natural" for the mean over lenses of a depth map, unless
-        `sharpen` is given; with `previous` as in that picture. "restored" solves for the picture whose
-        microimages are those of the flat: slower, and more detail.
+    detail : "natural" or "off", optional
+        Undo the blur by pixels and microlenses, place by place, as noise, seams and depth edges allow; that of the
+        microlenses as far as the camera tells it (`Calibration.lens_blur`). By default "natural" for the mean over
+        lenses of a depth map, unless `sharpen` is given; with `previous` as in that picture.
     sharpen : float or "auto", optional
         Instead of `detail`, one filter for the whole picture that undoes the blur of the microlenses as far as noise
         allows: "auto" measures it on the flat, a number is the side of the square that it averages over [output px].
@@ -114,14 +111,12 @@ def render(
             raise ValueError("sharpen needs the whole picture; give either roi or sharpen")
     if sharpen is not None and sharpen != "auto" and not (np.isfinite(sharpen) and sharpen >= 0):
         raise ValueError(f"sharpen must be 'auto' or a width of 0 or more output pixels, got {sharpen!r}")
-    if detail not in (None, "natural", "restored", "off"):
-        raise ValueError(f"detail must be 'natural', 'restored' or 'off', got {detail!r}")
+    if detail not in (None, "natural", "off"):
+        raise ValueError(f"detail must be 'natural' or 'off', got {detail!r}")
     if detail not in (None, "off") and sharpen is not None:
         raise ValueError(f"give either detail={detail!r} or sharpen")
     if detail not in (None, "off") and (patch_size is not None or blend is False):
         raise ValueError(f"detail={detail!r} needs a depth map and the mean over lenses")
-    if detail == "restored" and previous is not None:
-        raise ValueError("detail='restored' needs a whole picture, not changes of the previous one")
     if previous is not None:
         if depth is None or roi is not None or sharpen is not None:
             raise ValueError("previous needs depth, and the whole picture without roi and sharpen")
@@ -138,23 +133,12 @@ def render(
     def look(part: Part) -> NDArray:
         return pixels[part[1] : part[3], part[0] : part[2]]
 
-    rows = pixels[exposure_rows(len(pixels))]
-    exposed = match_exposure(rows, calibration)
-    if sharpen is not None:
-        detail = "off"
-
-    def measure() -> Defocus | None:
-        if previous is not None:
-            # Pixels that stay were restored against the blur measured then.
-            return previous[2].defocus
-        assert depth is not None
-        # Once for a depth map and its flat, told by some rows; the camera is kept, so that no other gets its identity.
-        key = id(calibration), crc32(rows.tobytes())
-        sizes = depth.patch_size
-        return cached_latest(depth, "defocus", key, lambda: (calibration, measure_defocus(look, exposed, sizes)))[1]
-
-    kind = detail if previous is None else None
-    plan = make_plan(look, exposed, depth, patch_size, scale, blend, kind, measure)
+    exposed = match_exposure(pixels[exposure_rows(len(pixels))], calibration)
+    kind = "off" if sharpen is not None else detail
+    plan = make_plan(look, exposed, depth, patch_size, scale, blend, kind if previous is None else "off")
+    if previous is not None:
+        # Pixels that stay were restored against the noise measured then.
+        plan = replace(plan, noise=previous[2].noise)
     part = (0, 0, *plan.size) if roi is None else plan.part_of_region(roi)
     if previous is None:
         image, valid = plan.draw(pixels, part=part, stored=sharpen is None)
@@ -171,7 +155,7 @@ def render(
         image = sharpen_picture(image.astype(np.float32), valid, sharpen, plan, pixels, sizes, full)
     affine = plan.affine
     affine[:, 2] += affine[:, :2] @ part[:2]
-    return replace(finish_picture(image, valid, affine, plan.scale, flat, calibration), defocus=plan.defocus)
+    return replace(finish_picture(image, valid, affine, plan.scale, flat, calibration), noise=plan.noise)
 
 
 def expand_roi(
@@ -191,10 +175,9 @@ def make_plan(
     scale: float | None,
     blend: bool | None,
     detail: Detail | None = None,
-    measure: Callable[[], Defocus | None] | None = None,
     settings: RenderSettings = DEFAULT,
 ) -> RenderPlan:
-    """What `render` draws; `look` gives the pixels (h, w, C) of a part of the flat, `measure` its blur."""
+    """What `render` draws; `look` gives the pixels (h, w, C) of a part of the flat."""
     lattice = calibration.lattice
     if patch_size is not None:
         if depth is not None:
@@ -212,10 +195,6 @@ def make_plan(
     blend = patch_size is None if blend is None else blend
     blur = measure_lens_blur(look, calibration, sizes) if scale * settings.coarse_ratio < full else 0.0
     reach = settings.fast_reach if depth is not None and depth.preset == "fast" else settings.reach
-    defocus = None
-    if blend and depth is not None and detail != "off":
-        defocus = measure() if measure else measure_defocus(look, calibration, depth.patch_size)
-    solved = defocus is not None and detail == "restored"
-    return RenderPlan(
-        calibration, surface, scale, blend, blur, reach, settings.agreement, defocus=defocus, solved=solved
-    )
+    restored = blend and depth is not None and detail != "off"
+    noise = measure_noise(look, calibration) if restored else None
+    return RenderPlan(calibration, surface, scale, blend, blur, reach, settings.agreement, noise=noise)

@@ -25,9 +25,7 @@ from ..data.depth_map import DepthFileError, DepthMap, default_scale
 from ..data.rendering import Rendering
 from ..depth.analyze import analyze
 from ..depth.incremental import load_reference_match, save_reference_match
-from ..detail.defocus import measure_defocus
 from ..flat.demosaicing import demosaic
-from ..flat.validation import check_flat
 from ..output.metadata import EmbeddedMetadata, read_metadata
 from ..output.picture import check_picture, eight_bits, write_picture
 from ..rendering.render import render
@@ -166,8 +164,6 @@ class Job:
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise OutputError(f"{hidden}: damaged ({error}); render everything again (--overwrite)") from error
         given = self.calibration
-        if given is not None and given.lens_blur is None:
-            given = replace(given, lens_blur=camera.lens_blur)
         if not same or (given is not None and given.to_dict() != camera.to_dict()):
             raise OutputError(
                 f"{self.folder}: holds pictures made with another camera, dark frame, preset or scale; "
@@ -205,20 +201,6 @@ class Job:
 
             self.calibration = self._as_stored(calibrate(pixels))
         return self.calibration
-
-    def _measure_blur(self, flat: NDArray[Any], depth: DepthMap) -> Calibration:
-        """The camera with the blur of its lenses, measured once, so that pictures of all segments are equally sharp."""
-        camera = self.camera(flat)
-        if camera.lens_blur is None and self.views is None and not self._settings_file.exists():
-            pixels = check_flat(flat, camera)
-
-            def look(part: tuple[int, int, int, int]) -> NDArray[Any]:
-                return pixels[part[1] : part[3], part[0] : part[2]]
-
-            measured = measure_defocus(look, camera, depth.patch_size)
-            if measured is not None:
-                self.calibration = camera = replace(camera, lens_blur=measured.blur)
-        return camera
 
     @property
     def _settings_file(self) -> Path:
@@ -297,7 +279,7 @@ class Job:
                 self.scale = default_scale(depth)
             if self.views is not None and self.still is None:
                 self.still = self.views.find_still(depth)
-            self._save_settings(self._measure_blur(flat, depth))
+            self._save_settings(camera)
             if comparison is not None:
                 save_reference_match(depth, comparison)
             depth.save(file)

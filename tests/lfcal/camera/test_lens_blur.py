@@ -9,6 +9,7 @@ import pytest
 
 import lfcal
 from lfcal import Calibration, CameraFileError, Lattice, LensBlur
+from lfcal.cli.figures import describe, summarise
 
 CAMERA = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (200, 100), 9))
 BLUR = LensBlur(5.0, 0.5, [0.1, -0.1], [0.02, 0.03], [-0.3, -0.2, -0.1], np.ones((2, 3)), np.full((2, 3), 0.1))
@@ -30,3 +31,11 @@ def test_wrong_ones_are_refused():
     del data["lens_blur"]["discs"]
     with pytest.raises(CameraFileError, match="lens_blur"):
         Calibration.from_dict(data)
+
+
+def test_it_is_printed_in_a_plain_sentence():
+    assert len(summarise(CAMERA)) == 2
+    assert summarise(replace(CAMERA, lens_blur=BLUR))[2] == (
+        "Microlenses blur over discs of 1.0 to 1.0 px at s / D from -0.30 to -0.10."
+    )
+    assert describe(replace(CAMERA, lens_blur=BLUR))["lens_blur"]["aperture"] == 5.0

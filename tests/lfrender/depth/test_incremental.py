@@ -77,10 +77,10 @@ def test_changed_parts_are_rendered_as_in_a_new_picture_and_the_rest_stays(house
     assert away.sum() > 0.05 * away.size and as_old[away].all()
 
 
-def test_detail_of_changed_parts_is_restored_with_the_blur_of_the_earlier_picture(house, first, second, monkeypatch):
+def test_detail_of_changed_parts_is_restored_with_the_noise_of_the_earlier_picture(house, first, second, monkeypatch):
     depth, picture = update(house, first, second)
-    assert picture.defocus is first[2].defocus is not None
-    monkeypatch.setattr("lfrender.rendering.render.measure_defocus", lambda *_: first[2].defocus)
+    assert picture.noise is first[2].noise is not None
+    monkeypatch.setattr("lfrender.rendering.render.measure_noise", lambda *_: first[2].noise)
     new = lfrender.render(second, house.truth.calibration, depth, scale=picture.scale)
     as_new, as_old = ((picture.image == other.image).all(2) for other in (new, first[2]))
     assert (as_new | as_old).all() and not as_old.all()

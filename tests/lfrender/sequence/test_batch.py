@@ -70,24 +70,6 @@ def test_pictures_do_not_flicker_where_nothing_moves(whole):
     assert (pictures[3] != pictures[2]).any()
 
 
-def test_pictures_of_all_segments_undo_the_same_blur(sequence, tmp_path, monkeypatch):
-    folder, camera = sequence
-    original, discs = job.render, []
-
-    def recorded(*given, **options):
-        picture = original(*given, **options)
-        discs.append(picture.defocus.discs)
-        return picture
-
-    monkeypatch.setattr(job, "render", recorded)
-    frames = lfrender.open_frames([folder])
-    list(lfrender.render_frames(frames, tmp_path, camera, preset="fast", tuning=SHORT))
-    assert len(discs) == 5 and len(set(discs)) == 1
-    assert camera.lens_blur is None
-    # The camera of a run that is continued is the one that was given.
-    assert {one.outcome for one in lfrender.render_frames(frames, tmp_path, camera, preset="fast")} == {"kept"}
-
-
 def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house, tmp_path):
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     exif = Image.Exif()

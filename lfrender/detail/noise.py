@@ -1,0 +1,54 @@
+"""The noise of a flat's pixels, in light: what neighbours differ by where a flat is smoothest.
+
+Second differences along both axes leave noise alone where light changes evenly (J. Immerkaer 1996); of many microimages
+those that have the least show the least of the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from lfcal import Calibration
+
+from ..flat.gray_flat import trusted_radius, white_level
+from .settings import NOISE, NoiseSettings
+
+__all__ = ["Look", "is_encoded", "measure_noise"]
+
+#: Pixels (h, w, C) of the part `left, top, right, bottom` of a flat.
+Look = Callable[[tuple[int, int, int, int]], NDArray]
+
+
+def is_encoded(dtype: DTypeLike, calibration: Calibration) -> bool:
+    """Whether values are about the square root of light: as the camera file tells, else those of 8 bits are."""
+    return np.dtype(dtype) == np.uint8 if calibration.encoded is None else calibration.encoded
+
+
+def measure_noise(look: Look, calibration: Calibration, settings: NoiseSettings = NOISE) -> float:
+    """Standard deviation of a pixel's mean over the channels in the light of white [white]; 0 if no lens is whole.
+
+    Its variance is in proportion to light.
+
+    Parameters
+    ----------
+    look : function
+        Gives a part of the flat.
+    calibration : Calibration
+    """
+    lattice = calibration.lattice
+    half = int(np.clip(trusted_radius(calibration) / np.sqrt(2), 2, settings.half))
+    centres = np.rint(lattice.centres()).astype(int)
+    inside = ((centres >= half) & (centres < np.array(lattice.image_size) - half)).all(1)
+    some = centres[inside][:: max(1, int(inside.sum()) // settings.lenses)]
+    if not len(some):
+        return 0.0
+    boxes = np.stack([look((x - half, y - half, x + half + 1, y + half + 1)) for x, y in some.tolist()])
+    light = boxes / np.float32(white_level(boxes, calibration))
+    grey = (light * light if is_encoded(boxes.dtype, calibration) else light).mean(3, dtype=np.float32)
+    rough = np.diff(np.diff(grey, 2, 1), 2, 2)
+    # The sum of the squared weights of both second differences.
+    variance = (rough**2).mean((1, 2)) / 6**2 / np.maximum(grey.mean((1, 2)), settings.darkest)
+    return float(np.sqrt(np.quantile(variance, settings.quiet)))
