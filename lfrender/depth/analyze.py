@@ -48,8 +48,8 @@ def analyze(
     preset : {"fast", "balanced", "accurate"}
         How much time to spend; `"accurate"` is `"balanced"` with `edges`.
     skip : bool or names
-        Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`, `"ranges"`, `"plane"`,
-        `"still"`, `"steady"` (see `Shortcuts`). `DepthMap.saved` has the share of the work that each has saved.
+        Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`, `"ranges"`, `"still"`,
+        `"steady"` (see `Shortcuts`). `DepthMap.saved` has the share of the work that each has saved.
     roi : (x0, y0, x1, y1), optional [px]
         Only lenses with their centre between these opposite corners are analysed; the others are unresolved.
     previous : (flat, DepthMap), optional

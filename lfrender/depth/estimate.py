@@ -133,8 +133,7 @@ class LensEstimates:
         """Smooth over the lenses on the same surface; those that are `kept` (n,) stay."""
         wanted = self.resolved if kept is None else self.resolved & ~kept
         flat, neighbours = lenses.texture.flat, lenses.neighbours
-        # Kept lenses have been corrected for curvature before.
-        near = smooth_fits(flat, neighbours, self.own_fits, wanted, ~wanted)
+        near = smooth_fits(flat, neighbours, self.own_fits, wanted)
         fits = smooth_fits_far(flat, neighbours, *near, wanted)
         known = wanted & np.isfinite(fits.standard_error)
         return replace(

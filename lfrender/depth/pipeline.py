@@ -1,9 +1,9 @@
 """The passes of an analysis, in order, from a grey flat to its depth map.
 
-`estimate_depth_map`: is the scene one plane (`planes`)? Which lenses have no texture (`validity.textureless`)? Then
-`estimate_lens_by_lens`: select the lenses to match; search, refine and classify them (`estimate`). If they all lie on
-a plane, take that (`plane_depth`). Else smooth them over surfaces (`refinement.smoothing`), fill unresolved ones, find
-second depths (`surface.second_layer`, `surface.thin_structures`) and make a dense surface of all (`surface.densify`).
+`estimate_depth_map`: which lenses have no texture (`validity.textureless`)? Then `estimate_lens_by_lens`: select the
+lenses to match; search, refine and classify them (`estimate`). If they all lie on a plane, take that (`plane_depth`).
+Else smooth them over surfaces (`refinement.smoothing`), fill unresolved ones, find second depths
+(`surface.second_layer`) and make a dense surface of all (`surface.densify`).
 """
 
 from __future__ import annotations
@@ -19,27 +19,16 @@ from ..data.depth_map import DepthMap
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat, downsample_lattice, make_gray_flat
 from ..flat.lens_graph import dilate_mask, nearest_chosen, neighbour_rows, opposite_neighbours
-from ..flat.texture import (
-    LensStatistics,
-    Texture,
-    classify_borderline_texture,
-    classify_texture,
-    estimate_noise,
-    find_texture,
-    sample_statistics,
-)
+from ..flat.texture import LensStatistics, Texture, find_texture, sample_statistics
 from .estimate import LensEstimates, LensSet, PreviousEstimates, estimate_lenses
 from .matching.peaks import fill_unresolved
 from .matching.shortcuts import Shortcuts, sample_lenses
-from .plane_depth import confirm_on_plane, find_plane_of_few, fit_regular_plane, plane_depth_map, plane_scene_depth
-from .planes.detection import find_plane
-from .planes.settings import PLANE
+from .plane_depth import confirm_on_plane, fit_regular_plane, plane_depth_map
 from .presets import PRESETS, Preset
 from .same_surface import TOLERANCE
 from .settings import ESTIMATE, PIPELINE
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
-from .surface.thin_structures import find_thin_structures
 from .validity.classify import occurs_among
 from .validity.settings import CLASSIFY
 from .validity.textureless import find_textureless
@@ -111,13 +100,7 @@ def prepare_flat(flat: NDArray, calibration: Calibration, preset: str) -> tuple[
 def estimate_depth_map(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
     """Depth of a flat about which nothing is known."""
     statistics = sample_statistics(gray)
-    raw_noise = estimate_noise(statistics.roughness)
-    if shortcuts.plane:
-        texture = classify_texture(gray, statistics, raw_noise)
-        found = find_plane(texture, lattice.indices(), *opposite_neighbours(lattice), PRESETS[preset])
-        if found is not None:
-            return plane_scene_depth(found, gray, lattice, preset, {"plane": 1 - found.sampled})
-    blank = find_textureless(gray, lattice, statistics, PRESETS[preset], raw_noise) if shortcuts.blank else None
+    blank = find_textureless(gray, lattice, statistics, PRESETS[preset]) if shortcuts.blank else None
     return estimate_lens_by_lens(gray, lattice, preset, shortcuts, statistics, blank)[0]
 
 
@@ -136,17 +119,8 @@ def estimate_lens_by_lens(
 
     `overview` is of the larger flat of which this is a part. Also returns the estimates of lenses before smoothing.
     """
-    tried = np.inf
-    if blank is not None and kept is None and overview is None and shortcuts.plane:
-        depth, tried = _find_plane_among_blank(gray, lattice, preset, statistics, blank)
-        if depth is not None:
-            return depth, _plane_estimates(depth)
     chosen = _select_lenses(gray, lattice, shortcuts, statistics, blank, kept, before, overview)
     lenses, rows = chosen.lenses, chosen.rows
-    if rows is not None and chosen.is_whole and shortcuts.plane and lenses.active.sum() < tried:
-        depth = find_plane_of_few(lenses, rows, chosen.texture.flat, lattice, preset)
-        if depth is not None:
-            return depth, _plane_estimates(depth)
     estimates = chosen.estimate(PRESETS[preset], shortcuts.ranges)
     saved = _saved_work(shortcuts, chosen, estimates)
     plane = None
@@ -162,30 +136,6 @@ def estimate_lens_by_lens(
         estimates = estimates.embed(len(lattice), rows, None)
     depth = plane_depth_map(plane, lattice, preset, estimates.reason, estimates.confidence, saved)
     return depth, UnsmoothedEstimates(depth.patch_size, depth.standard_error, estimates.systematic_error)
-
-
-def _plane_estimates(depth: DepthMap) -> UnsmoothedEstimates:
-    """The estimates of lenses on a plane that was measured on a few of them."""
-    return UnsmoothedEstimates(depth.patch_size, depth.standard_error, np.zeros(len(depth.reason)))
-
-
-def _find_plane_among_blank(
-    gray: GrayFlat, lattice: Lattice, preset: str, statistics: LensStatistics, blank: NDArray[np.bool_]
-) -> tuple[DepthMap | None, float]:
-    """The plane of the few lenses that are not `blank` (n,), None if there is none; and their number, inf if not few.
-
-    Shading is not corrected where it hardly matters.
-    """
-    if (~blank).sum() < PLANE.fewest_lenses:
-        return None, np.inf
-    texture = classify_borderline_texture(gray, lattice, statistics, blank, estimate_noise(statistics.roughness))
-    active = texture.clear | texture.faint
-    if not 0 < active.mean() < PIPELINE.few_lenses:
-        return None, np.inf
-    rows = np.flatnonzero(dilate_mask(active, neighbour_rows(lattice, lattice.steps)))
-    updated = np.ones(len(lattice), bool)
-    lenses = LensSet(texture, *opposite_neighbours(lattice), lattice.indices(), updated, active, None)
-    return find_plane_of_few(lenses.select(rows), rows, texture.flat, lattice, preset), float(active.sum())
 
 
 def _select_lenses(
@@ -304,10 +254,6 @@ def _find_second_depths(
     # Shading matches itself near zero: a depth there must occur by itself.
     rest[(np.abs(rest) < CLASSIFY.shading_reach * lenses.pitch) & ~occurs_among(rest, occurring, gap)] = np.nan
     others[:, 1] = rest
-    thin = find_thin_structures(lenses.texture, *halves, filled, others, lenses.updated, gap)
-    # It replaces the second-best match, which is false more often, unless the other place is free.
-    found, place = np.isfinite(thin), np.where(np.isfinite(second) & np.isnan(rest), 1, 0)
-    others[found, place[found]] = thin[found]
     return others
 
 

@@ -11,31 +11,16 @@ from lfcal import Lattice
 
 from ..data.depth_map import DepthMap
 from ..data.surface import Surface
-from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_neighbours
 from .estimate import LensEstimates, LensSet
-from .planes.detection import PlaneScene, find_plane
 from .planes.plane_fit import Plane, fit_plane, has_outlier_cluster
 from .planes.settings import PLANE
 from .presets import PRESETS
 from .same_surface import TOLERANCE, same_surface
 from .surface.scene_grid import grid_shape
-from .validity.periodicity import find_periodic_texture
 from .validity.settings import CLASSIFY
 
-__all__ = ["confirm_on_plane", "find_plane_of_few", "fit_regular_plane", "plane_depth_map", "plane_scene_depth"]
-
-
-def plane_scene_depth(
-    found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str, saved: dict[str, float]
-) -> DepthMap:
-    """The plane of a scene for all lenses that match on it."""
-    shown = found.correlation >= CLASSIFY.least_correlation
-    sizes = found.plane.at(lattice.centres())
-    periodic, perhaps = find_periodic_texture(gray, lattice.indices(), sizes, shown)
-    sure = found.confidence * (CLASSIFY.sure if perhaps else 1.0)
-    reason = np.where(shown, np.where(periodic, 2, 0), 1)
-    return plane_depth_map(found.plane, lattice, preset, reason, sure * shown, saved)
+__all__ = ["confirm_on_plane", "fit_regular_plane", "plane_depth_map"]
 
 
 def plane_depth_map(
@@ -90,20 +75,6 @@ def fit_regular_plane(
     if has_outlier_cluster(residual, errors.astype(float), neighbours):
         return None
     return replace(plane, systematic_error=float(np.median(systematic[known])))
-
-
-def find_plane_of_few(
-    few: LensSet, rows: NDArray[np.int64], gray: GrayFlat, lattice: Lattice, preset: str
-) -> DepthMap | None:
-    """The depth of all lenses if the `few` at `rows`, all others being blank, show one plane; None if not."""
-    found = find_plane(few.texture, few.indices, few.forward, few.backward, PRESETS[preset], facing=True)
-    if found is None:
-        return None
-    correlation = np.zeros(len(lattice), np.float32)
-    correlation[rows] = np.where(few.active, found.correlation, 0)
-    active, sampled = few.active.sum() / len(lattice), found.sampled * len(rows) / len(lattice)
-    saved = {"blank": float(1 - active), "plane": float(active - sampled)}
-    return plane_scene_depth(replace(found, correlation=correlation), gray, lattice, preset, saved)
 
 
 def confirm_on_plane(plane: Plane, estimates: LensEstimates, lenses: LensSet) -> LensEstimates:

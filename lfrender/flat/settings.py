@@ -65,7 +65,6 @@ class TextureSettings:
     faint: float = 0.5  # [noise] contrast from which on it may have texture
     middle: float = 0.36  # [pitch] radius of the middle, where texture must be: the rim does not show its depth
     least_contrast: float = 0.01  # [brightness] of the middle; less is lost in the rounding of 8 bits
-    borderline: float = 1.5  # factor that shading hardly changes the contrast by
     smoothest: float = 0.02  # [share of the lenses] that are no rougher than noise
     grey_level: float = 1 / 255  # [white] least noise: compression, and rounding of 8 bits
     least_radius: float = 6.0  # [px] of microimages whose statistics can be sampled by rows

@@ -107,22 +107,10 @@ def _subtract_row(row, shade, share, out):
         out[k] = row[k] - share * shade[k]
 
 
-@kernel(error_model="numpy", share=lambda *given: len(given[0] if given[4] else given[1]))
-def _copy_image(begin, end, image, centres, wanted, radius, everywhere, out):
-    """Copy the image, or the boxes about the `wanted` lenses."""
-    height, across = image.shape
-    if everywhere:
-        for y in range(begin, end):
-            out[y] = image[y]
-    else:
-        reach = radius + np.float32(KERNEL.beside)
-        for lens in range(begin, end):
-            if wanted[lens]:
-                left, right = int(centres[lens, 0] - reach), int(centres[lens, 0] + reach) + 2
-                top, bottom = int(centres[lens, 1] - reach), int(centres[lens, 1] + reach) + 2
-                for y in range(max(top, 0), min(bottom, height)):
-                    for x in range(max(left, 0), min(right, across)):
-                        out[y, x] = image[y, x]
+@kernel(share=lambda image, _: len(image))
+def _copy_image(begin, end, image, out):
+    for y in range(begin, end):
+        out[y] = image[y]
 
 
 @kernel(error_model="numpy", share=lambda _, centres, *__: len(centres))
@@ -174,7 +162,6 @@ def remove_shading(
     contrast: NDArray[np.float32],
     wanted: NDArray[np.bool_],
     others: GrayFlat | None = None,
-    everywhere: bool = True,
     settings: ShadingSettings = SHADING,
 ) -> GrayFlat:
     """`gray` without the pattern that the lenses around each lens, of its own type, have in common.
@@ -189,8 +176,6 @@ def remove_shading(
         Lenses to remove it from; the others keep it.
     others : GrayFlat, optional
         `gray` without the shading of other lenses; it is changed and returned.
-    everywhere : bool
-        Whether pixels beyond the wanted lenses must be those of `gray`; else they may have any value.
     settings : ShadingSettings
     """
     if others is not None and not wanted.any():
@@ -205,7 +190,7 @@ def remove_shading(
     radius = np.float32(gray.radius)
     if others is None:
         out = allocate_pooled(gray.image.shape, np.float32)
-        _copy_image(gray.image, gray.centres, wanted, radius, everywhere, out)
+        _copy_image(gray.image, out)
     else:
         out = others.image
     _subtract_shading(

@@ -24,7 +24,7 @@ from .settings import KERNEL, TEXTURE, TextureSettings
 from .shading import remove_shading
 
 __all__ = [
-    "LensStatistics", "Texture", "classify_borderline_texture", "classify_texture", "estimate_noise",
+    "LensStatistics", "Texture", "classify_texture", "estimate_noise",
     "find_noise_only", "find_texture", "measure_statistics", "sample_statistics",
 ]  # fmt: skip
 
@@ -250,24 +250,6 @@ def classify_texture(
     noise = estimate_noise(plain.roughness) if noise is None else noise
     clear = _is_clear(plain, noise, settings)
     return Texture(gray, plain, noise, clear, _has_any(plain, noise, settings) & ~clear)
-
-
-def classify_borderline_texture(
-    gray: GrayFlat, lattice: Lattice, plain: LensStatistics, blank: NDArray[np.bool_], noise: float,
-    settings: TextureSettings = TEXTURE,
-) -> Texture:  # fmt: skip
-    """`classify_texture`, but lenses whose class shading could change are classified without it."""
-    limit, least = _least_clear(plain, noise, settings), _least_central(plain, noise, settings)
-    contrast, central, factor = plain.contrast, plain.central_contrast, settings.borderline
-    little = (contrast < factor * limit) | (central < factor * least)
-    borderline = little & (contrast * factor > limit) & (central * factor > least)
-    unsure = borderline | (_has_any(plain, noise, settings) & ~_is_clear(plain, noise, settings) & ~blank)
-    found = plain
-    if unsure.any():
-        flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, unsure, everywhere=False)
-        found = measure_statistics(flattened, plain, unsure)
-    clear = _is_clear(found, noise, settings)
-    return Texture(gray, found, noise, clear, _has_any(found, noise, settings) & ~clear & ~blank)
 
 
 def estimate_noise(roughness: NDArray[np.float32], settings: TextureSettings = TEXTURE) -> float:

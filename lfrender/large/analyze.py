@@ -3,7 +3,7 @@
 Results of single lenses depend on others in three ways. On lenses nearby: each tile is analysed with a halo of lenses
 around it, whose results are taken from the tiles they belong to. On all lenses, by the noise and the range of depths:
 these are estimated first, in windows spread over the flat. And on the scene as a whole where it is one plane: that is
-fitted to the windows, and checked on every tile.
+fitted to the lenses of all tiles.
 """
 
 from __future__ import annotations
@@ -24,22 +24,17 @@ from ..data.region import rescale_depth
 from ..data.surface import Surface
 from ..depth.edges.locate_edges import locate_edges, refine_grid
 from ..depth.edges.settings import DEFAULT as EDGES
-from ..depth.matching.matcher import Matcher
 from ..depth.matching.shortcuts import Shortcuts
 from ..depth.pipeline import SceneStatistics, UnsmoothedEstimates, estimate_lens_by_lens
 from ..depth.plane_depth import fit_regular_plane, plane_depth_map
-from ..depth.planes.detection import add_systematic_error, correlate_with_plane, normalised_plane_correlation
-from ..depth.planes.plane_fit import Plane, fit_plane
-from ..depth.planes.settings import PLANE
 from ..depth.presets import PRESETS
 from ..depth.same_surface import TOLERANCE
 from ..depth.surface.scene_grid import grid_shape
-from ..depth.validity.settings import CLASSIFY
 from ..depth.validity.textureless import find_textureless
 from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
-from ..flat.lens_graph import lens_grid, neighbour_rows, opposite_neighbours
-from ..flat.texture import classify_texture, estimate_noise, find_texture, sample_statistics
+from ..flat.lens_graph import lens_grid, neighbour_rows
+from ..flat.texture import estimate_noise, find_texture, sample_statistics
 from ..flat.validation import match_exposure
 from .settings import DEFAULT, LargeSettings
 from .tiles import LensTile, TileReader, lens_tiles, lens_windows
@@ -116,11 +111,8 @@ def analyze_large(
     pixel_bytes = reader.channels * source.dtype.itemsize
     tiles = list(lens_tiles(calibration.lattice, flat.factor, PRESETS[preset], pixel_bytes, tuning))
     windows = list(lens_windows(calibration.lattice, flat.factor, tuning))
-    overview, plane, confidence = _survey(flat, workers, windows)
-    flat = replace(flat, overview=overview)
-    depth = None if plane is None else _check_plane(flat, workers, tiles, plane, confidence)
-    if depth is None:
-        depth = _analyze_tiles(flat, workers, tiles, progress)
+    flat = replace(flat, overview=_survey(flat, workers, windows))
+    depth = _analyze_tiles(flat, workers, tiles, progress)
     # Those of a colour filter mosaic are not those of the flat in colour.
     raw = calibration.mosaic is not None and len(source.shape) == 2
     return rescale_depth(depth, calibration.lattice, flat.factor, flat_samples=None if raw else sample_source(source))
@@ -163,25 +155,20 @@ class FlatContext:
         return grid[j, i]
 
 
-def _measure_texture(
+def _measure_roughness(
     flat: FlatContext, part: LensTile, pixels: NDArray[Any]
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Roughness of the lenses of a window, with and without their common shading; which clearly have texture."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Roughness of the lenses of a window, with and without their common shading."""
     gray = flat.gray_tile(part, pixels)
     plain = sample_statistics(gray)
     texture = find_texture(gray, part.lattice, plain)
-    here = part.inside
-    return plain.roughness[here], texture.statistics.roughness[here], texture.clear[here]
+    return plain.roughness[part.inside], texture.statistics.roughness[part.inside]
 
 
-def _measure_depths(
-    flat: FlatContext, part: LensTile, pixels: NDArray[Any]
-) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-    """Place, patch size and confidence of the lenses of a window that are resolved."""
+def _measure_depths(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> NDArray[np.float32]:
+    """Patch sizes of the lenses of a window that are resolved."""
     depth, single = _analyze_tile(flat, part, pixels)
-    found = part.inside & (depth.reason == 0)
-    sizes = single.patch_size[found].astype(np.float32)
-    return part.lattice.centres()[found] + part.corner, sizes, depth.confidence[found]
+    return single.patch_size[part.inside & (depth.reason == 0)].astype(np.float32)
 
 
 def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> tuple[DepthMap, UnsmoothedEstimates]:
@@ -197,43 +184,14 @@ def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> tu
     return (locate_edges(gray, part.lattice, depth) if PRESETS[flat.preset].edges else depth), single
 
 
-def _match_on_plane(
-    flat: FlatContext, item: tuple[LensTile, Plane], pixels: NDArray[Any]
-) -> tuple[NDArray[np.float32], NDArray[Any]] | None:
-    """Correlation of the lenses of a part on a plane, and the share of their variance that it explains.
-
-    None if some lens matches better elsewhere.
-    """
-    part, plane = item
-    gray = flat.gray_tile(part, pixels)
-    plain = sample_statistics(gray)
-    texture = classify_texture(gray, plain, flat.overview.raw_noise)
-    matcher = Matcher(texture, *opposite_neighbours(part.lattice), PRESETS[flat.preset])
-    about = plane.at(part.lattice.centres() + part.corner).astype(np.float32)
-    found = correlate_with_plane(matcher, texture, about, PRESETS[flat.preset])
-    if found is None:
-        return None
-    normalised = normalised_plane_correlation(matcher, texture, about, found)
-    return found[part.inside], normalised[part.inside & texture.clear]
-
-
-def _survey(
-    flat: FlatContext, workers: Workers, windows: list[LensTile]
-) -> tuple[SceneStatistics, Plane | None, float]:
-    """Noise and range of depths in windows of the flat; the plane that it may be, and the median confidence."""
+def _survey(flat: FlatContext, workers: Workers, windows: list[LensTile]) -> SceneStatistics:
+    """Noise and range of depths in windows of the flat."""
     rectangles = [part.rectangle for part in windows]
-    raw, rough, clear = map(np.concatenate, zip(*workers.map(_measure_texture, flat, windows, rectangles), strict=True))
+    raw, rough = map(np.concatenate, zip(*workers.map(_measure_roughness, flat, windows, rectangles), strict=True))
     overview = SceneStatistics(estimate_noise(rough), np.zeros(0, np.float32), estimate_noise(raw))
-    thorough = Shortcuts(blank=flat.shortcuts.blank, ranges=False, plane=False, still=False)
+    thorough = Shortcuts(blank=flat.shortcuts.blank, ranges=False, still=False)
     estimating = replace(flat, shortcuts=thorough, overview=overview)
-    centres, sizes, sure = map(
-        np.concatenate, zip(*workers.map(_measure_depths, estimating, windows, rectangles), strict=True)
-    )
-    overview = replace(overview, sizes=sizes)
-    plane = None
-    if flat.shortcuts.plane and np.mean(clear) >= PLANE.min_textured_share:
-        plane = fit_plane(centres, sizes.astype(np.float64), flat.lattice.pitch)
-    return overview, plane, float(np.median(sure)) if len(sizes) else 0.0
+    return replace(overview, sizes=np.concatenate(list(workers.map(_measure_depths, estimating, windows, rectangles))))
 
 
 def _analyze_tiles(
@@ -263,18 +221,10 @@ def _analyze_tiles(
             saved[name] = saved.get(name, 0.0) + share * len(rows) / n
         if progress is not None:
             progress(number + 1, len(tiles))
-    plane = None
-    if flat.shortcuts.plane:
-        plane = fit_regular_plane(
-            lattice.centres(),
-            n,
-            lattice.pitch,
-            single.patch_size,
-            single.standard_error,
-            reason,
-            single.systematic_error,
-            neighbour_rows(lattice, lattice.steps),
-        )
+    plane = fit_regular_plane(
+        lattice.centres(), n, lattice.pitch, single.patch_size, single.standard_error, reason,
+        single.systematic_error, neighbour_rows(lattice, lattice.steps),
+    )  # fmt: skip
     if plane is not None:
         return plane_depth_map(plane, lattice, preset, reason, confidence, saved)
     corner = first[0] - 0.5 * (1 - 1 / finer) * spacing
@@ -304,24 +254,3 @@ def _paste(target: NDArray[np.float32], surface: Surface, part: LensTile, spacin
     at_v = np.minimum(np.arange(top, bottom) - v, rows - 1)
     at_u = np.minimum(np.arange(left, right) - u, columns - 1)
     target[top:bottom, left:right] = values[at_v[:, None], at_u]
-
-
-def _check_plane(
-    flat: FlatContext, workers: Workers, tiles: list[LensTile], plane: Plane, confidence: float
-) -> DepthMap | None:
-    """The plane as the depth of the flat, None if some lens matches better elsewhere."""
-    lattice = flat.lattice
-    correlation = np.zeros(len(lattice), np.float32)
-    normalised: list[NDArray[Any]] = []
-    items = [(part, plane) for part in tiles]
-    checked = workers.map(_match_on_plane, flat, items, [part.rectangle for part in tiles])
-    for part, found in zip(tiles, checked, strict=True):
-        if found is None:
-            return None
-        correlation[flat.rows(part)] = found[0]
-        normalised.append(found[1])
-    plane = add_systematic_error(plane, np.concatenate(normalised))
-    matched = correlation >= CLASSIFY.least_correlation
-    skipped = 1 - len(flat.overview.sizes) / len(lattice)
-    reason = np.where(matched, 0, 1)
-    return plane_depth_map(plane, lattice, flat.preset, reason, confidence * matched, {"plane": max(0.0, skipped)})

@@ -37,7 +37,6 @@ __all__ = ["write_report"]
 _SHORTCUTS = {
     "blank": "lenses without texture, which were not matched",
     "ranges": "shifts that occur in no lens of a sample, which were not tried",
-    "plane": "lenses of a scene that is one plane, which were only checked",
     "still": "lenses that have not changed since the frame before",
     "roi": "lenses outside the chosen part",
 }

@@ -17,7 +17,6 @@ class Shortcuts:
 
     blank: bool = True  # lenses without texture are not matched
     ranges: bool = True  # most lenses are matched only near patch sizes that occur in a sparse sample of them
-    plane: bool = True  # a scene that is one plane is measured on a sample of its lenses; the others are only checked
     still: bool = True  # lenses whose pixels equal those of the previous frame keep their depth
     steady: bool = True  # so do lenses that still match at the depth they had. Needs `still`
 
@@ -31,10 +30,11 @@ class Shortcuts:
             If there is no shortcut of such a name.
         """
         names = [field.name for field in fields(cls)]
+        # "plane" was a shortcut once, and may still be named.
         if isinstance(skip, str):
             skip = (skip,)
         wanted = names * skip if isinstance(skip, bool) else list(skip)
-        unknown = [name for name in wanted if name not in names]
+        unknown = [name for name in wanted if name not in (*names, "plane")]
         if unknown:
             raise ValueError(f"skip must be True, False or some of {', '.join(names)}, got {unknown[0]!r}")
         return cls(**{name: name in wanted for name in names})

@@ -17,7 +17,7 @@ from ..same_surface import TOLERANCE
 from ..validity.settings import CLASSIFY
 from .settings import PLANE, PlaneSettings
 
-__all__ = ["Plane", "fit_plane", "has_outlier_cluster", "is_nearly_planar"]
+__all__ = ["Plane", "fit_plane", "has_outlier_cluster"]
 
 # Powers of x and y in the smooth surface through the residuals: third degree.
 _POWERS = np.add.outer(np.arange(4), np.arange(4)) <= 3
@@ -113,18 +113,6 @@ def fit_plane(
             return plane
         level = plane
     return level
-
-
-def is_nearly_planar(
-    points: NDArray[np.floating], sizes: NDArray[np.floating], pitch: float, settings: PlaneSettings = PLANE
-) -> bool:
-    """Whether most lenses at `points` (m, 2) may lie on one plane, from patch sizes searched to whole pixels (m,)."""
-    if not sizes.any():
-        return False
-    terms = np.column_stack([np.ones(len(sizes)), (points - points.mean(0)) / np.ptp(points)])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        away = np.abs(sizes - 1 / (terms @ _fit_inverse(terms, sizes.astype(np.float64), settings)))
-    return bool((away <= 2 * TOLERANCE * pitch).mean() > settings.min_inliers)
 
 
 def _fit_inverse(

@@ -24,11 +24,7 @@ class PlaneSettings:
     shared_error: float = 0.0014  # [px] of any plane
     shared_error_growth: float = 0.0003  # [pitch] per (|s| / D)^3, because of the smaller overlap
     shared_part: float = 0.4  # share of the systematic error of single lenses that all lenses have in common
-    sample: int = 60  # lenses that determine a plane that faces the camera, before it is checked on all
-    slanted_sample: float = 2e5  # [px] in the microimages that determine a slant, which is extrapolated to the border
-    search_pitch: float = 11.0  # [px] of the reduced flat that the sample is searched on
-    least_explained: float = 0.5  # share of the signal of a lens that matches on the plane; unrelated content has 0.4
-    off_plane: float = 0.15  # [px of the search] from the plane beyond which a lens is measured to tell
+    sample: int = 60  # lenses of a first, coarse fit, which refuses most scenes, times five
 
 
 PLANE = PlaneSettings()

@@ -27,7 +27,6 @@ class RefinementSettings:
     bias: float = 0.06  # [pitch] by about so much those matches fall short
     # Smoothing
     least_slant: float = 0.002  # [px per px] no surface is even, and no slant better known
-    significance: float = 2.5  # least square of a curvature over its variance: flat surfaces have none
     correlation: float = 0.03  # of the errors of neighbours, which share pixels and pairs; on ray-traced scenes
     common_error: float = 0.0022  # [px] shared by all lenses of a surface; on ray-traced scenes
     steepness: int = 6  # power of the share of inliers by which lenses count farther off

@@ -220,12 +220,12 @@ def test_flats_of_another_simulator_agree_with_their_truth(shared):
         assert (depth.mode == mode)[single].mean() > 0.995, name
         assert np.nanmedian(error) < 0.02, name
         assert np.nanquantile(error, 0.95) < 0.35, name
-        if "plane" in depth.saved or _is_one_plane(depth, lattice):
+        if _is_one_plane(depth, lattice):
             # All lenses share one depth and its error, so that no share of them lies within it.
             assert np.quantile(error, 0.99) < 0.05, name
             assert np.median(error / depth.standard_error[single]) < 2, name
             continue
-        assert 0.5 < (error < depth.standard_error[single]).mean() < 0.85, name
+        assert 0.5 < (error < depth.standard_error[single]).mean() < 0.9, name
 
 
 def _is_one_plane(depth, lattice):

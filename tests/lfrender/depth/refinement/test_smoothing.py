@@ -34,9 +34,9 @@ def fits(sizes, noise=NOISE, seed=0):
 
 
 def smoothed(centres, neighbours, own, wanted=None):
-    """Smoothed sizes and errors; lenses that are not wanted count as measured at their centres."""
+    """Smoothed sizes and errors."""
     wanted = np.ones(len(centres), bool) if wanted is None else wanted
-    joint, _ = smooth_fits(flat(centres), neighbours, own, wanted, ~wanted)
+    joint, _ = smooth_fits(flat(centres), neighbours, own, wanted)
     return joint.patch_size, joint.standard_error
 
 
@@ -79,7 +79,7 @@ def test_an_uncertain_lens_between_two_depths_keeps_its_large_error():
 def smoothed_far(centres, neighbours, own):
     """As `smoothed`, with distant lenses."""
     wanted = np.ones(len(centres), bool)
-    near = smooth_fits(flat(centres), neighbours, own, wanted, ~wanted)
+    near = smooth_fits(flat(centres), neighbours, own, wanted)
     fits = smooth_fits_far(flat(centres), neighbours, *near, wanted)
     return fits.patch_size, fits.standard_error
 
@@ -139,35 +139,12 @@ def bowl(centres, curvature, noise=0.002):
 
 
 @pytest.mark.parametrize("curvature", [0.01, 0.02, 0.04])
-def test_curved_surfaces_are_measured_at_the_centres_of_lenses(curvature):
-    _, centres, neighbours = cameras()
-    truth, told, own, inner = bowl(centres, curvature)
-    sizes, errors = smoothed(centres, neighbours, own)
-    before = np.median((own.patch_size - truth)[inner])
-    assert before > 0.2 * curvature
-    assert abs(np.median((sizes - truth)[inner])) < 0.1 * before + 0.0005
-    assert np.median(np.abs(sizes - truth)[inner]) < 1.2 * np.median(np.abs(own.patch_size - told)[inner])
-    assert np.mean((np.abs(sizes - truth) <= errors)[inner]) > 0.5
-
-
-@pytest.mark.parametrize("curvature", [0.01, 0.02, 0.04])
 def test_curved_surfaces_stay_so_with_distant_lenses(curvature):
     _, centres, neighbours = cameras()
     truth, _, own, inner = bowl(centres, curvature)
     sizes, _ = smoothed_far(centres, neighbours, own)
     near, _ = smoothed(centres, neighbours, own)
-    assert np.median(np.abs(sizes - truth)[inner]) < 1.1 * np.median(np.abs(near - truth)[inner])
-
-
-def test_lenses_already_corrected_for_curvature_are_not_corrected_again():
-    _, centres, neighbours = cameras()
-    truth, told, own, inner = bowl(centres, 0.02)
-    wanted = np.zeros(len(truth), bool)
-    wanted[::7] = True
-    own.patch_size[~wanted] += (truth - told)[~wanted].astype(np.float32)
-    sizes, _ = smoothed(centres, neighbours, own, wanted)
-    assert abs(np.median((sizes - truth)[inner & wanted])) < 0.0015
-    np.testing.assert_array_equal(sizes[~wanted], own.patch_size[~wanted])
+    assert np.median(np.abs(sizes - truth)[inner]) < 1.15 * np.median(np.abs(near - truth)[inner])
 
 
 def test_lenses_of_unknown_error_have_no_influence():
