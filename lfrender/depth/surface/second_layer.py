@@ -17,6 +17,7 @@ from lfcal.runtime.fastmath import FAST, square
 from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.lens_graph import join_opposite
+from ...flat.microimages import copy_box
 from ...flat.texture import Texture
 from ..matching.matcher import Matcher
 from ..matching.pair_moments import match_cost
@@ -27,36 +28,131 @@ from ..presets import Preset
 from ..refinement.pair_pixels import flat_pixels
 from ..same_surface import TOLERANCE, same_surface
 from .settings import SURFACE, SurfaceSettings
-from .window_differences import BORDER, FEWEST, copy_windows, count_views, inner_columns, new_windows, set_limits
 
 __all__ = ["find_second_layer"]
+
+# [px] that windows reach beyond their middle.
+_BORDER = np.float32(1.0)
+# Fewer pixels hardly tell a depth.
+_FEWEST = 4
 
 # Unexplained pixels of a microimage, one after the other: columns, rows, places in the flat, and brightness.
 _Pixels = namedtuple("_Pixels", "x y places light")
 
+# A microimage with what lies about it, `stride` rows and columns; work memory of (stride^2,) float32 for this and
+# another one, their differences, sums over windows, the differences that are none, and how many views show and confirm
+# each pixel.
+_Box = namedtuple("_Box", "stride light other squares sums limits showing confirming")
+
+
+@njit
+def _new_box(radius):
+    stride = 2 * (int(np.ceil(radius)) + 1) + 2
+    size, none = stride * stride, np.float32(0)
+    return _Box(
+        stride, np.full(size, none), np.full(size, none), np.full(size, none), np.full(size, none), np.full(size, none),
+        np.full(size, none), np.full(size, none),
+    )  # fmt: skip
+
 
 @njit(fastmath=FAST, error_model="numpy")
-def _find_unexplained(flat, windows, centres, lens, radius, s, pitch, rows, row_step, floor, out):
+def _sum_windows(values, start, count, stride, out):
+    """Sums over 3 x 3 pixels about `count` pixels from place `start` on."""
+    first, one, down = np.uint64(start), np.uint64(1), np.uint64(stride)
+    for k in range(np.uint64(count)):
+        p = first + k
+        a, b = p - down, p + down
+        out[p] = ((values[a - one] + values[a] + values[a + one]) + (values[p - one] + values[p] + values[p + one])) + (
+            values[b - one] + values[b] + values[b + one]
+        )
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _square_differences(own, there, stride, count, fx, fy, out):
+    """Squared difference of a microimage, `stride` pixels a row, from the bilinear interpolation of another."""
+    one, down, below = np.uint64(1), np.uint64(stride), np.uint64(stride + 1)
+    w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
+    for k in range(np.uint64(count)):
+        e = own[k] - (w00 * there[k] + w01 * there[k + one] + w10 * there[k + down] + w11 * there[k + below])
+        out[k] = e * e
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _count_views(sums, limits, start, count, showing, confirming):
+    """Count a view of `count` windows from place `start` on, and those that differ by no more than their limit."""
+    first, one, none = np.uint64(start), np.float32(1), np.float32(0)
+    for k in range(np.uint64(count)):
+        p = first + k
+        showing[p] += one
+        confirming[p] += one if sums[p] <= limits[p] else none
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _row_of(y, x, radius, low, high):
+    """First column of row `y` [px from the centre] of a disc about column `x`, between two others, and how many."""
+    half = radius * radius - y * y
+    if half < 0:
+        return low, 0
+    half = np.sqrt(half)
+    first = max(low, int(np.ceil(x - half)))
+    return first, min(high, int(np.floor(x + half))) + 1 - first
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step, floor, out):
     """Gather the pixels of a lens that fewer than half of the neighbours that show them confirm at patch size `s`;
-    returns their number."""
-    xs, ys, places, light = out.x, out.y, out.places, out.light
-    ax, ay = centres[lens, 0], centres[lens, 1]
-    copy_windows(flat, ax, ay, windows)
-    stride, left, top = windows.stride, windows.corner[0], windows.corner[1]
-    begin_row = 1 + -(top + 1) % row_step
-    set_limits(windows, begin_row, row_step, floor)
-    count_views(flat, windows, centres, lens, radius, s, pitch, rows, begin_row, row_step)
-    showing, confirming, count, row = windows.showing, windows.confirming, 0, 0
-    for v in range(begin_row, stride - 1, row_step):
-        first, last = inner_columns(top + v, ax, ay, radius, flat.height, flat.width)
-        for x in range(first, last + 1):
-            at = row + x - left
+    returns their number. A window of 3 x 3 pixels confirms if it differs by less than its variance and a `floor`."""
+    pixels, height, width = flat.pixels, flat.height, flat.width
+    stride, light, other, squares, sums = box.stride, box.light, box.other, box.squares, box.sums
+    limits, showing, confirming = box.limits, box.showing, box.confirming
+    ax, ay, size, ninth = centres[lens, 0], centres[lens, 1], stride * stride, np.float32(1 / 9)
+    half = (stride - 2) // 2
+    left, top = int(ax) - half, int(ay) - half
+    copy_box(pixels, width, left, top, stride, stride, light)
+    # Relative to one of them, squares of similar values keep their digits.
+    middle = light[size // 2]
+    for k in range(np.uint64(size)):
+        other[k] = light[k] - middle
+        squares[k] = other[k] * other[k]
+    begin = 1 + -(top + 1) % row_step
+    for v in range(begin, stride - 1, row_step):
+        at = v * stride + 1
+        _sum_windows(other, at, stride - 2, stride, sums)
+        _sum_windows(squares, at, stride - 2, stride, limits)
+        for p in range(np.uint64(at), np.uint64(at + stride - 2)):
+            limits[p] += 9 * floor - ninth * sums[p] * sums[p]
+            showing[p] = confirming[p] = np.float32(0)
+    for d in range(rows.shape[1]):
+        if rows[lens, d] < 0:
+            continue
+        bx, by = centres[rows[lens, d], 0], centres[rows[lens, d], 1]
+        tx, ty = (bx - ax) * (1 + s / pitch), (by - ay) * (1 + s / pitch)
+        x0, y0 = int(np.floor(tx)), int(np.floor(ty))
+        copy_box(pixels, width, left + x0, top + y0, stride, stride, other)
+        # The last row and column have no pixel beyond them to interpolate with.
+        _square_differences(light, other, stride, size - stride - 1, np.float32(tx - x0), np.float32(ty - y0), squares)
+        low, high = max(1, 1 - x0, left + 1), min(width - 2, width - 3 - x0, left + stride - 3)
+        for v in range(begin, stride - 2, row_step):
+            y = top + v
+            if y < max(1, 1 - y0) or y > min(height - 2, height - 3 - y0):
+                continue
+            first, count = _row_of(y - by + ty, bx - tx, radius, low, high)
+            if count > 0:
+                _sum_windows(squares, v * stride + first - left, count, stride, sums)
+                _count_views(sums, limits, v * stride + first - left, count, showing, confirming)
+    xs, ys, places, values, found = out.x, out.y, out.places, out.light, 0
+    for v in range(begin, stride - 2, row_step):
+        y = top + v
+        if y < 1 or y > height - 2:
+            continue
+        first, count = _row_of(y - ay, ax, radius, 1, width - 2)
+        for x in range(first, first + count):
+            at = v * stride + x - left
             if showing[at] >= 2 and 2 * confirming[at] < showing[at]:
-                place = (top + v) * flat.width + x
-                xs[count], ys[count], places[count], light[count] = x, top + v, place, flat.pixels[place]
-                count += 1
-        row += stride
-    return count
+                place = y * width + x
+                xs[found], ys[found], places[found], values[found] = x, y, place, pixels[place]
+                found += 1
+    return found
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
@@ -98,7 +194,7 @@ def _match_unexplained(
     """Mismatch of the unexplained pixels of each `wanted` lens with the better half of its neighbours, at every shift;
     those with too few are not wanted afterwards. A match over `half` pixels counts half."""
     most, none = square(2 * int(radius) + 3), np.float32(0.0)
-    flat, windows, costs = flat_pixels(image), new_windows(radius - BORDER), np.empty(rows.shape[1], np.float32)
+    flat, box, costs = flat_pixels(image), _new_box(radius - _BORDER), np.empty(rows.shape[1], np.float32)
     own = _Pixels(
         np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.int64), np.empty(most, np.float32)
     )
@@ -106,9 +202,9 @@ def _match_unexplained(
         if not wanted[lens]:
             continue
         number = _find_unexplained(
-            flat, windows, centres, lens, radius - BORDER, first[lens], pitch, rows, row_step, floors[lens], own
+            flat, box, centres, lens, radius - _BORDER, first[lens], pitch, rows, row_step, floors[lens], own
         )
-        wanted[lens] = number >= FEWEST
+        wanted[lens] = number >= _FEWEST
         if not wanted[lens]:
             continue
         ax, ay = centres[lens, 0], centres[lens, 1]
@@ -122,7 +218,7 @@ def _match_unexplained(
                 count, sa, sb, squares, srr = _moments(
                     flat, own, number, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, means[lens]
                 )
-                if count < FEWEST:
+                if count < _FEWEST:
                     continue
                 cost = match_cost(count, sa, sb, squares, srr, none, count * row_step, floor, half, none)
                 at = shown
