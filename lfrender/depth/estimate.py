@@ -12,8 +12,9 @@ from ..flat.lens_graph import join_opposite, restrict_neighbours
 from ..flat.texture import Texture
 from .matching.matcher import Matcher, MatchResult, match_lenses
 from .presets import Preset
-from .refinement.lens_plane import LensFits
-from .refinement.restarts import refine_patch_sizes
+from .refinement.lens_plane import LensFits, fit_lens_planes
+from .refinement.pair_fit import fit_pairs
+from .refinement.settings import REFINEMENT, RefinementSettings
 from .refinement.smoothing import smooth_fits, smooth_fits_far
 from .settings import ESTIMATE, EstimateSettings
 from .validity.classify import (
@@ -210,7 +211,7 @@ def estimate_lenses(
     wanted = textured | perhaps
     reliable = (wanted | ~updated) & (np.minimum(match.confidence, match.uniqueness) >= CLASSIFY.sure)
     occurring = match.patch_size[reliable] if sizes is None else sizes
-    own, match = _refine(lenses, preset, match, wanted, occurring, settings)
+    own, match = _refine(lenses, preset, match, wanted, occurring)
     measured = np.isfinite(own.patch_size)
     refined = np.where(measured, own.patch_size, match.patch_size)
     error = np.where(measured, own.standard_error, np.inf)
@@ -229,22 +230,34 @@ def _refine(
     match: MatchResult,
     wanted: NDArray[np.bool_],
     occurring: NDArray[np.float32],
-    settings: EstimateSettings,
+    settings: RefinementSettings = REFINEMENT,
 ) -> tuple[LensFits, MatchResult]:
     """Refine the lenses `wanted` (n,) on their pixels.
 
-    The second-best match is tried as well where it is one of those `occurring` (m,) [px]; where it is better the match
-    is swapped.
+    Registration finds the optimum next to its start, so lenses are fitted from up to three; the fit with the smallest
+    error is kept. Where neighbours share few pixels the search falls short: they start from a larger patch size, too.
+    The search takes the mean over all pairs, also those with one lens occluded: a second-best match that is one of
+    those `occurring` (m,) [px] may be right.
     """
     texture = lenses.texture
+
+    def fit(start: NDArray[np.float32]) -> LensFits:
+        pairs = fit_pairs(
+            texture.flat, lenses.forward, start, lenses.usual_contrast, texture.noise, preset.iterations,
+            preset.last_step,
+        )  # fmt: skip
+        return fit_lens_planes(texture.flat, lenses.forward, lenses.backward, pairs, start)
+
     first = np.where(wanted, match.patch_size, np.nan).astype(np.float32)
-    occurs = wanted & occurs_among(match.second, occurring, 0.5 * CLASSIFY.same_surface * lenses.pitch)
-    as_good = match.second_normalised >= settings.second_share * match.normalised_correlation
-    second = np.where(occurs & as_good, match.second, np.float32(np.nan))
-    own = refine_patch_sizes(
-        texture.flat, lenses.forward, lenses.backward, first, second, lenses.usual_contrast, texture.noise,
-        preset.iterations, preset.last_step,
-    )  # fmt: skip
+    far = np.abs(first) > settings.far_patch_size * lenses.pitch
+    larger = np.where(far, first + np.sign(first) * np.float32(settings.bias * lenses.pitch), np.float32(np.nan))
+    as_good = match.second_normalised >= ESTIMATE.second_share * match.normalised_correlation
+    as_good &= wanted & occurs_among(match.second, occurring, 0.5 * CLASSIFY.same_surface * lenses.pitch)
+    second = np.where(as_good, match.second, np.float32(np.nan))
+    own = fit(first)
+    for start in (larger, second):
+        if np.isfinite(start).any():
+            own = own.better_of(fit(start))
     swapped = np.abs(own.patch_size - second) < np.abs(own.patch_size - match.patch_size)
     return own, match.swap_second(swapped)
 

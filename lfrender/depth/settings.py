@@ -14,7 +14,7 @@ __all__ = [
 class EstimateSettings:
     """Tuned values of `estimate`."""
 
-    second_share: float = 0.8  # of the best correlation for that; it is then right in 26 of 27 cases, else in 1 of 5
+    second_share: float = 0.8  # of the best correlation, for a second-best match to be tried; set by hand
     default_ratio: float = 0.25  # s / D of a scene without any texture; the sign makes no difference
 
 

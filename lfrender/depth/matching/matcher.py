@@ -50,16 +50,15 @@ class MatchResult:
     skipped_share: float  # share of the shifts of all matched lenses that were not tried
 
     def swap_second(self, lenses: NDArray[np.bool_], settings: SearchSettings = SEARCH) -> MatchResult:
-        """Exchange the best and the second-best value of some `lenses` (n,)."""
+        """The second-best value of some `lenses` (n,) as their best one."""
+        limited = np.minimum(settings.swapped_confidence, self.confidence)
         return replace(
             self,
             patch_size=np.where(lenses, self.second, self.patch_size),
             second=np.where(lenses, self.patch_size, self.second),
             correlation=np.where(lenses, self.second_correlation, self.correlation),
-            second_correlation=np.where(lenses, self.correlation, self.second_correlation),
             normalised_correlation=np.where(lenses, self.second_normalised, self.normalised_correlation),
-            second_normalised=np.where(lenses, self.normalised_correlation, self.second_normalised),
-            confidence=np.where(lenses, np.minimum(settings.swapped_confidence, self.confidence), self.confidence),
+            confidence=np.where(lenses, limited, self.confidence),
         )
 
 

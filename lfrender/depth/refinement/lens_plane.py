@@ -45,6 +45,15 @@ class LensFits:
     slant: NDArray[np.float32]
     slant_error: NDArray[np.float32]
 
+    def better_of(self, other: LensFits) -> LensFits:
+        """For each lens the fit with the smaller error, the first of equals."""
+        better = other.standard_error < self.standard_error
+        size, error, slant, slant_error = (
+            np.where(better if a.ndim == 1 else better[:, None], b, a)
+            for a, b in zip(vars(self).values(), vars(other).values(), strict=True)
+        )
+        return LensFits(size, error, slant, slant_error)
+
 
 # Squared scale of the robust loss of a pair [standard deviations]; iterations, and how many of them do not know the
 # slant.

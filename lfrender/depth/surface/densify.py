@@ -26,7 +26,6 @@ from .hypotheses import MAX_HYPOTHESES, hypothesis_constants, propose_hypotheses
 from .photoconsistency import view_constants
 from .scene_grid import grid_shape, scene_grid
 from .settings import SURFACE, SurfaceSettings
-from .update_mask import mark_changed_points
 
 __all__ = ["densify"]
 
@@ -180,12 +179,11 @@ def densify(
         depths, costs, totals = (
             allocate_scratch(name, (MAX_HYPOTHESES, *shape), np.float32) for name in ("depths", "costs", "totals")
         )
-        points, changed = grid._replace(spacing=spacing / part), allocate_scratch("unsettled", old.shape, np.bool_)
-        if old.size and unchanged is not None:
-            mark_changed_points(unchanged, gray.centres, lattice.indices(), around, ring, points, changed)
+        points = grid._replace(spacing=spacing / part)
         depths[1] = np.nan
         open_ = _interpolate(coarse, shape, gap, depths[0]) if coarse.size else np.ones(shape, np.bool_)
-        if old.size:
+        if old.size and unchanged is not None:
+            changed = _mark_places(gray.centres[~unchanged], old.shape, start[0], points.spacing, pitch)
             open_ &= changed
             np.copyto(depths[0], old, where=~changed)
         propose_hypotheses(gray.image, table, around, ring, agreeing, points, constants, open_, coarse, depths, costs)
@@ -202,6 +200,16 @@ def densify(
     usual = cv2.medianBlur(chosen, 3)
     speck = ~np.isnan(depths[1]) & ~same_surface(chosen, usual, gap)
     return Surface(np.where(speck, usual, chosen), start, spacing)
+
+
+def _mark_places(
+    centres: NDArray[np.float32], shape: tuple[int, ...], first: float, spacing: float, pitch: float
+) -> NDArray[np.bool_]:
+    """(rows, columns) bool: grid values within a pitch of some `centres` (m, 2) each way."""
+    places, side = np.zeros(shape, np.uint8), 2 * int(np.ceil(pitch / spacing)) + 1
+    u, v = np.rint((centres - first) / spacing).astype(int).T
+    places[np.clip(v, 0, shape[0] - 1), np.clip(u, 0, shape[1] - 1)] = 1
+    return np.asarray(cv2.dilate(places, np.ones((side, side), np.uint8)) > 0)
 
 
 def _agree(

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
-from ...flat.distorted_lookup import lens_displacements, nearest_index
+from ...flat.distorted_lookup import lens_displacements
 from ...flat.lens_graph import lens_grid
 
-__all__ = ["SceneGrid", "grid_shape", "lens_at", "nearest_lens", "scene_grid"]
+__all__ = ["SceneGrid", "grid_shape", "lens_at", "scene_grid"]
 
 
 class SceneGrid(NamedTuple):
@@ -63,10 +63,3 @@ def lens_at(rows, low, i, j):
     if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1]:
         return -1
     return rows[cj, ci]
-
-
-@njit(inline="always")
-def nearest_lens(grid, u, v):
-    """Index i, j (whole floats) of the lens at whose place the scene point (u, v) of the grid lies."""
-    x, y = grid.first + u * grid.spacing, grid.first + v * grid.spacing
-    return nearest_index(x, y, grid.origin, grid.inverse, grid.bend, grid.bend_low)

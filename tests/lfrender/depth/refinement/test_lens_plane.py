@@ -3,7 +3,7 @@
 import numpy as np
 
 from lfrender.depth.refinement.lens_plane import fit_lens_planes
-from lfrender.depth.refinement.pair_fit import PairFits
+from lfrender.depth.refinement.pair_fit import PairFits, fit_pairs
 from lfrender.flat.lens_graph import neighbour_rows
 
 
@@ -22,3 +22,22 @@ def test_scatter_of_pairs_raises_the_error_in_proportion(drawn_flat):
         median.append(np.median(lenses.standard_error[inner]))
     # Three times the scatter, less outliers of the robust fit.
     assert 2.5 < median[1] / median[0] < 3
+
+
+def test_lenses_on_the_other_side_of_a_depth_edge_have_no_influence(drawn_flat):
+    left, lattice, _, inner = drawn_flat(-6.0)
+    right = drawn_flat(-7.2, seed=6)[0]
+    nearer = np.arange(left.image.shape[1]) < 210
+    image = np.where(nearer, left.image, right.image)
+    gray = type(left)(np.ascontiguousarray(image), left.centres, left.radius, left.pitch)
+    truth = np.where(left.centres[:, 0] < 210, -6.0, -7.2)
+    # Microimages that the border of the two drawings does not cut.
+    whole = inner & (np.abs(left.centres[:, 0] - 210) > 12)
+    rows = neighbour_rows(lattice, lattice.steps)
+    forward, backward = np.split(rows, 2, axis=1)
+    start = truth.astype(np.float32)
+    pairs = fit_pairs(gray, np.ascontiguousarray(forward), start, np.full(len(start), 0.1, np.float32), 0.005, 6)
+    lenses = fit_lens_planes(gray, forward, backward, pairs, start)
+    error = np.abs(lenses.patch_size - truth)[whole]
+    assert np.median(error) < 0.01
+    assert np.quantile(error, 0.97) < 0.1

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lfcal import Lattice
-from lfrender.depth.surface.scene_grid import grid_shape, lens_at, nearest_lens, scene_grid
+from lfrender.depth.surface.scene_grid import grid_shape, lens_at, scene_grid
+from lfrender.flat.distorted_lookup import nearest_index
 
 LATTICE = Lattice(np.array([7.0, 4.0]), np.array([[19.0, 5.0], [5.2, 18.9]]), (300, 220), 7.0)
 
@@ -27,5 +28,5 @@ def test_the_lens_of_a_point_is_the_one_whose_cell_it_lies_in():
         i, j = np.rint(place).astype(int)
         if np.abs(np.abs(place - (i, j)) - 0.5).min() < 1e-9:
             continue  # on the border of two cells, rounding decides
-        assert tuple(map(int, nearest_lens(grid, u, v))) == (i, j)
+        assert tuple(map(int, nearest_index(*point[0], grid.origin, grid.inverse, grid.bend, grid.bend_low))) == (i, j)
         assert lens_at(grid.rows, grid.low, i, j) == index.get((i, j), -1)
