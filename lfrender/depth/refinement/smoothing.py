@@ -92,7 +92,7 @@ def _smooth(
         if not (wanted[lens] and np.isfinite(own_variance)):
             continue
         # An integer that is not known to be 0, which would be another type.
-        count, weight = np.int64(0), 0.0
+        count, weight = np.int64(0), np.float64(0)
         slant_variance = np.float64(slant_errors[lens]) ** 2 + least
         for k in range(rows.shape[1]):
             other = rows[lens, k]
@@ -114,7 +114,7 @@ def _smooth(
             near[3, count], near[4, count] = size * x, size * y
             weight += counts
             count += 1
-        out[lens, 5] = weight / max(count, 1)
+        out[lens, 5] = weight / max(np.float64(count), 1.0)
         if weight <= 0:
             continue
         predicted, spread, shared, x_slant, y_slant, slanted = _predict(count, near, 1 / slant_variance, c.rounds)
