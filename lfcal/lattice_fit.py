@@ -42,12 +42,16 @@ class FinalLattice:
 
 def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, start: FirstLattice) -> FinalLattice:
     """Fit a white image (h, w), as made by `sqrt_luminance`, or crops of it; keep `start` where the fit runs away."""
+    from .images.preprocessing import soften_mask
     from .lattice.lens_subset import StackedCrops
     from .white_fit.fit import fit_white
+    from .white_fit.spots import count_lit_pixels, fit_spots
 
     found = start.lattice
+    if isinstance(picture, np.ndarray) and count_lit_pixels(picture, found) < CALIBRATION.fewest_pixels:
+        return _final(fit_spots(picture, found), found)
     try:
-        white = fit_white(picture, found)
+        white = fit_white(soften_mask(picture) if isinstance(picture, np.ndarray) else picture, found)
     except CalibrationError:
         raise
     except ValueError as error:
@@ -124,7 +128,11 @@ def fit_lattice_to_scenes(
     if fit.residual_rms > CALIBRATION.faint_rims * found.pitch and not fit.half_difference < start.half_difference:
         # Averages of whole tiles are the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
-    lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius, fit.distortion)
+    return _final(fit, found)
+
+
+def _final(fit: LatticeFit, start: Lattice) -> FinalLattice:
+    lattice = Lattice(fit.origin, fit.basis, start.image_size, start.radius, fit.distortion)
     errors = equal_weight_errors(lattice, fit.uncertainty)
     return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.half_difference, errors)
 

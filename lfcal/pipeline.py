@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -93,7 +93,7 @@ def calibrate(
     # Compiled code is loaded only once there is a flat.
     from threadpoolctl import threadpool_limits
 
-    from .detection.capture_kind import check_flats, estimate_white_level, measure_overexposure
+    from .images.check_flats import check_flats, estimate_white_level, measure_overexposure
 
     flats = check_flats(_read_paths(image))
     for flat in flats:
@@ -145,20 +145,24 @@ def _calibrate(
         camera = _calibrate([average_blocks(flat, block) for flat in flats], kind, False, small)
         return upscale_calibration(camera, block, size)
     candidates = _find_candidates(found, flats, kind, filtered, hint)
-    camera, found, unexplained = _measure_first(candidates)
-    if kind == "auto" and found.white and one and (unexplained or _may_be_scene(camera)):
+    measured = _measure_first(candidates)
+    camera = measured.camera
+    if kind == "auto" and measured.found.white and one and (measured.unexplained or _may_be_scene(camera)):
         with suppress(CalibrationError):
-            scene, other, _ = _measure_first(_find_candidates(None, flats, "scene", filtered, hint))
-            if scene.confidence > camera.confidence or (unexplained and scene.confidence == camera.confidence):
-                camera, found = scene, other
+            scene = _measure_first(_find_candidates(None, flats, "scene", filtered, hint))
+            more = scene.camera.confidence - camera.confidence
+            if more > 0 or (measured.unexplained and more == 0):
+                measured, camera = scene, scene.camera
         if camera.source == "white" and camera.confidence == 0:
             raise CalibrationError(
                 "the lenses are lit too differently for a white image, and no lattice is proved if the flat is a scene;"
                 " give a white image, or state what it shows (--kind white or scene)"
             )
+    if camera.source == "scene" and not measured.parallax:
+        camera = replace(camera, confidence=min(camera.confidence, CALIBRATION.shape_confidence))
     types = camera.lens_types
     doubts = (
-        find_lattice_doubt(camera.confidence, found.fit.half_difference),
+        find_lattice_doubt(camera.confidence, measured.found.fit.half_difference),
         types and find_type_doubt(types.count, types.ordered),
     )
     return replace(camera, warnings=(*camera.warnings, *(doubt for doubt in doubts if doubt)))
@@ -237,17 +241,24 @@ def _shows_scene(found: LatticeCandidate) -> bool:
     return isinstance(found.picture, np.ndarray) and shows_scene(found.picture, found.fit.lattice)
 
 
-def _measure_first(candidates: Iterator[LatticeCandidate]) -> tuple[Calibration, LatticeCandidate, bool]:
+class _Measured(NamedTuple):
+    """A calibration and what speaks for it."""
+
+    camera: Calibration
+    found: LatticeCandidate
+    unexplained: bool  # it is more likely that of a scene, if it was taken for a white image
+    parallax: bool  # neighbours are seen to show the same, shifted
+
+
+def _measure_first(candidates: Iterator[LatticeCandidate]) -> _Measured:
     """The first candidate that makes a calibration; CalibrationError if none does.
 
-    Also whether it is more likely a scene, if it was taken for a white image. Wrong ones are the period of scene detail
-    that all lenses show, or several types of lenses taken as one.
+    Wrong ones are the period of scene detail that all lenses show, or several types of lenses taken as one.
     """
     error: CalibrationError | None = None
     for one in islice(candidates, 1 + CALIBRATION.more_candidates):
         try:
-            camera, unexplained = _measure(one)
-            return camera, one, unexplained
+            return _measure(one)
         except CalibrationError as failure:
             error = error or one.start.doubt or failure
             if one.white:
@@ -256,10 +267,11 @@ def _measure_first(candidates: Iterator[LatticeCandidate]) -> tuple[Calibration,
     raise error
 
 
-def _measure(found: LatticeCandidate) -> tuple[Calibration, bool]:
-    """The calibration with illumination, defects and lens types; whether it is more likely that of a scene.
+def _measure(found: LatticeCandidate) -> _Measured:
+    """The calibration with illumination, defects and lens types.
 
-    So it is where more pixels differ from the gain map than defects explain, and the average microimage is doubtful.
+    It is more likely that of a scene where more pixels differ from the gain map than defects explain, and the average
+    microimage is doubtful.
     """
     from .illumination.measure import measure_illumination
     from .lens_types.classify import find_lens_types
@@ -276,8 +288,9 @@ def _measure(found: LatticeCandidate) -> tuple[Calibration, bool]:
         lambda lattice: find_lens_types(picture, lattice, white),
     )  # fmt: skip
     lattice = fit.lattice.with_radius(light.radius)
+    parallax = False
     try:
-        doubt = _find_doubt(found, lattice)
+        parallax, doubt = _find_doubt(found, lattice)
     except CalibrationError as failure:
         # What is stated needs no proof.
         if not found.stated:
@@ -308,7 +321,7 @@ def _measure(found: LatticeCandidate) -> tuple[Calibration, bool]:
         residuals=fit.residuals,
         circle_agreement=agreement,
     )
-    return camera, unexplained
+    return _Measured(camera, found, unexplained, parallax)
 
 
 def _compare_circles(found: LatticeCandidate, lattice: Lattice) -> tuple[float, str | None]:
@@ -323,20 +336,23 @@ def _compare_circles(found: LatticeCandidate, lattice: Lattice) -> tuple[float, 
     return own, find_circle_doubt(own, shifted)
 
 
-def _find_doubt(found: LatticeCandidate, lattice: Lattice) -> str | None:
-    """Why what repeats may be no microimages, None where that is proved; CalibrationError if it cannot be them."""
+def _find_doubt(found: LatticeCandidate, lattice: Lattice) -> tuple[bool, str | None]:
+    """Whether parallax proves microimages; else why what repeats may be none, None where its shape is that of lenses.
+
+    CalibrationError if they cannot be microimages.
+    """
     from .detection.cell_tests import find_shape_doubt
     from .detection.parallax_test import check_parallax
 
     picture = found.picture if found.softened is None else found.softened
     if isinstance(picture, np.ndarray) and check_parallax(picture, lattice, found.white, found.single is None):
-        return None
+        return True, None
     if found.start.doubt is not None:
         raise found.start.doubt
     doubt = find_shape_doubt(found.picture, lattice, found.white and found.start.clear_gaps)
     if doubt is not None and found.single is not None and check_parallax(found.single, lattice, False):
-        return None
-    return doubt and (
+        return True, None
+    return False, doubt and (
         f"nothing on the flat proves that microimages are what repeats on it: {doubt}, and no neighbours are seen to "
         "show the same, shifted; calibrate on a white image or on a scene with more detail"
     )

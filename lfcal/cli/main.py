@@ -152,16 +152,20 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
 
         from .. import check_camera
         from .. import show as run
+        from ..display.places_to_check import find_places_to_check
 
         picture = Image.fromarray(run(calibration, flat))
+        places = find_places_to_check(calibration, flat)
         check = check_camera(calibration, flat)
         # What does not fit at all is drawn too: that is what to look for.
         if (problem := check.problem) is not None:
             calibration = replace(calibration, warnings=(*calibration.warnings, problem))
     with report.stage("write"), atomic_write(output) as temporary:
         picture.save(temporary, compress_level=4)
-    figures = {"picture": str(output), **describe(calibration)}
-    report.finish(figures, *summarise(calibration), f"{output}: the circles should lie on the microimages.")
+    look = [place.sentence for place in places]
+    figures = {"picture": str(output), **describe(calibration), "look_at": look}
+    lines = (*(f"look: {words}" for words in look), f"{output}: the circles should lie on the microimages.")
+    report.finish(figures, *summarise(calibration), *lines)
 
 
 @console.command("lfcal flatten flat.png -c camera.json -o even.tif")

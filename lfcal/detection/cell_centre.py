@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lattice.cell import bin_offsets
 from ..lattice.lattice import reduce_basis
 from .settings import DEFAULT, CentreSettings
 
 __all__ = [
     "CentreGuess",
     "choose_lens_centre",
-    "distance_to_lattice",
     "find_primitive_cell",
     "find_round_centres",
     "is_checkerboard",
@@ -105,15 +105,6 @@ def _span(generators: list[tuple[int, int]]) -> NDArray[np.float64]:
     return np.array([(x, y % rest), (0, rest)], dtype=np.float64)
 
 
-def distance_to_lattice(basis: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
-    """(bins, bins) distance [px] of each bin corner `[row / bins, column / bins]` to the nearest lattice point."""
-    column, row = np.meshgrid(np.arange(bins) / bins, np.arange(bins) / bins)
-    place = np.column_stack([column.ravel(), row.ravel()])
-    corners = np.array([(i, j) for i in (-1, 0, 1, 2) for j in (-1, 0, 1, 2)])
-    steps = (place[:, None] - corners[None]) @ basis
-    return np.hypot(steps[..., 0], steps[..., 1]).min(1).reshape(bins, bins)
-
-
 def choose_lens_centre(
     guesses: list[CentreGuess],
     light: NDArray[np.float64],
@@ -133,7 +124,7 @@ def choose_lens_centre(
     basis : (2, 2) float64 [px]
     """
     bins = light.shape[0]
-    inside = distance_to_lattice(basis, bins) < settings.core * np.sqrt(abs(np.linalg.det(basis)))
+    inside = _distance_to_corner(basis, bins) < settings.core * np.sqrt(abs(np.linalg.det(basis)))
 
     def brightness(guess: CentreGuess) -> float:
         column, row = np.floor(guess.position * bins).astype(int)
@@ -156,7 +147,7 @@ def find_round_centres(
     basis : (2, 2) float64 [px]
     """
     bins = cells[0].shape[0]
-    distance = distance_to_lattice(basis, bins)
+    distance = _distance_to_corner(basis, bins)
     rings = settings.rings
     ring = np.minimum((distance / (distance.max() + 1e-9) * rings).astype(int), rings - 1)
     roundness = np.zeros((bins, bins))
@@ -180,6 +171,11 @@ def find_round_centres(
         guesses.append(CentreGuess(position, float(remaining[row, column])))
         remaining[np.roll(distance, (row, column), axis=(0, 1)) < 0.3 * pitch] = 0
     return guesses
+
+
+def _distance_to_corner(basis: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
+    """(bins, bins) distance [px] from each bin to the lattice point nearest to it, if one is the middle of bin 0, 0."""
+    return np.linalg.norm(bin_offsets(basis, bins, np.array([0.5, 0.5]) / bins), axis=2)
 
 
 def _vertex(values: NDArray[np.float64], row: int, column: int) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..images.interpolation import interpolate_linear
+from ..lattice.cell import bin_offsets, cell_distances, nearest_offsets
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses
 from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError
@@ -22,8 +23,6 @@ from .folding import HIGHEST_HARMONIC, TileFolds
 from .settings import DEFAULT, CellTestSettings
 
 __all__ = ["AverageCell", "check_cell", "check_edges", "find_shape_doubt", "measure_average_cell"]
-
-_AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def check_cell(
@@ -54,8 +53,8 @@ def check_cell(
     if light.std() > settings.visible_contrast * light.mean():
         # Correlation of two halves limits what any model can explain of their mean.
         possible = 2 * repeatability / (1 + repeatability)
-        distances = _bin_distances(basis, len(light), centre)
-        explained = float(np.mean([_explained_share(cell, distances, settings.nodes) for cell in cells]))
+        distances = cell_distances(basis, bin_offsets(basis, len(light), centre).reshape(-1, 2))
+        explained = float(np.mean([_explained_share(_smooth(cell), distances, settings.nodes) for cell in cells]))
         least = settings.radial_share if off_line > settings.lopsided_energy else settings.radial_share_rows
         if explained < least * possible:
             pitch = float(np.sqrt(abs(np.linalg.det(basis))))
@@ -81,6 +80,13 @@ def check_edges(tone: TileFolds, settings: CellTestSettings = DEFAULT.cell_tests
         raise CalibrationError(
             f"crossed waves without any edge repeat every {pitch:.1f} px, not microimages; {RAW_FLAT_ADVICE}"
         )
+
+
+def _smooth(cell: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A cell (bins, bins) averaged over neighbours: the edge of a hard disc is narrower than what its centre is off."""
+    for axis in (0, 1):
+        cell = (np.roll(cell, 1, axis) + 2 * cell + np.roll(cell, -1, axis)) / 4
+    return cell
 
 
 def _power(cell: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -114,31 +120,6 @@ def _energy_beyond_first(tone: TileFolds, shortest_harmonic: float) -> float:
     highest = np.clip(np.hypot(*tone.basis.T) / shortest_harmonic, 1, HIGHEST_HARMONIC)
     power *= (abs(h) <= highest[0]) & (abs(k) <= highest[1])
     return float(power[np.maximum(abs(h), abs(k)) > 1].sum() / max(power.sum(), 1e-30))
-
-
-def _bin_distances(
-    basis: NDArray[np.float64], bins: int, centre: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`_distances` of the (bins * bins,) bins of a cell from the nearest microimage centre."""
-    column, row = np.meshgrid((np.arange(bins) + 0.5) / bins, (np.arange(bins) + 0.5) / bins)
-    offset = np.column_stack([column.ravel(), row.ravel()]) - centre
-    return _distances(basis, _from_nearest(offset - np.rint(offset), basis))
-
-
-def _from_nearest(index: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 2) offsets [px] of places at fractional lattice coordinates (n, 2) from the lattice point next to them."""
-    offsets = (index[:, None] - _AROUND) @ basis
-    nearest = np.hypot(offsets[..., 0], offsets[..., 1]).argmin(1)
-    return offsets[np.arange(len(offsets)), nearest]
-
-
-def _distances(
-    basis: NDArray[np.float64], offset: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) distances [px] of places, `offset` (n, 2) [px] from the centre, to it and to the border of the cell."""
-    steps = _AROUND[np.abs(_AROUND).sum(1) > 0] @ basis
-    length = np.hypot(*steps.T)
-    return np.hypot(*offset.T), (0.5 * length - offset @ steps.T / length).min(1)
 
 
 def _explained_share(
@@ -225,7 +206,7 @@ def measure_average_cell(
     samples = settings.samples
     share = (np.arange(samples) + 0.5) / samples - 0.5
     column, row = np.meshgrid(share, share)
-    offsets = _from_nearest(np.column_stack([column.ravel(), row.ravel()]), lattice.basis)
+    offsets = nearest_offsets(np.column_stack([column.ravel(), row.ravel()]), lattice.basis)
     steps = lattice.steps @ lattice.basis
     reach = float(np.hypot(*np.vstack([offsets, steps]).T).max()) + 1
     if isinstance(picture, StackedCrops):
@@ -249,7 +230,7 @@ def measure_average_cell(
     if correlation <= 0:
         return AverageCell(correlation, 1.0, -1.0, 1.0, float("inf"), 0.0)
     both = np.column_stack([a, b])
-    left = both - _fit_distances(both, _distances(lattice.basis, offsets), settings.nodes)
+    left = both - _fit_distances(both, cell_distances(lattice.basis, offsets), settings.nodes)
     square = b.reshape(samples, samples)
     shifts = samples // 2 * np.array([(1, 0), (0, 1), (1, 1)])
     half_shift = min(float(a @ np.roll(square, tuple(shift), (0, 1)).ravel()) / common for shift in shifts)

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lattice.cell import bin_offsets, cell_distances
 from ..lattice.lattice import reduce_basis
 from .folding import fold_tiles
 from .settings import DEFAULT, GapSettings
 
 __all__ = ["Gaps", "gap_tone", "measure_gaps", "window_likelihood"]
-
-_AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 @dataclass(frozen=True)
@@ -145,15 +144,11 @@ class _Fold:
 
 def _cell_parts(basis: NDArray[np.float64], settings: GapSettings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weights (bins, bins) of the middle and of the border of a cell about bin (0, 0), each of sum 1."""
-    share = np.arange(settings.bins) / settings.bins
-    index = np.stack(np.meshgrid(share, share), -1).reshape(-1, 1, 2)
-    offsets = (index - np.rint(index) - _AROUND) @ basis
-    offset = offsets[np.arange(len(index)), np.hypot(offsets[..., 0], offsets[..., 1]).argmin(1)]
-    steps = _AROUND[np.abs(_AROUND).sum(1) > 0] @ basis
-    length = np.hypot(*steps.T)
-    inradius = length.min() / 2
-    to_border = (0.5 * length - offset @ steps.T / length).min(1)
-    parts = (np.hypot(*offset.T) < settings.middle * inradius, to_border < max(1.5 * inradius / settings.bins, 0.5))
+    far, to_border = cell_distances(
+        basis, bin_offsets(basis, settings.bins, np.array([0.5, 0.5]) / settings.bins).reshape(-1, 2)
+    )
+    inradius = to_border.max()
+    parts = (far < settings.middle * inradius, to_border < max(1.5 * inradius / settings.bins, 0.5))
     middle, border = (part.reshape(settings.bins, -1) / part.sum() for part in parts)
     return middle, border
 

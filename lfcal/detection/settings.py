@@ -15,7 +15,6 @@ __all__ = [
     "GapSettings",
     "HarmonicSettings",
     "ParallaxSettings",
-    "ProfileSettings",
     "SpectrumSettings",
 ]
 
@@ -175,18 +174,6 @@ class ParallaxSettings:
 
 
 @dataclass(frozen=True)
-class ProfileSettings:
-    """Tuned values of `radial_profile`."""
-
-    step: float = 0.25  # [px] between samples: edges of discs are about one pixel wide
-    spare: float = 0.02  # share of the information on the centre left out, in the middle, to save pixels
-    fewest_lenses: int = 12
-    settled: float = 0.3  # [standard errors] steps below it end the fit
-    max_change: float = 0.05  # of a basis, relative, beyond which the fit has run away
-    dark_lens: float = 0.1  # share of the light of a bright lens; noise at 26 dB makes up a third of it
-
-
-@dataclass(frozen=True)
 class HarmonicSettings:
     """Tuned values of the harmonics in `tile_lattice`."""
 
@@ -203,6 +190,9 @@ class CaptureSettings:
     """Tuned values of `capture_kind`."""
 
     level_window: float = 2.0  # [pitch] in which brightness is normalised
+    lenses: int = 600  # evenly spread, that are looked at
+    dark_lens: float = 0.1  # share of the light of a bright lens; noise at 26 dB makes up a third of it
+    ring: float = 0.25  # [px] width of the rings of a mean microimage
     scatter_inside: float = 0.15  # most scatter inside microimages of a white image, over the depth of the gaps
     scatter_of_lit: float = 0.09  # the same without dark lenses: scenes have 0.11, white images of dots 0.08
 
@@ -232,7 +222,6 @@ class DetectionSettings:
     gaps: GapSettings = GapSettings()
     cell_tests: CellTestSettings = CellTestSettings()
     parallax: ParallaxSettings = ParallaxSettings()
-    profile: ProfileSettings = ProfileSettings()
     harmonics: HarmonicSettings = HarmonicSettings()
     capture: CaptureSettings = CaptureSettings()
     downscale: DownscaleSettings = DownscaleSettings()

@@ -1,4 +1,4 @@
-"""A picture that shows how a calibration fits a flat: circles over its centre and corners, misfit, gain, falloff."""
+"""A picture that shows how a calibration fits a flat: its centre, three corners and where to look first."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from ..lattice.orientation import describe_orientation
 from .drawing import Canvas
 from .fit_check import FitCheck, check_fit
 from .panels import draw_figures
+from .places_to_check import PlaceToCheck, find_places_to_check
 from .settings import STYLE
 
 __all__ = ["show"]
 
 
 def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
-    """Draw the centres and usable circles of a calibration over the centre and the corners of a flat.
+    """Draw the centres and usable circles of a calibration over a flat: its centre, three corners, and where to look.
 
     Circles of lens types 0 to 3 are blue, pink, green and yellow. Unlit lenses are crossed out, defect pixels circled.
+    White circles were found without the lattice (Hough vote).
     Beside the five crops a panel shows the offsets of nine regions of the flat from the lattice, the residuals of the
     calibration, the gain map, and the light falloff inside a microimage.
 
@@ -63,6 +65,10 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
         (1, 0): ("bottom left", (left, low)),
         (1, 2): ("bottom right", (right, low)),
     }
+    places = find_places_to_check(calibration, flat)
+    if places:
+        x, y = places[0].position
+        crops[1, 2] = "look here", (float(np.clip(x, left, right)), float(np.clip(y, top, low)))
     side = panel + STYLE.caption
     rows = STYLE.header + 2 * (side + STYLE.space) + STYLE.space
     picture = np.empty((rows, 3 * (panel + STYLE.space) + STYLE.space, 3), np.uint8)
@@ -77,7 +83,9 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
 
     for (row, column), (name, centre) in crops.items():
         x, y = corner(row, column)
-        picture[y : y + panel, x : x + panel] = _draw_crop(calibration, flat, np.array(centre), panel / reach)
+        picture[y : y + panel, x : x + panel] = _draw_crop(
+            calibration, flat, np.array(centre), panel / reach, places if name == "look here" else []
+        )
         start = f"x {centre[0] - reach / 2 + 0.5:.0f}, y {centre[1] - reach / 2 + 0.5:.0f}"
         words = f"{name}, {panel / reach:.2g} times, from {start}"
         canvas.text(words, (x + 2, y + panel + 19), STYLE.faint, 0.5)
@@ -106,7 +114,7 @@ def _describe(calibration: Calibration, fit: FitCheck) -> tuple[str, str]:
 
 
 def _draw_crop(
-    calibration: Calibration, flat: NDArray[Any], middle: NDArray[np.float64], zoom: float
+    calibration: Calibration, flat: NDArray[Any], middle: NDArray[np.float64], zoom: float, places: list[PlaceToCheck]
 ) -> NDArray[np.uint8]:
     """Enlarged crop of the flat around `middle` (2,) [px] with centres, usable circles and defects."""
     import cv2
@@ -145,6 +153,10 @@ def _draw_crop(
         for at in on_panel(missing[visible(missing, lattice.pitch)]):
             for step in (diagonal, diagonal * [1, -1]):
                 layer.line(at - step, at + step, defect, thickness + 1)
+        for place in places:
+            circles = place.circles[visible(place.circles[:, :2], lattice.pitch)]
+            for at, size in zip(on_panel(circles[:, :2]), circles[:, 2], strict=True):
+                layer.circle(at, zoom * size, (0, 0, 0) if dark else (255, 255, 255), thickness)
         for at, kind in zip(on_panel(centres[near]), kinds, strict=True):
             layer.circle(at, radius, (0, 0, 0) if dark else STYLE.types[kind], thickness)
             for step in (np.array([arm, 0]), np.array([0, arm])):

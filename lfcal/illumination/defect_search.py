@@ -20,9 +20,8 @@ from .settings import DEFECTS, DefectSettings
 
 __all__ = ["find_defects"]
 
-# Standard deviation of normal values over their median absolute deviation, and over the distance of
-# twentieths from it.
-_TO_SIGMA, _TWENTIETHS_TO_SIGMA = 1.4826, 1 / 1.6449
+# Standard deviation of normal values over their median absolute deviation, and over the distance of the farthest tenth.
+_TO_SIGMA, _TENTH_TO_SIGMA = 1.4826, 1 / 1.6449
 
 
 def find_defects(
@@ -95,7 +94,8 @@ def _compute_residuals(
         own = some[of == k]
         if len(own):
             middle[k] = np.median(own)
-            noise = _TO_SIGMA * float(np.median(np.abs(own - middle[k])))
+            # Where noise is cut off at black, more than half of the pixels may have the same value.
+            noise = float(np.max(np.quantile(np.abs(own - middle[k]), (0.5, 0.9)) * (_TO_SIGMA, _TENTH_TO_SIGMA)))
             # The root of dark pixels is steep.
             least = brightest / np.sqrt((k + 0.5) / settings.levels)
             scale[k] = max(noise, settings.least_residual * least)
@@ -148,7 +148,7 @@ def _differs_from_lenses(
         low, middle, high = np.take_along_axis(others, ranks, axis=1).T
         own = values[place[:, 1], place[:, 0]]
         # Their scatter to the same side: types of lenses, rims.
-        spread = np.maximum(_TWENTIETHS_TO_SIGMA * np.where(own > middle, high - middle, middle - low), 1)
+        spread = np.maximum(_TENTH_TO_SIGMA * np.where(own > middle, high - middle, middle - low), 1)
         beyond = np.abs(own - middle) / spread
         # The light of lenses whose centre is off the flat is not measured: they may be darker by themselves.
         x, y = (place - offset).T

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..runtime.kernels.jit import kernel
 from .settings import PREPROCESSING
 
-__all__ = ["edge_strength", "luminance", "normalise_locally", "sqrt_luminance"]
+__all__ = ["edge_strength", "is_mask", "luminance", "normalise_locally", "soften_mask", "sqrt_luminance"]
 
 
 def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
@@ -46,6 +46,18 @@ def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
     if mean > 0:
         grey *= np.float32(1 / mean)
     return grey
+
+
+def is_mask(picture: NDArray[Any]) -> bool:
+    """Whether a picture (h, w) or (h, w, 3) has two tones only, as discs that were drawn, or cut off at a level."""
+    return len(np.unique(picture[:: max(1, len(picture) // 64)])) <= 2
+
+
+def soften_mask(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A picture (h, w), blurred by a pixel where it is a mask: fits to edges need a slope there."""
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.0)) if is_mask(picture) else picture
 
 
 @njit

@@ -9,14 +9,45 @@ from numpy.typing import NDArray
 from .lattice import Lattice
 
 __all__ = [
+    "bin_offsets",
     "cell_circumradius",
+    "cell_distances",
     "cell_inradius",
     "cell_normals",
     "cell_row_bounds",
     "clip_rows",
     "is_outside_cell",
+    "nearest_offsets",
     "row_interval",
 ]
+
+
+_AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+
+
+def nearest_offsets(index: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 2) offsets [px] of places at fractional lattice coordinates (n, 2) from the lattice point nearest to each."""
+    offsets = ((index - np.rint(index))[:, None] - _AROUND) @ basis
+    nearest = np.hypot(offsets[..., 0], offsets[..., 1]).argmin(1)
+    return offsets[np.arange(len(offsets)), nearest]
+
+
+def bin_offsets(basis: NDArray[np.float64], bins: int, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(bins, bins, 2) offsets [px] of the bins of a cell from the nearest lattice point.
+
+    One is at `centre` (2,), in fractional lattice coordinates; bin `k` covers `[k, k + 1) / bins`.
+    """
+    column, row = np.meshgrid(*[(np.arange(bins) + 0.5) / bins] * 2)
+    return nearest_offsets(np.column_stack([column.ravel(), row.ravel()]) - centre, basis).reshape(bins, bins, 2)
+
+
+def cell_distances(
+    basis: NDArray[np.float64], offset: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) distances [px] of places, `offset` (n, 2) [px] from the centre, to it and to the border of the cell."""
+    steps = _AROUND[np.abs(_AROUND).sum(1) > 0] @ basis
+    length = np.hypot(*steps.T)
+    return np.hypot(*offset.T), (0.5 * length - offset @ steps.T / length).min(1)
 
 
 def cell_normals(lattice: Lattice) -> tuple[NDArray[np.float64], float]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+import pytest
+
 import lfcal
 
 
@@ -20,3 +23,13 @@ def test_fit_that_leaves_the_first_lattice_is_discarded(whites, monkeypatch):
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
     image, origin = whites.white_image(basis, (500, 400))
     assert whites.rms(whites.centre_errors(lfcal.calibrate(image).lattice, origin, basis)) < 0.1
+
+
+@pytest.mark.parametrize("pitch", [75.0, 16.0])
+def test_masks_of_hard_discs_are_placed_without_a_doubt(pitch):
+    y, x = np.mgrid[:900, :1200]
+    far = np.hypot((x - 51.3 + pitch / 2) % pitch - pitch / 2, (y - 54.2 + pitch / 2) % pitch - pitch / 2)
+    found = lfcal.calibrate(np.where(far < 0.453 * pitch, 255, 0).astype(np.uint8))
+    apart = found.lattice.points(np.rint(found.lattice.to_index([[51.3, 54.2]]))) - [51.3, 54.2]
+    assert found.confidence > 0.9 and found.warnings == ()
+    assert abs(found.lattice.pitch - pitch) < 0.005 and np.abs(apart).max() < 0.15

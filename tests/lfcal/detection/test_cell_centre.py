@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lfcal.detection.cell_centre import choose_lens_centre, distance_to_lattice, find_primitive_cell, find_round_centres
+from lfcal.detection.cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres
+from lfcal.lattice.cell import bin_offsets
 
 _SQUARE = np.array([[30.0, 0.0], [0.0, 30.0]])
 
 
 def _disc(basis, radius, bins=36):
-    return (distance_to_lattice(basis, bins) < radius).astype(float)
+    return (np.linalg.norm(bin_offsets(basis, bins, np.array([0.5, 0.5]) / bins), axis=2) < radius).astype(float)
 
 
 @pytest.mark.parametrize("multiple", [2, 3])

@@ -73,3 +73,13 @@ def test_white_images_of_others_have_no_false_defects(name, shared):
     image = lfcal.read_flat(shared(*name.split("/")))
     camera = lfcal.calibrate(image, kind="white")
     assert len(camera.defects.pixels) < 1e-4 * image.shape[0] * image.shape[1]
+
+
+def test_noise_cut_off_at_black_is_no_defect():
+    rng = np.random.default_rng(2)
+    y, x = np.mgrid[:500, :600]
+    far = np.hypot((x - 9) % 30 - 15, (y - 6) % 30 - 15)
+    light = 220 * np.clip(13.5 - far, 0, 1)
+    found = lfcal.calibrate(np.clip(rng.normal(light, 2.0), 0, 255).round().astype(np.uint8))
+    assert found.confidence > 0.95 and found.warnings == ()
+    assert len(found.defects.pixels) < 0.0002 * x.size

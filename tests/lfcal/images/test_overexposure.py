@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import lfcal
-from lfcal.detection.capture_kind import measure_overexposure
+from lfcal.images.check_flats import measure_overexposure
 
 
 def test_overexposed_white_image_is_named_with_the_share_of_clipped_pixels(drawn):
@@ -20,6 +20,7 @@ def test_overexposed_white_image_is_named_with_the_share_of_clipped_pixels(drawn
 def test_share_of_clipped_pixels_is_measured_at_the_limit_of_the_sensor():
     flat = np.full((10, 10), 100, np.uint16)
     flat[:3] = 4095
+    flat[3] = 80  # masks have two tones
     assert measure_overexposure(flat) == 0.3
     assert measure_overexposure(flat.astype(np.float32)) == 0.0
     flat[:3] = 200

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.detection.capture_kind import estimate_white_level
+from lfcal.images.check_flats import estimate_white_level
 
 
 @pytest.mark.parametrize(
