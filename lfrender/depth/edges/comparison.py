@@ -20,13 +20,13 @@ __all__ = ["allow_mismatch", "compare_depth"]
 def allow_mismatch(light, stride, number, c, allowed):
     """The mismatch that noise, blur and resampling explain, for each pixel with the four beside it."""
     down, one, fifth = np.uint64(stride), np.uint64(1), np.float32(0.2)
-    share, noise2 = fifth * c.contrast, c.noise2
+    share, noise2, relative2 = fifth * c.contrast, c.noise2, c.noise_share2
     for n in range(np.uint64(number - 2 * stride)):
         p = n + down
         a, b, d, e, f = light[p - down], light[p - one], light[p], light[p + one], light[p + down]
         mean = fifth * (a + b + d + e + f)
         a, b, d, e, f = a - mean, b - mean, d - mean, e - mean, f - mean
-        allowed[p] = share * (a * a + b * b + d * d + e * e + f * f) + noise2
+        allowed[p] = share * (a * a + b * b + d * d + e * e + f * f) + relative2 * mean * mean + noise2
 
 
 @njit(error_model="numpy", fastmath=FAST)

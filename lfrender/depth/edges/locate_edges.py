@@ -19,12 +19,17 @@ from .fusion import fuse_pixel_depths
 from .geometry import LensArray, PointGrid, lens_array, mark_levels
 from .microimage import PixelCosts
 from .pixel_depths import measure_pixel_depths
+from .rims import keep_proven, spread
 from .settings import DEFAULT, EdgeSettings
 
 __all__ = ["locate_edges", "places_of_lenses", "refine_grid"]
 
 # [pitch] a scene point is no farther from the lenses around the one at whose place it is.
 _AROUND = 1.6
+# [pitch] nor are the lenses farther that have most say about it.
+_FARTHEST = 1.3
+# Lenses that show a place, one of them its own.
+_SHOWN = 2.0
 
 
 def locate_edges(
@@ -49,42 +54,50 @@ def locate_edges(
     surface = depth.surface
     values, spacing = surface.patch_size, surface.spacing
     gap, reach = TOLERANCE * lattice.pitch, int(settings.reach * lattice.pitch / spacing)
-    several = _spread(values, reach) > settings.least_jump * lattice.pitch
+    several = spread(values, reach) > settings.least_jump * lattice.pitch
+    # Depths that no two further lenses show cannot be proven wrong.
+    cell, shown = abs(np.linalg.det(lattice.basis)), np.pi * (lattice.radius * lattice.pitch) ** 2
+    several &= _SHOWN * cell * values * values < shown
     if where is not None:
         several &= places_of_lenses(where, lattice, surface)
     if not several.any():
         return depth
-    noise = measure_agreement(gray, lattice, depth, gap, settings)
+    agreement = measure_agreement(gray, lattice, depth, gap, settings)
     lenses, grid = (
         lens_array(lattice, gap, float(lattice.radius) - 1.0),
         PointGrid(float(surface.first[0]), float(spacing)),
     )
     wanted = _lenses_about(several, lenses, grid)
     costs = PixelCosts(
-        noise2=np.float32(noise**2), contrast=np.float32(settings.contrast_share),
+        noise2=np.float32(agreement.fixed**2), noise_share2=np.float32(agreement.share**2),
+        seen2=np.float32(settings.seen**2), contrast=np.float32(settings.contrast_share),
         visible_share=settings.visible_share, unseen=np.float32(settings.unseen), leave=np.float32(settings.leave),
         least_jump=settings.least_jump * lattice.pitch,
         jump=np.float32(settings.jump), edge2=np.float32(settings.edge_contrast**2),
         reach=settings.reach * lattice.pitch, views=settings.views,
     )  # fmt: skip
-    size = _locate(gray.image, lenses, values, grid, several, wanted, costs, settings)
     finer = settings.finer
+    before = refine_grid(values, finer, gap)
+    size = _locate(gray.image, lenses, values, grid, several, wanted, costs, settings, before.copy())
     corner = surface.first[0] - 0.5 * (1 - 1 / finer) * spacing
-    return replace(depth, surface=Surface(size, (corner, corner), spacing / finer))
+    found = Surface(size, (corner, corner), spacing / finer)
+    return replace(
+        depth, surface=replace(found, patch_size=keep_proven(found, before, gray, lattice, agreement, gap, settings))
+    )
 
 
 def _locate(
     image: NDArray[np.float32], lenses: LensArray, values: NDArray[np.float32], grid: PointGrid,
     several: NDArray[np.bool_], wanted: NDArray[np.bool_], costs: PixelCosts, settings: EdgeSettings,
+    fused: NDArray[np.float32],
 ) -> NDArray[np.float32]:  # fmt: skip
-    """(rows * finer, columns * finer) [px] the surface that the pixels of the lenses `wanted` (n,) show."""
+    """`fused` (rows * finer, columns * finer) [px], with what the pixels of the lenses `wanted` (n,) show."""
     finer, reach = settings.finer, int(costs.reach / grid.spacing)
     levels = mark_levels(values, lenses.pitch, reach)
-    first = np.full(image.shape, np.nan, np.float32)
-    measure_pixel_depths(image, lenses, values, grid, levels, wanted, np.zeros((1, 1), np.float32), costs, first)
-    second = first.copy()
-    measure_pixel_depths(image, lenses, values, grid, levels, wanted, first, costs, second)
-    fused = refine_grid(values, finer, lenses.gap)
+    first, moved = np.full(image.shape, np.nan, np.float32), np.zeros(len(wanted), np.float32)
+    measure_pixel_depths(image, lenses, values, grid, levels, wanted, np.zeros((1, 1), np.float32), costs, first, moved)
+    second, wanted = first.copy(), moved > settings.moved
+    measure_pixel_depths(image, lenses, values, grid, levels, wanted, first, costs, second, moved)
     fuse_pixel_depths(second, lenses, values, grid, several, reach, settings.voters, fused)
     usual = cv2.medianBlur(fused, settings.speck)
     np.copyto(fused, usual, where=np.repeat(np.repeat(several, finer, 0), finer, 1))
@@ -94,7 +107,7 @@ def _locate(
 def refine_grid(values: NDArray[np.float32], finer: int, gap: float) -> NDArray[np.float32]:
     """A grid that is `finer` by a whole factor; between values that differ by more than a `gap` the nearest one."""
     fine = np.asarray(cv2.resize(values, None, None, finer, finer, cv2.INTER_LINEAR), np.float32)
-    plain = _spread(values, 1) > gap
+    plain = spread(values, 1) > gap
     nearest = np.repeat(np.repeat(values, finer, 0), finer, 1)
     np.copyto(fine, nearest, where=np.repeat(np.repeat(plain, finer, 0), finer, 1))
     return fine
@@ -113,15 +126,9 @@ def _spread_out(marks: NDArray[np.uint8], side: int) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(marks, np.ones((2 * side + 1, 2 * side + 1), np.uint8)) > 0)
 
 
-def _spread(values: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
-    """Difference between the largest and the least value within `reach` grid values each way."""
-    around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    return np.asarray(cv2.dilate(values, around) - cv2.erode(values, around))
-
-
 def _lenses_about(several: NDArray[np.bool_], lenses: LensArray, grid: PointGrid) -> NDArray[np.bool_]:
     """(n,) bool: lenses near enough to points with several depths to be among the nearest ones to these."""
-    side = int(2.0 * lenses.pitch / grid.spacing)
+    side = int(_FARTHEST * lenses.pitch / grid.spacing)
     near = _spread_out(several.astype(np.uint8), side)
     u, v = np.rint((lenses.centres - grid.first) / grid.spacing).astype(int).T
     rows, columns = several.shape

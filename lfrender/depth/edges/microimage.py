@@ -25,7 +25,9 @@ class PixelCosts(NamedTuple):
     """Values of `EdgeSettings` for the kernels, in squared units where they are compared with squares."""
 
     noise2: Any
+    noise_share2: Any  # of brightness, in addition
     contrast: Any
+    seen2: Any
     visible_share: Any
     unseen: Any
     leave: Any

@@ -16,6 +16,8 @@ class EdgeSettings:
     views: int = 5  # other lenses that a pixel is compared with, at most; 10 gain 0.1 dB
     agreeing: int = 100  # lenses on one surface with their neighbours that show how well these agree, at most
     noise: float = 3.0  # of their median difference where contrast is low; what differs by less is no mismatch
+    seen: float = 0.5  # of what is no mismatch: deviation of a patch on an edge that is seen; plain patches have 0.2
+    moved: float = 0.02  # share of the pixels of a lens that leave the surface, from which it is looked at again
     contrast_share: float = 2.0  # of the variance of a patch by which patches may differ: blur and resampling
     visible_share: float = 0.6  # first round: share of the views that must show a depth, since some are occluded
     unseen: float = 0.5  # mismatch of a pixel that no other lens shows; set by hand

@@ -91,6 +91,8 @@ const float OCCLUDED_WEIGHT = 1e-4;
 
 // Whether the place whose size was asked for last is drawn at its own depth.
 bool own;
+// Whether lenses out of the usual reach take part.
+bool far = false;
 
 float sizeAt(vec2 X) {
   own = plane == 0.0;
@@ -194,7 +196,7 @@ vec4 colourAt(vec2 X, float s) {
   vec2 base = X - origin - basis * index;
   ivec2 at = ivec2(index);
   float slope = abs(s) / pitch;
-  float limit = min((radius + (own ? length(view) : 0.0)) / max(slope, 1e-6), own ? reachOwn : reach);
+  float limit = min((radius + (own ? length(view) : 0.0)) / max(slope, 1e-6), own && !far ? reachOwn : reach);
   float tolerance = own ? agreementOwn : agreement;
   float beside = isDistorted() ? 0.75 * pitch : length(base), farthest = limit + beside;
   int found = 0;
@@ -261,10 +263,14 @@ void main() {
   across = min(across, int(most));
   apart *= spacing / float(across);
   vec4 total = vec4(0.0);
-  for (int sub = 0; sub < across * across; sub++) {
-    vec2 to = vec2(sub % across, sub / across) - 0.5 * float(across - 1);
-    vec2 at = X + to * apart;
-    total += colourAt(at, across == 1 ? s : sizeAt(at));
+  // At the border, some places are seen by far lenses alone.
+  for (int turn = 0; turn < 2 && total.a == 0.0; turn++) {
+    far = turn == 1;
+    for (int sub = 0; sub < across * across; sub++) {
+      vec2 to = vec2(sub % across, sub / across) - 0.5 * float(across - 1);
+      vec2 at = X + to * apart;
+      total += colourAt(at, across == 1 ? s : sizeAt(at));
+    }
   }
   vec3 colour = total.a > 0.0 ? exposure * total.rgb / total.a : background;
   if (overlay > 0.0 && total.a > 0.0) colour = mix(colour, magnificationColour(X), overlay);

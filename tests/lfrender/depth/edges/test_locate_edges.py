@@ -10,11 +10,14 @@ from scipy.ndimage import distance_transform_edt
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.depth.edges.agreement import measure_agreement
+from lfrender.data.surface import Surface
+from lfrender.depth.edges.agreement import Agreement, measure_agreement
 from lfrender.depth.edges.geometry import mark_levels
 from lfrender.depth.edges.locate_edges import locate_edges
+from lfrender.depth.edges.rims import keep_proven
 from lfrender.depth.edges.settings import DEFAULT
 from lfrender.depth.pipeline import prepare_flat
+from lfrender.flat.lens_graph import nearest_lens
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +74,15 @@ def test_a_surface_without_edges_is_left_alone(house_in_front):
     assert locate_edges(gray, lattice, even) is even
 
 
+def test_a_place_that_no_two_other_lenses_show_keeps_its_depth(house_in_front):
+    _, _, depth, _, gray, lattice = house_in_front
+    values = np.full_like(depth.surface.patch_size, 0.66 * lattice.pitch)
+    values[:, values.shape[1] // 2 :] = 6.0
+    near = replace(depth, surface=replace(depth.surface, patch_size=values))
+    after = locate_edges(gray, lattice, near).surface.patch_size
+    assert (after[:, : after.shape[1] // 2 - 4] > 0.6 * lattice.pitch).all()
+
+
 def test_parts_of_a_flat_have_the_same_edges(house_in_front):
     flat, calibration, *_ = house_in_front
     found = lfrender.analyze(flat, calibration, edges=True, roi=(60, 60, 330, 280))
@@ -104,7 +116,41 @@ def test_lenses_that_differ_in_their_light_agree_less(house_in_front):
     for (x, y), factor in zip(gray.centres, rng.normal(1, 0.1, len(gray.centres)), strict=True):
         light[max(0, int(y) - 10) : int(y) + 10, max(0, int(x) - 10) : int(x) + 10] = factor
     uneven = replace(gray, image=np.ascontiguousarray(gray.image * light))
-    assert measure_agreement(uneven, lattice, even, gap) > 1.3 * measure_agreement(gray, lattice, even, gap)
+    assert measure_agreement(uneven, lattice, even, gap).share > 1.3 * measure_agreement(gray, lattice, even, gap).share
+
+
+@pytest.mark.parametrize(("fixed", "share"), [(0.02, 0.0), (0.0, 0.05)])
+def test_what_agrees_is_told_for_noise_and_for_light_that_grows_with_brightness(house_in_front, fixed, share):
+    _, _, depth, _, gray, lattice = house_in_front
+    even = replace(depth, filled_patch_size=np.full_like(depth.filled_patch_size, 6.0))
+    rng = np.random.default_rng(1)
+    # Lenses are compared with that to their right.
+    image = np.repeat(np.linspace(0.1, 0.9, len(gray.image), dtype=np.float32)[:, None], gray.image.shape[1], 1)
+    image += (rng.normal(0, 1, image.shape) * (fixed + share * image)).astype(np.float32)
+    found = measure_agreement(replace(gray, image=image), lattice, even, 0.04 * lattice.pitch)
+    bright, dark = (np.hypot(found.fixed, found.share * level) for level in (0.8, 0.2))
+    # Two pixels differ by more than one from its mean, and so do patches of few pixels from the median of all.
+    wanted = DEFAULT.noise * np.sqrt(2) * (fixed + share * np.array([0.8, 0.2]))
+    assert bright == pytest.approx(wanted[0], rel=0.3)
+    assert dark == pytest.approx(wanted[1], rel=0.5)
+
+
+def test_a_region_stays_only_where_its_rim_has_contrast(house_in_front):
+    _, _, _, _, gray, lattice = house_in_front
+    image = np.full_like(gray.image, 0.5)
+    # Lenses show the right half of this scene at a patch size of 6 px darker than the left one.
+    centres = gray.centres[nearest_lens(lattice, np.argwhere(np.ones(image.shape))[:, ::-1])].reshape(*image.shape, 2)
+    x = np.mgrid[: image.shape[0], : image.shape[1]][1]
+    image[centres[..., 0] - (x - centres[..., 0]) * lattice.pitch / 6.0 > 200] = 0.3
+    before = np.full((170, 210), -6.0, np.float32)
+    values = before.copy()
+    values[20:150, 101:] = 6.0
+    values[60:100, 20:50] = 6.0
+    values[140:, 80:] = values[:40, 80:] = -6.0
+    found = keep_proven(Surface(values, (0.0, 0.0), 2.0), before, replace(gray, image=image), lattice,
+                        Agreement(0.02, 0.05), 0.8)  # fmt: skip
+    assert (found[60:100, 20:50] == -6).all()
+    assert (found[45:135, 105:] == 6).all()
 
 
 def test_levels_are_marked_within_reach():
