@@ -34,8 +34,8 @@ preset_option = click.option(
 edges_option = click.option(
     "--edges/--no-edges",
     default=None,
-    help="Place depth edges on the pixels of the microimages: cleaner outlines, in two to three times the time. The "
-    "preset 'accurate' does so.",
+    help="Place depth edges on the pixels of the microimages: cleaner outlines, in up to twice the time. The preset "
+    "'balanced' does so.",
 )
 scale_option = click.option(
     "--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch."

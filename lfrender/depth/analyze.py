@@ -46,7 +46,7 @@ def analyze(
     calibration : Calibration
         Of the same image size.
     preset : {"fast", "balanced", "accurate"}
-        How much time to spend; `"accurate"` is `"balanced"` with `edges`.
+        How much time to spend; `"accurate"` is another word for `"balanced"`.
     skip : bool or names
         Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`, `"ranges"`, `"still"`,
         `"steady"` (see `Shortcuts`). `DepthMap.saved` has the share of the work that each has saved.
@@ -59,7 +59,7 @@ def analyze(
         add up.
     edges : bool, optional
         Locate depth edges of the surface on the pixels of the microimages, which draws scenes with occlusion 1 to 3 dB
-        better and takes about as long as the rest of `"balanced"`. By default `"accurate"` does so.
+        better and takes about as long as the rest of `"balanced"`. By default `"balanced"` does so.
 
     Returns
     -------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class Preset:
         return max(1, min(_MAX_REDUCTION, int(pitch / self.least_pitch)))
 
 
-_BALANCED = Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5)
+_BALANCED = Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5, edges=True)
 
 PRESETS = {
     "fast": Preset(
@@ -50,5 +50,5 @@ PRESETS = {
         second_layer=False,
     ),
     "balanced": _BALANCED,
-    "accurate": replace(_BALANCED, edges=True),
+    "accurate": _BALANCED,
 }

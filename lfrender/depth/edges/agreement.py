@@ -32,7 +32,7 @@ class Agreement(NamedTuple):
     fixed: float
     share: float
 
-    def contrast_at(self, image: NDArray[np.float32], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def contrast_at(self, image: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float64]:
         """Standard deviation of the pixels at `points` (n, 2) and the four beside each, in units of that difference."""
         x, y = np.clip(np.rint(points).astype(int), 1, np.array(image.shape[::-1]) - 2).T
         five = np.stack([image[y, x], image[y, x - 1], image[y, x + 1], image[y - 1, x], image[y + 1, x]])

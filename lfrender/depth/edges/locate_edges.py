@@ -55,7 +55,7 @@ def locate_edges(
     values, spacing = surface.patch_size, surface.spacing
     gap, reach = TOLERANCE * lattice.pitch, int(settings.reach * lattice.pitch / spacing)
     several = spread(values, reach) > settings.least_jump * lattice.pitch
-    # Depths that no two further lenses show cannot be proven wrong.
+    # Depths that hardly another lens shows cannot be proven wrong.
     cell, shown = abs(np.linalg.det(lattice.basis)), np.pi * (lattice.radius * lattice.pitch) ** 2
     several &= _SHOWN * cell * values * values < shown
     if where is not None:

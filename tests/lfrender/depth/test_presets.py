@@ -71,3 +71,8 @@ def test_fast_gives_the_same_bits_with_one_thread(house, found):
         numba.set_num_threads(threads)
     assert (alone.surface.patch_size == found.surface.patch_size).all()
     np.testing.assert_array_equal(alone.patch_size, found.patch_size)
+
+
+def test_accurate_is_another_word_for_balanced_which_locates_edges():
+    assert PRESETS["accurate"] == PRESETS["balanced"]
+    assert PRESETS["balanced"].edges and not PRESETS["fast"].edges
