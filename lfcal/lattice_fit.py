@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .lattice.lattice import Lattice
+from .lattice.lens_subset import select_whole_lenses
 from .lattice.residuals import Residuals
-from .lattice.robust_fit import LatticeFit, field_rms
+from .lattice.robust_fit import LatticeFit, field_rms, fit_lattice_shifts, shift_standard_error
 from .lattice.standard_errors import LatticeErrors, equal_weight_errors
 from .runtime.errors import CalibrationError
 from .settings import CALIBRATION
@@ -45,11 +46,10 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
     from .images.preprocessing import soften_mask
     from .lattice.lens_subset import StackedCrops
     from .white_fit.fit import fit_white
-    from .white_fit.spots import count_lit_pixels, fit_spots
 
     found = start.lattice
-    if isinstance(picture, np.ndarray) and count_lit_pixels(picture, found) < CALIBRATION.fewest_pixels:
-        return _final(fit_spots(picture, found), found)
+    if isinstance(picture, np.ndarray) and _count_lit_pixels(picture, found) < CALIBRATION.fewest_pixels:
+        return _final(_fit_spots(picture, found), found)
     try:
         white = fit_white(soften_mask(picture) if isinstance(picture, np.ndarray) else picture, found)
     except CalibrationError:
@@ -77,6 +77,63 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
         white.residuals,
         _displacement(white, places),
         white.doubt,
+    )
+
+
+def _count_lit_pixels(picture: NDArray[np.float32], lattice: Lattice) -> float:
+    """Pixels of a disc of even light that has the mean and the variance of the light in a cell.
+
+    `picture` (h, w) is the root of the light.
+    """
+    light = picture.astype(np.float64) ** 2
+    return float(abs(np.linalg.det(lattice.basis)) * light.mean() ** 2 / np.mean(light**2))
+
+
+def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) -> LatticeFit:
+    """Fit a lattice to the centroids of the light of spots of few pixels, as unfocused cameras make with a small pupil.
+
+    So few pixels have no edge that a profile could follow, and the root of their light has its centre elsewhere.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        Root of the light.
+    start : Lattice [px]
+    passes : int
+        Times that the windows, as wide as cells, are put about the fitted centres.
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few whole lenses with light.
+    """
+    lattice, reach = start, int(np.hypot(*(start.steps @ start.basis).T).min() / 2)
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    inside = np.hypot(x, y) <= reach
+    x, y = x[inside], y[inside]
+    for _ in range(passes):
+        indices, centres = select_whole_lenses(lattice, reach + 1)
+        corner = np.rint(centres).astype(np.int64)
+        light = picture[corner[:, 1, None] + y, corner[:, 0, None] + x].astype(np.float64) ** 2
+        light -= np.median(light, axis=1, keepdims=True)
+        np.maximum(light, 0, out=light)
+        total = light.sum(1)
+        lit = total > CALIBRATION.dark_spot * np.quantile(total, 0.9)
+        if lit.sum() < CALIBRATION.fewest_spots:
+            raise CalibrationError(f"only {lit.sum()} whole microimages have light; give a brighter white image")
+        indices, centres, corner, light, total = (v[lit] for v in (indices, centres, corner, light, total))
+        shifts = corner + np.column_stack([light @ x, light @ y]) / total[:, None] - centres
+        design, normal = np.column_stack([np.ones(len(indices)), indices]), np.tile(np.eye(2), (len(indices), 1, 1))
+        change, residuals, weight, variance = fit_lattice_shifts(design, normal, shifts)
+        lattice = Lattice(lattice.origin + change[0], lattice.basis + change[1:], start.image_size, start.radius)
+    first, second = (fit_lattice_shifts(design[k::2], normal[k::2], shifts[k::2])[0] for k in (0, 1))
+    return LatticeFit(
+        lattice.origin,
+        lattice.basis,
+        float(np.sqrt(np.average((residuals**2).sum(1), weights=weight))),
+        shift_standard_error(design, normal, weight, variance),
+        int((weight > 0).sum()),
+        field_rms(design, first - second),
     )
 
 

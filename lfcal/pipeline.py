@@ -93,7 +93,7 @@ def calibrate(
     # Compiled code is loaded only once there is a flat.
     from threadpoolctl import threadpool_limits
 
-    from .images.check_flats import check_flats, estimate_white_level, measure_overexposure
+    from .images.stack import check_flats, estimate_white_level, measure_overexposure
 
     flats = check_flats(_read_paths(image))
     for flat in flats:

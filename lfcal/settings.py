@@ -13,7 +13,7 @@ class CalibrationSettings:
 
     max_half_difference: float = 0.1  # [pitch] RMS distance of the lattices of two halves, from which on there is none
     unproven_confidence: float = 0.4  # where nothing proves that microimages are what repeats on the flat
-    # of scenes whose microimages have the shape of lenses, but show no parallax: 5 of 13 captures, and 2 of 120
+    # of scenes whose microimages have the shape of lenses, but show no parallax: 5 of 15 captures, and 4 of 218
     # pictures that are no flats
     shape_confidence: float = 0.85
     more_candidates: int = 2  # measured after the first before a flat is refused
@@ -31,6 +31,8 @@ class CalibrationSettings:
     unlike_gain: float = 0.1  # light of a lens over that of its surroundings, less 1, that dust or a scene makes
     unlike_lenses: float = 0.12  # share of such lenses: 25 dust specks on 1000 large lenses made 0.09, a scene 0.16
     fewest_pixels: float = 20.0  # [px] in a lens from which on its light is measured well enough to compare
+    dark_spot: float = 0.1  # share of the light of a bright spot from which on its centroid counts
+    fewest_spots: int = 12  # that give a lattice
     enclosed_dark: float = 0.03  # share of dark lenses between lit ones from which on a flat may be a scene: dust less
     samples: int = 4000  # lenses at which distances are measured
 

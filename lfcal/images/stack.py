@@ -1,4 +1,4 @@
-"""Several flats of one camera combined into one: white images by exposure, frames of scenes by their mean.
+"""The flats of one camera: checked, and combined into one, white images by exposure, frames of scenes by their mean.
 
 Flats without contrast, such as dark or saturated ones, are left out; clipped pixels are taken from other flats.
 """
@@ -6,13 +6,91 @@ Flats without contrast, such as dark or saturated ones, are left out; clipped pi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ..runtime.errors import FlatError
+from .preprocessing import is_mask
 from .settings import STACK
 
-__all__ = ["average_scenes", "clipping_level", "combine_whites", "select_contrasted"]
+__all__ = [
+    "average_scenes", "check_flats", "clipping_level", "combine_whites", "estimate_white_level", "measure_overexposure",
+    "select_contrasted",
+]  # fmt: skip
+
+
+def check_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
+    """The flats given, one or several, as arrays.
+
+    Raises
+    ------
+    FlatError
+        If one cannot be a flat, or their sizes differ.
+    """
+    given: Any = image
+    several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
+    if not several and np.ndim(given) != 4:
+        return [_check_flat(given, "image")]
+    if len(given) == 0:
+        raise FlatError("no flat is given; give at least one")
+    flats = [_check_flat(flat, f"flat {k}") for k, flat in enumerate(given, 1)]
+    first = flats[0].shape
+    for k, flat in enumerate(flats, 1):
+        if flat.shape[:2] != first[:2]:
+            raise FlatError(
+                f"flat {k} is {flat.shape[1]} x {flat.shape[0]} px, flat 1 is {first[1]} x {first[0]} px; "
+                "give flats of one camera"
+            )
+    return flats
+
+
+def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
+    """Largest value of the 8, 10, 12 or 14 bits that the sensor has, in 16-bit files; None where that is unknown."""
+    if any(flat.dtype.kind not in "ui" or flat.dtype.itemsize == 1 for flat in flats):
+        return None
+    largest = max(int(flat.max()) for flat in flats)
+    return next((float(2**bits - 1) for bits in (8, 10, 12, 14) if largest < 2**bits), None)
+
+
+def measure_overexposure(flat: NDArray[Any]) -> float:
+    """Share of the pixels of a flat at the largest value that its type, or a sensor of fewer bits, can have.
+
+    0 for masks, which have no more than two tones.
+    """
+    if flat.dtype.kind != "u" or is_mask(flat):
+        return 0.0
+    top = int(flat.max())
+    if top != np.iinfo(flat.dtype).max and top not in (1023, 4095, 16383):
+        return 0.0
+    # One channel after the other: reductions over so few values take several times as long.
+    channels = np.moveaxis(flat.reshape(*flat.shape[:2], -1), -1, 0)
+    return float(np.logical_or.reduce([channel >= top for channel in channels]).mean())
+
+
+def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
+    """The flat as an array, or FlatError."""
+    flat = np.asarray(image)
+    if flat.ndim not in (2, 3) or (flat.ndim == 3 and flat.shape[2] != 3):
+        raise FlatError(f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)")
+    if flat.dtype.kind not in "uif" or 0 in flat.shape:
+        raise FlatError(f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values")
+    if flat.dtype.kind == "f" and not np.isfinite(flat.sum(dtype=np.float64)):
+        bad = ~np.isfinite(flat).reshape(*flat.shape[:2], -1).all(-1)
+        if bad.any():
+            y, x = np.argwhere(bad)[0]
+            where = f"first at x={x}, y={y}" + ("" if name == "image" else f" of {name}")
+            raise FlatError(f"{bad.sum()} pixels are NaN or infinite, {where}; fill them in first")
+    # Sums of squares of larger values leave the range of single precision; unsigned ones are never as large.
+    limit = 1e30
+    if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > limit:
+        raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most {limit:.0e} first")
+    if min(flat.shape[:2]) < 16:
+        raise FlatError(
+            f"{name} of {flat.shape[1]} x {flat.shape[0]} px is too small to be a flat; give the whole sensor"
+        )
+    return flat
 
 
 def select_contrasted(lights: Sequence[NDArray[np.float32]]) -> list[int]:

@@ -24,7 +24,6 @@ class FitSettings:
     """Tuned values of `fit`: how many lenses each of its three steps uses, and when a parameter is kept."""
 
     fewest_lenses: int = 12  # for a fit
-    dark_spot: float = 0.1  # share of the light of a bright spot from which on its centroid counts
     search_pixels: float = 1e5  # pixels with which a cutting disc is searched for
     search_lenses: int = 150  # and the fewest lenses
     order_pixels: float = 6e5  # pixels with which the parameters of the model are chosen

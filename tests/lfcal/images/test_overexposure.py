@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import lfcal
-from lfcal.images.check_flats import measure_overexposure
+from lfcal.images.stack import measure_overexposure
 
 
 def test_overexposed_white_image_is_named_with_the_share_of_clipped_pixels(drawn):

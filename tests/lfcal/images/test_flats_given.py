@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.images.check_flats import estimate_white_level
+from lfcal.images.stack import estimate_white_level
 
 
 @pytest.mark.parametrize(
