@@ -28,7 +28,6 @@ from .truth_flats import SCALES, merit
 
 # The largest |s / D| that a depth is asked for.
 _RESOLVABLE = 0.75
-_PRESETS = ("balanced", "accurate")
 
 
 def _true_depth(folder: Path, depth: lfrender.DepthMap) -> lfrender.DepthMap:
@@ -41,13 +40,13 @@ def _true_depth(folder: Path, depth: lfrender.DepthMap) -> lfrender.DepthMap:
 def _rows(folder: Path) -> str:
     flat = lfcal.read_flat(folder / "flat.png")
     calibration = lfcal.calibrate(flat)
-    found = [lfrender.analyze(flat, calibration, preset) for preset in _PRESETS]
+    found = lfrender.analyze(flat, calibration)
     pitch = calibration.lattice.pitch
     lines = []
-    for scale in (*(share * pitch for share in SCALES), default_scale(found[0])):
+    for scale in (*(share * pitch for share in SCALES), default_scale(found)):
         merits = [
             merit(lfrender.render(flat, calibration, depth, scale=scale, detail="off"), folder, pitch)
-            for depth in (*found, _true_depth(folder, found[0]))
+            for depth in (found, _true_depth(folder, found))
         ]
         figures = " | ".join(f"{one.psnr:.1f} dB / {one.ssim:.3f}" for one in merits)
         lines.append(f"| {folder.name} | {scale:.1f} | {figures} |")
@@ -88,7 +87,7 @@ def _simulated_rows(name: str, how: _Simulated) -> str:
     shot = simulate(SCENES[how.scene](camera, **how.arguments), camera, samples=64, seed=7, **how.stored)
     truth = shot.truth
     calibration = lfcal.calibrate(shot.white, kind="white")
-    depth, accurate = (lfrender.analyze(shot.flat, calibration, preset) for preset in _PRESETS)
+    depth = lfrender.analyze(shot.flat, calibration)
     first = (float(truth.reference_affine[0, 2]), float(truth.reference_affine[1, 2]))
     spacing = float(truth.reference_affine[0, 0])
     size = truth.reference_patch_size
@@ -115,8 +114,7 @@ def _simulated_rows(name: str, how: _Simulated) -> str:
     lines = []
     for scale in (*(share * camera.pitch for share in SCALES), default_scale(depth)):
         pictures = [
-            lfrender.render(shot.flat, calibration, which, scale=scale, detail="off")
-            for which in (depth, accurate, true)
+            lfrender.render(shot.flat, calibration, which, scale=scale, detail="off") for which in (depth, true)
         ]
         pictures.append(lfrender.render(shot.flat, calibration, tiled, scale=scale, blend=False))
         pictures.append(lfrender.render(shot.flat, calibration, depth, scale=scale, sharpen="auto"))
@@ -127,12 +125,12 @@ def _simulated_rows(name: str, how: _Simulated) -> str:
 def _main() -> None:
     arguments = sys.argv[1:]
     if not arguments:
-        print("| scene | pixels per pitch | balanced | accurate | true depth | nearest lens, true depth | sharpened |")
-        print("|---|---|---|---|---|---|---|")
+        print("| scene | pixels per pitch | balanced | true depth | nearest lens, true depth | sharpened |")
+        print("|---|---|---|---|---|---|")
         for name, how in _SCENES.items():
             print(_simulated_rows(name, how), flush=True)
         return
-    print("| scene | pixels per pitch | balanced | accurate | true depth |\n|---|---|---|---|---|")
+    print("| scene | pixels per pitch | balanced | true depth |\n|---|---|---|---|")
     for path in sorted(Path(arguments[0]).iterdir()):
         if path.is_dir():
             print(_rows(path), flush=True)

@@ -20,7 +20,7 @@ from .cases import Case
 
 __all__ = ["Row", "measure"]
 
-_PRESETS = ("fast", "balanced", "accurate")
+_PRESETS = ("fast", "balanced")
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ def view(capture: CaptureInput, export: Path | None, port: int, no_browser: bool
 
 @capture_command(
     "lfrender report flat.png -o report.html",
-    "lfrender report flat.png -c camera.json -o report.html --preset accurate",
+    "lfrender report flat.png -c camera.json -o report.html --preset fast",
     output=("REPORT.html", "Page to write.", ".html"),
     white=True,
 )

@@ -28,10 +28,8 @@ def rows():
     return {(row.stage, row.method): row for row in found}
 
 
-# Measured: 0.034, 0.012 and 0.011 px at 27, 60 and 102 times cv2.remap of the flat; with slack for other machines.
-@pytest.mark.parametrize(
-    ("preset", "error", "remaps"), [("fast", 0.05, 110), ("balanced", 0.02, 240), ("accurate", 0.02, 400)]
-)
+# Measured: 0.034 and 0.012 px at 27 and 60 times cv2.remap of the flat; with slack for other machines.
+@pytest.mark.parametrize(("preset", "error", "remaps"), [("fast", 0.05, 110), ("balanced", 0.02, 240)])
 def test_presets_keep_their_promise_of_error_and_time(rows, preset, error, remaps):
     row = rows["analysis", preset]
     assert row.errors["s median px"] < error
@@ -47,11 +45,11 @@ def test_no_method_is_both_faster_and_nearer_to_the_truth_than_a_preset(rows):
         (row.method, other.method)
         for row in analyses
         for other in analyses
-        if row.method in ("fast", "balanced", "accurate")
+        if row.method in ("fast", "balanced")
         and other.errors["s median px"] < 0.9 * row.errors["s median px"]
         and other.remaps < 0.9 * row.remaps
     ]
-    assert len(analyses) == 7
+    assert len(analyses) == 6
     assert not dominated
 
 

@@ -12,7 +12,7 @@ from lfcal import Lattice
 
 from ...flat.lens_graph import lens_grid
 
-__all__ = ["LEVELS", "LensArray", "PointGrid", "lens_array", "level_of", "mark_levels", "value_at"]
+__all__ = ["LEVELS", "LensArray", "PointGrid", "lens_array", "level_of", "mark_levels"]
 
 #: Patch sizes are told apart in so many levels of equal width, one bit each.
 LEVELS = 64
@@ -69,13 +69,6 @@ def lens_array(lattice: Lattice, gap: float, radius: float) -> LensArray:
         np.asarray(lattice.origin, float), np.linalg.inv(lattice.basis).astype(float), float(lattice.pitch),
         float(radius), float(gap),
     )  # fmt: skip
-
-
-@njit(inline="always")
-def value_at(values, first, spacing, x, y):
-    """Grid value nearest to scene point (x, y)."""
-    u, v = int((x - first) / spacing + 0.5), int((y - first) / spacing + 0.5)
-    return values[min(max(v, 0), values.shape[0] - 1), min(max(u, 0), values.shape[1] - 1)]
 
 
 @njit(inline="always")
