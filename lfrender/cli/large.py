@@ -41,9 +41,9 @@ def render_in_tiles(
     report = capture.report
     with report.stage("read"):
         source = capture.open()
-        check_large_picture(output, source.dtype, alpha, capture.files)
-    checkpoint = Checkpoint(output)
     with source:
+        check_large_picture(output, source.dtype, alpha, capture.files)
+        checkpoint = Checkpoint(output)
         calibration = _find_camera(capture, source, checkpoint)
         depth = None
         if patch_size is None:

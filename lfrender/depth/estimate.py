@@ -276,7 +276,7 @@ def _classify(
     signal = signal_share(texture)
     explained = match.normalised_correlation / signal
     systematic = systematic_error(error, explained)
-    reason, error, sure = classify_lenses(textured, match, refined, error, signal, lenses.neighbours, pitch)
+    reason, error, sure = classify_lenses(textured, match, refined, error, signal, centres, lenses.neighbours, pitch)
     depths, shown, known = refined, reason == 0, None
     if previous is not None:
         # Kept lenses show the same scene.

@@ -35,12 +35,13 @@ def overlap_weights(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.
 
 @kernel(error_model="numpy", share=lambda cost, weight, rows, best, *_: len(best))
 def _measure_ambiguity(
-    begin, end, cost, weight, rows, best, wanted, tolerance, settings: AmbiguitySettings, uniqueness
+    begin, end, cost, weight, rows, best, wanted, tolerance, settings, uniqueness, primary, secondary
 ):
     least_temperature, temperature_share, dip, least_weight = settings
     shifts = cost.shape[1]
     for lens in range(begin, end):
         uniqueness[lens] = 1.0
+        primary[lens] = secondary[lens] = 0.0
         if not wanted[lens]:
             continue
         own = best[lens]
@@ -62,6 +63,7 @@ def _measure_ambiguity(
         for k in range(max(0, own - 1), min(shifts, own + 2)):
             top = max(top, mean[k])
         mass = np.float32(0.0)
+        highest = np.float32(0.0)
         temperature = max(least_temperature, temperature_share * (1 - top))
         for side in (-1, 1):
             low = top
@@ -75,10 +77,13 @@ def _measure_ambiguity(
                     if peak and low < mean[k] - dip:
                         mass += np.exp((mean[k] - top) / temperature)
                         low = mean[k]
+                        highest = max(highest, mean[k])
                     elif mean[k] > top:
                         mass += np.exp((mean[k] - top) / temperature) - 1
+                        highest = mean[k]
                 k += side
         uniqueness[lens] = 1 / (1 + mass)
+        primary[lens], secondary[lens] = top, highest
 
 
 def measure_ambiguity(
@@ -89,15 +94,15 @@ def measure_ambiguity(
     wanted: NDArray[np.bool_],
     tolerance: int,
     settings: AmbiguitySettings = AMBIGUITY,
-) -> NDArray[np.float32]:
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Compare the shift `best` (n,) of each lens with all other peaks of its correlation, whatever their overlap.
 
     `cost` (n, k) is that before aggregation, `weight` (k,) as `overlap_weights`, `rows` (n, m) the neighbours, and
     `tolerance` the number of steps that belong to one peak. Lenses that are not `wanted` (n,) were not matched.
 
     Returns the uniqueness (n,), the probability of the chosen shift among all peaks (1 for lenses that were not
-    matched).
+    matched), and the correlation over its overlap weight (n,) there and at the highest other peak (0 if there is none).
     """
-    uniqueness = np.empty(len(best), np.float32)
-    _measure_ambiguity(cost, weight, rows, best, wanted, tolerance, settings, uniqueness)
-    return uniqueness
+    uniqueness, primary, secondary = (np.empty(len(best), np.float32) for _ in range(3))
+    _measure_ambiguity(cost, weight, rows, best, wanted, tolerance, settings, uniqueness, primary, secondary)
+    return uniqueness, primary, secondary

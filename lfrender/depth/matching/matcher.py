@@ -42,6 +42,10 @@ class MatchResult:
     normalised_correlation: NDArray[np.float32]  # (n,) the same without that weight
     # (n,) probability of the best value among all that correlate as well, whatever their overlap
     uniqueness: NDArray[np.float32]
+    # (n,) normalised correlation at the best value and at the highest other peak (0 where there is none), mean
+    # with the neighbours on the same surface.
+    primary_peak: NDArray[np.float32]
+    secondary_peak: NDArray[np.float32]
     second: NDArray[np.float32]  # (n,) second-best value, NaN where no other comes near
     # (n,) as `correlation` and `normalised_correlation`, at the second-best value
     second_correlation: NDArray[np.float32]
@@ -159,7 +163,7 @@ class Matcher:
     def is_periodic(self, cost: NDArray[np.float32]) -> bool:
         """Whether many lenses, of these costs (m, k), match as well at another shift."""
         best, alone = cost.argmin(1), np.empty((len(cost), 0), np.int32)
-        unique = measure_ambiguity(cost, self.overlap_weight, alone, best, np.ones(len(cost), bool), self.tolerance)
+        unique, *_ = measure_ambiguity(cost, self.overlap_weight, alone, best, np.ones(len(cost), bool), self.tolerance)
         return bool(len(cost) and (unique < 0.5).mean() > self.settings.periodic_share)
 
 
@@ -200,13 +204,17 @@ def match_lenses(
     has_second = other_cost < own + settings.second_cost
     second = (matcher.shifts[other] + fit_parabola(cost, other) * step) * factor
     weight = np.maximum(matcher.overlap_weight, AMBIGUITY.least_weight)
-    unique = measure_ambiguity(cost, matcher.overlap_weight, matcher.neighbours, best, active, matcher.tolerance)
+    unique, primary, secondary = measure_ambiguity(
+        cost, matcher.overlap_weight, matcher.neighbours, best, active, matcher.tolerance
+    )
     return MatchResult(
         patch_size=((matcher.shifts[best] + fit_parabola(total, best) * step) * factor).astype(np.float32),
         confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance),
         correlation=1 - own,
         normalised_correlation=((1 - own) / weight[best]).astype(np.float32),
         uniqueness=unique,
+        primary_peak=primary,
+        secondary_peak=secondary,
         second=np.where(has_second, second, np.nan).astype(np.float32),
         second_correlation=1 - other_cost,
         second_normalised=((1 - other_cost) / weight[other]).astype(np.float32),

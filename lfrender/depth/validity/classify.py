@@ -8,9 +8,16 @@ from numpy.typing import NDArray
 from ...flat.lens_graph import count_similar
 from ...flat.settings import SHADING
 from ..matching.matcher import MatchResult
-from ..same_surface import same_surface
+from ..same_surface import TOLERANCE, same_surface
+from .periodicity import sees_little_of_scene
 from .settings import CLASSIFY, ClassifySettings
-from .uncertainty import combine_confidence, inflate_errors
+from .uncertainty import (
+    combine_confidence,
+    confirmed_by_neighbours,
+    has_secondary_peak,
+    inflate_errors,
+    repeats_with_neighbours,
+)
 
 __all__ = [
     "classify_lenses", "initial_reasons", "looks_like_shading", "match_proves_texture", "match_suggests_texture",
@@ -24,6 +31,7 @@ def classify_lenses(
     refined: NDArray,
     error: NDArray,
     signal: NDArray[np.float32],
+    centres: NDArray[np.float32],
     neighbours: NDArray[np.int32],
     pitch: float,
     settings: ClassifySettings = CLASSIFY,
@@ -38,25 +46,59 @@ def classify_lenses(
         Sub-pixel patch sizes and standard errors.
     signal : (n,)
         As `signal_share`.
+    centres : (n, 2) [px]
     neighbours : (n, k) int32
         Neighbour rows, -1 where there is none.
     pitch : float [px]
     settings : ClassifySettings
     """
-    reason = initial_reasons(textured, found, refined, pitch, settings)
-    # The search alone is biased toward shifts at which more pixels are shared.
-    measured = np.isfinite(error)
-    beside = count_similar(measured, refined, neighbours, settings.same_surface * pitch) > 0
-    reason[(reason == 0) & ~(measured | beside)] = 2
+    pairs_agree = _pairs_agree(refined, error, neighbours, pitch, settings)
+    reason = initial_reasons(textured, found, refined, pairs_agree, pitch, settings)
+    reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch, settings)] = 2
     reason[_may_match_by_chance(reason == 0, found, refined, signal, neighbours, pitch, settings)] = 3
+    correlation = found.normalised_correlation / signal
+    beside = confirmed_by_neighbours(reason == 0, refined, correlation, neighbours, pitch, settings)
+    reason[(reason > 1) & beside & (np.abs(refined) <= settings.resolvable * pitch)] = 0
+    secondary = has_secondary_peak(found.primary_peak, found.secondary_peak, signal, settings)
+    if sees_little_of_scene(centres, refined, reason == 0, pitch):
+        # Near zero all lenses see the same content, and match by chance alike.
+        secondary &= np.abs(refined) > TOLERANCE * pitch
+    single = (reason == 0) & (found.uniqueness >= settings.sure) & ~secondary
+    occurring = _occurs(refined, refined[single], pitch, settings)
+    reason[repeats_with_neighbours(reason == 0, found.uniqueness, secondary, occurring, neighbours, settings)] = 2
     blank = (reason > 1) & (found.correlation < settings.shared) & (signal < settings.faint_signal)
     for _ in range(2):
         reason[blank] = 1
         blank |= _alone_and_weak(reason == 0, found, refined, signal, neighbours, pitch, settings)
     reason[blank] = 1
-    error = inflate_errors(error, found.normalised_correlation / signal, settings)
+    error = inflate_errors(error, correlation, settings)
     sure = np.where(textured & ~blank, np.minimum(found.confidence, found.uniqueness), 0)
     return reason, error, combine_confidence(sure, error, pitch, settings)
+
+
+def _pairs_agree(
+    refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float, settings: ClassifySettings
+) -> NDArray[np.bool_]:
+    """Lenses whose pairs agree, and those that two such neighbours confirm; at the border, where a lens has few pairs,
+    one neighbour must confirm what they agree on."""
+    agree = error <= 0.5 * TOLERANCE * pitch
+    confirming = count_similar(agree, refined, neighbours, TOLERANCE * pitch)
+    whole = (neighbours >= 0).all(1)
+    return np.asarray((agree & whole) | (confirming > np.where(agree, 0, settings.alone)))
+
+
+def _unmeasured(
+    refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float, settings: ClassifySettings
+) -> NDArray[np.bool_]:
+    """Lenses that share too few pixels with any other for a fit, and have no neighbour at their depth.
+
+    The search alone is biased toward shifts at which more pixels are shared.
+    """
+    measured = np.isfinite(error)
+    if measured.all():
+        return ~measured
+    similar = count_similar(measured, refined, neighbours, settings.same_surface * pitch)
+    return np.asarray(~measured & (similar == 0))
 
 
 def _may_match_by_chance(
@@ -107,13 +149,15 @@ def initial_reasons(
     textured: NDArray[np.bool_],
     found: MatchResult,
     refined: NDArray,
+    pairs_agree: NDArray[np.bool_],
     pitch: float,
     settings: ClassifySettings = CLASSIFY,
 ) -> NDArray[np.int8]:
     """(n,) int8: as `DepthMap.reason`, 0 for resolved lenses, from each lens alone."""
     size, unsure = np.abs(refined), found.confidence < settings.sure
     little = found.correlation < settings.shared
-    unshared = (size > settings.resolvable * pitch) | (unsure & little)
+    hardly = (size > settings.hardly_shared * pitch) | (found.correlation < settings.least_correlation)
+    unshared = (size > settings.resolvable * pitch) | (unsure & little) | (hardly & ~pairs_agree)
     return np.select([~textured, unshared, unsure], [1, 3, 2], 0).astype(np.int8)
 
 

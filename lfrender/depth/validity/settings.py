@@ -13,6 +13,7 @@ class ClassifySettings:
 
     resolvable: float = 0.75  # [pitch] beyond this patch size neighbouring microimages share too little
     sure: float = 0.5  # confidence and uniqueness of resolved lenses, and the factor of a confidence in doubt
+    hardly_shared: float = 0.6  # [pitch] beyond this patch size pairs, or neighbours, must agree
     same_surface: float = 0.06  # [pitch] neighbours at the same depth; half of it for one depth anywhere; set by hand
     occurring_share: float = 0.005  # of the lenses that have a depth, for it to be one that occurs
     proven_confidence: float = 0.95  # of a match that proves faint texture,
@@ -27,6 +28,8 @@ class ClassifySettings:
     by_chance: float = 0.4  # correlation that unrelated content reaches at some shift
     alone: int = 1  # neighbours at the depth of a lens, at most, of one that must prove it
     weak_contrast: float = 0.6  # [contrast of the median lens] and has less; right ones, alone, have 0.8 and more
+    secondary_peak: float = 0.3  # over the first; less on nine of ten lenses whose texture does not repeat
+    both_peaks: float = 1.1  # sum of two peaks over a perfect match: two depths in one lens reach 1
     matched_factor: float = 0.95  # of a standard error if all texture is matched; on ray-traced scenes
     unmatched_factor: float = 2.7  # of it, added in squares, times the share of texture not matched; on the same
     unrelated_error: float = 0.035  # [pitch] standard error of pairs of unrelated content

@@ -1,4 +1,4 @@
-"""Confidence and standard errors of lenses, from unmatched texture and the scatter of pairs.
+"""Confidence and standard errors of lenses: from unmatched texture, the scatter of pairs, neighbours, and other peaks.
 
 Correlations here are normalised: by what a correct match reaches with this noise and overlap.
 """
@@ -8,11 +8,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...flat.lens_graph import count_neighbours, count_similar
 from ...flat.texture import Texture
 from .settings import CLASSIFY, ClassifySettings
 
 __all__ = [
-    "combine_confidence", "correlates_poorly", "inflate_errors", "signal_share", "systematic_error",
+    "combine_confidence", "confirmed_by_neighbours", "correlates_poorly", "has_secondary_peak", "inflate_errors",
+    "repeats_with_neighbours", "signal_share", "systematic_error",
 ]  # fmt: skip
 
 
@@ -85,3 +87,70 @@ def correlates_poorly(
         enough, least = settings.clear_signal_alike, settings.clear_correlation_alike
     clear = resolved & (signal >= enough)
     return bool(2 * clear.sum() >= max(resolved.sum(), 1) and np.median(correlation[clear]) < least)
+
+
+def confirmed_by_neighbours(
+    resolved: NDArray[np.bool_],
+    sizes: NDArray,
+    correlation: NDArray,
+    rows: NDArray[np.int32],
+    pitch: float,
+    settings: ClassifySettings = CLASSIFY,
+) -> NDArray[np.bool_]:
+    """(n,) bool: lenses, maybe faint ones, with the depth of two resolved neighbours that match well themselves."""
+    good = resolved & (correlation >= settings.shared)
+    similar = count_similar(good, sizes, rows, settings.same_surface * pitch)
+    return np.asarray(similar > settings.alone)
+
+
+def has_secondary_peak(
+    primary: NDArray, secondary: NDArray, signal: NDArray, settings: ClassifySettings = CLASSIFY
+) -> NDArray[np.bool_]:
+    """(n,) bool: lenses that correlate at two shifts as only periodic texture does.
+
+    Two depths in one lens share its contrast, so that their correlations add up to one at most.
+
+    Parameters
+    ----------
+    primary, secondary : (n,)
+        Correlation at the chosen shift and at the best of the others.
+    signal : (n,)
+        As `signal_share`.
+    settings : ClassifySettings
+    """
+    high = secondary > settings.secondary_peak * primary
+    return np.asarray(high & (primary + secondary > settings.both_peaks * signal))
+
+
+def repeats_with_neighbours(
+    resolved: NDArray[np.bool_],
+    uniqueness: NDArray,
+    secondary: NDArray[np.bool_],
+    occurring: NDArray[np.bool_],
+    rows: NDArray[np.int32],
+    settings: ClassifySettings = CLASSIFY,
+) -> NDArray[np.bool_]:
+    """(n,) bool: lenses that match at another shift as well, if half of the flat or of their neighbours do too.
+
+    Their texture repeats; a single ambiguous lens is more likely chance. The best match need not be the right one: at
+    the right one neighbours may share less, and differ by the shading of their rims.
+
+    Parameters
+    ----------
+    resolved : (n,) bool
+    uniqueness : (n,)
+        Probability of each match among those that correlate as well.
+    secondary : (n,) bool
+        Lenses as `has_secondary_peak`.
+    occurring : (n,) bool
+        Lenses whose depth occurs among the unambiguous ones: these decide if they are more than half.
+    rows : (n, k) int32
+        Neighbour rows, -1 where there is none.
+    settings : ClassifySettings
+    """
+    ambiguous = resolved & ((uniqueness < settings.sure) | secondary)
+    beside = count_neighbours(ambiguous, rows)
+    if 2 * ambiguous.sum() >= resolved.sum():
+        return ambiguous | (resolved & (2 * beside >= (rows >= 0).sum(1)))
+    together = 2 * beside >= rows.shape[1]
+    return ambiguous & together & ~occurring

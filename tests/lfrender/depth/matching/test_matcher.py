@@ -4,7 +4,7 @@ from lfrender.depth.matching.matcher import MatchResult
 
 
 def found(confidence):
-    values = [np.float32([k, k + 0.5]) for k in range(8)]
+    values = [np.float32([k, k + 0.5]) for k in range(10)]
     values[1] = np.float32(confidence)
     return MatchResult(*values, step=1.0, skipped_share=0.0)
 
