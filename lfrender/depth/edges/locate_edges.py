@@ -28,8 +28,6 @@ __all__ = ["locate_edges", "places_of_lenses", "refine_grid"]
 _AROUND = 1.6
 # [pitch] nor are the lenses farther that have most say about it.
 _FARTHEST = 1.3
-# Lenses that show a place, one of them its own.
-_SHOWN = 2.0
 
 
 def locate_edges(
@@ -57,7 +55,7 @@ def locate_edges(
     several = spread(values, reach) > settings.least_jump * lattice.pitch
     # Depths that hardly another lens shows cannot be proven wrong.
     cell, shown = abs(np.linalg.det(lattice.basis)), np.pi * (lattice.radius * lattice.pitch) ** 2
-    several &= _SHOWN * cell * values * values < shown
+    several &= settings.shown * cell * values * values < shown
     if where is not None:
         several &= places_of_lenses(where, lattice, surface)
     if not several.any():

@@ -13,6 +13,7 @@ class EdgeSettings:
 
     reach: float = 1.0  # [pitch] a pixel may show a depth that the surface has so near to the place it would be at
     least_jump: float = 0.1  # [pitch] edges between patch sizes that differ by less are left alone
+    shown: float = 2.0  # lenses that show a place in the mean, its own among them: with fewer nothing is changed
     views: int = 5  # other lenses that a pixel is compared with, at most; 10 gain 0.1 dB
     agreeing: int = 100  # lenses on one surface with their neighbours that show how well these agree, at most
     noise: float = 3.0  # of their median difference where contrast is low; what differs by less is no mismatch
