@@ -17,14 +17,13 @@ import numpy as np
 
 import lfcal
 from lfcal import Board, MetricCalibration, calibrate_metric, locate_board
-from lfcal.boards.settings import CORNER
+from lfcal.boards.detection import DetectedBoard
 from lfcal.metric.bundle_adjustment import Poses, adjust
 from lfcal.metric.calibrate import DEFAULT_PIXEL
 from lfcal.metric.calibrate import _pose as pose_of
 from lfcal.metric.camera_model import to_internal
 from lfcal.metric.model_order import BASE, select_order
-from lfcal.metric.observations import Observations, triangulate
-from lfcal.metric.settings import START
+from lfcal.metric.observations import Observations
 from lfcal.metric.start import first_camera
 from lfcal.metric.uncertainty import describe_degeneracies, optics_of, pose_factor
 
@@ -105,6 +104,24 @@ def _print_poses(found: MetricCalibration, poses: list[dict]) -> None:
     )
 
 
+def triangulate(seen: Observations) -> list[DetectedBoard]:
+    """Scene coordinates and `D / s` of the corners of each pose that two microimages or more see, without a camera."""
+    boards = []
+    for m in range(int(seen.pose.max()) + 1):
+        found = []
+        for corner in np.unique(seen.corner[seen.pose == m]):
+            mine = (seen.pose == m) & (seen.corner == corner)
+            centre, delta = seen.centre[mine], seen.position[mine] - seen.centre[mine]
+            mean = centre.mean(0)
+            if mine.sum() > 1:
+                # p - c = (c - X) s / D: the slope of p - c over c.
+                ratio = ((centre - mean) * delta).sum() / ((centre - mean) ** 2).sum()
+                found.append((corner, *(mean - delta.mean(0) / ratio), 1 / ratio))
+        table = np.array(found)
+        boards.append(DetectedBoard(table[:, 0].astype(np.int64), table[:, 1:3], table[:, 3]))
+    return boards
+
+
 def real_r12(folder: Path) -> None:
     """Print the figures of `metric/`."""
     lenses = np.genfromtxt(folder / "R12-A.centres.csv", delimiter=",", names=True)
@@ -116,12 +133,13 @@ def real_r12(folder: Path) -> None:
 
     measured = np.column_stack([lenses["u_px"], lenses["v_px"]])
     centres = design(corners) @ np.linalg.lstsq(design(lenses), measured, rcond=None)[0]
-    frames, pose = np.unique(corners["frame"], return_inverse=True)
+    _, pose = np.unique(corners["frame"], return_inverse=True)
     position = np.column_stack([corners["u_px"], corners["v_px"]])
     seen = Observations(pose, corners["corner"].astype(int), centres, position, np.ones(len(pose)))
     points = np.array([[k % _COLUMNS, k // _COLUMNS, 0.0] for k in range(_COLUMNS * _ROWS)]) * _SQUARE
     points -= points.mean(0)
-    start = first_camera(triangulate(seen, START.fewest_lenses), points, (4080, 3068), len(frames))
+    boards = triangulate(seen)
+    start = first_camera(boards, points, (4080, 3068))
     assert start is not None
     fitted = adjust(start[0], DEFAULT_PIXEL, start[1], points, seen, BASE)
     chosen = select_order(fitted, DEFAULT_PIXEL, points, seen)
@@ -136,12 +154,10 @@ def real_r12(folder: Path) -> None:
             f"b = {optics.sensor_distance:.4f} +- {errors[2]:.4f} mm; variances widened by {one.cluster * factor:.1f}"
         )
     print(*describe_degeneracies(optics), sep="\n")
-    three = triangulate(seen, START.fewest_lenses)
     scale = []
-    for m in range(len(frames)):
-        mine = three.pose == m
-        places = optics.positions(three.scene[mine], three.ratio[mine]) * 1000
-        plane = points[three.corner[mine]]
+    for board in boards:
+        places = optics.positions(board.scene, 1 / board.inverse_ratio) * 1000
+        plane = points[board.corner]
         spread, own = (np.linalg.norm(p - p.mean(0), axis=1) for p in (places, plane))
         scale.append(np.median(spread[own > 0] / own[own > 0]) - 1)
     size, scatter = 100 * np.median(scale), 100 * np.std(scale)
@@ -150,7 +166,6 @@ def real_r12(folder: Path) -> None:
 
 def main(shared: str = "../shared") -> None:
     """Print all figures."""
-    print(f"corners within {CORNER.window} squares are fitted")
     ray_traced(Path(shared) / "boards")
     real_r12(Path(shared) / "metric")
 

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from .board import Board
-from .settings import CORNER, CornerSettings
 
 __all__ = ["CornerFits", "fit_corners"]
 
 Array = NDArray[Any]
+_WINDOW = 0.7  # [squares] to each side of the corner that is fitted; 1 is the next corner
 _UNKNOWNS = 5  # shift x and y, mean grey, half contrast, blur
 
 
@@ -66,8 +66,6 @@ def fit_corners(
     predicted: Array,
     shape: Array,
     board: Board,
-    *,
-    settings: CornerSettings = CORNER,
 ) -> CornerFits:
     """Fit corners predicted at (n, 2) [px] in the microimages with centres (n, 2) [px].
 
@@ -75,30 +73,30 @@ def fit_corners(
     """
     n = len(predicted)
     parameters = np.zeros((n, _UNKNOWNS))
-    parameters[:, 4] = settings.first_blur
+    parameters[:, 4] = 1.0
     normal = np.zeros((n, _UNKNOWNS, _UNKNOWNS))
     noise, pixels = np.full(n, np.inf), np.zeros(n)
     if not n:
         return CornerFits(predicted, noise, pixels, pixels, np.zeros(0, bool))
-    blocks = [slice(first, first + settings.block) for first in range(0, n, settings.block)]
-    patches = [_cut(flat, centres[b], radius, predicted[b], shape[b], board, settings) for b in blocks]
+    blocks = [slice(first, first + 1500) for first in range(0, n, 1500)]
+    patches = [_cut(flat, centres[b], radius, predicted[b], shape[b], board) for b in blocks]
     transfer = np.zeros(2)
-    for iteration in range(settings.iterations):
+    for iteration in range(9):
         right, left = np.zeros(2), np.zeros((2, 2))
         for b, patch in zip(blocks, patches, strict=True):
             residual, design, bend = _model(patch, parameters[b], transfer, board)
             weighted = np.ascontiguousarray(np.swapaxes(design * patch.weight[:, :, None], 1, 2))
             normal[b] = weighted @ design
             gradient = (weighted @ residual[..., None])[..., 0]
-            parameters[b] = _stepped(parameters[b], normal[b], gradient, iteration, settings)
+            parameters[b] = _stepped(parameters[b], normal[b], gradient, iteration)
             pixels[b] = patch.weight.sum(1)
             noise[b] = np.sqrt((patch.weight * residual**2).sum(1) / np.maximum(pixels[b] - _UNKNOWNS, 1))
-            clear = noise[b] < settings.largest_residual * np.abs(parameters[b, 3])
+            clear = noise[b] < 0.2 * np.abs(parameters[b, 3])
             bends = bend[clear] * np.sqrt(patch.weight[clear])[..., None]
             bends = bends.reshape(-1, 2)
             left += bends.T @ bends
             right += bends.T @ residual[clear].ravel()
-        if iteration >= settings.transfer_from and np.trace(left) > 0:
+        if iteration >= 3 and np.trace(left) > 0:
             transfer = np.clip(transfer + np.linalg.lstsq(left, right, rcond=1e-6)[0], -0.45, 0.45)
     scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-30))
     unit = normal / (scale[:, :, None] * scale[:, None, :])
@@ -109,13 +107,13 @@ def fit_corners(
     contrast = np.abs(parameters[:, 3])
     side = np.sqrt(np.abs(np.linalg.det(shape)))
     good = (
-        (condition > settings.least_eigenvalue)
-        & (pixels > settings.fewest_pixels)
-        & (contrast > settings.least_contrast * np.median(contrast))
-        & (noise < settings.largest_residual * contrast)
-        & (np.hypot(*parameters[:, :2].T) < settings.largest_shift * side)
+        (condition > 0.02)
+        & (pixels > 25)
+        & (contrast > 0.4 * np.median(contrast))
+        & (noise < 0.2 * contrast)
+        & (np.hypot(*parameters[:, :2].T) < 0.35 * side)
         & np.isfinite(error)
-        & (np.sqrt(np.maximum(variances.max(1), 0)) < settings.largest_error)
+        & (np.sqrt(np.maximum(variances.max(1), 0)) < 0.5)
     )
     return CornerFits(predicted + parameters[:, :2], error, parameters[:, 3], parameters[:, 4], good)
 
@@ -127,9 +125,8 @@ def _cut(
     predicted: Array,
     shape: Array,
     board: Board,
-    settings: CornerSettings,
 ) -> _Patches:
-    reach = settings.window * np.abs(shape).sum(2).max()
+    reach = _WINDOW * np.abs(shape).sum(2).max()
     half = int(np.ceil(min(reach, 2 * radius)))
     y, x = np.mgrid[-half : half + 1, -half : half + 1]
     grid = np.column_stack([x.ravel(), y.ravel()])
@@ -141,11 +138,12 @@ def _cut(
     offset = place - predicted[:, None]
     inverse = np.linalg.inv(shape)
     where = np.abs(np.einsum("nij,npj->npi", inverse, offset))
-    lit = ((place - centres[:, None]) ** 2).sum(2) < (radius - settings.rim) ** 2
-    weight = inside & lit & (where.max(2) < settings.window)
+    # The edge of a microimage is soft over a pixel.
+    lit = ((place - centres[:, None]) ** 2).sum(2) < (radius - 1) ** 2
+    weight = inside & lit & (where.max(2) < _WINDOW)
     if board.pattern == "charuco":
         # Markers fill the white squares up to a margin.
-        weight &= where.min(2) < settings.marker_margin * (1 - float(board.marker or 0) / board.square) / 2
+        weight &= where.min(2) < 0.8 * (1 - float(board.marker or 0) / board.square) / 2
     return _Patches(value, weight.astype(np.float64), offset, inverse)
 
 
@@ -192,18 +190,18 @@ def _model(patch: _Patches, parameters: Array, transfer: Array, board: Board) ->
     return patch.value - mean - contrast * coded, design, bends
 
 
-def _stepped(parameters: Array, normal: Array, gradient: Array, iteration: int, settings: CornerSettings) -> Array:
+def _stepped(parameters: Array, normal: Array, gradient: Array, iteration: int) -> Array:
     """One damped step; the first ones move grey values alone, which the others need."""
     free = np.ones(_UNKNOWNS)
     if iteration == 0:
         free[[0, 1, 4]] = 0
     scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-12))
     unit = normal / (scale[:, :, None] * scale[:, None, :]) * np.outer(free, free)
-    unit = unit + np.eye(_UNKNOWNS) * (settings.damping + (1 - free))
+    unit = unit + np.eye(_UNKNOWNS) * (1e-4 + (1 - free))
     step = np.linalg.solve(unit, (gradient / scale * free)[..., None])[..., 0] / scale
     length = np.hypot(step[:, 0], step[:, 1])
-    step[:, :2] *= np.minimum(1, settings.largest_step / np.maximum(length, 1e-12))[:, None]
+    step[:, :2] *= np.minimum(1, 1.0 / np.maximum(length, 1e-12))[:, None]
     new = parameters + step
     new[:, 4] = np.clip(new[:, 4], 0.6 * parameters[:, 4], 1.6 * parameters[:, 4])
-    new[:, 4] = np.clip(new[:, 4], settings.least_blur, settings.largest_blur)
+    new[:, 4] = np.clip(new[:, 4], 0.25, 6.0)
     return new

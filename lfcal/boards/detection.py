@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from .board import Board
 from .focus_sweep import FocusedPicture
-from .settings import DETECTION, DetectionSettings
 
 __all__ = ["DetectedBoard", "detect"]
 
@@ -36,10 +35,10 @@ class DetectedBoard:
     inverse_ratio: NDArray[np.float64]
 
 
-def detect(picture: FocusedPicture, board: Board, *, settings: DetectionSettings = DETECTION) -> DetectedBoard | None:
+def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
     """Find the points of a board, or None where it is not found whole (ChArUco: not enough of it)."""
     best: DetectedBoard | None = None
-    for image, zoom in _versions(picture.image, settings):
+    for image, zoom in _versions(picture.image):
         found = _FINDERS[board.pattern](image, board)
         if found is None:
             continue
@@ -56,12 +55,13 @@ def detect(picture: FocusedPicture, board: Board, *, settings: DetectionSettings
     return best
 
 
-def _versions(image: NDArray[np.float32], settings: DetectionSettings) -> Iterator[tuple[NDArray[np.uint8], float]]:
+def _versions(image: NDArray[np.float32]) -> Iterator[tuple[NDArray[np.uint8], float]]:
     """8-bit pictures of rising size and contrast."""
     finite = image[image > 0] if (image > 0).any() else image.ravel()
-    low, high = np.percentile(finite, (settings.black_share, 100 - settings.white_share))
+    low, high = np.percentile(finite, (1, 99))
     grey = np.clip((image - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
-    for zoom in settings.zooms:
+    # Detectors need squares of 8 to 80 px.
+    for zoom in (1.0, 2.0, 0.5):
         size = (round(grey.shape[1] * zoom), round(grey.shape[0] * zoom))
         yield cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC if zoom > 1 else cv2.INTER_AREA), zoom
 
@@ -125,17 +125,16 @@ def _turned(board: Board, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _plane(picture: FocusedPicture, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
     """`D / s` at the pixels, of the plane that fits their patch sizes: `1 / s` of a plane is linear in `X`."""
+    from scipy.optimize import least_squares
+
     x, y = np.rint(pixels).astype(int).T
     height, width = picture.ratio.shape
     ratio = picture.ratio[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float64)
     inverse = 1 / np.where(np.abs(ratio) < 1e-3, np.nan, ratio)
     kept = np.isfinite(inverse) & (np.sign(inverse) == np.sign(np.nanmedian(inverse)))
     design = np.column_stack([np.ones(len(x)), pixels - pixels.mean(0)])
-    plane = np.array([np.median(inverse[kept]), 0, 0])
-    for _ in range(10):
-        off = np.abs(inverse - design @ plane)
-        weight = np.where(kept, 1 / np.maximum(off, np.nanmedian(off[kept]) + 1e-9), 0)
-        plane = np.linalg.lstsq(
-            design * np.sqrt(weight)[:, None], np.nan_to_num(inverse) * np.sqrt(weight), rcond=None
-        )[0]
-    return design @ plane
+    found = least_squares(
+        lambda plane: (inverse - design @ plane)[kept], [np.median(inverse[kept]), 0, 0],
+        lambda _plane: -design[kept], x_scale="jac", loss="soft_l1", f_scale=0.05 * abs(np.median(inverse[kept])),
+    )  # fmt: skip
+    return np.asarray(design @ found.x)

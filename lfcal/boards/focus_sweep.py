@@ -8,44 +8,31 @@ above `lfcal`: boards need a picture that a detector finds them on, corners are 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from .settings import SWEEP, SweepSettings
 
 __all__ = ["FocusedPicture", "focused_picture"]
 
 Picture = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class FocusedPicture:
-    """An all-in-focus picture with the patch size it was drawn with.
+class FocusedPicture(NamedTuple):
+    """An all-in-focus picture with the patch size it was drawn with."""
 
-    Parameters
-    ----------
-    image : (h, w) float32
-        In the unit of the flat.
-    ratio : (h, w) float32
-        `s / D` of every pixel.
-    step : float [px]
-        Scene coordinates `X = step * (u, v)` of the pixel in column `u` and row `v`.
-    """
-
-    image: Picture
-    ratio: Picture
-    step: float
+    image: Picture  # (h, w) float32 in the unit of the flat
+    ratio: Picture  # (h, w) float32 `s / D` of every pixel
+    step: float  # [px] scene coordinates `X = step * (u, v)` of the pixel in column `u` and row `v`
 
 
 class _Views:
-    """The nearest lenses of every point of a grid of scene coordinates."""
+    """The nearest lenses of every point of a grid of scene coordinates: the nearest one and a ring about it."""
 
-    def __init__(self, lattice: Lattice, step: float, lenses: int) -> None:
+    def __init__(self, lattice: Lattice, step: float) -> None:
         from scipy.spatial import cKDTree
 
         width, height = lattice.image_size
@@ -53,7 +40,7 @@ class _Views:
         self.shape = rows.shape
         self.points = np.stack([columns, rows], axis=2).astype(np.float32) * np.float32(step)
         centres = lattice.centres()
-        lenses = min(lenses, len(centres))
+        lenses = min(7, len(centres))
         nearest = cKDTree(centres).query(self.points.reshape(-1, 2), k=lenses)[1].reshape(*self.shape, lenses)
         self.centres = [centres[nearest[..., k]].astype(np.float32) for k in range(lenses)]
         self.radius = lattice.radius
@@ -77,25 +64,24 @@ class _Views:
         return mean, variance, count
 
 
-def focused_picture(flat: Picture, lattice: Lattice, *, settings: SweepSettings = SWEEP) -> FocusedPicture:
+def focused_picture(flat: Picture, lattice: Lattice) -> FocusedPicture:
     """Draw a grey flat (h, w), divided by its gain, with the patch size that makes the lenses agree best."""
-    half = np.arange(settings.least_ratio, settings.largest_ratio, settings.ratio_step)
+    # Nearer to 0, or beyond 0.75, neighbours share too little of the scene; steps are half a pixel at D = 23 px.
+    half = np.arange(0.05, 0.75, 0.025)
     candidates = np.concatenate([-half[::-1], half]).astype(np.float32)
-    coarse = _Views(lattice, settings.coarse_step * lattice.pitch, settings.lenses)
-    window = round(settings.window / settings.coarse_step) | 1
-    scale = float(flat.std()) ** 2 + 1e-12
+    # Candidates are compared at points a fifth of a pitch apart, over 1.5 pitches: a lens and half of its neighbours.
+    coarse, window = _Views(lattice, 0.2 * lattice.pitch), 7
     best = np.full(coarse.shape, np.inf, np.float32)
     ratio = np.full(coarse.shape, candidates[0], np.float32)
     for candidate in candidates:
         _, variance, count = coarse.draw(flat, float(candidate))
         known = (count >= 2).astype(np.float32)
         share = cv2.blur(known, (window, window))
-        cost = cv2.blur(variance * known, (window, window)) / np.maximum(share, 1e-3) / scale
-        cost[share < settings.least_share] = np.inf
+        cost = cv2.blur(variance * known, (window, window)) / np.maximum(share, 1e-3)
+        cost[share < 0.3] = np.inf
         better = cost < best
         best[better], ratio[better] = cost[better], candidate
-    ratio = cv2.medianBlur(ratio, 5)
-    fine = _Views(lattice, settings.fine_step * lattice.pitch, settings.lenses)
-    ratio = cv2.resize(ratio, fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    image, _, count = fine.draw(flat, ratio)
-    return FocusedPicture(image, ratio, settings.fine_step * lattice.pitch)
+    step = 0.075 * lattice.pitch
+    fine = _Views(lattice, step)
+    ratio = cv2.resize(cv2.medianBlur(ratio, 5), fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return FocusedPicture(fine.draw(flat, ratio)[0], ratio, step)

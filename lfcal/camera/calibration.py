@@ -278,7 +278,7 @@ class Calibration(Frozen):
     def plot(self, ax: Any = None) -> Any:
         """Draw the mean residuals over the flat, or the centres of the lattice where residuals are not measured.
 
-        On Matplotlib axes, by default the current ones (`pip install 'lfrender[plots]'`), which are returned.
+        On Matplotlib axes, by default the current ones, which are returned.
         """
         from .plotting import plot_calibration
 

@@ -1,4 +1,4 @@
-"""A calibration in a notebook: a card with a drawing of its lattice, and its residuals on Matplotlib axes."""
+"""A calibration in a notebook: a card with a drawing of its lattice, and plots of its parts with Matplotlib."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from .lens_types import LensTypes
 if TYPE_CHECKING:
     from .calibration import Calibration
 
-__all__ = ["calibration_card", "plot_calibration"]
+__all__ = ["TYPE_COLOURS", "calibration_card", "plot_calibration", "plot_falloff", "plot_gain", "plot_residuals"]
 
-_MOST_CENTRES = 600  # that can be told apart on a plot
-# Colours of lens types.
-_TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
+#: Colours of lens types.
+TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
 
 
 def calibration_card(calibration: Calibration) -> str:
@@ -43,45 +42,76 @@ def calibration_card(calibration: Calibration) -> str:
 def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
     """See `Calibration.plot`."""
     ax = get_axes(ax)
-    lattice = calibration.lattice
-    width, height = calibration.image_size
     if calibration.residuals is None:
         _plot_centres(calibration, ax)
         return ax
-    else:
-        positions, mean, error = calibration.residuals.mean_over_grid(lattice)
-        arrows = ax.quiver(*positions.T, *mean.T, np.hypot(*mean.T) / error, angles="xy", cmap="viridis")
+    arrows, longest = plot_residuals(calibration, ax)
+    if arrows is not None:
         ax.figure.colorbar(arrows, ax=ax, label="length over its standard error")
-        longest = float(np.hypot(*mean.T).max(initial=0.0))
-        ax.set_title(f"Mean residuals of the lattice, at most {longest:.2g} px")
-    ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="x [px]", ylabel="y [px]")
+    ax.set_title(f"Mean residuals of the lattice, at most {longest:.2g} px")
     return ax
+
+
+def plot_residuals(calibration: Calibration, ax: Any, **style: Any) -> tuple[Any, float]:
+    """Arrows of the mean residuals over the flat, coloured by their significance, and the longest [px]."""
+    width, height = calibration.image_size
+    ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="x [px]", ylabel="y [px]")
+    if calibration.residuals is None:
+        return None, float("nan")
+    positions, mean, error = calibration.residuals.mean_over_grid(calibration.lattice)
+    length = np.hypot(*mean.T)
+    if not length.any():
+        return None, 0.0
+    arrows = ax.quiver(*positions.T, *mean.T, length / error, angles="xy", cmap="viridis", **style)
+    return arrows, float(length.max(initial=0.0))
+
+
+def plot_gain(calibration: Calibration, ax: Any) -> None:
+    """The gain map of the top left corner, four pitches wide, or words where there is none."""
+    ax.set(title="Gain map, top left", xticks=[], yticks=[])
+    if calibration.gain_map is None:
+        ax.set_title("Gain map: not measured")
+        return
+    reach = max(8, int(4 * calibration.lattice.pitch))
+    ax.imshow(calibration.gain()[:reach, :reach], cmap="gray", vmin=0, vmax=1)
+    ax.set_xlabel(f"{len(calibration.defects.pixels)} pixels, {len(calibration.defects.lenses)} lenses defect")
+
+
+def plot_falloff(calibration: Calibration, ax: Any) -> None:
+    """Light inside a microimage over the distance to its centre, and the usable radius."""
+    vignetting, radius = calibration.vignetting, calibration.lattice.radius
+    ax.set(
+        title="Light in a microimage" if vignetting else "Light: not measured", xlabel=f"radius [px], R {radius:.1f}"
+    )
+    ax.axvline(radius, color=TYPE_COLOURS[0])
+    if vignetting is not None:
+        ax.plot(np.arange(len(vignetting.profile)) * vignetting.step, vignetting.profile, color=TYPE_COLOURS[1])
 
 
 def _plot_centres(calibration: Calibration, ax: Any) -> None:
     """Centres and usable circles of the microimages: all of them, or where they are too many those in the middle."""
     from matplotlib.collections import EllipseCollection
 
-    lattice = calibration.lattice
+    lattice, most = calibration.lattice, 600
     centres, (width, height) = lattice.centres(), calibration.image_size
     left, top, right, bottom = -0.5, -0.5, width - 0.5, height - 0.5
     title = f"{len(centres):,} microimages"
-    if len(centres) > _MOST_CENTRES:
-        side = lattice.pitch * _MOST_CENTRES**0.5 / 2
+    if len(centres) > most:
+        side = lattice.pitch * most**0.5 / 2
         left, right = max(left, width / 2 - side), min(right, width / 2 + side)
         top, bottom = max(top, height / 2 - side), min(bottom, height / 2 + side)
         title += ", those in the middle"
     shown = centres[((centres > (left, top)) & (centres < (right, bottom))).all(1)]
     sizes = np.full(len(shown), 2 * lattice.radius)
-    circles = EllipseCollection(sizes, sizes, 0 * sizes, units="xy", offsets=shown, transOffset=ax.transData)
-    circles.set(facecolor="none", edgecolor=_TYPE_COLOURS[0], linewidth=0.6)
+    circles = EllipseCollection(sizes, sizes, 0 * sizes, units="xy", offsets=shown, offset_transform=ax.transData)
+    circles.set(facecolor="none", edgecolor=TYPE_COLOURS[0], linewidth=0.6)
     ax.add_collection(circles)
-    ax.plot(*shown.T, ".", markersize=2, color=_TYPE_COLOURS[1])
+    ax.plot(*shown.T, ".", markersize=2, color=TYPE_COLOURS[1])
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x [px]", ylabel="y [px]", title=title)
 
 
 def _lattice_svg(lattice: Lattice, types: LensTypes | None = None) -> str:
-    """Inline SVG of the lenses at the middle of a flat: usable circles, coloured by type, and the basis as arrows."""
+    """Inline SVG of the lenses at the middle of a flat: usable circles, coloured by type."""
     side, pitches = 200, 5.0  # CSS px, and pitches across them
     scale = side / (pitches * lattice.pitch)
     # A reduced basis has at least 60 degrees between its vectors: all lenses of the drawing lie within six steps.
@@ -94,14 +124,9 @@ def _lattice_svg(lattice: Lattice, types: LensTypes | None = None) -> str:
         f"<circle cx='{x:.1f}' cy='{y:.1f}' r='{lattice.radius * scale:.1f}' fill='{colour}' "
         f"fill-opacity='.15' stroke='{colour}'/>"
         for (x, y), kind in zip(at[near], kinds[near], strict=True)
-        for colour in [_TYPE_COLOURS[int(kind) % len(_TYPE_COLOURS)]]
-    )
-    arrows = "".join(
-        f"<line x1='{side / 2}' y1='{side / 2}' x2='{x:.1f}' y2='{y:.1f}' stroke='currentColor' stroke-width='1.5'/>"
-        f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.5' fill='currentColor'/>"
-        for x, y in lattice.basis * scale + side / 2
+        for colour in [TYPE_COLOURS[int(kind) % len(TYPE_COLOURS)]]
     )
     return (
         f"<svg width='{side}' height='{side}' viewBox='0 0 {side} {side}' role='img' "
-        f"aria-label='{describe_orientation(lattice)[0]} lattice, {pitches:.0f} pitches wide'>{circles}{arrows}</svg>"
+        f"aria-label='{describe_orientation(lattice)[0]} lattice, {pitches:.0f} pitches wide'>{circles}</svg>"
     )

@@ -1,15 +1,13 @@
 """Robust bundle adjustment of the camera, the poses of the boards and their shape, with the covariance of both.
 
-Levenberg-Marquardt on the normal equations, built pose by pose. With a dozen poses they are a dense matrix of a hundred
-unknowns, solved exactly: iterative sparse solvers (`scipy.optimize.least_squares` with LSMR) stop short along the weak
-directions that focal length and distances have. Weights are Tukey's biweight of the residual over the noise.
+`scipy.optimize.least_squares` with a Cauchy loss, then without the outliers. The Jacobian is solved exactly: iterative
+solvers stop short along the weak directions that focal length and distances have.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -17,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .board_shape import SHAPE, deform, shape_derivatives
-from .camera_model import INTERNAL, project
+from .camera_model import INTERNAL, project, project_positions
 from .observations import Observations
-from .settings import ADJUSTMENT, AdjustmentSettings
 
-__all__ = ["Adjusted", "Normals", "Poses", "adjust", "normal_equations", "residuals", "unknowns"]
+__all__ = ["Adjusted", "Poses", "adjust", "inverse", "linearise", "unknowns"]
 
 Array = NDArray[Any]
+_OWN, _LAST = len(INTERNAL), len(SHAPE)
 
 
 @dataclass(frozen=True)
@@ -38,26 +36,14 @@ class Poses:
         return np.einsum("nij,nj->ni", self.rotation[pose], points) + self.translation[pose]
 
     def moved(self, steps: Array) -> Poses:
-        """Turned by small vectors [rad] and shifted by [mm], (m, 6)."""
+        """Turned by vectors [rad] and shifted by [mm], (m, 6)."""
         turned = [cv2.Rodrigues(step[:3])[0] @ rotation for step, rotation in zip(steps, self.rotation, strict=True)]
         return Poses(np.array(turned), self.translation + steps[:, 3:])
 
 
 @dataclass(frozen=True)
-class Normals:
-    """Normal equations and the residuals (n, 2) [px].
-
-    The unknowns are 14 parameters of the camera, 6 of each pose, and 5 of the shape of the board.
-    """
-
-    matrix: Array
-    gradient: Array
-    residual: Array
-
-
-@dataclass(frozen=True)
 class Adjusted:
-    """A fitted camera with poses.
+    """A fitted camera with poses. The unknowns are 14 parameters of the camera, 6 of each pose, 5 of the shape.
 
     Parameters
     ----------
@@ -73,7 +59,7 @@ class Adjusted:
     residual : (n, 2) float64 [px]
         Observed minus predicted.
     weight : (n,) float64
-        0..1, 0 of outliers.
+        1, or 0 of outliers.
     noise : float
         Standard deviation of residuals over stated errors.
     cluster : float
@@ -98,39 +84,43 @@ class Adjusted:
         """Of the distances between observed and predicted positions [px], outliers included."""
         return float(np.sqrt((self.residual**2).sum(1).mean()))
 
+    def linearise(self, pixel: float, observations: Observations) -> Array:
+        """`linearise` at these values, 0 for outliers."""
+        rows = linearise(self.camera, pixel, self.poses, self.board, observations)
+        return rows * self.weight[:, None, None]
 
-def residuals(camera: Array, pixel: float, poses: Poses, board: Array, observations: Observations) -> Array:
-    """(n, 2) [px] observed minus predicted positions."""
-    points = poses.of_board(board[observations.corner], observations.pose)
-    return observations.position - project(camera, pixel, points, observations.centre).position
+
+def unknowns(free: Sequence[str], poses: int) -> NDArray[np.int64]:
+    """Places of the parameters `free`, and of those of all poses, among the unknowns."""
+    last = _OWN + 6 * poses
+    places = {name: k for k, name in enumerate(INTERNAL)} | {name: last + k for k, name in enumerate(SHAPE)}
+    return np.sort(np.r_[[places[name] for name in free], _OWN:last].astype(np.int64))
 
 
-def normal_equations(
-    camera: Array, pixel: float, poses: Poses, board: Array, observations: Observations, weight: Array
-) -> Normals:
-    """Of the observations weighted by `weight` (n,) over their squared errors."""
-    o = observations
+def linearise(
+    camera: Array, pixel: float, poses: Poses, board: Array, observations: Observations, turns: Array | None = None
+) -> Array:
+    """(n, 2, 14 + 6 m + 5) derivatives of the predicted positions over their errors by all unknowns.
+
+    `turns` (m, 3) [rad] are the turns that led to `poses`, where derivatives are taken by those; by default none.
+    """
+    o, count = observations, len(poses.rotation)
     turned = np.einsum("nij,nj->ni", poses.rotation[o.pose], board[o.corner])
     seen = project(camera, pixel, turned + poses.translation[o.pose], o.centre)
-    residual = o.position - seen.position
-    x, y, z = turned.T
-    zero = np.zeros_like(x)
-    by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
+    turns = np.zeros((count, 3)) if turns is None else turns
+    # d(exp(w) y) / dw of y = exp(-w) turned.
+    bend = [
+        np.einsum("kij,lj->ikl", jacobian.reshape(3, 3, 3), rotation)
+        for rotation, jacobian in (cv2.Rodrigues(turn) for turn in turns)
+    ]
+    by_turn = np.einsum("nikl,nl->nik", np.array(bend)[o.pose], turned)
+    rows = np.zeros((len(o), 2, _OWN + 6 * count + _LAST))
+    rows[:, :, :_OWN] = seen.by_camera
+    rows[:, :, -_LAST:] = seen.by_point @ (poses.rotation[o.pose] @ shape_derivatives(board)[o.corner])
     by_pose = np.concatenate([seen.by_point @ by_turn, seen.by_point], axis=2)
-    scale = (np.sqrt(weight) / o.error)[:, None]
-    by_shape = seen.by_point @ (poses.rotation[o.pose] @ shape_derivatives(board)[o.corner])
-    rows = np.concatenate([seen.by_camera, by_pose, by_shape], axis=2) * scale[:, :, None]
-    scaled = residual * scale
-    own = len(INTERNAL)
-    size = own + 6 * len(poses.rotation) + len(SHAPE)
-    matrix, gradient = np.zeros((size, size)), np.zeros(size)
-    ends = np.searchsorted(o.pose, np.arange(len(poses.rotation) + 1))
-    for m, (first, last) in enumerate(pairwise(ends)):
-        block = rows[first:last].reshape(-1, rows.shape[2])
-        index = np.r_[:own, own + 6 * m : own + 6 * m + 6, size - len(SHAPE) : size]
-        matrix[np.ix_(index, index)] += block.T @ block
-        gradient[index] += block.T @ scaled[first:last].ravel()
-    return Normals(matrix, gradient, residual)
+    for k in range(6):
+        rows[np.arange(len(o)), :, _OWN + 6 * o.pose + k] = by_pose[:, :, k]
+    return rows / o.error[:, None, None]
 
 
 def adjust(
@@ -142,7 +132,6 @@ def adjust(
     free: Sequence[str],
     *,
     shape: Array | None = None,
-    settings: AdjustmentSettings = ADJUSTMENT,
 ) -> Adjusted:
     """Fit the parameters `free` of `INTERNAL` and `SHAPE`, and all poses.
 
@@ -161,113 +150,95 @@ def adjust(
     shape : (5,) float64 [mm], optional
         Start; by default the board is flat.
     """
-    problem = _Problem(pixel, board, observations)
-    chosen = unknowns(free, len(poses.rotation))
-    shape = np.zeros(len(SHAPE)) if shape is None else shape
-    found = residuals(camera, pixel, poses, deform(board, shape), observations)
-    weight, noise = _weights(found, observations, settings)
-    for _ in range(settings.scale_passes):
-        camera, poses, shape = _minimise(problem, camera, poses, shape, chosen, weight, settings)
-        found = residuals(camera, pixel, poses, deform(board, shape), observations)
-        weight, noise = _weights(found, observations, settings)
-    # Least squares without the outliers: its errors are those of the normal matrix.
-    weight = (np.hypot(*found.T) / observations.error < settings.rejection * noise).astype(np.float64)
-    camera, poses, shape = _minimise(problem, camera, poses, shape, chosen, weight, settings)
-    board = deform(board, shape)
-    normals = normal_equations(camera, pixel, poses, board, observations, weight)
-    noise = _noise(normals.residual, weight, observations, len(chosen))
-    cluster = _cluster_factor(normals.residual, weight, noise, observations)
-    covariance = np.zeros_like(normals.matrix)
-    covariance[np.ix_(chosen, chosen)] = _inverse(normals.matrix[np.ix_(chosen, chosen)]) * noise**2 * cluster
-    return Adjusted(camera, tuple(free), poses, shape, board, normals.residual, weight, noise, cluster, covariance)
-
-
-def unknowns(free: Sequence[str], poses: int) -> NDArray[np.int64]:
-    """Places of the parameters `free`, and of those of all poses, among the unknowns of the normal equations."""
-    own, last = len(INTERNAL), len(INTERNAL) + 6 * poses
-    places = {name: k for k, name in enumerate(INTERNAL)} | {name: last + k for k, name in enumerate(SHAPE)}
-    return np.sort(np.r_[[places[name] for name in free], own:last].astype(np.int64))
+    problem = _Problem(poses, pixel, board, observations, unknowns(free, len(poses.rotation)))
+    values = np.concatenate([camera, np.zeros(6 * len(poses.rotation)), np.zeros(_LAST) if shape is None else shape])
+    everything = np.ones(len(observations))
+    for _ in range(2):
+        values = problem.solve(values, everything, 3 * _robust_noise(problem.residual(values)))
+    # Least squares without the outliers: its errors are those of the normal matrix. One normal error in 25,000 is off
+    # by 4.5 standard deviations.
+    found = problem.residual(values)
+    weight = (np.hypot(*found.T) < 4.5 * _robust_noise(found)).astype(np.float64)
+    values = problem.solve(values, weight, None)
+    camera, poses, board = problem.state(values)
+    found = problem.residual(values)
+    noise = float(np.sqrt((weight @ found**2).sum() / max(2 * weight.sum() - len(problem.chosen), 1.0)))
+    cluster = _cluster_factor(found, weight, noise, observations)
+    rows = linearise(camera, pixel, poses, board, observations) * weight[:, None, None]
+    rows = rows.reshape(-1, rows.shape[2])[:, problem.chosen]
+    covariance = np.zeros((len(values), len(values)))
+    covariance[np.ix_(problem.chosen, problem.chosen)] = inverse(rows.T @ rows) * noise**2 * cluster
+    off = found * observations.error[:, None]
+    return Adjusted(camera, tuple(free), poses, values[-_LAST:], board, off, weight, noise, cluster, covariance)
 
 
 @dataclass(frozen=True)
 class _Problem:
+    """Poses to start from, and what is fitted: all unknowns are `values`, with the turns and shifts from the start."""
+
+    poses: Poses
     pixel: float
     board: Array
     observations: Observations
+    chosen: NDArray[np.int64]
 
-    def cost(self, camera: Array, poses: Poses, shape: Array, weight: Array) -> float:
-        found = residuals(camera, self.pixel, poses, deform(self.board, shape), self.observations)
-        if not np.isfinite(found).all():
-            return np.inf
-        return float((weight / self.observations.error**2 * (found**2).sum(1)).sum())
+    def state(self, values: Array) -> tuple[Array, Poses, Array]:
+        """Camera, poses and board."""
+        steps = values[_OWN:-_LAST].reshape(-1, 6)
+        return values[:_OWN], self.poses.moved(steps), deform(self.board, values[-_LAST:])
 
+    def residual(self, values: Array) -> Array:
+        """(n, 2) observed minus predicted positions over their errors."""
+        camera, poses, board = self.state(values)
+        o = self.observations
+        seen = project_positions(camera, self.pixel, poses.of_board(board[o.corner], o.pose), o.centre)
+        return (o.position - seen) / o.error[:, None]
 
-def _minimise(
-    problem: _Problem,
-    camera: Array,
-    poses: Poses,
-    shape: Array,
-    chosen: NDArray[np.int64],
-    weight: Array,
-    settings: AdjustmentSettings,
-) -> tuple[Array, Poses, Array]:
-    """Levenberg-Marquardt with fixed weights."""
-    cost, damping = problem.cost(camera, poses, shape, weight), settings.first_damping
-    own = len(INTERNAL)
-    for _ in range(settings.iterations):
-        board = deform(problem.board, shape)
-        normals = normal_equations(camera, problem.pixel, poses, board, problem.observations, weight)
-        matrix, gradient = normals.matrix[np.ix_(chosen, chosen)], normals.gradient[chosen]
-        scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-        unit = matrix * np.outer(scale, scale)
-        while True:
-            step = np.zeros(len(normals.gradient))
-            step[chosen] = scale * np.linalg.solve(unit + damping * np.eye(len(unit)), scale * gradient)
-            turns, bend = step[own : -len(SHAPE)], step[-len(SHAPE) :]
-            tried = camera + step[:own], poses.moved(turns.reshape(-1, 6)), shape + bend
-            new = problem.cost(*tried, weight)
-            if new < cost or damping > 1e8:
-                break
-            damping *= 10
-        if not new < cost:
-            break
-        camera, poses, shape = tried
-        done = cost - new <= settings.tolerance * cost
-        cost, damping = new, damping / 10
-        if done:
-            break
-    return camera, poses, shape
+    def solve(self, values: Array, weight: Array, scale: float | None) -> Array:
+        """The values that minimise the weighted residuals, or their Cauchy loss of this `scale`."""
+        from scipy.optimize import least_squares
+
+        def full(x: Array) -> Array:
+            changed = values.copy()
+            changed[self.chosen] = x
+            return changed
+
+        def residual(x: Array) -> Array:
+            return (self.residual(full(x)) * weight[:, None]).ravel()
+
+        def jacobian(x: Array) -> Array:
+            changed = full(x)
+            camera, poses, board = self.state(changed)
+            turns = changed[_OWN:-_LAST].reshape(-1, 6)[:, :3]
+            rows = linearise(camera, self.pixel, poses, board, self.observations, turns) * -weight[:, None, None]
+            return rows.reshape(-1, rows.shape[2])[:, self.chosen]
+
+        loss = {"loss": "cauchy", "f_scale": scale, "ftol": 1e-4} if scale is not None else {"ftol": 1e-10}
+        found = least_squares(
+            residual, values[self.chosen], jacobian, x_scale="jac", tr_solver="exact", xtol=None, gtol=None,
+            max_nfev=60, **loss,
+        )  # fmt: skip
+        return full(found.x)
 
 
-def _weights(residual: Array, observations: Observations, settings: AdjustmentSettings) -> tuple[Array, float]:
-    """Tukey's biweight of each observation, and the robust noise, in units of the stated errors."""
-    distance = np.hypot(*residual.T) / observations.error
-    # The median distance of a two-dimensional normal distribution is 1.177 standard deviations.
-    noise = max(float(np.median(distance)) / 1.1774, 1e-12)
-    unit = np.minimum(distance / (settings.cutoff * noise), 1)
-    return (1 - unit**2) ** 2, noise
-
-
-def _noise(residual: Array, weight: Array, observations: Observations, unknowns: int) -> float:
-    """Standard deviation of residuals over stated errors, degrees of freedom taken off."""
-    square = (residual**2).sum(1) / observations.error**2
-    freedom = max(2 * weight.sum() - unknowns, 1.0)
-    return float(np.sqrt((weight * square).sum() / freedom))
+def _robust_noise(residual: Array) -> float:
+    """The median distance of a two-dimensional normal distribution is 1.177 standard deviations."""
+    return max(float(np.median(np.hypot(*residual.T))) / 1.1774, 1e-12)
 
 
 def _cluster_factor(residual: Array, weight: Array, noise: float, observations: Observations) -> float:
     """How much more the mean residuals of the corners scatter than those of independent observations would."""
     o = observations
     _, group = np.unique(o.pose * (o.corner.max(initial=0) + 1) + o.corner, return_inverse=True)
-    own = weight / o.error**2
-    total = np.bincount(group, own)
+    total = np.bincount(group, weight / o.error**2)
     kept = total > 0
-    means = np.stack([np.bincount(group, own * residual[:, k])[kept] for k in (0, 1)], axis=1)
+    sums = np.stack([np.bincount(group, weight / o.error * residual[:, k])[kept] for k in (0, 1)], axis=1)
     # Poses take up six of the means of a board.
     freedom = max(2 * kept.sum() - 6 * len(np.unique(o.pose)), 1)
-    return max(1.0, float((means**2 / total[kept, None]).sum() / freedom / noise**2))
+    return max(1.0, float((sums**2 / total[kept, None]).sum() / freedom / noise**2))
 
 
-def _inverse(matrix: Array) -> Array:
+def inverse(matrix: Array) -> Array:
+    """Of a normal matrix, whose unknowns have scales of their own."""
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     return np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)

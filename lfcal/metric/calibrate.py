@@ -9,22 +9,21 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..boards.board import Board
+from ..boards.detection import DetectedBoard
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
 from ..runtime.checks import find_board_doubt
 from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_type
-from .bundle_adjustment import Adjusted, Poses, adjust, normal_equations
+from .bundle_adjustment import Adjusted, Poses, adjust
 from .camera_model import INTERNAL, to_internal
 from .model_order import BASE, select_order
-from .observations import Observations, Triangulated, triangulate
-from .observe import BoardFlat, as_triangulated, measure, prepare
+from .observations import Observations
+from .observe import BoardFlat, measure, prepare
 from .result import BoardPose, MetricCalibration
-from .settings import OBSERVATION, START, ObservationSettings
 from .start import first_camera, planar_poses
 from .uncertainty import describe_degeneracies, optics_of, pose_factor, rim_covariance
 
@@ -44,7 +43,6 @@ def calibrate_metric(
     *,
     pixel: float | None = None,
     names: Sequence[str] | None = None,
-    settings: ObservationSettings = OBSERVATION,
 ) -> MetricCalibration:
     """Measure main lens, distances, distortion and tilt of a camera on flats of a board in several poses.
 
@@ -97,8 +95,8 @@ def calibrate_metric(
     names = list(names) if names is not None else [f"flat {m + 1}" for m in range(len(flats))]
     if len(names) != len(flats):
         raise ValueError(f"names must be one for each of {len(flats)} flats, got {len(names)}")
-    if len(flats) < settings.fewest_flats:
-        raise BoardError(f"{len(flats)} flats of the board; give {settings.fewest_flats} or more, a dozen is good")
+    if len(flats) < 3:
+        raise BoardError(f"{len(flats)} flats of the board; give 3 or more, a dozen is good")
     warnings = []
     if pixel is None:
         pixel = calibration.optics.pixel if calibration.optics is not None else None
@@ -107,30 +105,25 @@ def calibrate_metric(
         warnings.append(f"the size of a pixel is not given: {pixel * 1000:.3g} um is assumed; F, L and b scale with it")
     if not 0 < pixel < 1:
         raise ValueError(f"pixel must be a positive number of mm below 1, got {pixel!r}")
-    found, missing = _prepare_all(flats, names, calibration, board, settings)
+    found, missing = _prepare_all(flats, names, calibration, board)
     warnings += [f"{flat.name}: {flat.reason or 'too few corners'}; left out" for flat in missing]
-
     points = board.points - board.middle
-    detected = as_triangulated([f.detected for f in found if f.detected])
-    first = _first(detected, calibration, board, len(found), settings)
-    observations, _ = measure(found, calibration, board, first[0], pixel, first[1], most_lenses=settings.first_lenses)
-    _check_seen(observations, found, settings)
-    second = _first(_surest(observations, detected, settings), calibration, board, len(found), settings)
-    tried = [adjust(camera, pixel, poses, points, observations, BASE) for camera, poses in (second, first)]
-    fitted = min(tried, key=lambda one: one.noise)
-    # Again, from where this camera shows the corners.
-    observations, blur = measure(found, calibration, board, fitted.camera, pixel, fitted.poses)
-    _check_seen(observations, found, settings)
-    fitted = adjust(fitted.camera, pixel, fitted.poses, points, observations, BASE)
-    fitted = _without_mirrored_poses(fitted, pixel, points, observations)
+    camera, poses = _first([flat.detected for flat in found if flat.detected], calibration, board)
+    # At first in a few lenses, until the camera is about known; then from where this camera shows the corners.
+    observations = measure(found, calibration, board, camera, pixel, poses, most_lenses=8)
+    _check_seen(observations, found)
+    fitted = adjust(camera, pixel, poses, points, observations, BASE)
+    poses = _without_mirrored_poses(fitted, pixel, points, found, observations)
+    observations = measure(found, calibration, board, fitted.camera, pixel, poses)
+    _check_seen(observations, found)
+    fitted = adjust(fitted.camera, pixel, poses, points, observations, BASE)
     observations = _with_noise_of_poses(fitted, observations)
-    fitted = select_order(
-        adjust(fitted.camera, pixel, fitted.poses, points, observations, BASE), pixel, points, observations
-    )
-    _check_one_camera(fitted, found, observations, settings)
+    fitted = adjust(fitted.camera, pixel, fitted.poses, points, observations, BASE)
+    fitted = select_order(fitted, pixel, points, observations)
+    _check_one_camera(fitted, found, observations)
     if doubt := find_board_doubt(fitted.noise):
         warnings.append(doubt)
-    return _result(fitted, pixel, calibration, board, found, observations, blur, tuple(warnings))
+    return _result(fitted, pixel, calibration, board, found, observations, tuple(warnings))
 
 
 def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, name: str = "flat") -> BoardPose:
@@ -172,13 +165,13 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
     for turn, shift in options:
         pose = Poses(turn[None], shift[None])
         for _ in range(2):
-            observations, _ = measure([prepared], calibration, board, camera, optics.pixel, pose)
-            _check_seen(observations, [prepared], OBSERVATION)
+            observations = measure([prepared], calibration, board, camera, optics.pixel, pose)
+            _check_seen(observations, [prepared])
             found = adjust(camera, optics.pixel, pose, points, observations, ())
             pose = found.poses
         tried.append((found.noise * np.sqrt(found.cluster), found, observations))
     _, found, observations = min(tried, key=lambda one: one[0])
-    shared = rim_covariance(found, optics.pixel, observations, calibration.lattice.radius, OBSERVATION.rim_bias)
+    shared = rim_covariance(found, optics.pixel, observations, calibration.lattice.radius)
     found = replace(found, covariance=found.covariance + shared)
     return _pose(found, 0, board, observations, name, _camera_share(found, optics, observations))
 
@@ -193,11 +186,7 @@ def _checked(flat: ArrayLike, name: str, calibration: Calibration) -> Array:
 
 
 def _prepare_all(
-    flats: Sequence[ArrayLike],
-    names: Sequence[str],
-    calibration: Calibration,
-    board: Board,
-    settings: ObservationSettings,
+    flats: Sequence[ArrayLike], names: Sequence[str], calibration: Calibration, board: Board
 ) -> tuple[list[BoardFlat], list[BoardFlat]]:
     """Flats with the board, and those without."""
     checked = [_checked(flat, name, calibration) for flat, name in zip(flats, names, strict=True)]
@@ -205,11 +194,8 @@ def _prepare_all(
         prepared = list(
             pool.map(lambda one: prepare(one[0], one[1], calibration, board), zip(checked, names, strict=True))
         )
-    found = [
-        f
-        for f in prepared
-        if f.detected is not None and len(f.detected.corner) >= min(settings.fewest_corners, len(board.points))
-    ]
+    few = min(10, len(board.points))
+    found = [f for f in prepared if f.detected is not None and len(f.detected.corner) >= few]
     missing = [f for f in prepared if f not in found]
     others = Counter(f.other for f in prepared if f.other)
     size, number = others.most_common(1)[0] if others else ("", 0)
@@ -219,19 +205,17 @@ def _prepare_all(
             f"{number} of {len(prepared)} flats show a checkerboard of {size} corners, not of {board.columns} x "
             f"{board.rows}: give the number of its inner corners"
         )
-    if len(found) < settings.fewest_flats:
+    if len(found) < 3:
         reasons = "; ".join(f"{flat.name}: {flat.reason or 'too few corners'}" for flat in missing)
         raise BoardError(
-            f"the {board} was found on {len(found)} of {len(prepared)} flats, {settings.fewest_flats} are needed "
-            f"({reasons}); show all of the board, well lit and in focus, and check the number of its inner corners"
+            f"the {board} was found on {len(found)} of {len(prepared)} flats, 3 are needed ({reasons}); show all of "
+            "the board, well lit and in focus, and check the number of its inner corners"
         )
     return found, missing
 
 
-def _first(
-    seen: Triangulated, calibration: Calibration, board: Board, count: int, settings: ObservationSettings
-) -> tuple[Array, Poses]:
-    start = first_camera(seen, board.points - board.middle, calibration.image_size, count)
+def _first(boards: list[DetectedBoard], calibration: Calibration, board: Board) -> tuple[Array, Poses]:
+    start = first_camera(boards, board.points - board.middle, calibration.image_size)
     if start is None:
         raise BoardError(
             "no camera explains the boards; check the number of squares, and that all flats are of this camera"
@@ -239,27 +223,18 @@ def _first(
     turns, shifts = start[1].rotation, start[1].translation
     normals = turns[:, :, 2]
     angles = np.rad2deg(np.arccos(np.clip(normals @ normals.T, -1, 1)))
-    if angles.max() < settings.alike_angle and shifts[:, 2].max() < settings.alike_distance * shifts[:, 2].min():
+    if angles.max() < 4 and shifts[:, 2].max() < 1.05 * shifts[:, 2].min():
         raise BoardError(
-            f"all {count} poses of the board are alike (within {angles.max():.1f} degrees and "
+            f"all {len(boards)} poses of the board are alike (within {angles.max():.1f} degrees and "
             f"{100 * (shifts[:, 2].max() / shifts[:, 2].min() - 1):.0f} % of the distance), which tells nothing about "
             "the lenses; tilt it by 20 to 40 degrees in different directions, and vary its distance"
         )
     return start
 
 
-def _surest(observations: Observations, detected: Triangulated, settings: ObservationSettings) -> Triangulated:
-    """Corners triangulated from microimages; of poses with few of these, as they were detected."""
-    seen = triangulate(observations, START.fewest_lenses)
-    count = int(detected.pose.max()) + 1
-    enough = np.bincount(seen.pose, minlength=count) >= settings.fewest_triangulated
-    parts = [seen.select(enough[seen.pose]), detected.select(~enough[detected.pose])]
-    return Triangulated(*(np.concatenate(column) for column in zip(*map(Triangulated.columns, parts), strict=True)))
-
-
-def _check_seen(observations: Observations, flats: Sequence[BoardFlat], settings: ObservationSettings) -> None:
+def _check_seen(observations: Observations, flats: Sequence[BoardFlat]) -> None:
     seen = [len(np.unique(observations.corner[observations.pose == m])) for m in range(len(flats))]
-    blind = [flat.name for flat, count in zip(flats, seen, strict=True) if count < min(settings.fewest_corners, 6)]
+    blind = [flat.name for flat, count in zip(flats, seen, strict=True) if count < 6]
     if blind:
         raise BoardError(
             f"{', '.join(blind)}: no corners are seen in single microimages; they are blurred there, or squares are "
@@ -274,39 +249,25 @@ def _with_noise_of_poses(fitted: Adjusted, observations: Observations) -> Observ
     return replace(observations, error=observations.error * noise[observations.pose])
 
 
-def _without_mirrored_poses(fitted: Adjusted, pixel: float, points: Array, observations: Observations) -> Adjusted:
-    """Adjust each pose anew from its mirror image, the other pose that a plane may have, and keep the better ones."""
-    turns, shifts = fitted.poses.rotation.copy(), fitted.poses.translation.copy()
-    changed = False
-    for m in range(len(turns)):
-        mine = observations.pose == m
-        part = observations.select(mine)
-        part = Observations(part.pose * 0, part.corner, part.centre, part.position, part.error)
-        # The mirror image about the line of sight.
-        sight = shifts[m] / np.linalg.norm(shifts[m])
-        normal = turns[m][:, 2]
-        axis = np.cross(normal, sight)
-        if np.linalg.norm(axis) < 1e-3:
-            continue
-        angle = 2 * np.arctan2(np.linalg.norm(axis), normal @ sight)
-        flip = cv2.Rodrigues(axis / np.linalg.norm(axis) * angle)[0] @ turns[m]
-        own = adjust(fitted.camera, pixel, Poses(turns[m][None], shifts[m][None]), points, part, ())
-        other = adjust(fitted.camera, pixel, Poses(flip[None], shifts[m][None]), points, part, ())
-        if np.median(np.hypot(*other.residual.T)) < 0.98 * np.median(np.hypot(*own.residual.T)):
-            turns[m], shifts[m], changed = other.poses.rotation[0], other.poses.translation[0], True
-    if not changed:
-        return fitted
-    return adjust(fitted.camera, pixel, Poses(turns, shifts), points, observations, fitted.free)
+def _without_mirrored_poses(
+    fitted: Adjusted, pixel: float, points: Array, flats: Sequence[BoardFlat], observations: Observations
+) -> Poses:
+    """The poses, each or the other one that a plane may have, whichever fits the corners better."""
+    turns, shifts, o = fitted.poses.rotation.copy(), fitted.poses.translation.copy(), observations
+    for m, flat in enumerate(flats):
+        assert flat.detected is not None
+        mine = o.pose == m
+        part = Observations(o.pose[mine] * 0, o.corner[mine], o.centre[mine], o.position[mine], o.error[mine])
+        options = planar_poses(flat.detected.scene, points[flat.detected.corner], fitted.camera[0], fitted.camera[3:5])
+        starts = [Poses(turns[m][None], shifts[m][None]), *(Poses(turn[None], shift[None]) for turn, shift in options)]
+        tried = [adjust(fitted.camera, pixel, start, points, part, ()) for start in starts]
+        best = min(tried, key=lambda one: float(np.median(np.hypot(*one.residual.T))))
+        turns[m], shifts[m] = best.poses.rotation[0], best.poses.translation[0]
+    return Poses(turns, shifts)
 
 
-def _check_one_camera(
-    fitted: Adjusted, flats: Sequence[BoardFlat], observations: Observations, settings: ObservationSettings
-) -> None:
-    lost = [
-        flat.name
-        for m, flat in enumerate(flats)
-        if (fitted.weight[observations.pose == m] == 0).mean() > settings.outlier_share
-    ]
+def _check_one_camera(fitted: Adjusted, flats: Sequence[BoardFlat], observations: Observations) -> None:
+    lost = [flat.name for m, flat in enumerate(flats) if (fitted.weight[observations.pose == m] == 0).mean() > 0.4]
     if lost:
         raise BoardError(
             f"{', '.join(lost)}: the board does not fit the camera of the other flats; were focus, zoom or camera "
@@ -321,11 +282,10 @@ def _result(
     board: Board,
     flats: Sequence[BoardFlat],
     observations: Observations,
-    blur: Array,
     warnings: tuple[str, ...],
 ) -> MetricCalibration:
     factor = pose_factor(fitted, pixel, observations)
-    shared = rim_covariance(fitted, pixel, observations, calibration.lattice.radius, OBSERVATION.rim_bias)
+    shared = rim_covariance(fitted, pixel, observations, calibration.lattice.radius)
     widened = replace(fitted, covariance=fitted.covariance * factor + shared)
     optics = optics_of(widened, pixel)
     optics = replace(optics, microlens_focal_lengths=_microlenses(optics, calibration))
@@ -377,10 +337,9 @@ def _camera_share(found: Adjusted, optics: Optics, observations: Observations) -
     """(6, 6) covariance of the pose that comes from that of the camera."""
     if optics.covariance is None:
         return None
-    normals = normal_equations(found.camera, optics.pixel, found.poses, found.board, observations, found.weight)
-    own = len(INTERNAL)
-    pose_of = slice(own, own + 6)
-    by_internal = -np.linalg.solve(normals.matrix[pose_of, pose_of], normals.matrix[pose_of, :own])
+    rows, own = found.linearise(optics.pixel, observations), len(INTERNAL)
+    rows = rows.reshape(-1, rows.shape[2])
+    by_internal = -np.linalg.lstsq(rows[:, own : own + 6], rows[:, :own], rcond=None)[0]
     change = np.eye(own)
     change[:3, :3] = to_internal(optics.parameters[:3], optics.pixel)[1]
     by_optics = by_internal @ change

@@ -16,16 +16,14 @@ from ..boards.board import Board
 from ..boards.corner_fit import fit_corners
 from ..boards.detection import DetectedBoard, detect
 from ..boards.focus_sweep import focused_picture
-from ..boards.settings import CORNER, CornerSettings
 from ..camera.calibration import Calibration
 from ..images.mosaic import equalise_mosaic, find_mosaic
 from ..images.preprocessing import luminance
 from .bundle_adjustment import Poses
-from .camera_model import project
-from .observations import Observations, Triangulated
-from .settings import OBSERVATION, ObservationSettings
+from .camera_model import project_positions
+from .observations import Observations
 
-__all__ = ["BoardFlat", "as_triangulated", "measure", "prepare"]
+__all__ = ["BoardFlat", "measure", "prepare"]
 
 Array = NDArray[Any]
 
@@ -66,35 +64,22 @@ def prepare(flat: Array, name: str, calibration: Calibration, board: Board) -> B
         return BoardFlat(name, light, None, "the picture has no contrast")
     found = detect(picture, board)
     other = _other_size(picture.image, board, larger=found is not None)
-    if found is not None:
-        return BoardFlat(name, light, found, other=other)
     reason = f"no {board} in its all-in-focus picture{other and f', but one of {other} corners'}"
-    return BoardFlat(name, light, None, reason, other)
+    return BoardFlat(name, light, found, "" if found is not None else reason, other)
 
 
 def _other_size(image: NDArray[np.float32], board: Board, larger: bool) -> str:
     """The number of corners of another checkerboard, where there is one; or only of a `larger` one."""
-
     if board.pattern != "checkerboard":
         return ""
     grey = np.clip(image * (255 / max(float(np.percentile(image, 99)), 1e-6)), 0, 255).astype(np.uint8)
+    # Of three corners each way a board is found in noise.
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_LARGER
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
+    found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (4, 4), flags)
     own, seen = sorted((board.columns, board.rows)), sorted(meta.shape) if found else []
     if not found or own == seen or (larger and (seen[0] < own[0] or seen[1] < own[1])):
         return ""
     return f"{seen[1]} x {seen[0]}" if board.columns >= board.rows else f"{seen[0]} x {seen[1]}"
-
-
-def as_triangulated(detected: list[DetectedBoard], *, settings: ObservationSettings = OBSERVATION) -> Triangulated:
-    """Detected boards in the form that the first camera is made from."""
-    pose = np.concatenate([np.full(len(d.corner), m) for m, d in enumerate(detected)])
-    scene = np.concatenate([d.scene for d in detected])
-    ratio = 1 / np.concatenate([d.inverse_ratio for d in detected])
-    covariance = np.zeros((len(pose), 3, 3))
-    covariance[:, [0, 1, 2], [0, 1, 2]] = np.square([settings.scene_error] * 2 + [settings.ratio_error])
-    corner = np.concatenate([d.corner for d in detected])
-    return Triangulated(pose, corner, scene, ratio, covariance, np.ones(len(pose), np.int64))
 
 
 def measure(
@@ -106,10 +91,8 @@ def measure(
     poses: Poses,
     *,
     most_lenses: int | None = None,
-    settings: ObservationSettings = OBSERVATION,
-    corner_settings: CornerSettings = CORNER,
-) -> tuple[Observations, Array]:
-    """Fit the corners of boards in known poses in all microimages that show them, and the blur (n,) [px] of each.
+) -> Observations:
+    """Fit the corners of boards in known poses in all microimages that show them.
 
     With `most_lenses` each corner is only fitted in those that show it nearest to their centre.
     """
@@ -127,17 +110,18 @@ def measure(
         if most_lenses is not None:
             chosen = _most_central(corner, np.hypot(*(predicted - centre).T), most_lenses)
             corner, centre, predicted, shape = corner[chosen], centre[chosen], predicted[chosen], shape[chosen]
-        fits = fit_corners(flat.light, centre, lattice.radius, predicted, shape, board, settings=corner_settings)
-        inside = lattice.radius - corner_settings.rim - settings.edge - settings.edge_blurs * (fits.blur - 0.5)
+        fits = fit_corners(flat.light, centre, lattice.radius, predicted, shape, board)
+        # Three pixels, and two blurs where these are wide: nearer to the rim the four squares are not all seen.
+        inside = lattice.radius - 3 - 2 * (fits.blur - 0.5)
         kept = fits.good & (np.hypot(*(fits.position - centre).T) < inside)
         kept &= np.sign(fits.contrast) == _expected_sign(board, corner, np.where(kept, fits.contrast, 0))
-        error = np.hypot(fits.error[kept], settings.model_error)
-        return np.full(kept.sum(), m), corner[kept], centre[kept], fits.position[kept], error, fits.blur[kept]
+        # The shape of edges is right to 0.005 px, besides the noise of the pixels.
+        error = np.hypot(fits.error[kept], 0.005)
+        return np.full(kept.sum(), m), corner[kept], centre[kept], fits.position[kept], error
 
     with ThreadPoolExecutor(max(1, min(len(flats), os.cpu_count() or 1, 8))) as pool:
         parts = list(pool.map(one, range(len(flats))))
-    pose_of, corners, places, positions, errors, blurs = (np.concatenate(c) for c in zip(*parts, strict=True))
-    return Observations(pose_of, corners, places, positions, errors), blurs
+    return Observations(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _most_central(corner: Array, distance: Array, most: int) -> Array:
@@ -168,24 +152,20 @@ def _predict(
 ) -> tuple[Array, Array, Array, Array]:
     """Corner, centre, position and shape of each corner in each microimage that a camera shows it in."""
     points = board.points - board.middle
-    zero = np.zeros(len(corners), int)
-    seen = pose.of_board(points[corners], zero)
+    seen = pose.of_board(points[corners], np.zeros(len(corners), int))
     scene = camera[3:5] + camera[0] * seen[:, :2] / seen[:, 2:]
     ratio = 1 / (camera[1] + camera[2] / seen[:, 2])
     # Distortion and tilt move scene coordinates by less than a pitch or two.
-    reach = radius / np.maximum(np.abs(ratio), 0.02) + 2 * radius
-    near = tree.query_ball_point(scene, reach)
+    near = tree.query_ball_point(scene, radius / np.maximum(np.abs(ratio), 0.02) + 2 * radius)
     corner = np.repeat(corners, [len(k) for k in near])
     lens = np.concatenate([np.asarray(k, int) for k in near]) if len(near) else np.zeros(0, int)
     centre = centres[lens]
 
-    def at(shift: tuple[float, float]) -> Array:
+    def at(*shift: float) -> Array:
         moved = points[corner] + np.array([*shift, 0.0]) * board.square
-        return project(camera, pixel, pose.of_board(moved, np.zeros(len(corner), int)), centre).position
+        return project_positions(camera, pixel, pose.of_board(moved, np.zeros(len(corner), int)), centre)
 
-    predicted = at((0.0, 0.0))
+    predicted = at(0.0, 0.0)
     kept = np.hypot(*(predicted - centre).T) < radius
     corner, centre, predicted = corner[kept], centre[kept], predicted[kept]
-    step = 0.1
-    shape = np.stack([(at((step, 0)) - at((-step, 0))) / (2 * step), (at((0, step)) - at((0, -step))) / (2 * step)], 2)
-    return corner, centre, predicted, shape
+    return corner, centre, predicted, np.stack([(at(0.1, 0) - at(-0.1, 0)) / 0.2, (at(0, 0.1) - at(0, -0.1)) / 0.2], 2)

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.optics import OPTICS_PARAMETERS, Optics
-from .bundle_adjustment import Adjusted, Poses, normal_equations, unknowns
+from .bundle_adjustment import Adjusted, unknowns
 from .camera_model import INTERNAL, from_internal, to_internal
 from .observations import Observations
-from .settings import UNCERTAINTY, UncertaintySettings
 
 __all__ = ["describe_degeneracies", "optics_of", "pose_factor", "rim_covariance"]
 
 Array = NDArray[Any]
 
+_CLOSE = 0.98  # correlation from which on two parameters are said to hardly separate
 _NAMES = {
     "focal_length": "F",
     "mla_distance": "L",
@@ -35,55 +34,45 @@ def pose_factor(found: Adjusted, pixel: float, observations: Observations) -> fl
     of the model show here.
     """
     count, own = len(found.poses.rotation), len(INTERNAL)
-    # With one pose, its own unknowns lie between those of the camera and of the board.
-    of_pose = slice(own, own + 6)
-    chosen = np.setdiff1d(unknowns(found.free, 1), np.arange(own, own + 6))
+    chosen = np.setdiff1d(unknowns(found.free, count), unknowns((), count))
     if count <= 3 or not len(chosen):
         return 1.0
-    reduced = np.zeros((count, len(chosen), len(chosen)))
-    gradient = np.zeros((count, len(chosen)))
+    rows, shares, gradients = found.linearise(pixel, observations), [], []
+    scale = 1 / np.maximum(np.linalg.norm(rows[:, :, chosen], axis=(0, 1)), 1e-150)
     for m in range(count):
         mine = observations.pose == m
-        part = observations.select(mine)
-        part = Observations(part.pose * 0, part.corner, part.centre, part.position, part.error)
-        pose = Poses(found.poses.rotation[m : m + 1], found.poses.translation[m : m + 1])
-        normals = normal_equations(found.camera, pixel, pose, found.board, part, found.weight[mine])
-        across = normals.matrix[chosen][:, of_pose]
-        both = np.linalg.lstsq(normals.matrix[of_pose, of_pose], across.T, rcond=1e-12)[0]
-        reduced[m] = normals.matrix[np.ix_(chosen, chosen)] - across @ both
-        gradient[m] = normals.gradient[chosen] - both.T @ normals.gradient[of_pose]
-    scale = 1 / np.sqrt(np.maximum(np.diag(reduced.sum(0)), 1e-300))
-    reduced, gradient = reduced * np.outer(scale, scale), gradient * scale
-    total = reduced.sum(0)
-    inverse = np.linalg.pinv(total, hermitian=True)
-    measured = expected = 0.0
-    for own_share, own_gradient in zip(reduced, gradient, strict=True):
-        measured += float(own_gradient @ inverse @ own_gradient)
-        # Of independent errors; the gradients of all poses add up to nothing.
-        expected += float(np.trace(inverse @ (own_share - own_share @ inverse @ own_share)))
+        part = rows[mine].reshape(-1, rows.shape[2])
+        residual = (found.residual[mine] / observations.error[mine, None]).ravel()
+        of_pose, of_camera = part[:, own + 6 * m : own + 6 * m + 6], part[:, chosen] * scale
+        # What the pose takes up tells nothing about the camera.
+        left = of_camera - of_pose @ (np.linalg.pinv(of_pose) @ of_camera)
+        shares.append(left.T @ left)
+        gradients.append(left.T @ residual)
+    total = np.linalg.pinv(np.sum(shares, axis=0), hermitian=True)
+    measured = sum(float(gradient @ total @ gradient) for gradient in gradients)
+    # Of independent errors; the gradients of all poses add up to nothing.
+    expected = sum(float(np.trace(total @ (share - share @ total @ share))) for share in shares)
     return max(1.0, measured / max(expected, 1e-300) / (found.noise**2 * found.cluster))
 
 
-def rim_covariance(found: Adjusted, pixel: float, observations: Observations, radius: float, bias: float) -> Array:
+def rim_covariance(found: Adjusted, pixel: float, observations: Observations, radius: float) -> Array:
     """Covariance of all unknowns by errors that no scatter shows, those of corners near the rim of microimages.
 
-    What is seen at the `radius` [px] lies too far out, or in, by a `bias` [px] that all poses share, and by one of the
-    same size that the corners of each pose share, as blur and light differ; nearer to the centre in proportion.
+    What is seen at the `radius` [px] lies too far out, or in, by 0.003 px (ray-traced boards of others show 0.002 to
+    0.005) that all poses share, and by an error of the same size that the corners of each pose share, as blur and
+    light differ; nearer to the centre in proportion.
     """
-    count = len(found.poses.rotation)
-
-    def gradient(position: Array) -> Array:
-        moved = replace(observations, position=position)
-        return normal_equations(found.camera, pixel, found.poses, found.board, moved, found.weight).gradient
-
-    start = gradient(observations.position)
-    outward = (observations.position - observations.centre) * (bias / radius)
-    moved = [observations.position + outward * (observations.pose == m)[:, None] for m in range(count)]
+    rows = found.linearise(pixel, observations)
+    outward = (observations.position - observations.centre) * (0.003 / radius / observations.error)[:, None]
+    pulls = [np.einsum("nij,ni->j", rows[mine], outward[mine]) for mine in _by_pose(observations)]
     # The unknowns follow the gradient by the inverse of the normal matrix, which the covariance holds.
-    inverse = found.covariance / (found.noise**2 * found.cluster)
-    steps = inverse @ np.stack([gradient(position) - start for position in moved], axis=1)
+    steps = found.covariance / (found.noise**2 * found.cluster) @ np.stack(pulls, axis=1)
     total = steps.sum(1, keepdims=True)
-    return steps @ steps.T + total @ total.T
+    return np.asarray(steps @ steps.T + total @ total.T)
+
+
+def _by_pose(observations: Observations) -> list[NDArray[np.bool_]]:
+    return [observations.pose == m for m in range(int(observations.pose.max()) + 1)]
 
 
 def optics_of(found: Adjusted, pixel: float) -> Optics:
@@ -97,7 +86,7 @@ def optics_of(found: Adjusted, pixel: float) -> Optics:
     return blank.with_parameters(np.concatenate([lengths, found.camera[3:]]))
 
 
-def describe_degeneracies(optics: Optics, *, settings: UncertaintySettings = UNCERTAINTY) -> tuple[str, ...]:
+def describe_degeneracies(optics: Optics) -> tuple[str, ...]:
     """Parameters that hardly separate, and the combinations of F, L and b that are well known."""
     errors, values = optics.standard_errors, optics.parameters
     fitted = np.flatnonzero(errors > 0)
@@ -107,8 +96,8 @@ def describe_degeneracies(optics: Optics, *, settings: UncertaintySettings = UNC
     correlation = optics.covariance / np.outer(scale, scale)
     notes = []
     lengths = [k for k in (0, 1, 2) if errors[k] > 0]
-    weak = [k for k in lengths if errors[k] > settings.weak_length * values[k]]
-    close = len(lengths) > 1 and abs(correlation[lengths[0], lengths[1]]) > settings.correlated
+    weak = [k for k in lengths if errors[k] > 0.01 * values[k]]
+    close = len(lengths) > 1 and abs(correlation[lengths[0], lengths[1]]) > _CLOSE
     if weak or close:
         stated = ", ".join(f"{_NAMES[OPTICS_PARAMETERS[k]]} = {values[k]:.4g} +- {errors[k]:.2g} mm" for k in lengths)
         internal, derivatives = to_internal(values[:3], optics.pixel)
@@ -121,7 +110,7 @@ def describe_degeneracies(optics: Optics, *, settings: UncertaintySettings = UNC
         )
     for n, k in enumerate(fitted):
         for j in fitted[:n]:
-            if k > 2 and j > 2 and abs(correlation[k, j]) > settings.correlated:
+            if k > 2 and j > 2 and abs(correlation[k, j]) > _CLOSE:
                 first, second = (_NAMES.get(OPTICS_PARAMETERS[i], OPTICS_PARAMETERS[i]) for i in (j, k))
                 notes.append(
                     f"{first} and {second} hardly separate (correlation {correlation[k, j]:+.3f}); boards in all "

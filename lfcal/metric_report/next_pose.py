@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..metric.bundle_adjustment import Poses, normal_equations
+from ..metric.bundle_adjustment import Poses, linearise
 from ..metric.camera_model import INTERNAL, to_internal
 from ..metric.observations import Observations
 from ..metric.result import MetricCalibration
@@ -143,8 +143,8 @@ def _information(
     none = np.zeros((len(corner), 2))
     noise = np.full(len(corner), found.noise * np.sqrt(found.widening))
     observations = Observations(np.zeros(len(corner), int), corner, centres[lens], none, noise)
-    normals = normal_equations(camera, found.optics.pixel, pose, points, observations, np.ones(len(corner)))
-    own, matrix = len(INTERNAL), normals.matrix
-    pose_of = slice(own, own + 6)
-    across = matrix[:own, pose_of]
-    return matrix[:own, :own] - across @ np.linalg.solve(matrix[pose_of, pose_of], across.T)
+    rows = linearise(camera, found.optics.pixel, pose, points, observations)
+    rows, own = rows.reshape(-1, rows.shape[2]), len(INTERNAL)
+    of_pose, of_camera = rows[:, own : own + 6], rows[:, :own]
+    left = of_camera - of_pose @ (np.linalg.pinv(of_pose) @ of_camera)
+    return np.asarray(left.T @ left)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..camera.optics import OPTICS_PARAMETERS
 from ..metric.result import MetricCalibration
 from ..runtime.output_file import atomic_write, check_output
+from .figures import draw_field, draw_poses
 from .next_pose import suggest_poses
 
 __all__ = ["write_metric_report"]
@@ -23,7 +24,7 @@ _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
 table { border-collapse: collapse; margin: 1rem 0; } td, th { padding: .2rem .9rem; text-align: right; }
 th { border-bottom: 1px solid #999; } td:first-child, th:first-child { text-align: left; }
-svg { max-width: 100%; background: #fafafa; border: 1px solid #ddd; } .note { color: #555; }
+svg { max-width: 100%; height: auto; } .note { color: #555; }
 """
 
 
@@ -39,10 +40,12 @@ def write_metric_report(
         _parameters(found),
         *(f'<p class="note">{escape(note)}.</p>' for note in (*found.warnings, *found.degeneracies)),
         "<h2>Poses of the boards</h2>",
-        _poses_picture(found),
+        draw_poses(found),
         _poses_table(found),
         "<h2>Residuals over the field</h2>",
-        _field_picture(found),
+        draw_field(found),
+        "<p>Mean residuals of tiles. Arrows that point the same way over a region tell of errors that the model does "
+        "not hold.</p>",
         "<h2>Residuals over distance</h2>",
         _depth_table(found),
         "<h2>Reliability of the stated errors</h2>",
@@ -108,59 +111,6 @@ def _poses_table(found: MetricCalibration) -> str:
         )
     head = ("flat", "distance [mm]", "+-", "sideways +-", "turn +- [deg]", "Cramer-Rao bound of the distance")
     return _table((*head, "tilt [deg]", "RMS [px]", "corners"), rows)
-
-
-def _poses_picture(found: MetricCalibration) -> str:
-    """Boards seen from above and from the side."""
-    outlines = []
-    points = found.board.points.reshape(found.board.rows, found.board.columns, 3)
-    rim = points[[0, 0, -1, -1], [0, -1, -1, 0]]
-    for pose in found.poses:
-        outlines.append(pose.place(rim))
-    every = np.concatenate(outlines)
-    far, reach = every[:, 2].max() * 1.05, max(np.abs(every[:, :2]).max() * 1.2, 1e-6)
-    across, down = 820.0 / far, 110.0 / reach
-    shapes = []
-    for axis, middle, name in ((0, 120, "from above"), (1, 380, "from the side")):
-        shapes.append(f'<text x="8" y="{middle - 100}" font-size="13">{name}</text>')
-        shapes.append(f'<line x1="20" y1="{middle}" x2="850" y2="{middle}" stroke="#ccc"/>')
-        shapes.append(f'<circle cx="20" cy="{middle}" r="5"/>')
-        for number, outline in enumerate(outlines):
-            corners = " ".join(f"{20 + z * across:.1f},{middle + side * down:.1f}" for side, z in outline[:, [axis, 2]])
-            hue = 360 * number / len(outlines)
-            shapes.append(
-                f'<polygon points="{corners}" fill="hsl({hue:.0f} 60% 50% / .25)" stroke="hsl({hue:.0f} 60% 40%)">'
-                f"<title>{escape(found.poses[number].name)}</title></polygon>"
-            )
-    shapes.append(f'<text x="850" y="505" font-size="12" text-anchor="end">{far / 1000:.3g} m</text>')
-    return f'<svg viewBox="0 0 870 515" width="870" role="img" aria-label="poses">{"".join(shapes)}</svg>'
-
-
-def _field_picture(found: MetricCalibration) -> str:
-    """Mean residual of each tile of the flat as a line, a thousand times as long."""
-    width, height = found.calibration.image_size
-    side = max(width, height) / 16
-    used = found.used
-    tile = (found.observations.centre[used] // side).astype(int)
-    key, group = np.unique(tile, axis=0, return_inverse=True)
-    count = np.bincount(group.ravel())
-    means = np.stack([np.bincount(group.ravel(), found.residual[used][:, k]) / count for k in (0, 1)], axis=1)
-    kept = count >= 5
-    largest = float(np.hypot(*means[kept].T).max()) if kept.any() else 0.0
-    factor = 0.8 * side / max(largest, 1e-9)
-    lines = []
-    for (i, j), mean in zip(key[kept], means[kept], strict=True):
-        x, y = (i + 0.5) * side, (j + 0.5) * side
-        dx, dy = mean * factor
-        lines.append(
-            f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + dx:.1f}" y2="{y + dy:.1f}" stroke="#b00" '
-            f'stroke-width="{side / 25:.2f}"/><circle cx="{x:.1f}" cy="{y:.1f}" r="{side / 22:.2f}"/>'
-        )
-    return (
-        f'<svg viewBox="0 0 {width} {height}" width="640" role="img" aria-label="residuals">{"".join(lines)}</svg>'
-        f"<p>Mean residuals of tiles; the longest line is {largest:.4f} px. Lines that point the same way over a "
-        "region tell of errors that the model does not hold.</p>"
-    )
 
 
 def _depth_table(found: MetricCalibration) -> str:

@@ -65,11 +65,7 @@ def colour_bar(steps: NDArray, low: str, high: str, others: Mapping[str, tuple[i
 
 
 def get_axes(given: Any) -> Any:
-    """Matplotlib axes to draw on: those given, or the current ones; an error says how to install Matplotlib."""
-    if given is not None:
-        return given
-    try:
-        import matplotlib.pyplot as plt
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("plots need Matplotlib: pip install 'lfrender[plots]'", name="matplotlib") from error
-    return plt.gca()
+    """Matplotlib axes to draw on: those given, or the current ones."""
+    import matplotlib.pyplot as plt
+
+    return plt.gca() if given is None else given

@@ -192,7 +192,7 @@ class DepthMap(Frozen):
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            By default the current one (`pip install 'lfrender[plots]'`).
+            By default the current one.
 
         Returns
         -------

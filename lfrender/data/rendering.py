@@ -74,7 +74,7 @@ class Rendering(Frozen):
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            By default the current one (`pip install 'lfrender[plots]'`).
+            By default the current one.
 
         Returns
         -------

@@ -5,8 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from lfcal.boards.detection import DetectedBoard
 from lfcal.metric.bundle_adjustment import Poses
-from lfcal.metric.camera_model import INTERNAL, project, to_internal
+from lfcal.metric.camera_model import INTERNAL, project_positions, to_internal
 from lfcal.metric.observations import Observations
 
 PIXEL = 0.0055
@@ -40,10 +41,21 @@ def observe(values, where, rng, noise, pitch=28.3, radius=11.5, size=(1600, 1200
     rows = []
     for m in range(len(where.rotation)):
         for k, point in enumerate(board @ where.rotation[m].T + where.translation[m]):
-            seen = project(values, PIXEL, np.repeat(point[None], len(centres), 0), centres).position
+            seen = project_positions(values, PIXEL, np.repeat(point[None], len(centres), 0), centres)
             kept = np.hypot(*(seen - centres).T) < radius
             rows += [(m, k, *c, *p) for c, p in zip(centres[kept], seen[kept], strict=True)]
     table = np.array(rows)
     position = table[:, 4:] + rng.normal(0, noise, (len(table), 2))
     pose, corner = table[:, :2].T.astype(np.int64)
     return Observations(pose, corner, table[:, 2:4], position, np.ones(len(table)))
+
+
+def detect(values, where, rng, error=0.02):
+    """Boards as they are detected in all-in-focus pictures: to half a pixel, `s / D` to an `error`."""
+    found = []
+    for turn, shift in zip(where.rotation, where.translation, strict=True):
+        points = BOARD @ turn.T + shift
+        scene = values[3:5] + values[0] * points[:, :2] / points[:, 2:] + rng.normal(0, 0.5, (len(points), 2))
+        ratio = 1 / (values[1] + values[2] / points[:, 2]) + rng.normal(0, error)
+        found.append(DetectedBoard(np.arange(len(points)), scene, 1 / ratio))
+    return found

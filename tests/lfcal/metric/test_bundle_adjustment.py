@@ -6,17 +6,16 @@ import numpy as np
 
 from lfcal.metric.bundle_adjustment import adjust
 from lfcal.metric.camera_model import INTERNAL
-from lfcal.metric.observations import Observations, triangulate
-from lfcal.metric.settings import START
+from lfcal.metric.observations import Observations
 from lfcal.metric.start import first_camera
 
-from ._cameras import BOARD, PIXEL, camera, observe, poses
+from ._cameras import BOARD, PIXEL, camera, detect, observe, poses
 
 FREE = (*INTERNAL[:5], "k1")
 
 
-def _fit(observations, count):
-    start = first_camera(triangulate(observations, START.fewest_lenses), BOARD, (1600, 1200), count)
+def _fit(true, where, rng, observations):
+    start = first_camera(detect(true, where, rng), BOARD, (1600, 1200))
     assert start is not None
     return adjust(start[0], PIXEL, start[1], BOARD, observations, FREE)
 
@@ -24,7 +23,7 @@ def _fit(observations, count):
 def test_camera_and_poses_lie_within_the_stated_errors():
     rng = np.random.default_rng(3)
     true, where = camera(k1=-0.8), poses(rng)
-    found = _fit(observe(true, where, rng, 0.03), len(where.rotation))
+    found = _fit(true, where, rng, observe(true, where, rng, 0.03))
     errors = np.sqrt(np.diag(found.covariance))
     chosen = [INTERNAL.index(name) for name in FREE]
     assert (np.abs(found.camera - true)[chosen] < 3.5 * errors[chosen]).all()
@@ -40,6 +39,6 @@ def test_five_per_cent_of_wrong_corners_are_left_out():
     clean = observe(true, where, rng, 0.03)
     wrong = rng.random(len(clean)) < 0.05
     position = clean.position + wrong[:, None] * rng.normal(0, 4, (len(clean), 2))
-    found = _fit(Observations(clean.pose, clean.corner, clean.centre, position, clean.error), 6)
+    found = _fit(true, where, rng, Observations(clean.pose, clean.corner, clean.centre, position, clean.error))
     assert (found.weight[wrong] == 0).mean() > 0.97
     assert abs(found.camera[0] / true[0] - 1) < 0.003

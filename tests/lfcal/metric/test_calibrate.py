@@ -10,11 +10,9 @@ import pytest
 import lfcal
 from lfcal import Board, BoardError, Calibration, FlatError, Lattice, calibrate_metric, locate_board
 from lfcal.metric.calibrate import _first
-from lfcal.metric.observations import triangulate
 from lfcal.metric.observe import prepare
-from lfcal.metric.settings import OBSERVATION
 
-from ._cameras import camera, observe, poses
+from ._cameras import camera, detect, poses
 
 LATTICE = Lattice((10, 10), [[28.3, 0], [0, 28.3]], (1600, 1200), 13.0)
 
@@ -78,9 +76,8 @@ def test_distances_of_a_camera_file_have_errors(measured, tmp_path):
 def test_poses_that_are_alike_are_named():
     rng = np.random.default_rng(1)
     where = poses(rng, 4, near=500, far=505, tilt=0.01)
-    seen = triangulate(observe(camera(), where, rng, 0.01), 3)
     with pytest.raises(BoardError, match="are alike"):
-        _first(seen, Calibration(LATTICE), Board(9, 6, 7.0), 4, OBSERVATION)
+        _first(detect(camera(), where, rng, 1e-4), Calibration(LATTICE), Board(9, 6, 7.0))
 
 
 def test_another_number_of_squares_is_named(boards):

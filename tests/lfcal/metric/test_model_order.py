@@ -67,7 +67,7 @@ def test_errors_that_no_scatter_shows_widen_what_is_best_known():
     own = slice(0, len(BASE))
     off = (found.camera - straight.camera)[own]
     stated = found.covariance[own, own]
-    widened = stated + rim_covariance(found, PIXEL, moved, 11.5, 0.003)[own, own]
+    widened = stated + rim_covariance(found, PIXEL, moved, 11.5)[own, own]
     scale = np.sqrt(np.diag(stated))
     misfit = [off / scale @ np.linalg.solve(c / np.outer(scale, scale), off / scale) for c in (stated, widened)]
     assert misfit[0] > 3 * misfit[1]

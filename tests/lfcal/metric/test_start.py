@@ -6,19 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from lfcal.metric.observations import triangulate
-from lfcal.metric.settings import START
 from lfcal.metric.start import first_camera
 
-from ._cameras import BOARD, camera, observe, poses
+from ._cameras import BOARD, camera, detect, poses
 
 
 @pytest.mark.parametrize("seed", [5, 6])
 def test_poses_of_a_cold_start_are_not_mirrored(seed):
     rng = np.random.default_rng(seed)
     where = poses(rng, 5)
-    seen = triangulate(observe(camera(k1=-0.3), where, rng, 0.05), START.fewest_lenses)
-    start = first_camera(seen, BOARD, (1600, 1200), 5)
+    start = first_camera(detect(camera(k1=-0.3), where, rng), BOARD, (1600, 1200))
     assert start is not None
     for found, true in zip(start[1].rotation, where.rotation, strict=True):
         assert np.rad2deg(np.linalg.norm(cv2.Rodrigues(found @ true.T)[0])) < 8
