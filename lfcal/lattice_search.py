@@ -18,7 +18,7 @@ from .detection.first_lattice import (
     find_first_lattices_at_half_size,
     find_stated_lattices,
 )
-from .detection.settings import DEFAULT
+from .detection.settings import DETECTION
 from .images.mosaic import remove_mosaic
 from .images.preprocessing import sqrt_luminance
 from .images.stack import average_scenes, combine_whites, select_contrasted
@@ -180,6 +180,6 @@ def _find_starts_on(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
         raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
     half_size = is_searched_at_half_size((picture.shape[1], picture.shape[0]))
     for start in (find_first_lattices_at_half_size if half_size else find_first_lattices)(picture):
-        if start.repeatability < DEFAULT.first_lattice.repeatability and not start.confirmed:
+        if start.repeatability < DETECTION.repeatability:
             raise CalibrationError(NO_MICROIMAGES)
         yield start

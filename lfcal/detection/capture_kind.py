@@ -15,47 +15,46 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..lattice.lit_lenses import find_lit_lenses
 from .first_lattice import FirstLattice
-from .settings import DEFAULT, CaptureSettings
+from .settings import DETECTION
 
 __all__ = ["choose_white_or_scene", "is_evenly_lit"]
 
 
 def choose_white_or_scene(
-    lights: list[NDArray[np.float32]], start: FirstLattice, kind: str, settings: CaptureSettings = DEFAULT.capture
+    lights: list[NDArray[np.float32]], start: FirstLattice, kind: str
 ) -> tuple[bool, list[NDArray[np.float32]]]:
     """Whether to calibrate on white images, and the luminance pictures (h, w) to use: with `kind` "auto" white ones."""
     if kind != "auto":
         return kind == "white", lights
     if len(lights) == 1:
-        return _is_evenly_lit_at(start, lights[0], settings), lights
+        return _is_evenly_lit_at(start, lights[0]), lights
     from ..images.preprocessing import normalise_locally, sqrt_luminance
 
-    window = settings.level_window * start.lattice.pitch
+    window = 2 * start.lattice.pitch
     whites = [
         light
         for light in lights
-        if is_evenly_lit(normalise_locally(sqrt_luminance(light), window), light, start.lattice, settings)
+        if is_evenly_lit(normalise_locally(sqrt_luminance(light), window), light, start.lattice)
     ]
     return (True, whites) if whites else (False, lights)
 
 
-def _is_evenly_lit_at(start: FirstLattice, light: NDArray[np.float32], settings: CaptureSettings) -> bool:
+def _is_evenly_lit_at(start: FirstLattice, light: NDArray[np.float32]) -> bool:
     """`is_evenly_lit` at the size at which the lattice was found."""
     factor = light.shape[0] // start.brightness.shape[0]
     if factor == 1:
-        return is_evenly_lit(start.brightness, light, start.lattice, settings)
+        return is_evenly_lit(start.brightness, light, start.lattice)
     import cv2
 
     height, width = start.brightness.shape
     small: Any = cv2.resize(light[: factor * height, : factor * width], (width, height), interpolation=cv2.INTER_AREA)
-    return is_evenly_lit(start.brightness, small, start.lattice.downscaled(factor), settings)
+    return is_evenly_lit(start.brightness, small, start.lattice.downscaled(factor))
 
 
 def is_evenly_lit(
     brightness: NDArray[np.float32] | StackedCrops,
     light: NDArray[np.float32],
     lattice: Lattice,
-    settings: CaptureSettings = DEFAULT.capture,
 ) -> bool:
     """Whether the insides of lit microimages vary by little against the depth of the gaps between them.
 
@@ -68,8 +67,8 @@ def is_evenly_lit(
     lattice : Lattice [px]
     """
     return (
-        _scatter_inside(brightness, lattice, None, settings) < settings.scatter_inside
-        or _scatter_inside(brightness, lattice, light, settings) < settings.scatter_of_lit
+        _scatter_inside(brightness, lattice, None) < DETECTION.scatter_inside
+        or _scatter_inside(brightness, lattice, light) < DETECTION.scatter_of_lit
     )
 
 
@@ -77,7 +76,6 @@ def _scatter_inside(
     picture: NDArray[np.float32] | StackedCrops,
     lattice: Lattice,
     light: NDArray[np.float32] | None,
-    settings: CaptureSettings,
 ) -> float:
     """Scatter about the mean at a distance inside microimages, over the depth of the gaps.
 
@@ -89,19 +87,20 @@ def _scatter_inside(
     indices, centres, crop = crops.lenses(lattice, reach + 1)
     places = centres - crops.offsets[crop]
     if light is not None:
-        places = places[find_lit_lenses(light, lattice, indices, places, settings.dark_lens)]
-    places = places[:: max(1, len(places) // settings.lenses)]
+        places = places[find_lit_lenses(light, lattice, indices, places, 0.1)]
+    places = places[:: max(1, len(places) // 600)]
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
     own = (np.column_stack([x, y]) @ normals.T <= 0.5).all(1)
     x, y = x[own], y[own]
     corner = np.rint(places).astype(np.int64)
     values = crops.picture[corner[:, 1, None] + y, corner[:, 0, None] + x].ravel()
     far = np.hypot(x + (corner - places)[:, :1], y + (corner - places)[:, 1:]).ravel()
-    ring = (far / settings.ring).astype(np.int64)
+    width = 0.25  # [px] of the rings of a mean microimage
+    ring = (far / width).astype(np.int64)
     count, total, square = (np.bincount(ring, weights) for weights in (None, values, values.astype(float) ** 2))
     known = count > 0
     count, mean, square = count[known], total[known] / count[known], square[known]
-    inner = np.flatnonzero(known) * settings.ring < 0.5 * lattice.radius
+    inner = np.flatnonzero(known) * width < 0.5 * lattice.radius
     if not inner.any():
         return float("inf")
     variance = np.maximum(square / count - mean**2, 0)

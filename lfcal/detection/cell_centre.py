@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..lattice.cell import bin_offsets
 from ..lattice.lattice import reduce_basis
-from .settings import DEFAULT, CentreSettings
+from .settings import DETECTION
 
 __all__ = [
     "CentreGuess",
@@ -35,7 +35,6 @@ def find_primitive_cell(
     cells: list[NDArray[np.float64]],
     basis: NDArray[np.float64],
     again: list[NDArray[np.float64]] | None = None,
-    settings: CentreSettings = DEFAULT.centre,
 ) -> NDArray[np.float64]:
     """Smallest lattice on which the average cells repeat, `basis` itself or a finer one.
 
@@ -58,7 +57,7 @@ def find_primitive_cell(
     generators = [(6, 0), (0, 6)]
     for index, shifts in ((2, [(1, 0), (0, 1), (1, 1)]), (3, [(1, 0), (0, 1), (1, 1), (1, 2)])):
         for shift in shifts:
-            if _unrepeated_share(power, shift, index, settings.min_energy) < settings.other_energy:
+            if _unrepeated_share(power, shift, index, 0.001) < DETECTION.other_energy:
                 generators.append((shift[0] * 6 // index, shift[1] * 6 // index))
     return reduce_basis(_span(generators) / 6 @ basis) if len(generators) > 2 else basis
 
@@ -74,17 +73,14 @@ def _unrepeated_share(power: NDArray[np.float64], shift: tuple[int, int], index:
     return float(power[phase % index != 0].sum()) / varying if varying > min_energy else 1.0
 
 
-def is_checkerboard(
-    brightness: NDArray[np.float64], edges: NDArray[np.float64], settings: CentreSettings = DEFAULT.centre
-) -> bool:
+def is_checkerboard(brightness: NDArray[np.float64], edges: NDArray[np.float64]) -> bool:
     """Whether average cells (bins, bins) are their own negative half a cell further, with the same edges.
 
     Gaps between round microimages are never round microimages themselves.
     """
     half = brightness.shape[0] // 2
     return any(
-        _autocorrelation(brightness, shift) < -settings.negative
-        and _autocorrelation(edges, shift) > settings.same_edges
+        _autocorrelation(brightness, shift) < -DETECTION.negative and _autocorrelation(edges, shift) > 0.3
         for shift in half * np.array([(1, 0), (0, 1), (1, 1)])
     )
 
@@ -109,7 +105,6 @@ def choose_lens_centre(
     guesses: list[CentreGuess],
     light: NDArray[np.float64],
     basis: NDArray[np.float64],
-    settings: CentreSettings = DEFAULT.centre,
 ) -> CentreGuess:
     """The guess that is a lens and no gap: the roundest, unless one nearly as round is clearly brighter.
 
@@ -124,20 +119,18 @@ def choose_lens_centre(
     basis : (2, 2) float64 [px]
     """
     bins = light.shape[0]
-    inside = _distance_to_corner(basis, bins) < settings.core * np.sqrt(abs(np.linalg.det(basis)))
+    inside = _distance_to_corner(basis, bins) < 0.25 * np.sqrt(abs(np.linalg.det(basis)))
 
     def brightness(guess: CentreGuess) -> float:
         column, row = np.floor(guess.position * bins).astype(int)
         return float(light[np.roll(inside, (row, column), axis=(0, 1))].mean())
 
-    round_ones = [g for g in guesses if g.roundness > settings.nearly_as_round * guesses[0].roundness]
+    round_ones = [g for g in guesses if g.roundness > 0.5 * guesses[0].roundness]
     brightest = max(round_ones, key=brightness)
-    return brightest if brightness(guesses[0]) < settings.gap_brightness * brightness(brightest) else guesses[0]
+    return brightest if brightness(guesses[0]) < DETECTION.gap_light * brightness(brightest) else guesses[0]
 
 
-def find_round_centres(
-    cells: list[NDArray[np.float64]], basis: NDArray[np.float64], settings: CentreSettings = DEFAULT.centre
-) -> list[CentreGuess]:
+def find_round_centres(cells: list[NDArray[np.float64]], basis: NDArray[np.float64]) -> list[CentreGuess]:
     """Up to four points about which the average cells are round, roundest first, at least 0.3 pitch apart.
 
     Parameters
@@ -148,7 +141,7 @@ def find_round_centres(
     """
     bins = cells[0].shape[0]
     distance = _distance_to_corner(basis, bins)
-    rings = settings.rings
+    rings = 24
     ring = np.minimum((distance / (distance.max() + 1e-9) * rings).astype(int), rings - 1)
     roundness = np.zeros((bins, bins))
     for cell in cells:

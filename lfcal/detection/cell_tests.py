@@ -20,7 +20,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses
 from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError
 from .folding import HIGHEST_HARMONIC, TileFolds
-from .settings import DEFAULT, CellTestSettings
+from .settings import DETECTION
 
 __all__ = ["AverageCell", "check_cell", "check_edges", "find_shape_doubt", "measure_average_cell"]
 
@@ -31,7 +31,6 @@ def check_cell(
     basis: NDArray[np.float64],
     centre: NDArray[np.float64],
     repeatability: float,
-    settings: CellTestSettings = DEFAULT.cell_tests,
 ) -> CalibrationError | None:
     """CalibrationError where the average cell cannot be a microimage; returned, not raised, where a scene may be why.
 
@@ -48,26 +47,27 @@ def check_cell(
         Correlation of the average cells of two halves of the flat.
     """
     off_line = _off_line_energy(np.mean([_power(cell) for cell in cells], axis=0))
-    if off_line < settings.off_line_energy:
+    if off_line < DETECTION.off_line_energy:
         raise CalibrationError(f"stripes repeat on the image, in one direction only; {RAW_FLAT_ADVICE}")
-    if light.std() > settings.visible_contrast * light.mean():
+    # Where light hardly varies, only edges are left.
+    if light.std() > 0.05 * light.mean():
         # Correlation of two halves limits what any model can explain of their mean.
         possible = 2 * repeatability / (1 + repeatability)
         distances = cell_distances(basis, bin_offsets(basis, len(light), centre).reshape(-1, 2))
-        explained = float(np.mean([_explained_share(_smooth(cell), distances, settings.nodes) for cell in cells]))
-        least = settings.radial_share if off_line > settings.lopsided_energy else settings.radial_share_rows
+        explained = float(np.mean([_explained_share(_smooth(cell), distances) for cell in cells]))
+        least = DETECTION.radial_share if off_line > 0.1 else DETECTION.radial_share_rows
         if explained < least * possible:
             pitch = float(np.sqrt(abs(np.linalg.det(basis))))
             error = CalibrationError(
                 f"a pattern repeats every {pitch:.1f} px that has no microimages; {RAW_FLAT_ADVICE}"
             )
-            if explained < settings.radial_share_scene * possible:
+            if explained < DETECTION.radial_share_scene * possible:
                 raise error
             return error
     return None
 
 
-def check_edges(tone: TileFolds, settings: CellTestSettings = DEFAULT.cell_tests) -> None:
+def check_edges(tone: TileFolds) -> None:
     """CalibrationError where the average cell has no edge as light behind a lens has.
 
     Parameters
@@ -76,7 +76,8 @@ def check_edges(tone: TileFolds, settings: CellTestSettings = DEFAULT.cell_tests
         Root of the luminance on the reduced lattice, with bins far smaller than a pixel.
     """
     pitch = float(np.sqrt(abs(np.linalg.det(tone.basis))))
-    if pitch > settings.sharp_pitch and _energy_beyond_first(tone, settings.shortest_harmonic) < settings.edge_energy:
+    # Below 10 px, the own blur of a sensor can leave less; harmonics finer than 2.2 px are aliases of coarser ones.
+    if pitch > 10 and _energy_beyond_first(tone, 2.2) < DETECTION.edge_energy:
         raise CalibrationError(
             f"crossed waves without any edge repeat every {pitch:.1f} px, not microimages; {RAW_FLAT_ADVICE}"
         )
@@ -122,20 +123,18 @@ def _energy_beyond_first(tone: TileFolds, shortest_harmonic: float) -> float:
     return float(power[np.maximum(abs(h), abs(k)) > 1].sum() / max(power.sum(), 1e-30))
 
 
-def _explained_share(
-    cell: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]], nodes: int
-) -> float:
+def _explained_share(cell: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
     """Share of the variance of a cell that a sum of a function of each distance explains, 0..1."""
     values = cell.ravel() - cell.mean()
-    left = values - _fit_distances(values, distances, nodes)
+    left = values - _fit_distances(values, distances)
     return 1 - float(left @ left) / max(float(values @ values), 1e-30)
 
 
 def _fit_distances(
-    values: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]], nodes: int
+    values: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
     """Least-squares sum of a piecewise linear function of each distance (n,), to `values` (n,) or columns (n, m)."""
-    columns = []
+    columns, nodes = [], 16
     for distance in distances:
         place = (distance - distance.min()) / max(float(np.ptp(distance)), 1e-12) * (nodes - 1)
         columns.append(np.clip(1 - np.abs(place[:, None] - np.arange(nodes)), 0, None))
@@ -162,7 +161,6 @@ def find_shape_doubt(
     picture: NDArray[np.float32] | StackedCrops,
     lattice: Lattice,
     clear_gaps: bool = False,
-    settings: CellTestSettings = DEFAULT.cell_tests,
 ) -> str | None:
     """Why the average cell may be no microimage, None where its shape proves it.
 
@@ -179,31 +177,29 @@ def find_shape_doubt(
     CalibrationError
         If dark places have the shape of light ones.
     """
-    cell = measure_average_cell(picture, lattice, settings)
+    cell = measure_average_cell(picture, lattice)
     if cell is None:
         return "there are too few of them to measure their shape"
-    margin = settings.standard_errors * cell.error
-    if cell.half_shift + margin < settings.half_shift:
+    margin = 2 * cell.error
+    if cell.half_shift + margin < DETECTION.half_shift:
         raise CalibrationError(
             f"light and dark places of one shape repeat every {lattice.pitch:.1f} px, as on a checkerboard or in "
             f"crossed waves, not microimages; {RAW_FLAT_ADVICE}"
         )
-    if cell.half_shift - margin < settings.half_shift:
+    if cell.half_shift - margin < DETECTION.half_shift:
         return "a checkerboard or crossed waves could look like them"
-    if cell.alternating > settings.alternating:
+    if cell.alternating > DETECTION.alternating:
         return "two kinds of them alternate, as threads or bricks do"
-    if cell.gap_brightness > settings.gap_brightness:
+    if cell.gap_brightness > DETECTION.gap_brightness:
         return "the gaps between them are not darker than their middles"
-    if not clear_gaps and cell.unexplained + margin > settings.unexplained:
+    if not clear_gaps and cell.unexplained + margin > DETECTION.unexplained:
         return "the light in them does not have the shape of that behind a lens"
     return None
 
 
-def measure_average_cell(
-    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, settings: CellTestSettings = DEFAULT.cell_tests
-) -> AverageCell | None:
+def measure_average_cell(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice) -> AverageCell | None:
     """Measure the average cell as for `find_shape_doubt`; None where there are too few lenses."""
-    samples = settings.samples
+    samples, lenses = 18, 200  # along a cell, an even number; evenly spread over the flat
     share = (np.arange(samples) + 0.5) / samples - 0.5
     column, row = np.meshgrid(share, share)
     offsets = nearest_offsets(np.column_stack([column.ravel(), row.ravel()]), lattice.basis)
@@ -211,16 +207,17 @@ def measure_average_cell(
     reach = float(np.hypot(*np.vstack([offsets, steps]).T).max()) + 1
     if isinstance(picture, StackedCrops):
         _, centres, crop = picture.lenses(lattice, reach)
-        chosen = np.linspace(0, len(centres) - 1, min(settings.lenses, len(centres))).astype(int)
+        chosen = np.linspace(0, len(centres) - 1, min(lenses, len(centres))).astype(int)
         centres, picture = (centres - picture.offsets[crop])[chosen], picture.picture
     else:
-        _, centres = sample_lenses(lattice, reach, settings.lenses)
-    if len(centres) < settings.fewest_lenses:
+        _, centres = sample_lenses(lattice, reach, lenses)
+    if len(centres) < 4:
         return None
     cells = interpolate_linear(picture, centres[:, None] + offsets) ** 2
     level = cells.mean(1)
-    lit = level > settings.dark_lens * np.quantile(level, 0.95)
-    if lit.sum() < settings.fewest_lenses:
+    # Darker ones may lie beside the array.
+    lit = level > 0.2 * np.quantile(level, 0.95)
+    if lit.sum() < 4:
         return None
     centres, cells, level = centres[lit], cells[lit], level[lit]
     cells /= level[:, None]
@@ -230,11 +227,11 @@ def measure_average_cell(
     if correlation <= 0:
         return AverageCell(correlation, 1.0, -1.0, 1.0, float("inf"), 0.0)
     both = np.column_stack([a, b])
-    left = both - _fit_distances(both, cell_distances(lattice.basis, offsets), settings.nodes)
+    left = both - _fit_distances(both, cell_distances(lattice.basis, offsets))
     square = b.reshape(samples, samples)
     shifts = samples // 2 * np.array([(1, 0), (0, 1), (1, 1)])
     half_shift = min(float(a @ np.roll(square, tuple(shift), (0, 1)).ravel()) / common for shift in shifts)
-    core = cells[:, np.hypot(*offsets.T) < settings.core * np.hypot(*steps.T).min()].mean()
+    core = cells[:, np.hypot(*offsets.T) < 0.25 * np.hypot(*steps.T).min()].mean()
     gap = max(float((interpolate_linear(picture, centres + step / 2) ** 2 / level).mean()) for step in steps)
     # Noise is as many independent values as a cell has pixels.
     values = min(abs(np.linalg.det(lattice.basis)), samples**2)
@@ -244,11 +241,11 @@ def measure_average_cell(
         half_shift=half_shift,
         gap_brightness=gap / core,
         error=float((1 - correlation) / correlation / np.sqrt(values)),
-        alternating=_alternating_energy(cells, centres, settings),
+        alternating=_alternating_energy(cells, centres),
     )
 
 
-def _alternating_energy(cells: NDArray[np.float64], centres: NDArray[np.float64], settings: CellTestSettings) -> float:
+def _alternating_energy(cells: NDArray[np.float64], centres: NDArray[np.float64]) -> float:
     """`AverageCell.alternating` of cells (n, samples) at `centres` (n, 2) [px], without a linear trend."""
     middle = centres - centres.mean(0)
     trend = np.column_stack([np.ones(len(cells)), middle / max(float(np.abs(middle).max()), 1e-12)])
@@ -256,6 +253,7 @@ def _alternating_energy(cells: NDArray[np.float64], centres: NDArray[np.float64]
     values, vectors = np.linalg.eigh(left @ left.T / len(cells))
     # Participation ratio: the share of cells of equal amplitude that would have the same sum of fourth powers.
     share = 1 / (float(((vectors[:, -1] ** 2) ** 2).sum()) * len(cells))
-    if share < settings.alternating_share or values[-1] < settings.alternating_ratio * values[-2]:
+    # Noise has a share of a half, dust of a few.
+    if share < 0.7 or values[-1] < 3 * values[-2]:
         return 0.0
     return float(values[-1] / ((cells.mean(0) - 1) ** 2).sum())

@@ -16,9 +16,11 @@ from ..gain.vignetting import Vignetting
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CalibrationError
-from .settings import DEFAULT, DownscaleSettings
 
 __all__ = [
+    "ENOUGH",
+    "LARGE",
+    "PIECES",
     "average_blocks",
     "choose_block_size",
     "is_large_after_averaging",
@@ -27,8 +29,15 @@ __all__ = [
     "upscale_calibration",
 ]
 
+# [px] flats of more are averaged in blocks,
+LARGE = 4.8e7
+# down to about so many.
+ENOUGH = 1.6e7
+# White images of fewer are as soon calibrated as a whole as in pieces.
+PIECES = 6e6
 
-def choose_block_size(flat: NDArray[Any], settings: DownscaleSettings = DEFAULT.downscale) -> int:
+
+def choose_block_size(flat: NDArray[Any]) -> int:
     """Side [px] of the blocks that a flat (h, w) or (h, w, 3) is to be averaged in: 1 where it is not large.
 
     Raises
@@ -37,17 +46,17 @@ def choose_block_size(flat: NDArray[Any], settings: DownscaleSettings = DEFAULT.
         If a large flat shows no lattice in its middle, nor beside it.
     """
     height, width = flat.shape[:2]
-    if height * width < settings.large:
+    if height * width < LARGE:
         return 1
     from ..images.mosaic import find_mosaic
 
-    pitch = _find_pitch(flat, settings)
-    block = max(1, min(int(pitch / settings.min_pitch), round(np.sqrt(height * width / settings.enough))))
+    pitch = _find_pitch(flat)
+    block = max(1, min(int(pitch / 9), round(np.sqrt(height * width / ENOUGH))))
     # Whole cells of a colour mosaic average to grey.
     return block - block % 2 if block > 1 and find_mosaic(flat) else block
 
 
-def _find_pitch(flat: NDArray[Any], settings: DownscaleSettings) -> float:
+def _find_pitch(flat: NDArray[Any]) -> float:
     """Pitch [px] in the first part of a flat that shows one; the array need not fill the sensor."""
     from ..images.preprocessing import luminance, sqrt_luminance
     from .first_lattice import find_first_lattice
@@ -59,35 +68,34 @@ def _find_pitch(flat: NDArray[Any], settings: DownscaleSettings) -> float:
         part = np.ascontiguousarray(flat[top : top + side, left : left + side])
         return find_first_lattice(sqrt_luminance(luminance(part))).lattice.pitch
 
+    # In the middle first, where twelve pitches across are enough; then in larger parts.
     with suppress(CalibrationError):
-        pitch = pitch_in_part(0.5, 0.5, settings.small_part)
-        if pitch * settings.periods < settings.small_part:
+        pitch = pitch_in_part(0.5, 0.5, 1024)
+        if pitch * 12 < 1024:
             return pitch
     error: CalibrationError | None = None
-    for across, down in settings.places:
+    for across, down in ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8)):
         try:
-            return pitch_in_part(across, down, settings.part)
+            return pitch_in_part(across, down, 2400)
         except CalibrationError as failure:
             error = error or failure
     assert error is not None
     raise error
 
 
-def is_searched_in_pieces(size: tuple[int, int], settings: DownscaleSettings = DEFAULT.downscale) -> bool:
+def is_searched_in_pieces(size: tuple[int, int]) -> bool:
     """Whether the lattice of a white image of `size` (width, height) is first looked for in a piece of it."""
-    return size[0] * size[1] >= settings.pieces
+    return size[0] * size[1] >= PIECES
 
 
-def is_large_after_averaging(
-    size: tuple[int, int], block: int, settings: DownscaleSettings = DEFAULT.downscale
-) -> bool:
+def is_large_after_averaging(size: tuple[int, int], block: int) -> bool:
     """Whether a flat of `size` (width, height) is large even when averaged in blocks."""
-    return size[0] * size[1] / block**2 >= settings.large
+    return size[0] * size[1] / block**2 >= LARGE
 
 
-def is_searched_at_half_size(size: tuple[int, int], settings: DownscaleSettings = DEFAULT.downscale) -> bool:
+def is_searched_at_half_size(size: tuple[int, int]) -> bool:
     """Whether the first lattice of a flat of `size` (width, height) is looked for at half that size."""
-    return size[0] * size[1] >= settings.half_size
+    return size[0] * size[1] >= 3e6
 
 
 def average_blocks(flat: NDArray[Any], block: int, rows: int = 32) -> NDArray[np.float32]:

@@ -16,18 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..hough.circle_vote import circle_agreement, propose_basis
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.errors import CalibrationError
 from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres, is_checkerboard
 from .cell_tests import check_cell, check_edges
-from .folding import fold_lit_tiles, fold_tiles, measure_repeatability
+from .folding import CELL_TILES, fold_lit_tiles, fold_tiles, measure_repeatability
 from .gaps import Gaps, gap_tone, measure_gaps, window_likelihood
-from .settings import DEFAULT, DetectionSettings, FirstLatticeSettings
+from .settings import DETECTION
 from .spectrum import find_bases, is_same_lattice
-from .tile_lattice import finer_bases, fit_harmonics, refine_basis, similar_bases
+from .tile_lattice import LARGEST_CHANGE, finer_bases, fit_harmonics, refine_basis, similar_bases
 
 __all__ = [
     "NO_MICROIMAGES",
@@ -59,7 +58,6 @@ class FirstLattice:
     repeatability: float  # correlation of the average microimages of two halves of the tiles
     doubt: CalibrationError | None = None  # why this may be no lattice of microimages, unless parallax proves it
     clear_gaps: bool = False  # dark gaps at every border of cells of different content
-    confirmed: bool = False  # circles found by Hough vote lie on it, where halves of the flat hardly repeat
 
     def explains(self, basis: NDArray[np.float64]) -> float:
         """`window_likelihood` of a basis (2, 2) [px of the flat] on the picture."""
@@ -67,7 +65,7 @@ class FirstLattice:
         return window_likelihood(self.brightness, scale * basis, int(8 * scale * self.lattice.pitch))
 
 
-def find_first_lattice(picture: NDArray[np.float32], settings: DetectionSettings = DEFAULT) -> FirstLattice:
+def find_first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     """Lattice from the best supported basis of the spectrum.
 
     Parameters
@@ -80,12 +78,10 @@ def find_first_lattice(picture: NDArray[np.float32], settings: DetectionSettings
     CalibrationError
         If nothing repeats in two directions, or no microimages do.
     """
-    return _build_lattice(next(find_bases(picture, settings)), picture, edge_strength(picture), settings)
+    return _build_lattice(next(find_bases(picture)), picture, edge_strength(picture))
 
 
-def fit_first_lattice(
-    picture: NDArray[np.float32], basis: NDArray[np.float64], settings: DetectionSettings = DEFAULT
-) -> FirstLattice:
+def fit_first_lattice(picture: NDArray[np.float32], basis: NDArray[np.float64]) -> FirstLattice:
     """Lattice of a picture (h, w) whose `basis` (2, 2) [px] is known to some percent, and nothing of its centres.
 
     Raises
@@ -93,10 +89,10 @@ def fit_first_lattice(
     CalibrationError
         If no microimages repeat on the picture at about this basis.
     """
-    return _build_lattice(basis, picture, edge_strength(picture), settings)
+    return _build_lattice(basis, picture, edge_strength(picture))
 
 
-def find_first_lattices(picture: NDArray[np.float32], settings: DetectionSettings = DEFAULT) -> Iterator[FirstLattice]:
+def find_first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
     """`find_first_lattice` and, where that is doubtful or turns out to be wrong, certain others, the roundest first.
 
     Raises
@@ -104,12 +100,10 @@ def find_first_lattices(picture: NDArray[np.float32], settings: DetectionSetting
     CalibrationError
         As `find_first_lattice`, if there is none at all.
     """
-    yield from _build_lattices(find_bases(picture, settings), picture, settings)
+    yield from _build_lattices(find_bases(picture), picture)
 
 
-def find_stated_lattices(
-    picture: NDArray[np.float32], hint: LatticeHint, settings: DetectionSettings = DEFAULT
-) -> list[FirstLattice]:
+def find_stated_lattices(picture: NDArray[np.float32], hint: LatticeHint) -> list[FirstLattice]:
     """Lattices of a picture (h, w) as stated, the roundest first.
 
     Raises
@@ -119,15 +113,15 @@ def find_stated_lattices(
     """
     bases: list[NDArray[np.float64]] = []
     with suppress(CalibrationError):
-        bases += find_bases(picture, settings)
-    edges, first = edge_strength(picture), settings.first_lattice
+        bases += find_bases(picture)
+    edges = edge_strength(picture)
     found: list[FirstLattice] = []
     for number, basis in enumerate(bases + hint.bases()):
         if found and number >= len(bases):
             break
         with suppress(CalibrationError, np.linalg.LinAlgError):
-            one = _build_lattice(basis, picture, edges, settings)
-            if hint.allows(one.lattice) and one.repeatability >= first.stated_repeatability:
+            one = _build_lattice(basis, picture, edges)
+            if hint.allows(one.lattice) and one.repeatability >= DETECTION.stated_repeatability:
                 found.append(replace(one, doubt=None))
     if not found:
         turned = "" if hint.rotation is None else f", turned by about {hint.rotation:g} degrees"
@@ -138,9 +132,7 @@ def find_stated_lattices(
     best = found[int(np.argmax(explained))]
     for one, share in zip(found, explained, strict=True):
         other = one.lattice.basis
-        if share > first.as_likely * max(explained) and not is_same_lattice(
-            other, best.lattice.basis, first.same_stated
-        ):
+        if share > 0.9 * max(explained) and not is_same_lattice(other, best.lattice.basis, 0.005):
             raise CalibrationError(
                 f"several lattices of about {hint.pitch:g} px explain the flat nearly as well "
                 f"({best.lattice.pitch:.2f} and {one.lattice.pitch:.2f} px); give a white image"
@@ -148,9 +140,7 @@ def find_stated_lattices(
     return sorted(found, key=lambda one: -one.roundness)
 
 
-def find_first_lattices_at_half_size(
-    picture: NDArray[np.float32], settings: DetectionSettings = DEFAULT
-) -> Iterator[FirstLattice]:
+def find_first_lattices_at_half_size(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
     """`find_first_lattices` of a picture (h, w) of many pixels, at half its size where that leaves no doubt.
 
     `FirstLattice.brightness` is then of half the size; the lattice is in px of the picture.
@@ -159,18 +149,19 @@ def find_first_lattices_at_half_size(
 
     height, width = (length // 2 for length in picture.shape)
     half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-    bases = find_bases(half, settings)
-    min_pitch = settings.first_lattice.halved_pitch
+    bases = find_bases(half)
+    # [px] microimages of a flat at half size show all that is needed from here on
+    min_pitch = 11.0
     start: FirstLattice | None = None
     starts: Iterator[FirstLattice] = iter(())
     with suppress(CalibrationError):
         first = next(bases)
         # A basis alone tells that the pitch is too short to be halved.
         if 2 * _inradius(first) >= min_pitch:
-            starts = _build_lattices(chain([first], bases), half, settings)
+            starts = _build_lattices(chain([first], bases), half)
             start = next(starts)
     if start is None or start.lattice.pitch < min_pitch or start.doubt is not None:
-        yield from find_first_lattices(picture, settings)
+        yield from find_first_lattices(picture)
         return
     for found in chain([start], starts):
         small = found.lattice
@@ -178,185 +169,141 @@ def find_first_lattices_at_half_size(
         yield replace(found, lattice=lattice, half_difference=2 * found.half_difference)
 
 
-def _build_lattices(
-    bases: Iterator[NDArray[np.float64]], picture: NDArray[np.float32], settings: DetectionSettings
-) -> Iterator[FirstLattice]:
+def _build_lattices(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
     """`find_first_lattices` from bases of the spectrum."""
     edges = edge_strength(picture)
     error: CalibrationError | None = None
-    uncertain: list[FirstLattice] = []
     given: list[FirstLattice] = []
-    tried = [next(bases)]
+    uncertain: FirstLattice | None = None
     try:
-        first = _build_lattice(tried[0], picture, edges, settings)
-        if _is_certain(first, settings.first_lattice):
+        first = _build_lattice(next(bases), picture, edges)
+        if _is_certain(first):
             given.append(first)
             yield first
         else:
-            uncertain.append(first)
+            uncertain = first
     except CalibrationError as failure:
         error = failure
     certain = []
     for basis in bases:
-        tried.append(basis)
         with suppress(CalibrationError):
-            found = _build_lattice(basis, picture, edges, settings)
-            if _is_certain(found, settings.first_lattice):
+            found = _build_lattice(basis, picture, edges)
+            if _is_certain(found):
                 certain.append(replace(found, doubt=found.doubt or error or CalibrationError(NO_MICROIMAGES)))
-            else:
-                uncertain.append(found)
     # The average of several lens types is less round than that of one.
     for found in sorted(certain, key=lambda one: -one.roundness):
-        same = (one.lattice.basis for one in given)
-        if not any(is_same_lattice(found.lattice.basis, b, settings.first_lattice.same_basis) for b in same):
+        if not any(is_same_lattice(found.lattice.basis, one.lattice.basis) for one in given):
             given.append(found)
             yield found
     if given:
         return
-    confirmed = _confirm_by_circles(uncertain, tried, picture, edges, settings)
-    yield from (replace(one, doubt=one.doubt or error or CalibrationError(NO_MICROIMAGES)) for one in confirmed)
-    if confirmed:
-        return
-    if error is not None or not uncertain:
+    if uncertain is None:
         raise error or CalibrationError(NO_MICROIMAGES)
-    yield uncertain[0]
+    yield uncertain
 
 
-def _confirm_by_circles(
-    uncertain: list[FirstLattice],
-    tried: list[NDArray[np.float64]],
-    picture: NDArray[np.float32],
-    edges: NDArray[np.float32],
-    settings: DetectionSettings,
-) -> list[FirstLattice]:
-    """Those of the uncertain lattices, and of others that circles propose, on which circles lie, the best one first.
-
-    In crops of few lenses of several types two halves of the flat hardly repeat, whatever the lattice.
-    """
-    first, known = settings.first_lattice, [one.lattice.basis for one in uncertain]
-    pitches: list[float] = []
-    for basis in [*known, *tried]:
-        pitch = 2 * _inradius(basis)
-        if pitch >= first.min_pitch and all(abs(np.log(pitch / other)) > first.circle_pitches for other in pitches):
-            pitches.append(pitch)
-    for pitch in pitches:
-        proposed = propose_basis(picture, pitch)
-        if proposed is None or any(is_same_lattice(proposed, basis, first.same_basis) for basis in known):
-            continue
-        known.append(proposed)
-        with suppress(CalibrationError, np.linalg.LinAlgError):
-            uncertain = [*uncertain, _build_lattice(proposed, picture, edges, settings)]
-    ranked = [
-        (circle_agreement(picture, one.lattice), one) for one in uncertain
-        if one.repeatability >= first.stated_repeatability and np.isfinite(one.half_difference)
-    ]  # fmt: skip
-    ranked = [pair for pair in ranked if pair[0] >= first.circle_agreement]
-    return [replace(one, confirmed=True) for _, one in sorted(ranked, key=lambda pair: -pair[0])]
-
-
-def _is_certain(found: FirstLattice, settings: FirstLatticeSettings) -> bool:
+def _is_certain(found: FirstLattice) -> bool:
     """Whether two halves of the flat agree about a lattice and about its average microimage."""
     return (
-        found.repeatability >= settings.repeatability
-        and found.half_difference <= settings.half_difference * found.lattice.pitch
+        found.repeatability >= DETECTION.repeatability
+        and found.half_difference <= DETECTION.half_difference * found.lattice.pitch
     )
 
 
 def _build_lattice(
-    basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32], settings: DetectionSettings
+    basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32]
 ) -> FirstLattice:
     """`find_first_lattice` from a basis of the spectrum; CalibrationError where that is none of microimages."""
-    first = settings.first_lattice
     height, width = picture.shape
     start = basis
-    basis, side, features, coherence = _refine_cell(basis, picture, edges, settings)
-    basis, gaps = _choose_by_gaps(features, [basis, *similar_bases(basis, start, first.max_change)], side, settings)
-    if 2 * _inradius(basis) < first.min_pitch:
+    basis, side, features, coherence = _refine_cell(basis, picture, edges)
+    basis, gaps = _choose_by_gaps(features, [basis, *similar_bases(basis, start)], side)
+    # Smaller microimages hold too few pixels; a hundredth is for errors of measurement.
+    if 2 * _inradius(basis) < 0.99 * 6:
         raise CalibrationError(
             f"the image repeats every {2 * _inradius(basis):.1f} px; microimages must be at least 6 px apart, "
             "give the flat at the full resolution of the sensor"
         )
-    folds = fold_lit_tiles(picture, features, basis, side, _BINS, first)
+    folds = fold_lit_tiles(picture, features, basis, side, _BINS)
     cells = [fold.mean() for fold in folds]
-    if coherence < first.coherence:
+    if coherence < DETECTION.coherence:
         raise CalibrationError(NO_MICROIMAGES)
-    (tone,) = fold_tiles([picture], basis, side, 4 * _BINS, first.cell_tiles)
-    check_edges(tone, settings.cell_tests)
-    if is_checkerboard(cells[0], cells[1], settings.centre):
+    (tone,) = fold_tiles([picture], basis, side, 4 * _BINS, CELL_TILES)
+    check_edges(tone)
+    if is_checkerboard(cells[0], cells[1]):
         raise CalibrationError("a checkerboard repeats on the image, not microimages; give a raw flat from the sensor")
     light = tone.mean().reshape(_BINS, 4, _BINS, 4).mean((1, 3)) ** 2
-    centre = choose_lens_centre(find_round_centres(cells, basis, settings.centre), light, basis, settings.centre)
-    repeatability = measure_repeatability(folds, first.certain_repeatability)
-    if gaps.lack_some(settings.gaps):
+    centre = choose_lens_centre(find_round_centres(cells, basis), light, basis)
+    repeatability = measure_repeatability(folds)
+    if gaps.lack_some():
         raise CalibrationError(NO_MICROIMAGES)
     doubt, place = None, gaps.centre @ gaps.basis
-    proved = gaps.prove_lattice(settings.gaps) and gap_tone(light, gaps, settings.gaps) < settings.gaps.most_tone
+    proved = gaps.prove_lattice() and gap_tone(light, gaps) < DETECTION.gap_tone
     if not proved:
         place = centre.position @ basis
-        doubt = check_cell(cells, light, basis, centre.position, repeatability, settings.cell_tests)
+        doubt = check_cell(cells, light, basis, centre.position, repeatability)
         if doubt is not None and (
-            centre.roundness < first.doubtful_roundness or repeatability > first.doubtful_repeatability
+            centre.roundness < DETECTION.doubtful_roundness or repeatability > DETECTION.doubtful_repeatability
         ):
             raise doubt
     middle = (np.array([width, height]) - 1) / 2
-    fit = fit_harmonics(folds[1:], _nearest_point(middle, place, basis), settings.harmonics)
-    _check_change(fit.basis, basis, first.max_change)
+    fit = fit_harmonics(folds[1:], _nearest_point(middle, place, basis))
+    _check_change(fit.basis, basis)
     origin, basis = _nearest_point(middle, fit.origin, fit.basis), reduce_basis(fit.basis)
     lattice = Lattice(origin, basis, (width, height), _inradius(basis))
     return FirstLattice(lattice, features[0], centre.roundness, fit.half_difference, repeatability, doubt, proved)
 
 
 def _choose_by_gaps(
-    features: list[NDArray[np.float32]], choices: list[NDArray[np.float64]], side: int, settings: DetectionSettings
+    features: list[NDArray[np.float32]], choices: list[NDArray[np.float64]], side: int
 ) -> tuple[NDArray[np.float64], Gaps]:
     """The likeliest of several bases (2, 2) [px], where gaps prove it, else the first; and the gaps of its cells.
 
     Scene detail that moves from lens to lens draws the period after it, but then gaps do not lie over gaps.
     """
-    likely = max(choices, key=lambda one: window_likelihood(features[0], one, side, settings.gaps))
-    gaps = measure_gaps(features, likely, side, settings.gaps)
-    if gaps.prove_lattice(settings.gaps):
+    likely = max(choices, key=lambda one: window_likelihood(features[0], one, side))
+    gaps = measure_gaps(features, likely, side)
+    if gaps.prove_lattice():
         return gaps.basis, gaps
     if likely is not choices[0]:
-        gaps = measure_gaps(features, choices[0], side, settings.gaps)
-    if gaps.lack_some(settings.gaps):
+        gaps = measure_gaps(features, choices[0], side)
+    if gaps.lack_some():
         # Cells of several lenses, as of an array of several types.
         for finer in finer_bases(gaps.basis):
-            found = measure_gaps(features, finer, side, settings.gaps)
-            if found.prove_lattice(settings.gaps):
+            found = measure_gaps(features, finer, side)
+            if found.prove_lattice():
                 return found.basis, found
     return choices[0], gaps
 
 
 def _refine_cell(
-    basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32], settings: DetectionSettings
+    basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], int, list[NDArray[np.float32]], float]:
     """Refined basis of the cell of one microimage, side of the tiles [px], normalised features and coherence."""
-    first = settings.first_lattice
     coherence, window = 0.0, 0.0
     for _ in range(3):
         pitch = float(np.sqrt(abs(np.linalg.det(basis))))
-        wanted = first.level_window * pitch
-        if not 1 / first.level_tolerance <= wanted / max(window, 1e-9) <= first.level_tolerance:
-            window = wanted
+        if not 1 / 2 <= 2 * pitch / max(window, 1e-9) <= 2:
+            window = 2 * pitch
             features = [normalise_locally(feature, window) for feature in (picture, edges)]
-        side = int(max(first.min_tile * pitch, min(first.tile * pitch, min(picture.shape) / first.tiles)))
-        refined, coherence = refine_basis(fold_lit_tiles(picture, features, basis, side, _BINS, first), first)
-        _check_change(refined, basis, first.max_change)
-        basis, changed = _single_cell(features, refined, side, settings)
+        # Tiles hold enough lenses for an average, and are small against a wandering period.
+        side = int(max(2.5 * pitch, min(8 * pitch, min(picture.shape) / 5)))
+        refined, coherence = refine_basis(fold_lit_tiles(picture, features, basis, side, _BINS))
+        _check_change(refined, basis)
+        basis, changed = _single_cell(features, refined, side)
         if not changed:
             break
     return basis, side, features, coherence
 
 
-def _check_change(refined: NDArray[np.float64], basis: NDArray[np.float64], limit: float) -> None:
+def _check_change(refined: NDArray[np.float64], basis: NDArray[np.float64]) -> None:
     """CalibrationError where a refinement has run away from `basis`."""
-    if not np.abs(refined @ np.linalg.inv(basis) - np.eye(2)).max() < limit:
+    if not np.abs(refined @ np.linalg.inv(basis) - np.eye(2)).max() < LARGEST_CHANGE:
         raise CalibrationError(NO_MICROIMAGES)
 
 
 def _single_cell(
-    features: list[NDArray[np.float32]], basis: NDArray[np.float64], side: int, settings: DetectionSettings
+    features: list[NDArray[np.float32]], basis: NDArray[np.float64], side: int
 ) -> tuple[NDArray[np.float64], bool]:
     """The cell that holds one microimage, and whether that is another than the one of `basis`.
 
@@ -365,9 +312,9 @@ def _single_cell(
     """
     for multiple in (1, 2, 3):
         wide = basis * multiple
-        folds = fold_tiles(features, wide, side, _BINS, settings.first_lattice.cell_tiles)
+        folds = fold_tiles(features, wide, side, _BINS, CELL_TILES)
         first, second = zip(*(fold.half_means() for fold in folds), strict=True)
-        found = find_primitive_cell(list(first), wide, list(second), settings.centre)
+        found = find_primitive_cell(list(first), wide, list(second))
         if abs(abs(np.linalg.det(found) / np.linalg.det(basis)) - 1) > 0.1:
             return found, True
     return basis, False

@@ -15,15 +15,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..runtime.kernels.jit import kernel
-from .settings import FirstLatticeSettings
 
 __all__ = [
-    "HIGHEST_HARMONIC", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_lit_tiles", "fold_tiles",
+    "CELL_TILES", "HIGHEST_HARMONIC", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_lit_tiles", "fold_tiles",
     "measure_repeatability",
 ]  # fmt: skip
 
 # Structure of a microimage finer than a sixth of the pitch tells little about its place.
 HIGHEST_HARMONIC = 6
+#: Tiles that give an average cell, evenly spread.
+CELL_TILES = 60
 #: Pixels of a row handled by one vector loop of fixed length: rows of microimages are too short for others.
 VECTOR_LENGTH = 16
 
@@ -184,20 +185,20 @@ def fold_lit_tiles(
     basis: NDArray[np.float64],
     side: int,
     bins: int,
-    settings: FirstLatticeSettings,
 ) -> list[TileFolds]:
     """Folds of the features, without tiles beside the array: dark ones in which next to nothing repeats."""
     folds = fold_tiles(features, basis, side, bins)
-    tone = _tile_means(picture, folds[0].side, settings.tone_samples)
+    tone = _tile_means(picture, folds[0].side)
     power = sum(fold.lattice_power() for fold in folds)
-    beside = tone < settings.dark_tile * np.quantile(tone, 0.9)
-    beside &= power < settings.idle_tile * np.quantile(power, 0.9)
+    # Stray light has a sixth of the light of the array.
+    beside = tone < 0.4 * np.quantile(tone, 0.9)
+    beside &= power < 0.1 * np.quantile(power, 0.9)
     return [fold.mask(~beside) for fold in folds] if beside.any() else folds
 
 
-def _tile_means(picture: NDArray[np.float32], side: int, samples: int) -> NDArray[np.float64]:
-    """Mean of a picture in each square tile, row by row, from about so many samples squared."""
-    step = max(1, side // samples)
+def _tile_means(picture: NDArray[np.float32], side: int) -> NDArray[np.float64]:
+    """Mean of a picture in each square tile, row by row, from about 32 x 32 samples."""
+    step = max(1, side // 32)
     few = picture[::step, ::step]
     # First sample of each row and column of tiles.
     rows, columns = (np.arange(0, length, side) + step - 1 for length in picture.shape)
@@ -207,7 +208,7 @@ def _tile_means(picture: NDArray[np.float32], side: int, samples: int) -> NDArra
     return np.asarray((total / np.maximum(area, 1)).ravel())
 
 
-def measure_repeatability(folds: list[TileFolds], certain: float) -> float:
+def measure_repeatability(folds: list[TileFolds]) -> float:
     """Correlation of the average cells of two halves of the tiles: the weaker feature unless the other is certain."""
     found = []
     for fold in folds:
@@ -215,4 +216,5 @@ def measure_repeatability(folds: list[TileFolds], certain: float) -> float:
             return 0.0
         a, b = (half.ravel() - half.mean() for half in fold.half_means())
         found.append(float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-30))
-    return float(np.mean(found)) if max(found) > certain else min(found)
+    # Where one feature is that certain, the other may be too faint.
+    return float(np.mean(found)) if max(found) > 0.97 else min(found)

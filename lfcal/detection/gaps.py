@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from ..lattice.cell import bin_offsets, cell_distances
 from ..lattice.lattice import reduce_basis
-from .folding import fold_tiles
-from .settings import DEFAULT, GapSettings
+from .folding import CELL_TILES, fold_tiles
+from .settings import DETECTION
 
 __all__ = ["Gaps", "gap_tone", "measure_gaps", "window_likelihood"]
+
+_BINS = 36  # along a cell
 
 
 @dataclass(frozen=True)
@@ -34,23 +36,21 @@ class Gaps:
     content: float  # standard deviation in the middle of cells, of what differs from one to another, over `contrast`
     by_brightness: bool  # gaps are dark; else they only show less change
 
-    def lack_some(self, settings: GapSettings = DEFAULT.gaps) -> bool:
+    def lack_some(self) -> bool:
         """Whether some borders have clear gaps and others none: the cells are not those of one lens each."""
-        return self.weakest < settings.missing and self.strongest > settings.clear
+        return self.weakest < DETECTION.missing_gap and self.strongest > DETECTION.clear_gap
 
-    def prove_lattice(self, settings: GapSettings = DEFAULT.gaps) -> bool:
+    def prove_lattice(self) -> bool:
         """Whether gaps part all cells from each other, and these have content of their own: an array of lenses."""
         return (
-            self.weakest >= settings.clear
-            and self.contrast >= settings.dark
-            and self.content >= settings.content
+            self.weakest >= DETECTION.clear_gap
+            and self.contrast >= DETECTION.dark_gap
+            and self.content >= DETECTION.content
             and self.by_brightness
         )
 
 
-def window_likelihood(
-    brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int, settings: GapSettings = DEFAULT.gaps
-) -> float:
+def window_likelihood(brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int) -> float:
     """Gain in log likelihood [nats per pixel] if each place of a cell has a mean and a variance of its own.
 
     The same window everywhere with content of its own inside: greatest where gaps lie over gaps in all of the flat.
@@ -63,18 +63,17 @@ def window_likelihood(
     side : int [px]
         Of the tiles that are averaged.
     """
-    value, square = (fold.mean() for fold in fold_tiles([brightness, brightness**2], basis, side, settings.bins))
+    value, square = (fold.mean() for fold in fold_tiles([brightness, brightness**2], basis, side, _BINS))
     variance = np.maximum(square - value**2, 0)
     whole = float(variance.mean() + value.var())
     # Places of no variance at all, as in saturated gaps, must not count without limit.
-    return float(0.5 * (np.log(whole) - np.log(variance + settings.least_variance * whole).mean()))
+    return float(0.5 * (np.log(whole) - np.log(variance + 0.001 * whole).mean()))
 
 
 def measure_gaps(
     features: list[NDArray[np.float32]],
     basis: NDArray[np.float64],
     side: int,
-    settings: GapSettings = DEFAULT.gaps,
 ) -> Gaps:
     """Gaps of a lattice, of which only the `basis` (2, 2) [px] is known.
 
@@ -86,11 +85,11 @@ def measure_gaps(
         Of the tiles that are averaged.
     """
     basis = reduce_basis(basis)
-    middle, border = _cell_parts(basis, settings)
+    middle, border = _cell_parts(basis)
     template = np.conj(np.fft.fft2(middle - border))
     contrast, chosen, best = -np.inf, 0, middle
     at: NDArray[np.float64] = np.zeros(2)
-    fold = _Fold(features[0], basis, side, settings)
+    fold = _Fold(features[0], basis, side)
     for number in range(1 + len(features)):
         # Brightness, then the standard deviation of brightness and of edges.
         rms = fold.rms(features[max(number - 1, 0)], 1, number == 0)
@@ -98,24 +97,26 @@ def measure_gaps(
         if found.max() > contrast:
             contrast, chosen, best = float(found.max()), number, rms
             at = np.array(np.unravel_index(int(found.argmax()), found.shape), dtype=np.float64)[::-1] + 0.5
-        if number == 0 and contrast > settings.faint:
+        # Where brightness is faint, edges count too.
+        if number == 0 and contrast > 0.3:
             break
-    centre = _most_symmetric(best, at, basis, settings)
+    centre = _most_symmetric(best, at, basis)
     feature, weakest, strongest = features[max(chosen - 1, 0)], np.inf, -np.inf
-    for cells in settings.cells:
+    # Borders are told apart on cells of up to three steps each way.
+    for cells in (1, 2, 3):
         rms = fold.rms(feature, cells, chosen == 0)
-        found = _border_contrasts(rms, cells, centre, basis, settings)
+        found = _border_contrasts(rms, cells, centre, basis)
         weakest, strongest = min(weakest, float(found.min())), max(strongest, float(found.max()))
     variance = fold.moments(feature, 1)[1]
-    shift = np.floor(centre * settings.bins).astype(int)
+    shift = np.floor(centre * _BINS).astype(int)
     content = float(np.sqrt((variance * np.roll(middle, shift[::-1], (0, 1))).sum())) / contrast
     return Gaps(basis, centre, contrast, weakest, strongest, content, chosen == 0)
 
 
-def gap_tone(light: NDArray[np.float64], gaps: Gaps, settings: GapSettings = DEFAULT.gaps) -> float:
+def gap_tone(light: NDArray[np.float64], gaps: Gaps) -> float:
     """Light at the borders of the average cell (bins, bins) over that in its middle."""
-    middle, border = _cell_parts(gaps.basis, settings)
-    shift = np.floor(gaps.centre * settings.bins).astype(int)[::-1]
+    middle, border = _cell_parts(gaps.basis)
+    shift = np.floor(gaps.centre * _BINS).astype(int)[::-1]
     inside, between = (float((light * np.roll(part, shift, (0, 1))).sum()) for part in (middle, border))
     return between / max(inside, 1e-30)
 
@@ -123,45 +124,45 @@ def gap_tone(light: NDArray[np.float64], gaps: Gaps, settings: GapSettings = DEF
 class _Fold:
     """Pixels of a flat by their place in cells of a lattice, without tiles in which next to nothing repeats."""
 
-    def __init__(self, brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int, settings: GapSettings):
-        self.basis, self.side, self.settings = basis, side, settings
-        power = fold_tiles([brightness], basis, side, settings.bins, settings.tiles)[0].lattice_power()
-        self.lit = power >= settings.idle_tile * np.quantile(power, 0.9)
+    def __init__(self, brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int):
+        self.basis, self.side = basis, side
+        power = fold_tiles([brightness], basis, side, _BINS, CELL_TILES)[0].lattice_power()
+        # Tiles in which next to nothing repeats lie beside the array.
+        self.lit = power >= 0.1 * np.quantile(power, 0.9)
 
     def moments(self, feature: NDArray[np.float32], cells: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and variance (bins, bins) of a feature over `cells` x `cells` cells."""
-        bins = self.settings.bins if cells == 1 else cells * self.settings.bins * 2 // 3
-        folds = fold_tiles([feature, feature**2], cells * self.basis, self.side, bins, self.settings.tiles)
+        bins = _BINS if cells == 1 else cells * _BINS * 2 // 3
+        folds = fold_tiles([feature, feature**2], cells * self.basis, self.side, bins, CELL_TILES)
         value, square = (fold.mask(self.lit).mean() for fold in folds)
         return value, np.maximum(square - value**2, 0)
 
     def rms(self, feature: NDArray[np.float32], cells: int, with_mean: bool) -> NDArray[np.float64]:
         """(bins, bins) root mean square over the darkest place of a cell, or standard deviation only."""
         value, variance = self.moments(feature, cells)
-        darkest = np.quantile(value, self.settings.darkest)
+        # The level of the gaps.
+        darkest = np.quantile(value, 0.01)
         return np.sqrt(variance + np.maximum(value - darkest, 0) ** 2 if with_mean else variance)
 
 
-def _cell_parts(basis: NDArray[np.float64], settings: GapSettings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _cell_parts(basis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weights (bins, bins) of the middle and of the border of a cell about bin (0, 0), each of sum 1."""
-    far, to_border = cell_distances(
-        basis, bin_offsets(basis, settings.bins, np.array([0.5, 0.5]) / settings.bins).reshape(-1, 2)
-    )
+    far, to_border = cell_distances(basis, bin_offsets(basis, _BINS, np.array([0.5, 0.5]) / _BINS).reshape(-1, 2))
     inradius = to_border.max()
-    parts = (far < settings.middle * inradius, to_border < max(1.5 * inradius / settings.bins, 0.5))
-    middle, border = (part.reshape(settings.bins, -1) / part.sum() for part in parts)
+    parts = (far < 0.6 * inradius, to_border < max(1.5 * inradius / _BINS, 0.5))
+    middle, border = (part.reshape(_BINS, -1) / part.sum() for part in parts)
     return middle, border
 
 
 def _most_symmetric(
-    rms: NDArray[np.float64], near: NDArray[np.float64], basis: NDArray[np.float64], settings: GapSettings
+    rms: NDArray[np.float64], near: NDArray[np.float64], basis: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(2,) fractional coordinates of the centre of a half turn that changes a cell (bins, bins) least, near a bin."""
     bins = len(rms)
     correlation = np.fft.ifft2(np.fft.fft2(rms - rms.mean()) ** 2).real
     steps = np.arange(-bins // 2, bins // 2 + 1) / 2
     tried = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
-    reach = settings.symmetry * np.hypot(*basis.T).min()
+    reach = 0.15 * np.hypot(*basis.T).min()
     tried = near + tried[np.hypot(*(tried / bins @ basis).T) < reach]
     # Bins k and m turn into each other about (k + m + 1) / 2.
     turn = np.rint(2 * tried - 1).astype(int) % bins
@@ -174,16 +175,16 @@ def _border_contrasts(
     cells: int,
     centre: NDArray[np.float64],
     basis: NDArray[np.float64],
-    settings: GapSettings,
 ) -> NDArray[np.float64]:
     """Contrast of every border between neighbours among `cells` x `cells`, as `Gaps.weakest`."""
     first, second = basis
     shorter = np.array([1, -1]) if first @ second > 0 else np.array([1, 1])
-    oblique = abs(first @ second) > settings.oblique * np.hypot(*first) * np.hypot(*second)
+    # Such cells have six neighbours.
+    oblique = abs(first @ second) > 0.08 * np.hypot(*first) * np.hypot(*second)
     steps = np.array([(1, 0), (0, 1), *([shorter] if oblique else [])])
     inverse = np.linalg.inv(basis)
     grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 2), -1).reshape(-1, 2)
-    reach = 0.5 * settings.middle * np.hypot(*(steps @ basis).T).min()
+    reach = 0.3 * np.hypot(*(steps @ basis).T).min()
     inside = grid[np.hypot(*grid.T) <= 1] * reach @ inverse
     places = np.stack(np.meshgrid(*[np.arange(cells)] * 2), -1).reshape(-1, 1, 2) + centre
 

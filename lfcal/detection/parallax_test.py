@@ -17,7 +17,7 @@ from ..images.interpolation import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
 from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError
-from .settings import DEFAULT, ParallaxSettings
+from .settings import DETECTION
 
 __all__ = ["NeighbourComparison", "check_parallax", "compare_neighbours", "shows_scene"]
 
@@ -45,7 +45,6 @@ def check_parallax(
     lattice: Lattice,
     white: bool,
     single: bool = True,
-    settings: ParallaxSettings = DEFAULT.parallax,
 ) -> bool:
     """Whether neighbours are seen to show the same, shifted, which proves them to be microimages.
 
@@ -68,20 +67,20 @@ def check_parallax(
     CalibrationError
         If what repeats on the flat cannot be microimages.
     """
-    found = compare_neighbours(picture, lattice, settings.texture_white if white else settings.texture_scene, settings)
+    found = compare_neighbours(picture, lattice, DETECTION.texture_white if white else DETECTION.texture_scene)
     if found is None:
         return False
     every = f"every {lattice.pitch:.1f} px"
-    if found.gap_tone > (settings.gap_tone_white if white else settings.gap_tone_scene):
+    if found.gap_tone > (DETECTION.gap_tone_white if white else DETECTION.gap_tone_scene):
         raise CalibrationError(
             f"a pattern with bright lines or dark dots repeats {every}, not microimages; {RAW_FLAT_ADVICE}"
         )
-    if found.tone_spread > max(settings.tone_spread, settings.tone_over_texture * found.texture):
+    if found.tone_spread > max(DETECTION.tone_spread, DETECTION.tone_over_texture * found.texture):
         raise CalibrationError(f"tiles of single tones repeat {every}, not microimages; {RAW_FLAT_ADVICE}")
-    if not (single and _has_texture(found, white, settings)):
+    if not (single and _has_texture(found, white)):
         return False
-    if not _matches(found, settings.gain):
-        if _is_alike_unmoved(found, settings.unmoved_gain):
+    if not _matches(found, DETECTION.gain):
+        if _is_alike_unmoved(found):
             return False
         raise CalibrationError(
             f"a pattern repeats {every}, but neighbours do not show the same, shifted, as microimages do; "
@@ -90,25 +89,25 @@ def check_parallax(
     return True
 
 
-def shows_scene(picture: NDArray[np.float32], lattice: Lattice, settings: ParallaxSettings = DEFAULT.parallax) -> bool:
+def shows_scene(picture: NDArray[np.float32], lattice: Lattice) -> bool:
     """Whether a flat taken for a white image shows a scene: neighbours are seen to show the same, shifted or unmoved.
 
     `picture` and `lattice` are those of `check_parallax`.
     """
-    found = compare_neighbours(picture, lattice, settings.texture_white, settings)
-    if found is None or not found.texture > settings.texture_white:
+    found = compare_neighbours(picture, lattice, DETECTION.texture_white)
+    if found is None or not found.texture > DETECTION.texture_white:
         return False
     # Fine texture looks like noise, but noise does not match in neighbours.
-    if not _has_texture(found, True, settings):
-        return _matches(found, settings.sure_gain)
-    return _matches(found, settings.gain) or _is_alike_unmoved(found, settings.unmoved_gain)
+    if not _has_texture(found, True):
+        return _matches(found, DETECTION.sure_gain)
+    return _matches(found, DETECTION.gain) or _is_alike_unmoved(found)
 
 
-def _has_texture(found: NeighbourComparison, white: bool, settings: ParallaxSettings) -> bool:
+def _has_texture(found: NeighbourComparison, white: bool) -> bool:
     """Whether microimages show more than noise."""
-    least, noise = (settings.texture_white, found.typical_noise) if white else (settings.texture_scene, found.noise)
+    least, noise = (DETECTION.texture_white, found.typical_noise) if white else (DETECTION.texture_scene, found.noise)
     # The mean distance of two standard normal values is 1.128.
-    return found.texture > max(least, settings.texture_over_noise * noise / 1.128)
+    return found.texture > max(least, 2 * noise / 1.128)
 
 
 def _matches(found: NeighbourComparison, gain: float) -> bool:
@@ -118,7 +117,7 @@ def _matches(found: NeighbourComparison, gain: float) -> bool:
     return other >= gain**2 * matched
 
 
-def _is_alike_unmoved(found: NeighbourComparison, gain: float) -> bool:
+def _is_alike_unmoved(found: NeighbourComparison) -> bool:
     """Whether neighbours show nearly the same at the same place, as in unfocused cameras, whose `s` is near zero.
 
     Places across a lens then differ by more, though nearer to each other than neighbours are: a picture behind a mesh
@@ -126,14 +125,13 @@ def _is_alike_unmoved(found: NeighbourComparison, gain: float) -> bool:
     neighbours do differ, are not typical.
     """
     unmoved = max(found.typical_unshifted**2 - found.noise**2, 0)
-    return found.typical_across**2 - found.noise**2 >= gain**2 * unmoved
+    return found.typical_across**2 - found.noise**2 >= DETECTION.unmoved_gain**2 * unmoved
 
 
 def compare_neighbours(
     picture: NDArray[np.float32],
     lattice: Lattice,
     min_texture: float = 0.0,
-    settings: ParallaxSettings = DEFAULT.parallax,
 ) -> NeighbourComparison | None:
     """Compare lenses with their neighbours, as for `check_parallax`; None where there are too few.
 
@@ -141,25 +139,25 @@ def compare_neighbours(
     """
     steps = lattice.steps @ lattice.basis
     nearest, reach = float(np.hypot(*steps.T).min()), float(np.hypot(*steps.T).max())
-    indices, centres = sample_lenses(lattice, 1.5 * reach + 1, settings.lenses)
-    if len(centres) < settings.fewest_lenses:
+    indices, centres = sample_lenses(lattice, 1.5 * reach + 1, 450)
+    fewest = 24
+    if len(centres) < fewest:
         return None
-    grid = np.linspace(-1, 1, settings.core_samples)
+    grid = np.linspace(-1, 1, 9)
     core = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
-    core = core[np.hypot(*core.T) < 1 + 1e-9] * min(
-        settings.core * nearest / 2, settings.core_in_radius * lattice.radius
-    )
+    core = core[np.hypot(*core.T) < 1 + 1e-9] * min(0.6 * nearest / 2, 0.7 * lattice.radius)
     values = interpolate_linear(picture, centres[:, None] + core)
     tones = values.mean(1)
-    lit = tones > settings.dark_lens * np.quantile(tones, 0.95)
+    # Stray light beside an array has a sixth of its light.
+    lit = tones > 0.45 * np.quantile(tones, 0.95)
     indices, centres, values, tones = indices[lit], centres[lit], values[lit], tones[lit]
-    if len(centres) < settings.fewest_lenses:
+    if len(centres) < fewest:
         return None
     shape = values / tones[:, None]
     texture = float(np.sqrt(np.median(((shape - np.median(shape, axis=0)) ** 2).mean(1))))
     gap_tone = float(np.median([np.median(interpolate_linear(picture, centres + step / 2) / tones) for step in steps]))
     # Arrays of several lens types repeat after two or three lenses.
-    period = next(n for n, least in settings.type_periods if len(indices) >= least)
+    period = 6 if len(indices) >= 360 else 3
     types = indices[:, 0] % period * period + indices[:, 1] % period
     forward = [step for step, index in zip(steps, lattice.steps.tolist(), strict=True) if tuple(index) > (0, 0)]
     spreads = []
@@ -169,14 +167,12 @@ def compare_neighbours(
     tone_spread = float(np.median(spreads))
     if not texture > min_texture:
         return NeighbourComparison(tone_spread, texture, gap_tone)
-    if np.median(values, axis=0).min() < settings.unlit * np.median(tones):
+    if np.median(values, axis=0).min() < 0.05 * np.median(tones):
         # Spots smaller than what is compared show nothing.
         return NeighbourComparison(tone_spread, 0.0, gap_tone)
-    near = [step for step in forward if np.hypot(*step) < settings.neighbour_distance * nearest]
-    radius = settings.compared * min(lattice.radius, nearest / 2)
-    return NeighbourComparison(
-        tone_spread, texture, gap_tone, *_compare_shifted(picture, centres, near, radius, settings)
-    )
+    near = [step for step in forward if np.hypot(*step) < 1.2 * nearest]
+    radius = 0.8 * min(lattice.radius, nearest / 2)
+    return NeighbourComparison(tone_spread, texture, gap_tone, *_compare_shifted(picture, centres, near, radius))
 
 
 def _spread(second_difference: NDArray[np.float64], types: NDArray[np.int64]) -> float:
@@ -196,19 +192,19 @@ def _compare_shifted(
     centres: NDArray[np.float64],
     steps: list[NDArray[np.float64]],
     radius: float,
-    settings: ParallaxSettings,
 ) -> tuple[float, ...]:
     """The last seven figures of `NeighbourComparison`, on lines along each of the `steps` to neighbours."""
-    samples = settings.samples
+    samples = 33
     along = np.linspace(-radius, radius, samples)
     spacing = float(along[1] - along[0])
-    ratios = np.linspace(-settings.max_ratio, settings.max_ratio, settings.ratios)
+    # Of disparity over step: beyond them too little is common.
+    ratios = np.linspace(-0.7, 0.7, 29)
     by_step, distant, across, noise = [], [], [], []
     for step in steps:
         length = float(np.hypot(*step))
         ahead = step / length
         aside = np.array([-ahead[1], ahead[0]])
-        offset = along[:, None, None] * ahead + radius * np.array(settings.lines)[:, None] * aside
+        offset = along[:, None, None] * ahead + radius * np.array([-0.25, 0, 0.25])[:, None] * aside
         own, other = (interpolate_linear(picture, (centres + far)[:, None, None] + offset) for far in (0 * step, step))
         common = np.median(own, axis=0)
         common /= common.mean()
@@ -216,7 +212,7 @@ def _compare_shifted(
         apart = min(max(1, round((length - 2 * radius) / spacing)), samples // 2)
         pixel = min(max(1, round(1 / spacing)), samples // 2)
         distant.append(np.abs(own[:, apart:] - own[:, :-apart]).mean())
-        wide = round(settings.across * (samples - 1))
+        wide = round(0.75 * (samples - 1))
         across.append(np.abs(own[:, wide:] - own[:, :-wide]).mean((1, 2)))
         noise.append(np.abs(own[:, pixel:] - own[:, :-pixel]).mean((1, 2)))
         by_step.append(np.array([_difference(own, other, round(ratio * length / spacing)) for ratio in ratios]))
@@ -227,7 +223,8 @@ def _compare_shifted(
         best = np.delete(table, k, axis=0).sum(0).argmin(0)
         matched.append(table[k, best, np.arange(len(centres))].mean())
     unshifted = table[:, len(ratios) // 2].mean(0)
-    plain, typical = np.quantile(np.mean(noise, axis=0), (settings.plain_share, settings.typical_share))
+    # Lenses with least detail give the noise.
+    plain, typical = np.quantile(np.mean(noise, axis=0), (0.1, 0.5))
     typical_across = np.median(np.mean(across, axis=0))
     return tuple(
         map(

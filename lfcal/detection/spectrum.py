@@ -17,9 +17,12 @@ from numpy.typing import NDArray
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import reduce_basis
 from ..runtime.errors import CalibrationError
-from .settings import DEFAULT, DetectionSettings, SpectrumSettings
+from .settings import DETECTION
 
 __all__ = ["Candidate", "Spectrum", "compute_spectra", "find_bases", "find_candidate_bases", "is_same_lattice"]
+
+# Factors of downscaling at which periods are looked for.
+_REDUCTIONS = 1, 2, 4
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,6 @@ def compute_spectra(
     picture: NDArray[np.float32],
     reduction: int,
     backgrounds: tuple[int, ...],
-    settings: SpectrumSettings = DEFAULT.spectrum,
 ) -> list[Spectrum]:
     """Average log power spectrum of brightness and edges over a few windows, less its local background.
 
@@ -90,8 +92,8 @@ def compute_spectra(
         smaller: Any = cv2.resize(picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
         picture = smaller
     height, width = picture.shape
-    size = min(settings.window, min(height, width)) // 2 * 2
-    if size < settings.fewest_periods * settings.shortest_period:
+    size = min(1024, min(height, width)) // 2 * 2
+    if size < 4.0 * 4.0:
         return []
     taper = np.hanning(size).astype(np.float32)
     log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
@@ -105,10 +107,10 @@ def compute_spectra(
             log_power += _log_power(levelled)
     log_power /= 2 * len(windows)
     log_power = np.fft.fftshift(log_power, axes=0)
-    return [_whiten(log_power, side, reduction, settings.row_step) for side in backgrounds]
+    return [_whiten(log_power, side, reduction) for side in backgrounds]
 
 
-def _whiten(log_power: NDArray[np.float32], side: int, reduction: int, row_step: int) -> Spectrum:
+def _whiten(log_power: NDArray[np.float32], side: int, reduction: int) -> Spectrum:
     """Log power (n, n // 2 + 1) less its mean in a box, over its spread."""
     import cv2
 
@@ -118,7 +120,8 @@ def _whiten(log_power: NDArray[np.float32], side: int, reduction: int, row_step:
     mirrored = np.roll(log_power[::-1, margin:0:-1], 1 - size % 2, axis=0)
     background = cv2.blur(np.hstack([mirrored, log_power]), (margin | 1, margin | 1))[:, margin:]
     prominence = log_power - background
-    few = prominence[::row_step]
+    # Every fourth row is enough to estimate the spread.
+    few = prominence[::4]
     middle = float(np.median(few))
     spread = 1.4826 * float(np.median(np.abs(few - middle))) + 1e-6
     return Spectrum((prominence - middle) / np.float32(spread), size, reduction)
@@ -143,20 +146,20 @@ def _log_power(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(np.log(power, out=power))
 
 
-def _find_peaks(spectrum: Spectrum, settings: SpectrumSettings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _find_peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Strongest narrow peaks: frequencies (k, 2) [cycles per px], refined within the bin, and prominences (k,)."""
     import cv2
 
     p = spectrum.prominence
     n = spectrum.size
     highest = cv2.dilate(p, np.ones((5, 5), np.uint8))
-    y, x = np.nonzero((p >= highest) & (p > settings.prominence))
+    y, x = np.nonzero((p >= highest) & (p > DETECTION.prominence))
     fy = y - n // 2
     period = n / np.maximum(np.hypot(x, fy), 1e-9)
-    keep = (period >= settings.shortest_harmonic) & (period <= n / settings.fewest_periods) & ((x > 0) | (fy > 0))
+    keep = (period >= 2.2) & (period <= n / 4) & ((x > 0) | (fy > 0))
     keep &= (x < p.shape[1] - 1) & (y > 0) & (y < n - 1)
     y, x = y[keep], x[keep]
-    order = np.argsort(-p[y, x], kind="stable")[: settings.peaks]
+    order = np.argsort(-p[y, x], kind="stable")[:40]
     y, x = y[order], x[order]
     strength = p[y, x].astype(np.float64)
 
@@ -187,7 +190,6 @@ def _fit_to_peaks(
     peaks: NDArray[np.float64],
     strength: NDArray[np.float64],
     size: int,
-    node_distance: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Least-squares reciprocal bases (m, 2, 2) through all peaks near their nodes, and a mask (m, k) of those."""
     on, before = np.zeros((len(reciprocal), len(peaks)), dtype=bool), np.full((len(reciprocal), len(peaks), 2), np.nan)
@@ -195,7 +197,7 @@ def _fit_to_peaks(
         index = peaks @ np.linalg.inv(reciprocal)
         node = np.rint(index)
         apart = (index - node) @ reciprocal
-        on = (np.hypot(apart[..., 0], apart[..., 1]) * size < node_distance) & (np.abs(node).sum(-1) > 0)
+        on = (np.hypot(apart[..., 0], apart[..., 1]) * size < 1) & (np.abs(node).sum(-1) > 0)
         chosen = node * on[..., None]
         gram = chosen.transpose(0, 2, 1) @ chosen
         # Whole numbers: nodes on one line give exactly 0.
@@ -211,7 +213,7 @@ def _fit_to_peaks(
     return reciprocal, on
 
 
-def _lowest_nodes(reciprocal: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _lowest_nodes(reciprocal: NDArray[np.float64], count: int = 12) -> NDArray[np.float64]:
     """(m, count, 2) nodes nearest to zero frequency, one of each opposite pair, of reciprocal bases (m, 2, 2)."""
     span = np.arange(-5, 6)
     h, k = (v.ravel() for v in np.meshgrid(span, span))
@@ -221,10 +223,8 @@ def _lowest_nodes(reciprocal: NDArray[np.float64], count: int) -> NDArray[np.flo
     return np.take_along_axis(nodes, order[..., None], axis=1)
 
 
-def find_candidate_bases(
-    spectrum: Spectrum, count: int = 6, settings: SpectrumSettings = DEFAULT.spectrum
-) -> list[Candidate]:
-    """Lattices whose harmonics explain the peaks, best supported first.
+def find_candidate_bases(spectrum: Spectrum) -> list[Candidate]:
+    """Lattices whose harmonics explain the peaks, six at most, best supported first.
 
     Support is the share of peaks on the nodes of the candidate (a fraction of the true period misses most) times
     the share of its lowest nodes that have a peak (a multiple of the true period leaves most without).
@@ -234,36 +234,36 @@ def find_candidate_bases(
     list of Candidate
         Empty where no two independent periods stand out.
     """
-    peaks, strength = _find_peaks(spectrum, settings)
+    peaks, strength = _find_peaks(spectrum)
     if len(peaks) < 3:
         return []
     n = spectrum.size
-    reciprocal = _reduce_bases(_peak_pairs(peaks, settings.seeds))
+    reciprocal = _reduce_bases(_peak_pairs(peaks))
     lengths = np.hypot(reciprocal[..., 0], reciprocal[..., 1])
-    possible = lengths.min(1) * n >= settings.fewest_periods * 0.9
-    possible &= lengths.max(1) <= 1 / (settings.shortest_period * np.sqrt(0.75))
-    reciprocal, on_node = _fit_to_peaks(reciprocal[possible], peaks, strength, n, settings.node_distance)
+    # Periods of four pixels to a quarter of the window: shorter ones leave nothing to see in a microimage.
+    possible = (lengths.min(1) * n >= 4 * 0.9) & (lengths.max(1) <= 1 / (4 * np.sqrt(0.75)))
+    reciprocal, on_node = _fit_to_peaks(reciprocal[possible], peaks, strength, n)
     area = np.abs(np.linalg.det(reciprocal))
     regular = (on_node.sum(1) >= 3) & (area >= 1e-9)
     reciprocal, on_node, area = reciprocal[regular], on_node[regular], area[regular]
     # Share of the peaks that are on nodes by chance.
-    chance = np.minimum(0.9, np.pi * (settings.node_distance / n) ** 2 / area)
+    chance = np.minimum(0.9, np.pi / n**2 / area)
     covered = np.maximum(0.0, (on_node @ strength**2 / (strength**2).sum() - chance) / (1 - chance))
-    nodes = _lowest_nodes(reciprocal, settings.nodes)
+    nodes = _lowest_nodes(reciprocal)
     near = np.abs(nodes).max(2) < 0.45
-    occupied = (spectrum.at(nodes.reshape(-1, 2)) > settings.prominence).reshape(near.shape) & near
+    occupied = (spectrum.at(nodes.reshape(-1, 2)) > DETECTION.prominence).reshape(near.shape) & near
     support = np.where(near.sum(1) >= 3, covered * occupied.sum(1) / np.maximum(near.sum(1), 1), 0.0)
     distinct: list[Candidate] = []
     for best in np.argsort(-support, kind="stable").tolist():
         basis = reduce_basis(np.linalg.inv(reciprocal[best]).T) * spectrum.reduction
         if all(np.abs(basis - other.basis).max() > 0.02 * np.abs(other.basis).max() for other in distinct):
             distinct.append(Candidate(basis, float(support[best])))
-        if len(distinct) == count:
+        if len(distinct) == 6:
             break
     return distinct
 
 
-def _peak_pairs(peaks: NDArray[np.float64], seeds: int) -> NDArray[np.float64]:
+def _peak_pairs(peaks: NDArray[np.float64], seeds: int = 10) -> NDArray[np.float64]:
     """(m, 2, 2) pairs of peaks, not nearly parallel, of the strongest ones and those of the lowest frequencies."""
     by_period = np.argsort(np.hypot(*peaks.T), kind="stable")[:seeds]
     chosen = list(dict.fromkeys([*range(min(seeds, len(peaks))), *by_period.tolist()]))
@@ -272,47 +272,47 @@ def _peak_pairs(peaks: NDArray[np.float64], seeds: int) -> NDArray[np.float64]:
     return pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]]
 
 
-def find_bases(picture: NDArray[np.float32], settings: DetectionSettings) -> Iterator[NDArray[np.float64]]:
+def find_bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
     """Bases to try: the best supported over short and long periods, then others; CalibrationError where there is none.
 
     Detail of a flat scene repeats at another period than that of the lenses, and may have stronger peaks.
     """
-    spectral, first = settings.spectrum, settings.first_lattice
     best, wide = None, []
-    for reduction in first.reductions:
-        spectra = compute_spectra(picture, reduction, (spectral.background,), spectral)
+    for reduction in _REDUCTIONS:
+        spectra = compute_spectra(picture, reduction, (21,))
         if not spectra:
             break
-        wide.append(find_candidate_bases(spectra[0], first.candidates, spectral))
+        wide.append(find_candidate_bases(spectra[0]))
         for candidate in wide[-1][:1]:
             if best is None or candidate.support > best.support:
                 best = candidate
-        if best is not None and best.support > first.clear_support:
+        if best is not None and best.support > DETECTION.clear_support:
             break
-    if best is None or best.support < first.min_support:
+    if best is None or best.support < DETECTION.min_support:
         raise CalibrationError(
             "no pattern repeats in two directions all over the image; "
             "give a raw flat from the sensor, not a rendered or scaled picture"
         )
     tried = [best.basis]
     yield best.basis
+    # In boxes of few bins only peaks of a bin or two stand out: the lattice.
     narrow = [
         candidate
-        for reduction in first.reductions
-        for spectrum in compute_spectra(picture, reduction, spectral.narrow_backgrounds, spectral)
-        for candidate in find_candidate_bases(spectrum, first.candidates, spectral)
+        for reduction in _REDUCTIONS
+        for spectrum in compute_spectra(picture, reduction, (7, 9))
+        for candidate in find_candidate_bases(spectrum)
     ]
     narrow.sort(key=lambda one: -one.support)
     for candidate in narrow + [one for rank in zip_longest(*wide) for one in rank if one is not None]:
-        if len(tried) >= first.tries:
+        if len(tried) >= 10:
             return
-        if not any(is_same_lattice(candidate.basis, basis, first.same_basis) for basis in tried):
+        if not any(is_same_lattice(candidate.basis, basis) for basis in tried):
             tried.append(candidate.basis)
             yield candidate.basis
 
 
-def is_same_lattice(one: NDArray[np.float64], other: NDArray[np.float64], tolerance: float) -> bool:
-    """Whether two bases span nearly the same points."""
+def is_same_lattice(one: NDArray[np.float64], other: NDArray[np.float64], tolerance: float = 0.04) -> bool:
+    """Whether two bases span the same points, to a share of their steps."""
     steps = one @ np.linalg.inv(other)
     whole = np.rint(steps)
     return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < tolerance)

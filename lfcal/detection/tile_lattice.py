@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from ..lattice.lattice import reduce_basis
 from ..lattice.robust_fit import field_rms, fit_affine
 from .folding import HIGHEST_HARMONIC, TileFolds
-from .settings import DEFAULT, FirstLatticeSettings, HarmonicSettings
 
-__all__ = ["HarmonicFit", "finer_bases", "fit_harmonics", "refine_basis", "similar_bases"]
+__all__ = ["LARGEST_CHANGE", "HarmonicFit", "finer_bases", "fit_harmonics", "refine_basis", "similar_bases"]
+
+# Of a basis by its refinement; right ones move by a thousandth.
+LARGEST_CHANGE = 0.05
 
 
-def refine_basis(
-    folds: list[TileFolds], settings: FirstLatticeSettings = DEFAULT.first_lattice
-) -> tuple[NDArray[np.float64], float]:
+def refine_basis(folds: list[TileFolds]) -> tuple[NDArray[np.float64], float]:
     """Lattice basis that makes the tiles of all features coherent.
 
     Parameters
@@ -50,7 +50,7 @@ def refine_basis(
         ]
     )
     spectra = [fold.harmonics for fold in folds]
-    chosen = _strongest(spectra, settings.strongest)
+    chosen = _strongest(spectra)
     index = np.array([(h, k) for _, h, k in chosen], dtype=np.float64)
     # Nearly unit amplitude: the scene decides how strong a tile is, the lattice only its phase.
     fields = []
@@ -58,7 +58,7 @@ def refine_basis(
         field = spectra[feature][:, k, h]
         fields.append(field / (np.abs(field) + 0.5 * np.abs(field).mean() + 1e-12))
     stack = np.array(fields)
-    fringes = [_fringe(field.reshape(rows, columns), spacing, settings.padding) for field in stack]
+    fringes = [_fringe(field.reshape(rows, columns), spacing) for field in stack]
     weight = np.array([share for _, share in fringes])[:, None]
     start = np.linalg.lstsq(index * weight, np.array([f for f, _ in fringes]) * weight, rcond=None)[0]
     change, coherence = _maximise_coherence(stack, index, centre - centre.mean(0), start)
@@ -74,20 +74,18 @@ def finer_bases(basis: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return [reduce_basis(one) for one in (*thirds, *halves)]
 
 
-def similar_bases(
-    refined: NDArray[np.float64], start: NDArray[np.float64], max_change: float
-) -> list[NDArray[np.float64]]:
-    """Bases that differ from a refined one by at most `max_change`: of the cells of `start`, and regular ones."""
+def similar_bases(refined: NDArray[np.float64], start: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Bases that differ from a refined one by at most `LARGEST_CHANGE`: of the cells of `start`, and regular ones."""
     a, b = refined = reduce_basis(refined)
     found = [np.rint(6 * refined @ np.linalg.inv(start)) / 6 @ start]
     for degrees in (90.0, 60.0, 120.0):
         angle = np.radians(degrees) * np.sign(a[0] * b[1] - a[1] * b[0])
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         found += [np.array([a, a @ turn]), np.array([b @ turn.T, b])]
-    return [one for one in found if np.abs(one @ np.linalg.inv(refined) - np.eye(2)).max() < max_change]
+    return [one for one in found if np.abs(one @ np.linalg.inv(refined) - np.eye(2)).max() < LARGEST_CHANGE]
 
 
-def _strongest(spectra: list[NDArray[np.complex64]], count: int) -> list[tuple[int, int, int]]:
+def _strongest(spectra: list[NDArray[np.complex64]], count: int = 8) -> list[tuple[int, int, int]]:
     """Feature and harmonic `(feature, h, k)` of the strongest coefficients, one of each opposite pair."""
     bins = spectra[0].shape[1]
     limit = min(4, bins // 4)
@@ -103,11 +101,10 @@ def _strongest(spectra: list[NDArray[np.complex64]], count: int) -> list[tuple[i
     return [(feature, h, k) for _, feature, h, k in found[:count]]
 
 
-def _fringe(
-    field: NDArray[np.complex64], spacing: NDArray[np.float64], padding: int
-) -> tuple[NDArray[np.float64], float]:
+def _fringe(field: NDArray[np.complex64], spacing: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Frequency (2,) [cycles per px] of the strongest fringe on the tile grid, and its share of the energy."""
-    shape = tuple(max(8, padding * n) for n in field.shape)
+    # A quarter of a fringe is enough for the local search.
+    shape = tuple(max(8, 4 * n) for n in field.shape)
     power = np.abs(np.fft.fft2(field, shape)) ** 2
     y, x = np.unravel_index(int(power.argmax()), shape)
     frequency = np.array([np.fft.fftfreq(shape[1])[x], np.fft.fftfreq(shape[0])[y]]) / spacing
@@ -148,9 +145,7 @@ class HarmonicFit:
     half_difference: float
 
 
-def fit_harmonics(
-    folds: list[TileFolds], origin: NDArray[np.float64], settings: HarmonicSettings = DEFAULT.harmonics
-) -> HarmonicFit:
+def fit_harmonics(folds: list[TileFolds], origin: NDArray[np.float64]) -> HarmonicFit:
     """Refine origin and basis of a lattice from folded tiles.
 
     Parameters
@@ -163,24 +158,25 @@ def fit_harmonics(
     first = folds[0]
     basis, centre = first.basis, first.centre
     inverse = np.linalg.inv(basis)
-    field, index = _coefficients(folds, origin, settings.shortest_harmonic)
+    field, index = _coefficients(folds, origin)
     reach = np.abs(centre - origin).max() + 1.0
     design = np.column_stack([np.ones(len(centre)), (centre - origin) / reach])
     area = first.count.sum((1, 2))
-    whole = (area > settings.min_tile * area.max()).astype(np.float64)
+    # Smaller tiles at the edges are left out.
+    whole = (area > 0.3 * area.max()).astype(np.float64)
     weight, total = whole, np.zeros((3, 2))
-    for _ in range(settings.passes):
+    for _ in range(20):
         turned = field * np.exp(2j * np.pi * ((design @ total) @ inverse @ index.T))
-        cells = _tile_shifts(turned, index, weight, settings.significance)
+        cells = _tile_shifts(turned, index, weight)
         if cells is None:
             return HarmonicFit(origin, basis, float("inf"))
         shifts = cells @ basis
         change, weight = fit_affine(design, shifts, whole)
         total += change
-        if np.abs(change).max() < settings.settled:
+        if np.abs(change).max() < 1e-4:
             break
     half_difference = float("inf")
-    if len(centre) >= settings.fewest_tiles:
+    if len(centre) >= 12:
         parity = np.arange(len(centre)) % 2
         halves = [fit_affine(design, shifts, whole * (parity == side))[0] for side in (0, 1)]
         half_difference = field_rms(design, halves[0] - halves[1])
@@ -189,10 +185,11 @@ def fit_harmonics(
 
 
 def _coefficients(
-    folds: list[TileFolds], origin: NDArray[np.float64], shortest: float
+    folds: list[TileFolds], origin: NDArray[np.float64]
 ) -> tuple[NDArray[np.complex128], NDArray[np.int64]]:
     """Coefficients (t, m) relative to `origin`, bounded in size, and their harmonics (m, 2)."""
-    highest = max(1, min(HIGHEST_HARMONIC, int(np.hypot(*folds[0].basis.T).min() / shortest)))
+    # Finer harmonics are aliases of coarser ones, or the colour mosaic.
+    highest = max(1, min(HIGHEST_HARMONIC, int(np.hypot(*folds[0].basis.T).min() / 2.2)))
     span = range(-highest, highest + 1)
     index = np.array([(h, k) for h in span for k in span if h > 0 or (h == 0 and k > 0)])
     phase = index @ (origin @ np.linalg.inv(folds[0].basis)) - index.sum(1) * 0.5 / folds[0].bins
@@ -209,13 +206,14 @@ def _coefficients(
 
 
 def _tile_shifts(
-    field: NDArray[np.complex128], index: NDArray[np.int64], weight: NDArray[np.float64], significance: float
+    field: NDArray[np.complex128], index: NDArray[np.int64], weight: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
     """(t, 2) shift of each tile against the mean of all [cells]; None where no two directions are significant."""
     share = weight[:, None] / max(weight.sum(), 1e-12)
     mean = (share * field.real).sum(0)
     scatter = (share * np.abs(field - mean) ** 2).sum(0) + 1e-12
-    filter_ = mean / scatter * (mean**2 / scatter * weight.sum() > significance)
+    # Harmonics of three standard errors count.
+    filter_ = mean / scatter * (mean**2 / scatter * weight.sum() > 9)
     fisher = (2 * np.pi) ** 2 * (index.T * (filter_ * mean)) @ index
     if not np.isfinite(fisher).all() or np.linalg.matrix_rank(fisher, tol=1e-6 * (np.trace(fisher) + 1e-12)) < 2:
         return None

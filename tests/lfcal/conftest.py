@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -34,14 +33,12 @@ def drawn() -> type:
 
 @pytest.fixture
 def set_downscale(monkeypatch):
-    """Gives the functions of `detection.downscale` other settings."""
+    """Gives the functions of `detection.downscale` other limits."""
     from lfcal.detection import downscale
-    from lfcal.detection.settings import DownscaleSettings
 
     def apply(**values: float) -> None:
-        settings = DownscaleSettings(**values)
-        for name in ("choose_block_size", "is_large_after_averaging", "is_searched_in_pieces"):
-            monkeypatch.setattr(downscale, name, partial(getattr(downscale, name), settings=settings))
+        for name, value in values.items():
+            monkeypatch.setattr(downscale, name.upper(), value)
 
     return apply
 
