@@ -47,7 +47,7 @@ def draw_board(board: Board) -> Any:
         shapes += [Rectangle(((c - 1) * side + shift[0], (r - 1) * side + shift[1]), side, side) for c, r in squares]
     if board.pattern == "charuco":
         shapes += [Rectangle((x, y), module, module) for x, y, module in _marker_modules(board, shift - side)]
-    figure = Figure([length / 25.4 for length in page])
+    figure = Figure((page[0] / 25.4, page[1] / 25.4))
     axes = figure.add_axes((0, 0, 1, 1), xlim=(0, page[0]), ylim=(page[1], 0))
     axes.axis("off")
     axes.add_collection(PatchCollection(shapes, facecolor="black", edgecolor="none", linewidth=0))

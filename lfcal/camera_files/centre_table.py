@@ -9,11 +9,12 @@ import numpy as np
 from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
-from .settings import DEFAULT
 
-__all__ = ["HEADER", "format_centre_table", "parse_centre_table"]
+__all__ = ["CENTRE_TOLERANCE", "HEADER", "format_centre_table", "parse_centre_table"]
 
 HEADER = "i,j,x,y"
+#: [px] a format that moves centres further cannot hold the lattice.
+CENTRE_TOLERANCE = 1e-3
 
 
 def parse_centre_table(text: str, image_size: tuple[int, int] | None) -> Calibration:
@@ -37,7 +38,7 @@ def parse_centre_table(text: str, image_size: tuple[int, int] | None) -> Calibra
         warning = f"centres lie up to {misfit:.3f} px off the straight lattice read"
         return Calibration(
             Lattice(origin, np.array(basis), image_size, radius),
-            warnings=(warning,) if misfit > DEFAULT.centre_tolerance else (),
+            warnings=(warning,) if misfit > CENTRE_TOLERANCE else (),
         )
     except (ValueError, csv.Error) as error:
         raise CameraFileError(f"cannot be read as a table of centres ({error})") from error

@@ -21,9 +21,8 @@ from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
 from ..runtime.image_formats import IMAGE_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
-from .centre_table import HEADER, format_centre_table, parse_centre_table
+from .centre_table import CENTRE_TOLERANCE, HEADER, format_centre_table, parse_centre_table
 from .key_value import format_key_value, parse_key_value
-from .settings import DEFAULT, CameraFileSettings
 from .xml_files import format_xml, parse_xml
 
 __all__ = ["FORMATS", "CameraFormat", "convert", "load"]
@@ -129,7 +128,6 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
 def convert(
     calibration: Calibration,
     path: str | os.PathLike[str],
-    settings: CameraFileSettings = DEFAULT,
     *,
     mode: Literal["telescopic", "binocular"] | None = None,
 ) -> None:
@@ -160,18 +158,19 @@ def convert(
     check_output(path, FORMATS)
     form = FORMATS[Path(path).suffix.lower()]
     text = format_key_value(calibration, mode) if form.format is format_key_value else form.format(calibration)
-    tolerance = settings.centre_tolerance
     if not form.is_exact:
         written = form.parse(text, calibration.image_size).lattice
-        if not _same_centres(calibration.lattice, written, tolerance):
-            raise CameraFileError(f"{path}: this format cannot hold the lattice to {tolerance} px; write .json or .csv")
+        if not _same_centres(calibration.lattice, written):
+            raise CameraFileError(
+                f"{path}: this format cannot hold the lattice to {CENTRE_TOLERANCE} px; write .json or .csv"
+            )
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _same_centres(lattice: Lattice, again: Lattice, tolerance: float) -> bool:
-    """Whether two lattices have the same centres, whatever their indices, to a tolerance [px]."""
+def _same_centres(lattice: Lattice, again: Lattice) -> bool:
+    """Whether two lattices have the same centres, whatever their indices."""
     index = again.to_index(lattice.centres())
     apart = (index - np.rint(index)) @ again.basis
-    same_cell = abs(abs(np.linalg.det(again.basis) / np.linalg.det(lattice.basis)) - 1) < tolerance
-    return bool(same_cell and np.abs(apart).max() <= tolerance)
+    same_cell = abs(abs(np.linalg.det(again.basis) / np.linalg.det(lattice.basis)) - 1) < CENTRE_TOLERANCE
+    return bool(same_cell and np.abs(apart).max() <= CENTRE_TOLERANCE)

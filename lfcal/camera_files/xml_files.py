@@ -17,9 +17,10 @@ from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
 from .published_lattice import calibration_from_corners, published_calibration, require_positive
-from .settings import DEFAULT
 
 __all__ = ["format_xml", "parse_xml"]
+
+_SAME_ANGLE = np.radians(1)  # files give six digits: angles further apart are not rounding
 
 
 def parse_xml(text: str, image_size: tuple[int, int] | None) -> Calibration:
@@ -77,12 +78,12 @@ def _parse_raytrix(root: Any, image_size: tuple[int, int]) -> Calibration:
     turned = float(np.arctan2(base[0, 1], base[0, 0]))
     if _angle_between(turned, rotation) < _angle_between(turned, 0.0):
         # The basis already contains the rotation.
-        if _angle_between(rotation, 0.0) > DEFAULT.same_angle:
+        if _angle_between(rotation, 0.0) > _SAME_ANGLE:
             warnings.append("the rotation is given twice, in lens_base and in rotation; it was applied once")
         turn = 0.0
     else:
         turn = rotation
-        if _angle_between(turned, 0.0) > DEFAULT.same_angle:
+        if _angle_between(turned, 0.0) > _SAME_ANGLE:
             warnings.append("lens_base and rotation name two different angles; both were applied, check on a flat")
     cos, sin = np.cos(turn), np.sin(turn)
     up = base @ np.array([[cos, sin], [-sin, cos]]) * pitch
@@ -111,7 +112,7 @@ def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | Non
     if len(offsets) != 3 or len(lattice.steps) != 6:
         return None
     index = offsets @ np.linalg.inv(lattice.basis)
-    if np.abs(index - np.rint(index)).max() > DEFAULT.type_index_tolerance:
+    if np.abs(index - np.rint(index)).max() > 0.2:
         return None
     numbers = _type_numbers(np.rint(index).astype(int), lattice)
     if len(set(numbers.tolist())) != 3:
@@ -188,7 +189,7 @@ def _depth_ranges(types: LensTypes) -> list[tuple[float, float] | None]:
     sizes = np.abs(types.focus)
     if not types.ordered or np.isnan(sizes).any() or not (np.diff(sizes) < 0).all():
         return [None] * types.count
-    ends = [DEFAULT.nearest_depth, *(2 / (sizes[1:] + sizes[:-1])), DEFAULT.farthest_depth]
+    ends = [1.0, *(2 / (sizes[1:] + sizes[:-1])), 100.0]
     return [(float(near), float(far)) for near, far in pairwise(ends)]
 
 

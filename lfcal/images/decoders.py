@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import re
 import struct
-import zlib
 from typing import Any
 
 import numpy as np
@@ -36,50 +35,19 @@ def check_size(width: int, height: int) -> None:
 
 def decode_png(data: bytes) -> NDArray[Any]:
     """Pixels of a PNG file, 16 bits where it has them; alpha is kept."""
-    idat = _png_data_chunks(data)
-    width, height, depth, colour, *_, interlaced = struct.unpack(">IIBBBBB", data[16:29])
-    check_size(width, height)
+    from PIL import PngImagePlugin
+
+    image, depth, colour = PngImagePlugin.PngImageFile(io.BytesIO(data)), data[24], data[25]
+    check_size(*image.size)
+    try:
+        # Checksums of all chunks, up to the last one, which decoders do not miss.
+        image.verify()
+    except (OSError, SyntaxError) as error:
+        raise FlatError(f"damaged or truncated PNG: {error}") from error
     if depth <= 8:
-        from PIL import PngImagePlugin
-
         return _from_pillow(PngImagePlugin.PngImageFile(io.BytesIO(data)))
-    # Pillow cuts 16-bit colours down to 8 bits. OpenCV does not, but leaves missing rows as they are, so count first.
-    samples = {0: 1, 2: 3, 4: 2, 6: 4}.get(colour, 1)
-    if not interlaced and _inflated_size(idat) < height * (1 + 2 * samples * width):
-        raise FlatError("truncated PNG: pixel rows are missing")
+    # Pillow cuts 16-bit colours down to 8 bits.
     return decode_with_opencv(data, grey=colour in (0, 4))
-
-
-def _png_data_chunks(data: bytes) -> list[memoryview]:
-    """The IDAT chunks of a PNG file, whose chunks are all there up to IEND with correct checksums."""
-    # The first chunk follows a signature of 8 bytes.
-    view, at, idat = memoryview(data), 8, []
-    while True:
-        if at + 12 > len(data):
-            raise FlatError("truncated PNG: the end marker is missing")
-        length, kind = struct.unpack_from(">I4s", data, at)
-        if (kind == b"IHDR") != (at == 8):
-            raise FlatError("damaged PNG: the header chunk is not in its place")
-        if at + 12 + length > len(data):
-            raise FlatError(f"truncated PNG: {at + 12 + length - len(data)} bytes are missing")
-        if zlib.crc32(view[at + 4 : at + 8 + length]) != struct.unpack_from(">I", data, at + 8 + length)[0]:
-            raise FlatError(f"damaged PNG: checksum mismatch at byte {at}")
-        if kind == b"IDAT":
-            idat.append(view[at + 8 : at + 8 + length])
-        if kind == b"IEND":
-            return idat
-        at += 12 + length
-
-
-def _inflated_size(parts: list[memoryview]) -> int:
-    """Bytes that compressed parts expand to, without holding them in memory."""
-    inflate, size, piece = zlib.decompressobj(), 0, 1 << 22
-    for part in parts:
-        pending: bytes | memoryview = part
-        while len(pending):
-            size += len(inflate.decompress(pending, piece))
-            pending = inflate.unconsumed_tail
-    return size + len(inflate.flush())
 
 
 def decode_webp(data: bytes) -> NDArray[Any]:

@@ -9,11 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..runtime.kernels.jit import kernel
-from .settings import PREPROCESSING
 
 __all__ = ["edge_strength", "is_mask", "luminance", "normalise_locally", "soften_mask", "sqrt_luminance"]
 
@@ -60,121 +58,62 @@ def soften_mask(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.0)) if is_mask(picture) else picture
 
 
-@njit
-def _root_gradient(above, here, below, left, x, right):
-    across = (above[right] - above[left]) + (below[right] - below[left])
-    across += (here[right] - here[left]) + (here[right] - here[left])
-    down = (below[left] - above[left]) + (below[right] - above[right])
-    down += (below[x] - above[x]) + (below[x] - above[x])
-    return np.sqrt(np.sqrt(across * across + down * down))
-
-
-@kernel(share=lambda picture, *_: len(picture))
-def _edge_strength(begin, end, picture, out):
-    height, width = picture.shape
-    # Unsigned indices: signed ones may count from the end, which prevents vector loops.
-    one = np.uint64(1)
+@kernel(share=lambda padded, out: len(out))
+def _edge_strength(begin, end, padded, out):
+    two = np.float32(2)
     for y in range(begin, end):
-        above, here, below = picture[abs(y - 1)], picture[y], picture[y + 1 if y + 1 < height else height - 2]
-        line = out[y]
-        line[0] = _root_gradient(above, here, below, 1, 0, 1)
-        for x in range(one, np.uint64(width) - one):
-            line[x] = _root_gradient(above, here, below, x - one, x, x + one)
-        line[width - 1] = _root_gradient(above, here, below, width - 2, width - 1, width - 2)
+        above, here, below, line = padded[y], padded[y + 1], padded[y + 2], out[y]
+        # Unsigned indices: signed ones may count from the end, which prevents vector loops.
+        for x in range(np.uint64(len(line))):
+            right, middle = x + np.uint64(2), x + np.uint64(1)
+            across = above[right] - above[x] + below[right] - below[x] + two * (here[right] - here[x])
+            down = below[x] - above[x] + below[right] - above[right] + two * (below[middle] - above[middle])
+            line[x] = np.sqrt(np.sqrt(across * across + down * down))
 
 
 def edge_strength(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """(h, w) float32 square root of the gradient magnitude (Sobel) of a `sqrt_luminance` picture, at least 2 x 2 px."""
-    # The last bit of OpenCV's magnitude depends on the memory alignment of a picture.
     out = np.empty_like(picture)
-    _edge_strength(picture, out)
+    _edge_strength(_mirrored(picture, 1), out)
     return out
 
 
-@njit(inline="always")
-def _mirrored(at, count):
-    """Index into `count` values for one that may lie beyond them: mirrored, the ends not repeated."""
-    last = count - 1
-    while at < 0 or at > last:
-        at = -at if at < 0 else 2 * last - at
-        if last == 0:
-            return 0
-    return at
+def _mirrored(picture: NDArray[np.float32], margin: int) -> NDArray[np.float32]:
+    """A picture with a margin, mirrored at its borders, the ends not repeated."""
+    import cv2
+
+    return np.asarray(cv2.copyMakeBorder(picture, margin, margin, margin, margin, cv2.BORDER_REFLECT_101))
 
 
-@njit(error_model="numpy")
-def _add_row(row, squares, sums):
-    for x in range(len(row)):
-        value = np.float64(row[x])
-        sums[x] += value
-        squares[x] += value * value
-
-
-@njit(error_model="numpy")
-def _exchange_row(row, other, squares, sums):
-    """Add a `row` to the column sums, and subtract an `other` one."""
-    for x in range(len(row)):
-        value, gone = np.float64(row[x]), np.float64(other[x])
-        sums[x] += value - gone
-        squares[x] += value * value - gone * gone
-
-
-@njit(error_model="numpy", forceinline=True)
-def _cumulate(sums, half, out):
-    """Fill `out` (n + 2 half + 1,) with cumulative sums of `sums` (n,), its ends mirrored."""
-    count, total = len(sums), 0.0
-    out[0] = 0.0
-    for x in range(half):
-        total += sums[_mirrored(x - half, count)]
-        out[x + 1] = total
-    # Four at a time, as each addition to the total waits for the one before.
-    after = out[half + 1 :]
-    whole, one, two, three = np.uint64(count // 4 * 4), np.uint64(1), np.uint64(2), np.uint64(3)
-    for x in range(np.uint64(0), whole, np.uint64(4)):
-        pair = sums[x] + sums[x + one]
-        after[x], after[x + one] = total + sums[x], total + pair
-        after[x + two] = total + (pair + sums[x + two])
-        total += pair + (sums[x + two] + sums[x + three])
-        after[x + three] = total
-    for x in range(whole, np.uint64(count)):
-        total += sums[x]
-        after[x] = total
-    for x in range(half):
-        total += sums[_mirrored(count + x, count)]
-        out[half + count + x + 1] = total
-
-
-@njit(error_model="numpy")
-def _normalise_row(row, sums, squares, side, floor, clip, out):
-    """Normalise a row, from cumulative sums over windows of `side` rows, and over their squares."""
-    share = 1.0 / (side * side)
-    # Unsigned indices, as above.
-    later, later_squares = sums[side:], squares[side:]
-    for x in range(np.uint64(len(row))):
-        mean = np.float32((later[x] - sums[x]) * share)
-        square = np.float32((later_squares[x] - squares[x]) * share)
-        value = (row[x] - mean) / (np.sqrt(max(square - mean * mean, np.float32(0))) + floor)
-        out[x] = min(max(value, -clip), clip)
-
-
-@kernel(error_model="numpy", share=lambda picture, _, together, *__: -(-len(picture) // together))
-def _normalise(begin, end, picture, half, together, floor, clip, out):
+@kernel(error_model="numpy", share=lambda padded, side, together, floor, clip, out: -(-len(out) // together))
+def _normalise(begin, end, padded, side, together, floor, clip, out):
     """See `normalise_locally`; each thread takes `together` rows one after the other."""
-    height, width = picture.shape
-    side = 2 * half + 1
+    height, width = out.shape
+    share, half = 1.0 / (side * side), side // 2
     for part in range(begin, end):
-        sums, squares = np.zeros(width), np.zeros(width)
-        running, running_squares = np.empty(width + side), np.empty(width + side)
+        sums, squares = np.zeros(padded.shape[1]), np.zeros(padded.shape[1])
         first = part * together
-        for y in range(first - half, first + half + 1):
-            _add_row(picture[_mirrored(y, height)], squares, sums)
         for y in range(first, min(first + together, height)):
+            # Sums over the rows of the window: all of the first one, then one more and one less.
+            for row in range(first if y == first else y + side - 1, y + side):
+                for x in range(len(sums)):
+                    value = np.float64(padded[row, x])
+                    sums[x] += value
+                    squares[x] += value * value
             if y > first:
-                more, less = _mirrored(y + half, height), _mirrored(y - half - 1, height)
-                _exchange_row(picture[more], picture[less], squares, sums)
-            _cumulate(sums, half, running)
-            _cumulate(squares, half, running_squares)
-            _normalise_row(picture[y], running, running_squares, side, floor, clip, out[y])
+                for x in range(len(sums)):
+                    value = np.float64(padded[y - 1, x])
+                    sums[x] -= value
+                    squares[x] -= value * value
+            total, square = sums[:side].sum(), squares[:side].sum()
+            for x in range(width):
+                mean = np.float32(total * share)
+                variance = max(np.float32(square * share) - mean * mean, np.float32(0))
+                value = (padded[y + half, x + half] - mean) / (np.sqrt(variance) + floor)
+                out[y, x] = min(max(value, -clip), clip)
+                if x + 1 < width:
+                    total += sums[x + side] - sums[x]
+                    square += squares[x + side] - squares[x]
 
 
 def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.float32]:
@@ -184,6 +123,7 @@ def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np
     """
     half = max(3, int(window) | 1) // 2
     out = np.empty_like(picture)
-    floor, clip = np.float32(PREPROCESSING.noise_floor), np.float32(PREPROCESSING.clip)
-    _normalise(picture, half, max(PREPROCESSING.rows, 4 * half), floor, clip, out)
+    # A hundredth of the mean tone or two is added to the deviation, so that noise is not amplified.
+    floor, clip = np.float32(0.02), np.float32(3)
+    _normalise(_mirrored(picture, half), 2 * half + 1, max(64, 4 * half), floor, clip, out)
     return out

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.errors import FlatError
 from .preprocessing import is_mask
-from .settings import STACK
 
 __all__ = [
     "average_scenes", "check_flats", "clipping_level", "combine_whites", "estimate_white_level", "measure_overexposure",
@@ -96,7 +95,8 @@ def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
 def select_contrasted(lights: Sequence[NDArray[np.float32]]) -> list[int]:
     """Indices of the flats that have contrast, among `lights` (h, w) in one scale."""
     contrast = [float(light.std(dtype=np.float64)) for light in lights]
-    return [k for k, value in enumerate(contrast) if value >= STACK.least_contrast * max(contrast)]
+    # Less is a dark, saturated or blank flat.
+    return [k for k, value in enumerate(contrast) if value >= 0.05 * max(contrast)]
 
 
 def combine_whites(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -107,7 +107,7 @@ def combine_whites(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]
     if len(lights) == 1:
         return lights[0]
     levels = [clipping_level(light) for light in lights]
-    step = max(1, int(np.sqrt(lights[0].size / STACK.sample)))
+    step = max(1, int(np.sqrt(lights[0].size / 200_000)))
     # Odd steps sample every phase of a mosaic.
     few = [light[:: step | 1, :: step | 1].ravel().astype(np.float64) for light in lights]
     unclipped = [sample < top for sample, top in zip(few, levels, strict=True)]
@@ -116,11 +116,11 @@ def combine_whites(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]
     share = np.zeros_like(total)
     for light, top, sample, valid in zip(lights, levels, few, unclipped, strict=True):
         both = valid & unclipped[best]
-        if both.sum() < min(STACK.least_sample, both.size // 4):
+        if both.sum() < min(1000, both.size // 4):
             continue
         a, b = few[best][both], sample[both]
         exposure = float(np.mean((a - a.mean()) * (b - b.mean())) / max(float(a.var()), 1e-30))
-        if not exposure > STACK.least_contrast:
+        if not exposure > 0.05:
             continue
         black = float(b.mean() - exposure * a.mean())
         good = light < np.float32(top)
@@ -143,5 +143,5 @@ def average_scenes(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]
 
 def clipping_level(light: NDArray[np.float32]) -> float:
     """Least light of clipped pixels in an array of any shape, infinite where none are clipped."""
-    top = STACK.clipped_level * float(light.max())
-    return top if float((light >= top).mean()) > STACK.clipped_share else float("inf")
+    top = 0.995 * float(light.max())
+    return top if float((light >= top).mean()) > 0.002 else float("inf")

@@ -182,50 +182,20 @@ def _open_tiff(source: Path, number: int | None) -> FlatSource | None:
         tiff = open_tiff(source)
         try:
             page = select_tiff_page(tiff, number)
-            reader = _Rows(page) if _is_contiguous(page) else _Segments(tiff, page)
-            if isinstance(reader, _Rows) or reader.segment_bytes <= _LARGEST_SEGMENT:
-                return FlatSource(source, reader.read, (page.imagelength, page.imagewidth), tiff)
+            shape = page.imagelength, page.imagewidth
+            # Rows that lie one after the other in the file, without compression, are mapped into memory.
+            if page.is_memmappable and page.is_contiguous and page.fillorder == 1 and page.axes in ("YX", "YXS"):
+                kind = np.dtype(page.parent.byteorder + page.dtype.char)
+                rows = np.memmap(source, kind, "r", int(page.dataoffsets[0]), page.shape)
+                return FlatSource(source, lambda y, x: convert_tiff_pixels(np.array(rows[y, x]), page), shape, tiff)
+            reader = _Segments(tiff, page)
+            if reader.segment_bytes <= _LARGEST_SEGMENT:
+                return FlatSource(source, reader.read, shape, tiff)
         # Reading it as a whole finds another way, or reports the error.
         except Exception:
             pass
         tiff.close()
     return None
-
-
-def _is_contiguous(page: Any) -> bool:
-    """Whether the rows of a page lie one after the other in the file, without compression."""
-    return bool(page.is_memmappable and page.is_contiguous and page.fillorder == 1 and page.axes in ("YX", "YXS"))
-
-
-class _Rows:
-    """Rows of a TIFF without compression."""
-
-    def __init__(self, page: Any) -> None:
-        self._page = page
-        self._file, self._lock = page.parent.filehandle, Lock()
-        self._start = int(page.dataoffsets[0])
-        self._row = page.shape[1:]
-        self._kind = np.dtype(page.parent.byteorder + page.dtype.char)
-
-    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
-        row_bytes = int(np.prod(self._row)) * self._kind.itemsize
-        out = np.empty((rows.stop - rows.start, columns.stop - columns.start, *self._row[1:]), self._kind)
-        start = self._start + rows.start * row_bytes
-        if out.shape[1] == self._row[0]:
-            self._fill(out, start)
-        else:
-            start += columns.start * row_bytes // self._row[0]
-            for number, row in enumerate(out):
-                self._fill(row, start + number * row_bytes)
-        return convert_tiff_pixels(out, self._page)
-
-    def _fill(self, into: NDArray[Any], start: int) -> None:
-        view = into.reshape(-1).view(np.uint8).data
-        with self._lock:
-            self._file.seek(start)
-            got = self._file.readinto(view)
-        if got < len(view):
-            raise FlatError("truncated TIFF: pixel data are missing")
 
 
 class _Segments:
