@@ -204,10 +204,10 @@ def compare_lattices(reduced: ReducedFlat, given: Lattice) -> tuple[Lattice | No
     """A lattice on the reduced flat, None where none is found, and its misfit, None where it is another one."""
     if given.distortion is not None:
         index = given.indices()[:: max(1, len(given) // 4000)]
-        line: NDArray[np.float64] = np.linalg.lstsq(
+        line: NDArray[Any] = np.linalg.lstsq(
             np.column_stack([np.ones(len(index)), index]), given.points(index), rcond=None
         )[0]
-        given = Lattice(np.asarray(line[0]), line[1:], given.image_size, given.radius)
+        given = Lattice(line[0], line[1:], given.image_size, given.radius)
     small, first = given.downscaled(reduced.factor), None
     with suppress(CalibrationError, np.linalg.LinAlgError):
         for found in _find_lattices(reduced.picture, small):
