@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
+from multiprocessing import get_context
 from pathlib import Path
-from queue import Empty, SimpleQueue
 
 from .signatures import SIGNATURE_FILE, Signature, read_signatures
 
@@ -22,8 +21,6 @@ except ImportError:  # Windows: processes compile side by side
 
 __all__ = ["compile_ahead", "compile_once", "is_compiled"]
 
-# Set for the processes that compile: no more threads than one each.
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _Progress = Callable[[int, int], None]
 
 
@@ -64,71 +61,42 @@ def compile_ahead(
     progress : function of int and int, optional
         Called in this thread with the numbers of finished and of all kernels.
     """
-    if not signatures:
-        return 0
     # A kernel is compiled by one process for all its types: Numba's cache has one index for them.
     kernels: dict[tuple[str, str], list[Signature]] = {}
     for signature in signatures:
         kernels.setdefault((signature.module, signature.name), []).append(signature)
-    jobs: SimpleQueue[list[Signature]] = SimpleQueue()
-    for same in kernels.values():
-        jobs.put(same)
+    if not kernels:
+        return 0
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     count = max(1, min(processes or cores, len(kernels)))
-    done: SimpleQueue[bool | None] = SimpleQueue()
-    failed = finished = ended = 0
-    with ThreadPoolExecutor(count) as threads:
-        for _ in range(count):
-            threads.submit(_run_process, jobs, done)
-        while ended < count:
-            result = done.get()
-            if result is None:
-                ended += 1
-                continue
-            finished += 1
-            failed += not result
-            if progress is not None:
-                progress(finished, len(signatures))
-    return failed + len(signatures) - finished
+    finished = compiled = 0
+    # A process that ends in another way takes the rest with it: those kernels are compiled when they are called.
+    with suppress(BrokenProcessPool), ProcessPoolExecutor(count, get_context("spawn"), _prepare_process) as pool:
+        for job in as_completed([pool.submit(_compile, same) for same in kernels.values()]):
+            for fine in job.result():
+                finished += 1
+                compiled += fine
+                if progress is not None:
+                    progress(finished, len(signatures))
+    return len(signatures) - compiled
 
 
-def _run_process(jobs: SimpleQueue[list[Signature]], done: SimpleQueue[bool | None]) -> None:
-    """Feed one process with kernels, one at a time, so that no process is left with the last few dear ones."""
-    environment = {**os.environ, **dict.fromkeys(_ONE_THREAD, "1")}
-    # The packages of this process, wherever they are.
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-    try:
-        with suppress(OSError), subprocess.Popen(
-            [sys.executable, "-P", "-c", f"from {__name__} import _serve; _serve()"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment,
-        ) as process:  # fmt: skip
-            assert process.stdin is not None and process.stdout is not None
-            while True:
-                try:
-                    kernel = jobs.get_nowait()
-                except Empty:
-                    process.stdin.close()
-                    return
-                for signature in kernel:
-                    process.stdin.write(json.dumps(signature) + "\n")
-                    process.stdin.flush()
-                    answer = process.stdout.readline()
-                    if not answer:
-                        return
-                    done.put(answer.strip() == "compiled")
-    finally:
-        done.put(None)
+def _prepare_process() -> None:
+    """One thread for each process, and no remarks of compilers."""
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
-def _serve() -> None:
-    """The loop of a process that compiles: a kernel per line of stdin, a word per kernel on stdout."""
-    for line in sys.stdin:
+def _compile(signatures: list[Signature]) -> list[bool]:
+    """Compile one kernel for all its types; tells which of them could be."""
+    fine = []
+    for signature in signatures:
         try:
-            Signature(*json.loads(line)).compile()
-            answer = "compiled"
+            signature.compile()
+            fine.append(True)
         except Exception:
-            answer = "failed"
-        print(answer, flush=True)
+            fine.append(False)
+    return fine
 
 
 def _installation() -> str:
