@@ -2,8 +2,8 @@
 
 Prints, at 0.15 D, 0.3 D and the default scale, PSNR of the picture with `detail="off"`, and what is gained [dB] by
 `detail="natural"`: over all, beside depth edges, on blank places and in the border (a pitch wide); then over all by
-`sharpen="auto"`, and by three methods of scikit-image applied to the picture: Wiener, Richardson-Lucy and total
-variation. These are given the disc of defocus that `natural` undoes at the median patch size.
+three methods of scikit-image applied to the picture: Wiener, Richardson-Lucy and total variation. These are given the
+disc of defocus that `natural` undoes at the median patch size.
 Without a folder, the scenes of `benchmarks.pictures` are simulated; `python -m benchmarks.detail 200 221` simulates
 random cameras before random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or 75;
 with a third number all of those of 8 bits are JPEG of this quality.
@@ -149,7 +149,6 @@ def _rows(case: _Case) -> Iterator[str]:
         drawn = [
             lfrender.render(case.flat, case.camera, depth, scale=scale, detail="off"),
             lfrender.render(case.flat, case.camera, depth, scale=scale, detail="natural"),
-            lfrender.render(case.flat, case.camera, depth, scale=scale, sharpen="auto"),
         ]
         white = np.float64(np.iinfo(drawn[0].image.dtype).max)
         images = [one.image.reshape(*one.valid.shape, -1) / white for one in drawn]
@@ -160,7 +159,7 @@ def _rows(case: _Case) -> Iterator[str]:
         gained = [_psnr(images[1], wanted, mask) - before for mask, before in zip(masks, plain, strict=True)]
         ratio = float(np.nanmedian(depth.patch_size)) / pitch
         disc = float(sure_discs(case.camera, np.array([ratio])).mean())
-        others = [images[2], *_baselines(images[0], disc * scale / (abs(ratio) * pitch))]
+        others = _baselines(images[0], disc * scale / (abs(ratio) * pitch))
         gained += [_psnr(other, wanted, masks[0]) - plain[0] for other in others]
         cells = ["" if np.isnan(gain) else f"{gain:+.2f}" for gain in gained]
         yield f"| {case.name} | {scale:.1f} | {plain[0]:.2f} | {' | '.join(cells)} |"
@@ -171,8 +170,8 @@ def _main() -> None:
     if len(sys.argv) > 2:
         first, end, *quality = map(int, sys.argv[1:])
         cases = (_random_case(seed, *quality) for seed in range(first, end))
-    columns = "scene", "pixels per pitch", "off [dB]", "natural", "edges", "blank", "border", "sharpen"
-    print(f"| {' | '.join((*columns, 'Wiener', 'R.-L.', 'TV'))} |\n|{'---|' * 11}")
+    columns = "scene", "pixels per pitch", "off [dB]", "natural", "edges", "blank", "border"
+    print(f"| {' | '.join((*columns, 'Wiener', 'R.-L.', 'TV'))} |\n|{'---|' * 10}")
     for case in cases:
         for row in _rows(case):
             print(row, flush=True)

@@ -3,7 +3,7 @@
 Prints PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale, drawn without restored detail with
 the depth that two presets find on the flat, and with the true one, which tells what is lost by drawing alone. Without a
 folder, scenes are simulated that differ in pitch, lattice, mode, clutter and noise, and each place is also read from
-the nearest lens with its true patch size; sharpened pictures are compared too.
+the nearest lens with its true patch size.
 """
 
 from __future__ import annotations
@@ -117,7 +117,6 @@ def _simulated_rows(name: str, how: _Simulated) -> str:
             lfrender.render(shot.flat, calibration, which, scale=scale, detail="off") for which in (depth, true)
         ]
         pictures.append(lfrender.render(shot.flat, calibration, tiled, scale=scale, blend=False))
-        pictures.append(lfrender.render(shot.flat, calibration, depth, scale=scale, sharpen="auto"))
         lines.append(f"| {name} | {scale:.1f} | {' | '.join(score(picture) for picture in pictures)} |")
     return "\n".join(lines)
 
@@ -125,8 +124,8 @@ def _simulated_rows(name: str, how: _Simulated) -> str:
 def _main() -> None:
     arguments = sys.argv[1:]
     if not arguments:
-        print("| scene | pixels per pitch | balanced | true depth | nearest lens, true depth | sharpened |")
-        print("|---|---|---|---|---|---|")
+        print("| scene | pixels per pitch | balanced | true depth | nearest lens, true depth |")
+        print("|---|---|---|---|---|")
         for name, how in _SCENES.items():
             print(_simulated_rows(name, how), flush=True)
         return

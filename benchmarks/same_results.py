@@ -93,7 +93,6 @@ def _scene(name: str, flat: NDArray) -> Results:
         found |= _picture(f"{name}, patch size {ratio:+} D", lfrender.render(flat, camera, patch_size=s))
         found |= _picture(f"{name}, refocused at {ratio:+} D", lfrender.refocus(flat, camera, s))
     found |= _picture(f"{name}, traditional", lfrender.traditional(flat, camera))
-    found |= _picture(f"{name}, sharpened", lfrender.render(flat, camera, depth, sharpen="auto"))
     offsets = circle_offsets(2, 0.3 * camera.lattice.radius)
     for number, view in enumerate(lfrender.views(flat, camera, depth, offsets=offsets)):
         found |= _picture(f"{name}, view {number}", view)

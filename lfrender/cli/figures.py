@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from typing import Literal
 
     from lfcal import Calibration, Optics
 
@@ -22,15 +21,14 @@ __all__ = [
 def rendering_settings(
     depth: DepthMap | None,
     patch_size: float | None,
-    sharpen: float | Literal["auto"] | None = None,
     detail: str | None = None,
 ) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
-    sharpened = {key: value for key, value in (("sharpen", sharpen), ("detail", detail)) if value is not None}
+    chosen = {} if detail is None else {"detail": detail}
     if depth is not None:
-        return {"rendering": "all in focus", "preset": depth.preset, **sharpened}
+        return {"rendering": "all in focus", "preset": depth.preset, **chosen}
     if patch_size is not None:
-        return {"rendering": "one patch size", "patch_size": patch_size, **sharpened}
+        return {"rendering": "one patch size", "patch_size": patch_size, **chosen}
     return {"rendering": "traditional"}
 
 

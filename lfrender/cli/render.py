@@ -33,8 +33,6 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from typing import Literal
-
     from ..rendering.render import Detail
 
 __all__ = ["render"]
@@ -63,11 +61,7 @@ __all__ = ["render"]
         type=click.Choice(["natural", "off"]),
         help="Undo the blur of the microlenses, place by place, as noise allows. [default: natural, for depth maps]",
     ),
-    click.option(
-        "--sharpen",
-        metavar="auto|PX",
-        help="Correct the blur of the microlenses, as far as noise allows: as measured, or of so many output pixels.",
-    ),
+    click.option("--sharpen", hidden=True, expose_value=False, callback=lambda *given: _refuse_sharpen(given[2])),
 )
 @console.grouped(
     "How to write it",
@@ -90,7 +84,6 @@ def render(
     traditional: bool,
     scale: float | None,
     detail: Detail | None,
-    sharpen: str | None,
     eight_bits: bool,
     alpha: bool,
     compress: bool,
@@ -109,18 +102,16 @@ def render(
     on_cluster = workers or scheduler
     at_most_one("--depth", capture.depth_file, "--patch-size", patch_size, *mean)
     at_most_one("--scale", scale, *mean)
-    at_most_one("--detail", detail, "--sharpen", sharpen, "--patch-size", patch_size, *mean)
-    at_most_one("--roi", roi, "--sharpen", sharpen, *mean, "--tile", tile)
+    at_most_one("--detail", detail, "--patch-size", patch_size, *mean)
+    at_most_one("--roi", roi, *mean, "--tile", tile)
     at_most_one("--workers", workers, "--scheduler", scheduler)
-    at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--sharpen", sharpen, *mean)
+    at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, *mean)
     for other in (("--depth", capture.depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
         at_most_one("--edges", edges or None, *other)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
-    width = _sharpen_width(sharpen)
     options: dict[str, Any] = {"patch_size": patch_size, "scale": scale, "blend": blend or None, "detail": detail}
-    # Sharpening estimates blur and noise on the whole picture.
-    if not (traditional or roi or sharpen):
+    if not (traditional or roi):
         from ..output.ome import is_ome_name
 
         # A plain Zarr array is written tile by tile, OME-Zarr as a whole.
@@ -152,13 +143,13 @@ def render(
             with option_errors(roi):
                 needed = expand_roi(roi, calibration)
         depth = capture.analyze(pixels, calibration, roi=needed, edges=edges)
-    options |= {"sharpen": width, "roi": roi}
+    options["roi"] = roi
     with capture.report.stage("render"), option_errors(*options.values()):
         from .. import render as run
         from .. import traditional as run_traditional
         from ..rendering.traditional import TOO_LITTLE, resolves_too_little
 
-        if depth is not None and not (scale or roi or sharpen) and resolves_too_little(depth):
+        if depth is not None and not (scale or roi) and resolves_too_little(depth):
             traditional = True
             capture.report.warn(TOO_LITTLE.format("--scale"))
         picture = run_traditional(pixels, calibration) if traditional else run(pixels, calibration, depth, **options)
@@ -171,7 +162,7 @@ def render(
         stated = [eight_bits_sentence(picture.white, picture.image.dtype)]
         picture = to_eight_bits(picture)
     with capture.report.stage("write"):
-        settings = rendering_settings(None if traditional else depth, patch_size, width, detail)
+        settings = rendering_settings(None if traditional else depth, patch_size, detail)
         embedded = read_metadata(capture.flat)
         write_picture(output, picture, alpha=alpha, settings=settings, embedded=embedded, compress=compress)
     what = _describe_drawing(traditional, patch_size, blend)
@@ -190,10 +181,6 @@ def _describe_drawing(traditional: bool, patch_size: float | None, blend: bool) 
     return f"of one patch size, {patch_size:g} px{', mixed from all lenses' if blend else ''}"
 
 
-def _sharpen_width(text: str | None) -> float | Literal["auto"] | None:
-    if text is None or text == "auto":
-        return text  # type: ignore[return-value]
-    try:
-        return float(text)
-    except ValueError:
-        raise click.UsageError(f"--sharpen must be auto or a number of output pixels, got {text!r}") from None
+def _refuse_sharpen(given: str | None) -> None:
+    if given is not None:
+        raise click.UsageError("--sharpen is gone: pictures get their detail back by --detail natural, the default")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,82 @@ from lfcal.runtime.frozen import Frozen
 if TYPE_CHECKING:
     from lfcal import Calibration
 
-__all__ = ["Rendering", "check_patch_size", "check_scale", "convert_to_dtype", "finish_picture"]
+__all__ = ["Part", "PictureGrid", "Rendering", "check_patch_size", "check_scale", "convert_to_dtype", "finish_picture"]
+
+
+#: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
+Part = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class PictureGrid:
+    """The pixels of a picture of all that a flat shows.
+
+    Parameters
+    ----------
+    image_size : (int, int) [px]
+        Width and height of the flat.
+    pitch : float [px]
+    scale : float
+        Pixels of the picture per pitch.
+    """
+
+    image_size: tuple[int, int]
+    pitch: float
+    scale: float
+
+    @property
+    def spacing(self) -> float:
+        """Distance between pixels [px of the flat]."""
+        return self.pitch / self.scale
+
+    @property
+    def first(self) -> float:
+        """Scene coordinates x and y of pixel (0, 0) [px of the flat]."""
+        return 0.5 * self.spacing - 0.5
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows."""
+        width, height = self.image_size
+        return max(1, round(width / self.spacing)), max(1, round(height / self.spacing))
+
+    @property
+    def whole(self) -> Part:
+        """All of the picture."""
+        return 0, 0, *self.size
+
+    def affine(self, part: Part | None = None) -> NDArray[np.float64]:
+        """(2, 3) from a pixel of a part, by default of the whole, to scene coordinates."""
+        left, top = (part or self.whole)[:2]
+        step, first = self.spacing, self.first
+        return np.array([[step, 0.0, first + step * left], [0.0, step, first + step * top]])
+
+    def flat_part(self, part: Part, halo: int) -> Part:
+        """The part of the flat within `halo` [px] of the scene points of a part of the picture."""
+        low = [max(int(self.first + self.spacing * k) - halo, 0) for k in part[:2]]
+        high = [int(np.ceil(self.first + self.spacing * (k - 1))) + halo + 1 for k in part[2:]]
+        return low[0], low[1], min(self.image_size[0], high[0]), min(self.image_size[1], high[1])
+
+    def expand(self, part: Part, halo: int) -> Part:
+        """A part of the picture with `halo` pixels about it, as far as there are any."""
+        columns, rows = self.size
+        left, top, right, bottom = part
+        return max(left - halo, 0), max(top - halo, 0), min(right + halo, columns), min(bottom + halo, rows)
+
+    def part_of_region(self, roi: tuple[float, float, float, float]) -> Part:
+        """Columns and rows whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
+        low, high = ((np.array(ends) - self.first) / self.spacing for ends in (roi[:2], roi[2:]))
+        left, top = (int(min(max(np.ceil(at), 0), n - 1)) for at, n in zip(low, self.size, strict=True))
+        right, bottom = (int(min(np.floor(at) + 1, n)) for at, n in zip(high, self.size, strict=True))
+        return left, top, max(right, left + 1), max(bottom, top + 1)
+
+    def tiles(self, side: tuple[int, int]) -> Iterator[Part]:
+        """Parts of at most `side` (columns, rows), row by row."""
+        columns, rows = self.size
+        for top in range(0, rows, side[1]):
+            for left in range(0, columns, side[0]):
+                yield left, top, min(left + side[0], columns), min(top + side[1], rows)
 
 
 def check_scale(scale: float, pitch: float) -> float:

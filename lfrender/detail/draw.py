@@ -2,99 +2,114 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from lfcal import Calibration
 from lfcal.runtime.kernels.jit import kernel
 
+from ..data.rendering import Part, PictureGrid
+from ..data.surface import Surface
 from ..flat.gray_flat import white_level
-from ..runtime.buffers import allocate_pooled
-from ..runtime.cache import cached
 from .filters import DetailFilters, make_filters
 from .noise import is_encoded
 from .restore import Places, restore_detail
 from .settings import HALO, RESTORE
 
-if TYPE_CHECKING:
-    from ..rendering.plan import Part, RenderPlan
-
-__all__ = ["draw_changed_detail", "draw_detail"]
+__all__ = ["DetailRenderer", "PlainRenderer"]
 
 
-def draw_detail(
-    plan: RenderPlan, pixels: NDArray[Any], corner: tuple[int, int], part: Part, dtype: DTypeLike
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """As `RenderPlan.draw`, (rows, columns, C) of this type."""
-    wide = left, top, _, _ = plan.expand_part(part, HALO)
-    shape = wide[3] - top, wide[2] - left, pixels.shape[2]
-    image, valid = plan.blend_part(pixels, corner, wide, allocate_pooled(shape, np.float32))
-    image = _restore(plan, pixels, wide, image, valid, dtype)
-    inside = slice(part[1] - top, part[3] - top), slice(part[0] - left, part[2] - left)
-    return np.ascontiguousarray(image[inside]), np.ascontiguousarray(valid[inside])
+class PlainRenderer(Protocol):
+    """What draws the picture whose detail is restored."""
+
+    @property
+    def calibration(self) -> Calibration: ...
+    @property
+    def surface(self) -> Surface: ...
+    @property
+    def reach(self) -> float: ...
+    @property
+    def blur(self) -> float: ...
+    @property
+    def grid(self) -> PictureGrid: ...
+    def required_part(self, part: Part) -> Part: ...
+    def draw(
+        self, pixels: NDArray[Any], corner: tuple[int, int], part: Part
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]: ...
 
 
-def draw_changed_detail(
-    plan: RenderPlan, pixels: NDArray[Any], wanted: NDArray[np.bool_], valid: NDArray[np.bool_]
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Draw what depends on the `wanted` pixels (rows, columns), and bring `valid` up to date.
+@dataclass(frozen=True)
+class DetailRenderer:
+    """Draws as another renderer, and restores the detail.
 
-    Returns
-    -------
-    image : (rows, columns, C), of the type of `pixels`
-    changed : (rows, columns) bool
-        Where it is drawn.
+    Parameters
+    ----------
+    plain : PlainRenderer
+    noise : float [white]
+        Of the flat, as `measure_noise`.
     """
-    import cv2
 
-    around = np.ones((2 * HALO + 1,) * 2, np.uint8)
-    changed = cv2.dilate(wanted.view(np.uint8), around)
-    needed = cv2.dilate(changed, around).view(bool)
-    whole = 0, 0, *plan.size
-    image = np.zeros((*valid.shape, pixels.shape[2]), np.float32)
-    plan.blend_part(pixels, (0, 0), whole, image, valid, needed)
-    return _restore(plan, pixels, whole, image, valid, pixels.dtype), changed.view(bool)
+    plain: PlainRenderer
+    noise: float
 
+    @property
+    def grid(self) -> PictureGrid:
+        """Where the pixels of the picture lie."""
+        return self.plain.grid
 
-def _restore(
-    plan: RenderPlan,
-    pixels: NDArray[Any],
-    part: Part,
-    image: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    dtype: DTypeLike,
-) -> NDArray[Any]:
-    filters, kinds = cached(plan, "detail", lambda: _prepare(plan))
-    surface, first = plan.surface, plan.affine[:, 2]
-    nearest, inner = [], []
-    for k in (0, 1):
-        at = np.arange(part[k], part[k + 2])
-        scene = first[k] + plan.spacing * at
-        node = np.rint((scene - surface.first[k]) / surface.spacing).astype(np.int64)
-        nearest.append(np.clip(node, 0, kinds.shape[1 - k] - 1))
-        # 0 at the border of the whole, where few lenses are averaged.
-        inside = np.minimum(at + 0.5, plan.size[k] - 0.5 - at) / (RESTORE.border * plan.scale) - 1
-        inner.append(np.clip(inside, 0, 1).astype(np.float32))
-    places = Places(kinds, nearest[1], nearest[0], inner[1], inner[0])
-    white, encoded = white_level(pixels, plan.calibration), is_encoded(pixels.dtype, plan.calibration)
-    return restore_detail(image, valid, places, filters, white, encoded, dtype)
+    def required_part(self, part: Part) -> Part:
+        """The part of the flat that a part of the picture is drawn from."""
+        return self.plain.required_part(self.grid.expand(part, HALO))
 
+    def draw(
+        self,
+        pixels: NDArray[Any],
+        corner: tuple[int, int] = (0, 0),
+        part: Part | None = None,
+        dtype: DTypeLike = np.float32,
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Draw a part of the picture, (rows, columns, C) of this type, and which pixels some lens shows."""
+        part = part or self.grid.whole
+        wide = left, top, _, _ = self.grid.expand(part, HALO)
+        image, valid = self.plain.draw(pixels, corner, wide)
+        white, encoded = white_level(pixels, self.plain.calibration), is_encoded(pixels.dtype, self.plain.calibration)
+        image = restore_detail(image, valid, self._places(wide), self._filters[0], white, encoded, dtype)
+        inside = slice(part[1] - top, part[3] - top), slice(part[0] - left, part[2] - left)
+        return np.ascontiguousarray(image[inside]), np.ascontiguousarray(valid[inside])
 
-def _prepare(plan: RenderPlan) -> tuple[DetailFilters, NDArray[np.uint16]]:
-    """The filters of a picture, and which of them each value of its surface takes: none beside a depth edge."""
-    import cv2
+    def _places(self, part: Part) -> Places:
+        """Which filter each pixel of a part takes, and how much of it."""
+        surface, grid, kinds = self.plain.surface, self.grid, self._filters[1]
+        nearest, inner = [], []
+        for k in (0, 1):
+            at = np.arange(part[k], part[k + 2])
+            node = np.rint((grid.first + grid.spacing * at - surface.first[k]) / surface.spacing).astype(np.int64)
+            nearest.append(np.clip(node, 0, kinds.shape[1 - k] - 1))
+            # 0 at the border of the whole, where few lenses are averaged.
+            inside = np.minimum(at + 0.5, grid.size[k] - 0.5 - at) / (RESTORE.border * grid.scale) - 1
+            inner.append(np.clip(inside, 0, 1).astype(np.float32))
+        return Places(kinds, nearest[1], nearest[0], inner[1], inner[0])
 
-    assert plan.noise is not None
-    pitch, sizes = plan.calibration.lattice.pitch, plan.surface.patch_size
-    depths = float(sizes.min()), float(sizes.max())
-    filters = make_filters(plan.calibration, plan.noise, plan.scale, plan.reach, plan.blur, depths)
-    side = 2 * max(1, round(RESTORE.beside_edge * plan.spacing / plan.surface.spacing)) + 1
-    around = np.ones((side, side), np.uint8)
-    kinds = np.empty(sizes.shape, np.uint16)
-    ends = cv2.erode(sizes, around), cv2.dilate(sizes, around)
-    _choose(sizes, *ends, np.float32(RESTORE.edge * pitch), np.float32(filters.per_ratio / pitch), filters.count, kinds)
-    return filters, kinds
+    @cached_property
+    def _filters(self) -> tuple[DetailFilters, NDArray[np.uint16]]:
+        """The filters of the picture, and which of them each value of its surface takes: none beside a depth edge."""
+        import cv2
+
+        plain, surface, grid = self.plain, self.plain.surface, self.grid
+        sizes = surface.patch_size
+        depths = float(sizes.min()), float(sizes.max())
+        filters = make_filters(plain.calibration, self.noise, grid.scale, plain.reach, plain.blur, depths)
+        side = 2 * max(1, round(RESTORE.beside_edge * grid.spacing / surface.spacing)) + 1
+        around = np.ones((side, side), np.uint8)
+        kinds = np.empty(sizes.shape, np.uint16)
+        ends = cv2.erode(sizes, around), cv2.dilate(sizes, around)
+        edge, per_size = np.float32(RESTORE.edge * grid.pitch), np.float32(filters.per_ratio / grid.pitch)
+        _choose(sizes, *ends, edge, per_size, filters.count, kinds)
+        return filters, kinds
 
 
 @kernel(share=lambda sizes, *_: len(sizes))

@@ -82,7 +82,7 @@ def make_filters(
     reach : float [pitch]
         Lenses farther from a scene point are not averaged.
     blur : float
-        As `measure_lens_blur`: how the picture was averaged over its pixels, where these are coarse.
+        Share of a pixel's side over which microlenses average already: the picture is averaged over the rest.
     depths : (float, float) [px]
         Least and largest signed patch size of the picture; there are no filters for others.
     """
@@ -148,7 +148,7 @@ class _Levels:
     grown: _Table  # (n, 1) side of a pixel of the flat [px of the picture]
     discs: _Table  # (n, types) diameters [px of the picture]
     shares: _Table  # (n, types) weights of the types, whose sum is 1
-    apart: _Table  # (n, 1) side of the square over which a coarse picture is averaged [px of the picture]
+    apart: _Table  # (n, 1) side of the square over which an output pixel is averaged [px of the picture]
     variance: _Table  # (n, 1) of the noise of a picture's pixel with the light of white, were it one of the flat
     settings: RestoreSettings
 
@@ -165,8 +165,7 @@ class _Levels:
         shares = weights[:, at].T.astype(float) if len(weights) == discs.shape[1] else np.ones(discs.shape)
         shares /= shares.sum(1, keepdims=True)
         averaged = _averaged_views(size, calibration, reach)
-        # Pictures that are little coarser than the flat are read once per pixel.
-        apart = np.sqrt(np.maximum(1 - (blur * scale) ** 2 - grown**2, 0.0)) if blur > 0 else np.zeros_like(grown)
+        apart = np.sqrt(np.maximum(1 - blur**2 - grown**2, 0.0))
         even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)
         return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None], settings)
 

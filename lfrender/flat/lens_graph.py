@@ -257,8 +257,8 @@ def distant_rings(neighbours: NDArray[np.int32], settings: LensGraphSettings = G
     return cached(neighbours, ("distant rings", settings.distant_steps), make)
 
 
-def lens_offsets(lattice: Lattice, reach: float, sampled: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """All lenses about one within `reach` and a pitch, the nearest first; of distorted lattices, `sampled` ones tell.
+def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """All lenses about one within `reach` and a pitch, the nearest first; of distorted lattices, some 500 tell.
 
     Returns
     -------
@@ -274,7 +274,7 @@ def lens_offsets(lattice: Lattice, reach: float, sampled: int) -> tuple[NDArray[
     distance = np.linalg.norm(offsets, axis=1)
     if lattice.distortion is not None:
         ij = lattice.indices()
-        some = ij[:: max(1, len(ij) // sampled)]
+        some = ij[:: max(1, len(ij) // 500)]
         here = lattice.points(some)
         distance = np.array([np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps])
     order = np.argsort(distance, kind="stable")

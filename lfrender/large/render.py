@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 from lfcal import Calibration, FlatSource
 
 from ..data.depth_map import DepthMap
-from ..data.rendering import Rendering
+from ..data.rendering import Part, Rendering
+from ..detail.draw import DetailRenderer
 from ..flat.validation import match_exposure
 from ..output.formats import FORMATS, PictureError, check_package
 from ..output.metadata import read_metadata
 from ..output.picture import check_picture, describe, with_alpha, write_picture
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import TileWriter, move_into_place, new_writer
-from ..rendering.plan import Part, RenderPlan
-from ..rendering.render import Detail, make_plan
+from ..rendering.render import Detail, make_renderer
+from ..rendering.renderer import Renderer
 from .settings import DEFAULT, LargeSettings
 from .tiles import TileReader
 from .workers import Workers, choose_workers
@@ -147,18 +148,18 @@ def render_large(
         raise ValueError("give depth (analyze_large makes it) or patch_size")
     check_large_picture(output, source.dtype, alpha)
     exposed = match_exposure(reader.sample_exposure(), calibration)
-    drawing = make_plan(reader.read, exposed, depth, patch_size, scale, blend, detail)
+    drawing = make_renderer(reader.read, exposed, depth, patch_size, scale, blend, detail)
     workers = choose_workers(reader, client, threads, tuning)
     side = _tile_size(drawing, reader, tile, 1 if client is None else tuning.tiles_per_thread * workers.count, tuning)
-    text = describe(Rendering(np.empty(0), drawing.affine, np.empty(0, bool), drawing.scale), settings)
+    text = describe(Rendering(np.empty(0), drawing.grid.affine(), np.empty(0, bool), drawing.grid.scale), settings)
     channels = reader.channels + alpha
-    shape = (*drawing.size[::-1], channels) if channels > 1 else drawing.size[::-1]
+    shape = (*drawing.grid.size[::-1], channels) if channels > 1 else drawing.grid.size[::-1]
     depth_key = [patch_size] if depth is None else [fingerprint(depth.patch_size, depth.surface.patch_size)]
     # Tiles of an earlier run are used if all that the picture depends on is the same.
     key = fingerprint(
         file_identity(source.path), [source.page], file_identity(source.dark), calibration.to_dict(), depth_key,
-        drawing.scale, drawing.blend, drawing.blur,
-        [drawing.noise], side,
+        drawing.grid.scale, patch_size is None if blend is None else blend,
+        [drawing.noise if isinstance(drawing, DetailRenderer) else None], side,
         text, [alpha, compress, output.suffix.lower(), str(source.dtype)],
     )  # fmt: skip
     checkpoint = Checkpoint(output)
@@ -168,7 +169,7 @@ def render_large(
         json.dumps(text), icc=read_metadata(source.path).icc, compress=compress and direct,
     )  # fmt: skip
     run = _Run(drawing, reader, workers, writer, checkpoint, key, alpha, tuning.sync_seconds)
-    tiles = list(drawing.tiles(side))
+    tiles = list(drawing.grid.tiles(side))
     kept, seen = run.draw_missing(tiles, progress)
     if direct:
         writer.finish(output)
@@ -176,7 +177,7 @@ def render_large(
         _encode(writer, checkpoint, output, drawing, settings, source)
     checkpoint.remove()
     valid = seen / (shape[0] * shape[1])
-    return LargePicture(output, drawing.size, drawing.affine, drawing.scale, valid, len(tiles), kept)
+    return LargePicture(output, drawing.grid.size, drawing.grid.affine(), drawing.grid.scale, valid, len(tiles), kept)
 
 
 def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> None:
@@ -192,10 +193,10 @@ def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ())
 
 
 def _tile_size(
-    drawing: RenderPlan, reader: TileReader, tile: int | None, least: int, tuning: LargeSettings
+    drawing: Renderer | DetailRenderer, reader: TileReader, tile: int | None, least: int, tuning: LargeSettings
 ) -> tuple[int, int]:
     """Columns and rows of the tiles: as given, or nearly square ones that fit the memory, at least `least` of them."""
-    columns, rows = drawing.size
+    columns, rows = drawing.grid.size
     if tile is not None:
         if tile < 1:
             raise ValueError(f"tile must be a positive number of pixels, got {tile}")
@@ -205,8 +206,8 @@ def _tile_size(
     # interpolation, and has an occlusion depth. A pixel of the picture is there as computed, and as stored twice.
     flat_bytes = 4 * item + 6
     picture_bytes = 4 * reader.channels + 4 + 2 * item
-    halo = 2 * drawing.halo
-    spacing = drawing.spacing
+    one = drawing.required_part((columns // 2, rows // 2, columns // 2 + 1, rows // 2 + 1))
+    halo, spacing = max(one[2] - one[0], one[3] - one[1]), drawing.grid.spacing
     side = 64
     while (side * 1.1 * spacing + halo) ** 2 * flat_bytes + (side * 1.1) ** 2 * picture_bytes < tuning.picture_memory:
         side = int(side * 1.1) + 1
@@ -220,7 +221,7 @@ def _tile_size(
 class _Run:
     """Draws tiles, writes them, and notes in the checkpoint which ones are finished."""
 
-    drawing: RenderPlan
+    drawing: Renderer | DetailRenderer
     reader: TileReader
     workers: Workers
     writer: TileWriter
@@ -268,16 +269,18 @@ class _Run:
         self.writer.write(tile, with_alpha(pixels, valid) if self.alpha else pixels)
 
 
-def _draw_tile(drawing: RenderPlan, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _draw_tile(
+    drawing: Renderer | DetailRenderer, tile: Part, pixels: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """A tile of the picture from the part of the flat that it needs."""
-    return drawing.draw(pixels, drawing.required_part(tile)[:2], tile, stored=True)
+    return drawing.draw(pixels, drawing.required_part(tile)[:2], tile, pixels.dtype)
 
 
 def _encode(
     writer: TileWriter,
     checkpoint: Checkpoint,
     output: Path,
-    drawing: RenderPlan,
+    drawing: Renderer | DetailRenderer,
     settings: Mapping[str, Any] | None,
     source: FlatSource,
 ) -> None:
@@ -290,7 +293,7 @@ def _encode(
     alpha = pixels.ndim == 3 and pixels.shape[2] in (2, 4)
     colours = pixels[..., 0] if alpha and pixels.shape[2] == 2 else pixels[..., :3] if alpha else pixels
     valid = pixels[..., -1] > 0 if alpha else np.ones(pixels.shape[:2], bool)
-    picture = Rendering(np.asarray(colours), drawing.affine, valid, drawing.scale)
+    picture = Rendering(np.asarray(colours), drawing.grid.affine(), valid, drawing.grid.scale)
     # Encoded into the hidden folder: if the process is killed, the next run removes the file.
     encoded = checkpoint.folder / f"encoded{output.suffix}"
     write_picture(encoded, picture, alpha=alpha, settings=settings, embedded=read_metadata(source.path))

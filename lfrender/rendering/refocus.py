@@ -13,12 +13,15 @@ from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..data.viewpoint import virtual_depth
-from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
-from .plan import RenderPlan
-from .settings import DEFAULT, RenderSettings
+from .renderer import REFOCUS_REACH, Renderer
 
 __all__ = ["focal_stack", "refocus", "stack_depths"]
+
+# Below it, a scene point may lie between what all microimages show.
+_LEAST_APERTURE = 0.05
+# Least |D / s| at which a picture can be in focus.
+_LEAST_MAGNIFICATION = 4 / 3
 
 
 def refocus(
@@ -76,17 +79,22 @@ def refocus(
         patch_size = _depth_at(position, pixels, calibration, depth)
     assert patch_size is not None
     check_patch_size(patch_size, lattice.pitch)
-    if not DEFAULT.least_aperture <= aperture <= 1:
-        raise ValueError(f"aperture must lie between {DEFAULT.least_aperture} and 1, got {aperture:g}")
+    if not _LEAST_APERTURE <= aperture <= 1:
+        raise ValueError(f"aperture must lie between {_LEAST_APERTURE} and 1, got {aperture:g}")
     scale = check_scale(abs(patch_size) if scale is None else scale, lattice.pitch)
-    coarse = scale < abs(patch_size)
-    blur = measure_lens_blur(pixels, calibration, np.full(len(lattice), patch_size, np.float32)) if coarse else 0.0
-    plan = RenderPlan(
-        calibration, constant_surface(patch_size), scale, True, blur, DEFAULT.refocus_reach, DEFAULT.refocus_agreement,
-        aperture,
-    )  # fmt: skip
-    image, valid = plan.draw(pixels, stored=True)
-    return finish_picture(image, valid, plan.affine, scale, flat, calibration)
+    # Out of focus, colours differ and are mixed all the same.
+    renderer = Renderer(
+        calibration,
+        constant_surface(patch_size),
+        scale,
+        abs(patch_size),
+        True,
+        reach=REFOCUS_REACH,
+        agreement=1e3,
+        aperture=aperture,
+    )
+    image, valid = renderer.draw(pixels, dtype=pixels.dtype)
+    return finish_picture(image, valid, renderer.grid.affine(), scale, flat, calibration)
 
 
 def focal_stack(
@@ -127,7 +135,7 @@ def focal_stack(
     return [refocus(flat, calibration, s, aperture=aperture, scale=scale) for s in sizes]
 
 
-def stack_depths(depth: DepthMap, count: int, settings: RenderSettings = DEFAULT) -> list[float]:
+def stack_depths(depth: DepthMap, count: int) -> list[float]:
     """Patch sizes for a focal stack through a scene, from far to near [px].
 
     They are evenly spaced in the virtual depth `D / s`, as is the blur between one and the next.
@@ -160,8 +168,8 @@ def stack_depths(depth: DepthMap, count: int, settings: RenderSettings = DEFAULT
     ratio = virtual_depth(resolved, depth.pitch).astype(float)
     # From far telescopic places to near binocular ones, without the gap about the microlenses: no depth is resolved
     # there, and no picture is in focus.
-    least = settings.least_magnification
-    far, near = -np.quantile(np.sign(ratio) * least - ratio, [settings.stack_far, settings.stack_near])
+    least = _LEAST_MAGNIFICATION
+    far, near = -np.quantile(np.sign(ratio) * least - ratio, [0.02, 0.98])
     steps = np.linspace(far, near, count) if count > 1 else np.array([(far + near) / 2])
     signs = np.where(steps == 0, np.sign(np.median(ratio)), np.sign(steps))
     return [float(depth.pitch / value) for value in steps + signs * least]

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
-import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError
@@ -15,20 +14,20 @@ from lfcal.runtime.errors import check_type
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.region import check_region
-from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
+from ..data.rendering import Part, Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..depth.analyze import analyze
+from ..detail.draw import DetailRenderer
 from ..detail.noise import measure_noise
-from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure
-from .plan import Part, RenderPlan
-from .settings import DEFAULT, RenderSettings
+from .redraw import redraw
+from .renderer import REACH, Renderer
 from .traditional import TOO_LITTLE, resolves_too_little, traditional
 
 #: How the detail of a picture is restored.
 Detail = Literal["natural", "off"]
 
-__all__ = ["Detail", "expand_roi", "make_plan", "render"]
+__all__ = ["Detail", "expand_roi", "make_renderer", "render"]
 
 
 def render(
@@ -40,7 +39,6 @@ def render(
     scale: float | None = None,
     blend: bool | None = None,
     detail: Detail | None = None,
-    sharpen: float | Literal["auto"] | None = None,
     roi: tuple[float, float, float, float] | None = None,
     previous: tuple[NDArray, DepthMap, Rendering] | None = None,
 ) -> Rendering:
@@ -66,10 +64,7 @@ def render(
     detail : "natural" or "off", optional
         Undo the blur by pixels and microlenses, place by place, as noise, seams and depth edges allow; that of the
         microlenses as far as the camera tells it (`Calibration.lens_blur`). By default "natural" for the mean over
-        lenses of a depth map, unless `sharpen` is given; with `previous` as in that picture.
-    sharpen : float or "auto", optional
-        Instead of `detail`, one filter for the whole picture that undoes the blur of the microlenses as far as noise
-        allows: "auto" measures it on the flat, a number is the side of the square that it averages over [output px].
+        lenses of a depth map; with `previous` as in that picture.
     roi : (float, float, float, float), optional [px]
         Draw only the pixels whose scene points lie between two opposite corners, with the bits of the whole picture.
         Without `depth`, only the lenses in there are analysed.
@@ -89,9 +84,8 @@ def render(
     FlatError, CalibrationError
         As `analyze`; also if `depth` belongs to another flat size or lattice.
     ValueError
-        If both `depth` and `patch_size` or both `detail` and `sharpen` are given, a number makes no picture, or `roi`
-        and `sharpen` are given, which needs the whole picture; or `previous` without `depth`, with either of these, or
-        of another scale or kind.
+        If both `depth` and `patch_size` are given, a number makes no picture, or `previous` is given without `depth`,
+        with `roi`, or of another scale or kind.
 
     Examples
     --------
@@ -107,25 +101,19 @@ def render(
         check_type(depth, DepthMap, "depth", "lfrender.analyze makes one")
     if roi is not None:
         roi = check_region(roi, calibration.lattice)
-        if sharpen is not None:
-            raise ValueError("sharpen needs the whole picture; give either roi or sharpen")
-    if sharpen is not None and sharpen != "auto" and not (np.isfinite(sharpen) and sharpen >= 0):
-        raise ValueError(f"sharpen must be 'auto' or a width of 0 or more output pixels, got {sharpen!r}")
     if detail not in (None, "natural", "off"):
         raise ValueError(f"detail must be 'natural' or 'off', got {detail!r}")
-    if detail not in (None, "off") and sharpen is not None:
-        raise ValueError(f"give either detail={detail!r} or sharpen")
-    if detail not in (None, "off") and (patch_size is not None or blend is False):
+    if detail == "natural" and (patch_size is not None or blend is False):
         raise ValueError(f"detail={detail!r} needs a depth map and the mean over lenses")
     if previous is not None:
-        if depth is None or roi is not None or sharpen is not None:
-            raise ValueError("previous needs depth, and the whole picture without roi and sharpen")
+        if depth is None or roi is not None:
+            raise ValueError("previous needs depth, and the whole picture without roi")
         if scale is not None and scale != previous[2].scale:
             raise ValueError(f"the earlier picture has scale {previous[2].scale}, not {scale}; draw without previous")
         scale = previous[2].scale
     if patch_size is None and depth is None:
         depth = analyze(pixels, calibration, roi=roi and expand_roi(roi, calibration))
-    plain = all(option is None for option in (patch_size, scale, blend, sharpen, roi, previous))
+    plain = all(option is None for option in (patch_size, scale, blend, roi, previous))
     if depth is not None and plain and depth.image_size == calibration.image_size and resolves_too_little(depth):
         warnings.warn(TOO_LITTLE.format("scale"), stacklevel=2)
         return traditional(flat, calibration)
@@ -134,40 +122,29 @@ def render(
         return pixels[part[1] : part[3], part[0] : part[2]]
 
     exposed = match_exposure(pixels[exposure_rows(len(pixels))], calibration)
-    kind = "off" if sharpen is not None else detail
-    plan = make_plan(look, exposed, depth, patch_size, scale, blend, kind if previous is None else "off")
+    noise = None
     if previous is not None:
         # Pixels that stay were restored against the noise measured then.
-        plan = replace(plan, noise=previous[2].noise)
-    part = (0, 0, *plan.size) if roi is None else plan.part_of_region(roi)
+        noise, detail = previous[2].noise, "off"
+    renderer = make_renderer(look, exposed, depth, patch_size, scale, blend, detail, noise)
+    part = renderer.grid.whole if roi is None else renderer.grid.part_of_region(roi)
     if previous is None:
-        image, valid = plan.draw(pixels, part=part, stored=sharpen is None)
+        image, valid = renderer.draw(pixels, part=part, dtype=pixels.dtype)
     else:
-        from .redraw import redraw
-
         assert depth is not None
-        image, valid = redraw(plan, pixels, depth, *previous)
-    if sharpen is not None:
-        from .sharpen import sharpen_picture
-
-        one = np.full(len(calibration.lattice), patch_size, np.float32)
-        sizes, full = (one, abs(plan.scale)) if depth is None else (depth.patch_size, default_scale(depth))
-        image = sharpen_picture(image.astype(np.float32), valid, sharpen, plan, pixels, sizes, full)
-    affine = plan.affine
-    affine[:, 2] += affine[:, :2] @ part[:2]
-    return replace(finish_picture(image, valid, affine, plan.scale, flat, calibration), noise=plan.noise)
+        image, valid = redraw(renderer, pixels, exposed, depth, *previous)
+    picture = finish_picture(image, valid, renderer.grid.affine(part), renderer.grid.scale, flat, calibration)
+    return replace(picture, noise=renderer.noise if isinstance(renderer, DetailRenderer) else None)
 
 
-def expand_roi(
-    roi: tuple[float, float, float, float], calibration: Calibration, settings: RenderSettings = DEFAULT
-) -> tuple[float, float, float, float]:
+def expand_roi(roi: tuple[float, float, float, float], calibration: Calibration) -> tuple[float, float, float, float]:
     """The part of the flat `x0, y0, x1, y1` [px] whose lenses show a part of the scene."""
     roi = check_region(roi, calibration.lattice)
-    margin = settings.reach * calibration.lattice.pitch
+    margin = REACH * calibration.lattice.pitch
     return roi[0] - margin, roi[1] - margin, roi[2] + margin, roi[3] + margin
 
 
-def make_plan(
+def make_renderer(
     look: Callable[[Part], NDArray],
     calibration: Calibration,
     depth: DepthMap | None,
@@ -175,26 +152,30 @@ def make_plan(
     scale: float | None,
     blend: bool | None,
     detail: Detail | None = None,
-    settings: RenderSettings = DEFAULT,
-) -> RenderPlan:
-    """What `render` draws; `look` gives the pixels (h, w, C) of a part of the flat."""
+    noise: float | None = None,
+) -> Renderer | DetailRenderer:
+    """What draws the picture of `render`; `look` gives the pixels (h, w, C) of a part of the flat.
+
+    Detail is restored against this `noise`, if it is given, else as `detail` says.
+    """
     lattice = calibration.lattice
+    reach = REACH
     if patch_size is not None:
         if depth is not None:
             raise ValueError("give either depth or patch_size, not both")
         check_patch_size(patch_size, lattice.pitch)
-        surface = constant_surface(patch_size)
-        full, sizes = abs(patch_size), np.full(len(lattice), patch_size, np.float32)
+        surface, full = constant_surface(patch_size), abs(patch_size)
     else:
         if depth is None:
             raise ValueError("give depth or patch_size")
         if depth.image_size != calibration.image_size or len(depth) != len(lattice):
             raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
-        surface, full, sizes = depth.surface, default_scale(depth), depth.patch_size
+        surface, full = depth.surface, default_scale(depth)
+        # Enough lenses to see every point, in two thirds of the time.
+        reach = 1.0 if depth.preset == "fast" else reach
     scale = check_scale(full if scale is None else scale, lattice.pitch)
     blend = patch_size is None if blend is None else blend
-    blur = measure_lens_blur(look, calibration, sizes) if scale * settings.coarse_ratio < full else 0.0
-    reach = settings.fast_reach if depth is not None and depth.preset == "fast" else settings.reach
-    restored = blend and depth is not None and detail != "off"
-    noise = measure_noise(look, calibration) if restored else None
-    return RenderPlan(calibration, surface, scale, blend, blur, reach, settings.agreement, noise=noise)
+    plain = Renderer(calibration, surface, scale, full, blend, reach=reach)
+    if noise is None and blend and depth is not None and detail != "off":
+        noise = measure_noise(look, calibration)
+    return plain if noise is None else DetailRenderer(plain, noise)

@@ -15,11 +15,9 @@ from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering, check_scale, finish_picture
 from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.analyze import analyze
-from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
 from .blend.lit_flat import LitFlat
-from .plan import RenderPlan
-from .settings import DEFAULT
+from .renderer import Renderer
 
 __all__ = ["circle_offsets", "grid_offsets", "still_depth", "views", "views_with_depth"]
 
@@ -120,8 +118,8 @@ def views_with_depth(
     pixels = check_flat(flat, calibration)
     places = [_check_offset(offset, calibration.lattice.radius) for offset in offsets]
     points = [Viewpoint(place, calibration.lattice.pitch / still) for place in places]
-    for picture, plan in _draw_views(flat, pixels, calibration, depth, points, scale):
-        yield picture, plan.seen_depth()
+    for picture, renderer in _draw_views(flat, pixels, calibration, depth, points, scale):
+        yield picture, renderer.seen_depth()
 
 
 def still_depth(depth: DepthMap) -> float:
@@ -136,21 +134,19 @@ def _draw_views(
     depth: DepthMap,
     points: list[Viewpoint],
     scale: float | None,
-) -> Iterator[tuple[Rendering, RenderPlan]]:
+) -> Iterator[tuple[Rendering, Renderer]]:
     check_type(depth, DepthMap, "depth", "lfrender.analyze makes one")
     full = default_scale(depth)
     scale = float(full if scale is None else scale)
-    coarse = scale * DEFAULT.coarse_ratio < full
-    blur = measure_lens_blur(pixels, calibration, depth.patch_size) if coarse else 0.0
-    largest = max((point.max_parallax(depth.surface, calibration.lattice) for point in points), default=0.0)
+    middle = Renderer(calibration, depth.surface, scale, full, True)
     lit: LitFlat | None = None
     for point in points:
-        plan = RenderPlan(calibration, depth.surface, scale, True, blur, viewpoint=point)
+        renderer = replace(middle, viewpoint=point)
         if any(point.offset):
-            lit = lit or plan.light_once(pixels, largest)
-            plan = replace(plan, lit=lit)
-        image, valid = plan.draw(pixels, stored=True)
-        yield finish_picture(image, valid, plan.affine, scale, flat, calibration), plan
+            lit = lit or middle.light(pixels, viewpoints=points)
+            renderer = replace(renderer, lit=lit)
+        image, valid = renderer.draw(pixels, dtype=pixels.dtype)
+        yield finish_picture(image, valid, renderer.grid.affine(), scale, flat, calibration), renderer
 
 
 def _check_offset(offset: tuple[float, float], radius: float) -> tuple[float, float]:

@@ -17,14 +17,13 @@ from ..data.depth_map import DepthMap, default_scale
 from ..data.viewpoint import Viewpoint, virtual_depth
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
-from ..flat.lens_blur import measure_lens_blur
 from ..flat.lens_graph import lens_offsets, nearest_lens
 from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
 from ..output.depth_picture import colour_scale, magnification_limits
 from ..rendering.blend.lit_flat import dilate_mask
 from ..rendering.blend.occlusion import project_surface
-from ..rendering.settings import DEFAULT as RENDERING
+from ..rendering.renderer import AGREEMENT, BLUR, REACH, REFOCUS_REACH, VIEW_REACH
 
 __all__ = ["viewer_scene"]
 
@@ -131,8 +130,8 @@ def _occlusion_codes(
     """
     lattice = calibration.lattice
     farthest = Viewpoint((lattice.radius, 0.0)).max_parallax(depth.surface, lattice)
-    middle = project_surface(depth.surface, lattice, RENDERING.reach * lattice.pitch, edge)
-    aside = project_surface(depth.surface, lattice, RENDERING.reach * lattice.pitch + farthest, edge)
+    middle, _ = project_surface(depth.surface, lattice, REACH * lattice.pitch, edge)
+    aside, _ = project_surface(depth.surface, lattice, REACH * lattice.pitch + farthest, edge)
     coded = _encode(aside, lattice.pitch, _CODES).astype(np.uint16)
     central = _encode(middle, lattice.pitch, 255).astype(np.uint8)
     central[np.abs(middle - aside) < 0.5 * edge] = 255
@@ -168,12 +167,10 @@ def _positions(
 def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
     """The tables in the JSON object."""
     lattice, surface = calibration.lattice, depth.surface
-    offsets, _ = lens_offsets(lattice, RENDERING.refocus_reach * lattice.pitch, RENDERING.spacing_lenses)
+    offsets, _ = lens_offsets(lattice, REFOCUS_REACH * lattice.pitch)
     displacements, low = lens_displacements(lattice)
     cell, shares = focus_weights(calibration.lens_types)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
-    # Blur is measured as a share of the patch size: with one patch size for all lenses, times that, it is a width.
-    unit = np.full(len(lattice), 2.0, np.float32)
     ends, middle = _planes(depth)
     return {
         "pitch": lattice.pitch,
@@ -195,14 +192,10 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
             "edge": edge,
             "virtual": [float(virtual.min()), float(virtual.max())],
         },
-        "blur": {
-            "width": 2 * measure_lens_blur(pixels, calibration, unit),
-            "share": measure_lens_blur(pixels, calibration, depth.patch_size),
-        },
+        "blur": BLUR,
         "scale": default_scale(depth),
-        "reach": {"sharp": RENDERING.reach, "aside": RENDERING.view_reach, "wide": RENDERING.refocus_reach},
-        "agreement": RENDERING.agreement,
-        "coarse": RENDERING.coarse_ratio,
+        "reach": {"sharp": REACH, "aside": VIEW_REACH, "wide": REFOCUS_REACH},
+        "agreement": AGREEMENT,
         "planes": ends,
         "plane": middle,
         "overlay": {

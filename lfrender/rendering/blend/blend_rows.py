@@ -1,7 +1,7 @@
-"""Blending lens by lens: a lens is laid over all pixels of a few rows that it shows, with vector instructions.
+"""Blending row by row: each lens is read along the run of pixels that it shows, with vector instructions.
 
-Computes the robust mean of `blend_pixels` for the usual picture: integers of up to three channels, the middle view, one
-sample per output pixel. It leaves the pixels that need several samples to that kernel.
+Computes the robust mean of `blend_pixels` for the usual picture: integers of up to three channels and one sample per
+output pixel. Pixels that need several samples are left to that kernel.
 """
 
 from __future__ import annotations
@@ -14,279 +14,266 @@ from numba import njit
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import kernel
 
-from ...runtime.order_statistics import count_below
-from ..settings import WEIGHTS
-from .blend_pixels import put_value
-from .lens_runs import (
-    COLUMNS,
-    FOURTH,
-    LANES,
-    LINE,
-    PER_RUN,
-    QUEUE,
-    ROWS,
-    SECOND,
-    SECTION,
-    THIRD,
-    Band,
-    Buffers,
-    Source,
-    add_agreeing,
-    count_pixels,
-    read_lenses,
-)
+from .blend_pixels import count_samples
+from .records import OCCLUDED, ONE_SAMPLE, RIM
 
 __all__ = ["blend_rows"]
 
+# Columns that are blended together, and pixels of a run, in groups of a vector register; fewer than two groups no
+# compiler turns into vectors. Values of one kind follow each other at known distances in one array: for arrays that
+# may overlap there would be no vector instructions. Places are unsigned: signed ones are checked for being counted
+# from the end.
+_SECTION, _RUN, _GROUP = 1024, 64, 8
+_LINE = _SECTION + _RUN
+_L1, _L2, _L3 = np.uint64(_LINE), np.uint64(2 * _LINE), np.uint64(3 * _LINE)
+_R1, _R2, _R3, _R4 = np.uint64(_RUN), np.uint64(2 * _RUN), np.uint64(3 * _RUN), np.uint64(4 * _RUN)
 
-class _RowMemory(NamedTuple):
-    """Memory of one thread for the patch sizes along a row, and the columns that are drawn."""
 
-    along: Any  # (ROWS, SECTION) float32 [px]: patch sizes
-    place: Any  # (SECTION,) int32: grid value left of each pixel
-    level: Any  # float32 [px]: grid values interpolated between two rows of the grid
-    near: Any  # float32 [px]: grid values of the nearer row
-    edge: Any  # bool: the grid cell holds a depth edge
-    columns: Any  # (SECTION,) int32: columns that are drawn
-    some: Any  # (SECTION,) bool: some row wants the column
-    before: Any  # int64: groups of columns that are drawn before each
-    ratio: Any  # (LINE,) int32: entry of the shares
+class _Memory(NamedTuple):
+    """Working memory of one thread. Numba counts references when arrays are taken out of it: not in loops over runs."""
+
+    band: Any  # (3 + types, LINE) float32: slope s / D, squared reach, patch size, weight of each type, by column
+    grid: Any  # (2, m) float32: grid values of the surface between two rows of it, and of the nearer row
+    edge: Any  # (m,) bool: there is a depth edge in the grid cell
+    place: Any  # (SECTION,) int32: grid cell, or entry of the weights, of each column
+    work: Any  # (4, RUN) float32: position between pixels x, y, weight and gain of each reading of a run
+    whole: Any  # (2, RUN) int32: pixel of the flat and entry of the light table
+    corners: Any  # (4, RUN): the pixels about each reading
+    values: Any  # (runs, 4, RUN) float32: weight and three channels of each reading of all runs
+    runs: Any  # (runs, 2) int64: first column, and groups of pixels
+    sums: Any  # (4, LINE) float32: weights and weighted channels by column
+    totals: Any  # likewise, with readings weighted by how well they agree
+
+
+@njit
+def _allocate(types, cells, runs, packed):
+    single = np.float32
+    return _Memory(
+        np.ones((3 + types) * _LINE, single), np.empty((2, cells), single), np.empty(cells, np.bool_),
+        np.empty(_SECTION, np.int32), np.empty(4 * _RUN, single), np.empty(2 * _RUN, np.int32),
+        np.empty(4 * _RUN, packed.dtype), np.empty(runs * 4 * _RUN, single), np.empty((runs, 2), np.int64),
+        np.empty(4 * _LINE, single), np.empty(4 * _LINE, single),
+    )  # fmt: skip
 
 
 @njit(fastmath=FAST, error_model="numpy")
-def _sample_row(surface, depth, x, y, spacing, count, memory, sizes):
-    """Fill `sizes` with the patch sizes at the first `count` columns that are drawn, as `patch_size_at`."""
-    columns, places, level, near, edge = memory.columns, memory.place, memory.level, memory.near, memory.edge
-    rows, wide = surface.shape
-    last_x, last_y, last = np.float32(wide - 1), np.float32(rows - 1), np.int32(max(wide - 2, 0))
+def _sample_surface(surface, depth, x, y, spacing, count, memory):
+    """Fill the sizes of `count` columns from scene point (x, y) on, as `patch_size_at`."""
+    sizes, places, edge = memory.band[2 * _LINE : 3 * _LINE], memory.place, memory.edge
+    level, near = memory.grid[0], memory.grid[1]
+    rows, columns = surface.shape
+    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    last_x, last = np.float32(columns - 1), np.int32(max(columns - 2, 0))
     for k in range(count):
-        gx = min(max((np.float32(x + columns[k] * spacing) - depth.x) / depth.spacing, np.float32(0.0)), last_x)
-        places[k] = min(np.int32(gx), last)
-        sizes[k] = gx - np.float32(places[k])
-    gy = min(max((np.float32(y) - depth.y) / depth.spacing, np.float32(0.0)), last_y)
-    j = min(int(gy), max(rows - 2, 0))
-    above, below, fy = surface[j], surface[min(j + 1, rows - 1)], gy - np.float32(j)
-    start, number = places[0], min(places[count - 1] + 2, wide) - places[0]
-    for k in range(number):
-        a, b = above[start + k], below[start + k]
-        level[k] = (np.float32(1.0) - fy) * a + fy * b
-        near[k] = b if fy > np.float32(0.5) else a
-    level[number], near[number] = level[number - 1], near[number - 1]
-    for k in range(number):
-        right = min(start + k + 1, wide - 1)
-        a, b, c, d = above[start + k], above[right], below[start + k], below[right]
+        across = min(max((np.float32(x + k * spacing) - depth.x) / depth.spacing, zero), last_x)
+        places[k] = min(np.int32(across), last)
+        sizes[k] = across - np.float32(places[k])
+    down = min(max((np.float32(y) - depth.y) / depth.spacing, zero), np.float32(rows - 1))
+    j = min(int(down), max(rows - 2, 0))
+    above, below, fy, start = surface[j], surface[min(j + 1, rows - 1)], down - np.float32(j), places[0]
+    for k in range(places[count - 1] + 2 - start):
+        i, right = min(start + k, columns - 1), min(start + k + 1, columns - 1)
+        a, b, c, d = above[i], above[right], below[i], below[right]
+        level[k], near[k] = (one - fy) * a + fy * c, c if fy > half else a
         edge[k] = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= depth.edge
     for k in range(count):
-        at, fx = np.uint64(np.uint32(places[k] - start)), sizes[k]
-        one = np.uint64(1)
-        if edge[at]:
-            sizes[k] = near[at + one] if fx > np.float32(0.5) else near[at]
-        else:
-            sizes[k] = (np.float32(1.0) - fx) * level[at] + fx * level[at + one]
+        at, beyond, fx = np.uint64(np.uint32(places[k] - start)), np.uint64(np.uint32(places[k] - start + 1)), sizes[k]
+        flat = (one - fx) * level[at] + fx * level[beyond]
+        sizes[k] = (near[beyond] if fx > half else near[at]) if edge[at] else flat
 
 
 @njit(fastmath=FAST, error_model="numpy")
-def _fill_band(memory, count, pitch, radius, reach, band):
-    """Put patch sizes and columns in the order of memory, column by column, with slope and squared reach."""
-    along, columns = memory.along, memory.columns
-    across, sizes, slope, limits = band.column, band.size, band.slope, band.limit2
+def _fill_band(memory, count, pitch, shares, weighting):
+    """Slopes, reach and weights of the lens types for the sizes of `count` columns; returns the largest reach."""
+    band, places = memory.band, memory.place
+    slopes, limits, sizes = band[:_LINE], band[_LINE : 2 * _LINE], band[2 * _LINE : 3 * _LINE]
+    per_pitch, widest, reach, least = np.float32(1) / pitch, weighting.widest, weighting.reach, np.float32(1e-6)
     for k in range(count):
-        for r in range(ROWS):
-            sizes[ROWS * k + r] = along[r, k]
-            across[ROWS * k + r] = columns[k]
-    per_pitch = np.float32(1.0) / pitch
-    for k in range(ROWS * count):
-        tilt = sizes[k] * per_pitch
-        limit = min(radius / max(abs(tilt), np.float32(1e-6)), reach)
-        slope[k], limits[k] = tilt, limit * limit
-    # Lanes beyond the last pixel are in reach of no lens.
-    beyond = ROWS * count
-    slope[beyond : beyond + 2 * LANES] = 0
-    limits[beyond : beyond + 2 * LANES] = -1
-    across[beyond : beyond + 2 * LANES] = 0
+        slopes[k] = sizes[k] * per_pitch
+        limit = min(widest / max(abs(slopes[k]), least), reach)
+        limits[k] = limit * limit
+    farthest = np.float32(0)
+    for k in range(count):
+        farthest = max(farthest, limits[k])
+    # Pixels beyond the last one are in reach of no lens.
+    limits[count : count + _RUN], slopes[count : count + _RUN] = -1, 0
+    last = np.float32(shares.shape[1] - 1)
+    if last > 0:
+        for k in range(count):
+            ratio = (slopes[k] + np.float32(1)) * (np.float32(0.5) * last) + np.float32(0.5)
+            places[k] = np.int32(min(max(ratio, np.float32(0)), last))
+        for t in range(len(shares)):
+            share, own = shares[t], band[(3 + t) * _LINE : (4 + t) * _LINE]
+            for k in range(count):
+                own[k] = share[np.uint64(np.uint32(places[k]))]
+    return np.float64(np.sqrt(farthest))
+
+
+@njit(fastmath=FAST, error_model="numpy", inline="always")
+def _interpolate(a, b, c, d, lowest, w00, w01, w10, w11):
+    """Weighted sum of the `lowest` bits of four pixels."""
+    upper = w00 * np.float32(np.int32(a & lowest)) + w01 * np.float32(np.int32(b & lowest))
+    return upper + (w10 * np.float32(np.int32(c & lowest)) + w11 * np.float32(np.int32(d & lowest)))
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _read_lenses(memory, flat, light, lenses, edge, weighting, grid, column, count, y, reach):
+    """Add up the readings of all lenses within `reach` of a row of `count` columns; returns the number of runs."""
+    band, work, whole, corners = memory.band, memory.work, memory.whole, memory.corners
+    values, sums, runs = memory.values, memory.sums, memory.runs
+    line, shown, table = flat.pixels.reshape(-1), flat.depth.reshape(-1), light.gains.reshape(-1)
+    width, height, entries = np.int32(flat.size[0]), np.int32(flat.size[1]), light.gains.shape[1]
+    corner_x, corner_y, stride = np.int32(flat.corner[0]), np.int32(flat.corner[1]), np.int32(flat.pixels.shape[1])
+    down, apart = np.uint64(flat.pixels.shape[1]), np.float32(2) * edge
+    last_x, last_y = np.int32(width - 2), np.int32(height - 2)
+    end_x, end_y = np.float32(width - 1), np.float32(height - 1)
+    view_x, view_y, radius2 = weighting.viewpoint[0], weighting.viewpoint[1], weighting.viewpoint[2]
+    per_radius2, per_entry, last_entry = np.float32(1) / radius2, np.float32(1) / light.step, np.float32(entries - 1)
+    first, spacing, step, per_spacing = grid.first[0], grid.spacing, np.float32(grid.spacing), 1 / grid.spacing
+    zero, half, one, next_one = np.float32(0), np.float32(0.5), np.float32(1), np.uint64(1)
+    applied = light.applied
+    bits = line.dtype.type(2 * line.itemsize)
+    lowest = (line.dtype.type(1) << bits) - line.dtype.type(1)
+    inner = np.sqrt(radius2) + np.sqrt(view_x * view_x + view_y * view_y) + 2
+    centres, tables, types, edged = lenses.centres, lenses.tables, lenses.types, lenses.edged
+    number = np.uint64(0)
+    for lens in range(np.searchsorted(centres[:, 1], y - reach), np.searchsorted(centres[:, 1], y + reach)):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        wide = np.sqrt(max(reach * reach - (y - cy) * (y - cy), 0.0))
+        first_u = max(int(np.ceil((cx - wide - first) * per_spacing)) - column, 0)
+        end_u = min(int(np.floor((cx + wide - first) * per_spacing)) + 1 - column, count)
+        # Counted from the pixel nearest to the centre, whatever part of the picture is drawn.
+        anchor = int(np.rint((cx - first) * per_spacing))
+        e_x, ey = np.float32(first + anchor * spacing - cx), np.float32(y - cy)
+        at_x, at_y = np.int32(np.floor(cx)), np.int32(np.floor(cy))
+        inner_x, inner_y = np.float32(cx - at_x), np.float32(cy - at_y)
+        border = not (inner <= cx <= width - 1 - inner and inner <= cy <= height - 1 - inner)
+        own_table, own_share = np.int32(tables[lens] * entries), np.uint64(3 + types[lens]) * _L1
+        for begin in range(first_u, end_u, _RUN):
+            n_x, u, to = np.int32(column + begin - anchor), np.uint64(begin), number * _R4
+            groups = max((min(end_u - begin, _RUN) + _GROUP - 1) // _GROUP, 2)
+            size = np.uint64(groups) * np.uint64(_GROUP)
+            # Where the lens is read, and with which weight: all numbers have 32 bits, of which a register holds most.
+            for k in range(size):
+                ex = np.float32(np.int32(np.int32(k) + n_x)) * step + e_x
+                d2, tilt, limit = ex * ex + ey * ey, band[u + k], band[_L1 + u + k]
+                dx, dy = view_x - ex * tilt, view_y - ey * tilt
+                delta2 = dx * dx + dy * dy
+                rx, ry = inner_x + dx, inner_y + dy
+                step_x, step_y = np.floor(rx), np.floor(ry)
+                fx, fy = rx - step_x, ry - step_y
+                ix, iy = np.int32(at_x + np.int32(step_x)), np.int32(at_y + np.int32(step_y))
+                ok = (d2 <= limit) & (delta2 <= radius2)
+                if border:
+                    ok &= (ix >= 0) & (iy >= 0) & (np.float32(ix) + fx <= end_x) & (np.float32(iy) + fy <= end_y)
+                    fx, fy = one if ix > last_x else fx, one if iy > last_y else fy
+                    ix, iy = min(max(ix, np.int32(0)), last_x), min(max(iy, np.int32(0)), last_y)
+                weight = (RIM - max(d2 / limit, delta2 * per_radius2)) * band[own_share + u + k]
+                work[k], work[_R1 + k], work[_R2 + k] = fx, fy, weight if ok else zero
+                place = np.int32(np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x))
+                whole[k] = place if ok else np.int32(0)
+                whole[_R1 + k] = np.int32(np.int32(min(delta2 * per_entry, last_entry)) + own_table)
+            for k in range(size):
+                at, entry = np.uint64(np.uint32(whole[k])), np.uint64(np.uint32(whole[_R1 + k]))
+                corners[k], corners[_R1 + k] = line[at], line[at + next_one]
+                corners[_R2 + k], corners[_R3 + k] = line[at + down], line[at + down + next_one]
+                work[_R3 + k] = table[entry]
+            if edged[lens]:
+                for k in range(size):
+                    at = np.uint64(np.uint32(whole[k])) + np.uint64(work[k] >= half)
+                    at += np.uint64(work[_R1 + k] >= half) * down
+                    work[_R2 + k] *= OCCLUDED if abs(shown[at] - band[_L2 + u + k]) > apart else one
+            for k in range(size):
+                fx, fy, gain = work[k], work[_R1 + k], work[_R3 + k]
+                weight = work[_R2 + k] / (gain * gain)
+                gain = one + applied * (gain - one)
+                gx, gy = gain * fx, one - fy
+                w01, w11 = gx * gy, gx * fy
+                w00, w10 = gain * gy - w01, gain * fy - w11
+                a, b, c, d = corners[k], corners[_R1 + k], corners[_R2 + k], corners[_R3 + k]
+                v0 = _interpolate(a, b, c, d, lowest, w00, w01, w10, w11)
+                a, b, c, d = a >> bits, b >> bits, c >> bits, d >> bits
+                v1 = _interpolate(a, b, c, d, lowest, w00, w01, w10, w11)
+                a, b, c, d = a >> bits, b >> bits, c >> bits, d >> bits
+                v2 = _interpolate(a, b, c, d, lowest, w00, w01, w10, w11)
+                values[to + k], values[to + _R1 + k] = weight, v0
+                values[to + _R2 + k], values[to + _R3 + k] = v1, v2
+                sums[u + k] += weight
+                sums[_L1 + u + k] += weight * v0
+                sums[_L2 + u + k] += weight * v1
+                sums[_L3 + u + k] += weight * v2
+            runs[number, 0], runs[number, 1] = u, groups
+            number += next_one
+    return number
 
 
 @njit(fastmath=FAST, error_model="numpy")
 def _normalise(sums, count):
-    """Divide the weighted `sums` of `count` pixels by their weights."""
-    for k in range(count):
-        weight = sums[k]
-        inverse = np.float32(1.0) / (weight if weight > 0 else np.float32(1.0))
-        sums[SECOND + k] *= inverse
-        sums[THIRD + k] *= inverse
-        sums[FOURTH + k] *= inverse
+    """Divide the weighted `sums` of `count` columns by their weights."""
+    for k in range(np.uint64(count)):
+        inverse = np.float32(1) / (sums[k] if sums[k] > 0 else np.float32(1))
+        sums[_L1 + k] *= inverse
+        sums[_L2 + k] *= inverse
+        sums[_L3 + k] *= inverse
 
 
 @njit(fastmath=FAST, error_model="numpy")
-def _store(totals, sizes, wanted, row, columns, count, end, largest, output, v, left, section):
-    """Round and store row `v` of the picture, `row` of the band; columns from `end` on do not exist."""
-    out, valid, half, top = output.image[v], output.valid[v], output.half, output.top
-    for k in range(count):
-        if columns[k] >= end:
-            continue
-        at, u = np.uint64(ROWS * k + row), section + columns[k]
-        if len(wanted) > 0 and not wanted[u]:
-            continue
-        left[u] = abs(sizes[at]) > largest
-        if left[u]:
-            continue
-        valid[u] = totals[at] > 0
-        put_value(out, u, 0, min(totals[SECOND + at] + half, top))
-        if out.shape[1] > 1:
-            put_value(out, u, 1, min(totals[THIRD + at] + half, top))
-        if out.shape[1] > 2:
-            put_value(out, u, 2, min(totals[FOURTH + at] + half, top))
+def _add_agreeing(memory, number, t2, per_channel):
+    """Add readings to the totals, weighted by how close they are to the mean of their pixel (Geman-McClure)."""
+    values, means, totals, runs = memory.values, memory.sums, memory.totals, memory.runs
+    for n in range(number):
+        u, size, at = np.uint64(runs[n, 0]), np.uint64(runs[n, 1]) * np.uint64(_GROUP), n * _R4
+        for k in range(size):
+            v0, v1, v2 = values[at + _R1 + k], values[at + _R2 + k], values[at + _R3 + k]
+            e0, e1, e2 = v0 - means[_L1 + u + k], v1 - means[_L2 + u + k], v2 - means[_L3 + u + k]
+            agree = t2 / (t2 + (e0 * e0 + e1 * e1 + e2 * e2) * per_channel)
+            weight = values[at + k] * agree * agree
+            totals[u + k] += weight
+            totals[_L1 + u + k] += weight * v0
+            totals[_L2 + u + k] += weight * v1
+            totals[_L3 + u + k] += weight * v2
 
 
-@njit(fastmath=FAST, error_model="numpy")
-def _wanted_columns(wanted, first, end, section, count, memory):
-    """List the columns of all groups in which some row from `first` to `end` is wanted; returns their number."""
-    some, before, columns = memory.some, memory.before, memory.columns
-    groups = (count + COLUMNS - 1) // COLUMNS
-    some[: COLUMNS * groups] = wanted.size == 0
-    for v in range(first, end if wanted.size else first):
-        for k in range(count):
-            some[k] |= wanted[v, section + k]
-    found = 0
-    for g in range(groups):
-        before[g] = found
-        any_here = False
-        for k in range(COLUMNS * g, COLUMNS * (g + 1)):
-            columns[COLUMNS * found + k - COLUMNS * g] = k
-            any_here |= some[k]
-        found += any_here
-    before[groups] = found
-    return COLUMNS * found
-
-
-@njit(fastmath=FAST, error_model="numpy")
-def _fill_shares(shares, slope, count, places, share):
-    """Weight of each lens type at every pixel."""
-    last = np.float32(shares.shape[1] - 1)
-    for k in range(count):
-        ratio = (slope[k] + np.float32(1.0)) * (np.float32(0.5) * last) + np.float32(0.5)
-        places[k] = np.int32(min(max(ratio, np.float32(0.0)), last))
-    for t in range(len(shares)):
-        for k in range(count):
-            share[t * LINE + k] = shares[t, np.uint64(np.uint32(places[k]))]
-
-
-@njit
-def _allocate_row(columns, cell, spacing):
-    """Memory for rows of a picture on a depth grid whose cells are `cell` wide."""
-    beneath = int((min(SECTION, columns) + COLUMNS) * spacing / cell) + 4
-    return _RowMemory(
-        np.empty((ROWS, SECTION), np.float32), np.empty(SECTION, np.int32), np.empty(beneath, np.float32),
-        np.empty(beneath, np.float32), np.empty(beneath, np.bool_), np.empty(SECTION, np.int32),
-        np.empty(SECTION, np.bool_), np.empty(SECTION // COLUMNS + 1, np.int64), np.empty(LINE, np.int32),
-    )  # fmt: skip
-
-
-@njit
-def _allocate_band(types):
-    """Memory for a band; all types of lenses count alike until their shares are filled in."""
-    row_of = np.empty(LANES, np.int32)
-    for k in range(LANES):
-        row_of[k] = k % ROWS
-    return Band(
-        np.empty(LINE, np.int32), row_of, np.empty(LINE, np.float32), np.empty(LINE, np.float32),
-        np.empty(LINE, np.float32), np.ones(types * LINE, np.float32),
-    )  # fmt: skip
-
-
-@njit
-def _allocate_buffers(runs, lenses):
-    """Memory for so many runs of pixels, and lenses beside a band."""
-    pairs, light = np.empty(QUEUE * 4 * LANES, np.uint64), np.empty(QUEUE * 2 * LANES, np.float32)
-    return Buffers(
-        np.empty(QUEUE * 3 * LANES, np.float32), np.empty(QUEUE * 3 * LANES, np.int32), pairs.view(np.uint32),
-        pairs, light, light.view(np.uint64), np.empty(runs * 4 * LANES, np.float32),
-        np.empty((runs, 3), np.int64), np.empty((2, lenses), np.int32), np.empty(4 * LINE, np.float32),
-    )  # fmt: skip
-
-
-@njit(error_model="numpy")
-def _blend_section(
-    source, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
-):  # fmt: skip
-    """Blend at most `SECTION` columns from column `section` on, of the band whose first row is `upper`."""
-    rows, columns = output.valid.shape
-    lenses, spacing, first = source.lenses, grid.spacing, grid.first
-    lower, row = min(upper + ROWS, rows), grid.start[1] + upper
-    count, column = min(SECTION, columns - section), grid.start[0] + section
-    left[upper:lower, section : section + count] = False
-    asked = _wanted_columns(grid.wanted, upper, lower, section, count, memory)
-    if asked == 0:
-        return
-    for r in range(ROWS):
-        _sample_row(
-            surface, depth, first[0] + column * spacing, first[1] + (row + r) * spacing, spacing, asked, memory,
-            memory.along[r],
-        )  # fmt: skip
-    _fill_band(memory, asked, lenses.pitch, lenses.radius, np.float32(source.reach), band)
-    lanes = ROWS * asked
-    if lenses.shares.shape[1] > 1:
-        _fill_shares(lenses.shares, band.slope, lanes, memory.ratio, band.share)
-    buffers.sums[:] = 0
-    totals[:] = 0
-    y = first[1] + row * spacing
-    lowest = count_below(lenses.centres[:, 1], y - source.reach)
-    highest = count_below(lenses.centres[:, 1], y + (ROWS - 1) * spacing + source.reach)
-    found = read_lenses(source, band, lowest, highest, first, row, column, spacing, count, memory.before, buffers)
-    _normalise(buffers.sums, np.uint64(lanes))
-    t2, per_channel = tolerance * tolerance, np.float32(1 / output.image.shape[2])
-    for n in range(found):
-        at, u, pixels = np.uint64(n) * PER_RUN, np.uint64(buffers.runs[n, 0]), count_pixels(buffers.runs[n, 2])
-        add_agreeing(buffers.values, at, buffers.sums, u, pixels, t2, per_channel, totals)
-    _normalise(totals, np.uint64(lanes))
-    largest = (np.float32(1.0) + WEIGHTS.one_sample) * grid.scale
-    for v in range(upper, lower):
-        wanted = grid.wanted[v] if grid.wanted.size else grid.wanted[:0, 0]
-        _store(
-            totals, band.size, wanted, v - upper, memory.columns, asked, count, largest, output, v, left[v],
-            section,
-        )  # fmt: skip
-
-
-@njit
-def _most_runs(centres, grid, bands, reach):
-    """Most lenses that lie beside a band, and most runs of pixels that they show in a section of it."""
-    tall = 0
-    for band in range(bands):
-        y = grid.first[1] + (grid.start[1] + ROWS * band) * grid.spacing
-        above, below = y - reach, y + (ROWS - 1) * grid.spacing + reach
-        tall = max(tall, count_below(centres[:, 1], below) - count_below(centres[:, 1], above))
-    return tall, tall * (ROWS * (int(2 * reach / grid.spacing) + 1 + 2 * COLUMNS) // LANES + 2)
-
-
-@kernel(error_model="numpy", share=lambda *given: -(-len(given[7].image) // ROWS))
+@kernel(error_model="numpy", share=lambda *given: len(given[7].image))
 def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting, output, left):
     """Draw the pixels of a `Grid` into an `Output`.
 
-    As `blend_pixels`, with packed pixels (h, w, words) uint32 in `flat` (`prefilter_packed`), a picture (rows,
-    columns, C, bytes) uint8 whose values have one byte, two, or are floats of four, and `SortedLenses`: one kernel for
-    all of them. Pixels that need more than one sample are marked in `left` (h, w) instead.
+    As `blend_pixels`, with packed pixels in `flat` (`prefilter_packed`). Pixels that need more than one sample are
+    marked in `left` (h, w) instead.
     """
-    rows, columns = output.valid.shape
-    gains, transmission = light.gains.reshape(-1), light.lights.reshape(-1)
-    lights = np.empty(2 * len(gains), np.float32)
-    for k in range(len(gains)):
-        lights[2 * k], lights[2 * k + 1] = gains[k], transmission[k] * transmission[k]
-    light_pairs = lights.view(np.uint64)
-    line, depth_line, stride = flat.pixels.reshape(-1), flat.depth.reshape(-1), np.uint64(flat.pixels.shape[1])
-    words = np.uint64(flat.pixels.shape[2])
-    bands = (rows + ROWS - 1) // ROWS
-    tall, most = _most_runs(lenses.centres, grid, bands, weighting.reach)
-    source = Source(
-        line, depth_line, stride, words, flat.corner, flat.size, light_pairs, light.gains.shape[1], light.step, lenses,
-        depth.edge, weighting.reach,
-    )  # fmt: skip
-    memory = _allocate_row(columns, depth.spacing, grid.spacing)
-    band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(most, tall)
-    totals = np.empty(4 * LINE, np.float32)
-    for n in range(begin, end):
-        for section in range(0, columns, SECTION):
-            _blend_section(
-                source, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
-                memory, band, buffers, totals,
+    image, valid, spacing, start = output.image, output.valid, grid.spacing, grid.start
+    columns, channels = image.shape[1], image.shape[2]
+    # A lens is read in pieces along a row; as many lie beside it as twice the reach, and a pitch, hold.
+    across = int(_SECTION * spacing / lenses.pitch) + 2 * int(weighting.reach / lenses.pitch) + 4
+    beside = 4 * (2 * int(weighting.reach / lenses.pitch) + 3)
+    pieces = int(2 * weighting.reach / spacing) // _RUN + 2
+    cells = int(_SECTION * spacing / depth.spacing) + 4
+    memory = _allocate(len(lenses.shares), cells, across * beside * pieces, flat.pixels)
+    t2, per_channel = weighting.tolerance * weighting.tolerance, np.float32(1 / channels)
+    largest = ONE_SAMPLE * grid.scale
+    for v in range(begin, end):
+        y = grid.first[1] + (start[1] + v) * spacing
+        for section in range(0, columns, _SECTION):
+            count, column = min(_SECTION, columns - section), start[0] + section
+            _sample_surface(surface, depth, grid.first[0] + column * spacing, y, spacing, count, memory)
+            reach = _fill_band(memory, count, lenses.pitch, lenses.shares, weighting)
+            memory.sums[:] = 0
+            memory.totals[:] = 0
+            number = _read_lenses(
+                memory, flat, light, lenses, depth.edge, weighting, grid, column, count, y, reach
             )  # fmt: skip
+            _normalise(memory.sums, count)
+            _add_agreeing(memory, number, t2, per_channel)
+            _normalise(memory.totals, count)
+            sizes, totals = memory.band[2 * _LINE :], memory.totals
+            for k in range(count):
+                left[v, section + k] = False
+                if abs(sizes[k]) > largest:
+                    x = grid.first[0] + (column + k) * spacing
+                    samples, _ = count_samples(
+                        surface, depth, x, y, sizes[k], spacing, grid.scale, weighting.blurred
+                    )  # fmt: skip
+                    left[v, section + k] = samples > 1
+                valid[v, section + k] = totals[k] > 0
+                for c in range(channels):
+                    image[v, section + k, c] = totals[(1 + c) * _LINE + k]

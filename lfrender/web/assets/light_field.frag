@@ -1,5 +1,5 @@
 #version 300 es
-// The kernel of lfrender/rendering/blend_pixels.py as a shader, in the symbols of docs/geometry.md: a lens at c shows the
+// The kernel of lfrender/rendering/blend/blend_pixels.py as a shader, in the symbols of docs/geometry.md: a lens at c shows the
 // scene point X at c + q - (X - c) s / D. With WARP defined, the surface visible from q (lfrender/data/viewpoint.py).
 precision highp float;
 precision highp int;
@@ -180,10 +180,6 @@ LensSample sampleLens(vec2 X, vec2 base, ivec2 index, int o, float s, float limi
     float depth = (share * 2.0 - 1.0) * pitch;
     if (unlit || (own && known && abs(depth - s) > 2.0 * edge)) {
       weight *= OCCLUDED_WEIGHT;
-      if (aside > 0.0) {
-        float beside = d2 / (pitch * pitch) + 0.05;
-        weight /= beside * beside;
-      }
       d2 += limit2;
     }
   }

@@ -154,8 +154,6 @@ export class Renderer {
     const still = pitch / settings.plane, moved = q.map(n => n * still);
     const warped = aside && this.canWarp && (sharp || range || settings.overlay > 0) && this.warpSurface(q, still);
     const full = sharp ? scene.scale : Math.abs(plane);
-    const fine = scale * (wide ? 1 : scene.coarse) >= full;
-    const blur = fine ? 0 : sharp ? scene.blur.share : scene.blur.width / Math.abs(plane);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.viewport(x, y, width, height);
     if (mask) gl.colorMask(...mask);
@@ -170,7 +168,7 @@ export class Renderer {
       ringStep: scene.rings.step, origin: scene.origin,
       radius: scene.radius * (wide ? settings.aperture : 1), plane, between: range ? settings.range : [1, 0],
       corner: [x, y], exposure: 2 ** (settings.brightness ?? 0),
-      first: first.map((n, k) => n + moved[k]), moved, spacing, blurred: (blur * scale) ** 2,
+      first: first.map((n, k) => n + moved[k]), moved, spacing, blurred: (scene.blur * scale / full) ** 2,
       reach: pitch * (wide ? scene.reach.wide : scene.reach.sharp), reachOwn: pitch * (aside ? scene.reach.aside : scene.reach.sharp),
       agreement: tiles ? 0 : ANY_COLOUR, agreementOwn: scene.agreement, rows: height, overlay: settings.overlay,
       most: settings.most ?? MOST_SAMPLES,

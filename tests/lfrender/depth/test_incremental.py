@@ -197,7 +197,6 @@ def test_slow_changes_of_depth_do_not_accumulate_unnoticed(drawn_flat):
     [
         ({"scale": 3.0}, "scale"),
         ({"roi": (0, 0, 90, 90)}, "whole picture"),
-        ({"sharpen": "auto"}, "whole picture"),
         ({"depth": None, "patch_size": 5.0}, "needs depth"),
     ],
 )

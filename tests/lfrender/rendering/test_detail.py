@@ -16,7 +16,7 @@ from data_synth.metrics import compare_pictures, resample
 from lfcal import LensBlur
 from lfrender.cli.main import main
 from lfrender.detail.settings import RESTORE
-from lfrender.rendering.render import make_plan
+from lfrender.rendering.render import make_renderer
 
 
 @functools.cache
@@ -43,11 +43,10 @@ def test_pictures_gain_and_none_loses(scene, gain):
     assert psnr("natural", scene, scale=4.0) > psnr("off", scene, scale=4.0) - 0.02
 
 
-def test_detail_is_restored_by_default_and_not_beside_another_sharpening():
+def test_detail_is_restored_by_default_and_not_with_one_patch_size():
     shot, depth = capture()
     plain = lfrender.render(shot.flat, shot.truth.calibration, depth)
     np.testing.assert_array_equal(plain.image, picture("natural").image)
-    assert lfrender.render(shot.flat, shot.truth.calibration, depth, sharpen=1.5).noise is None
     assert lfrender.render(shot.flat, shot.truth.calibration, patch_size=-6.0).noise is None
 
 
@@ -117,12 +116,12 @@ def test_tiles_have_the_bits_of_the_whole():
     shot, depth = capture("clutter")
     flat = shot.flat
     whole = picture("natural", "clutter")
-    plan = make_plan(
+    plan = make_renderer(
         lambda p: flat[p[1] : p[3], p[0] : p[2]], shot.truth.calibration, depth, None, None, None, "natural"
     )
-    for tile in plan.tiles((50, 37)):
+    for tile in plan.grid.tiles((50, 37)):
         left, top, right, bottom = needed = plan.required_part(tile)
-        image, _ = plan.draw(flat[top:bottom, left:right], needed[:2], tile, stored=True)
+        image, _ = plan.draw(flat[top:bottom, left:right], needed[:2], tile, flat.dtype)
         np.testing.assert_array_equal(image, whole.image[tile[1] : tile[3], tile[0] : tile[2]])
 
 
@@ -133,25 +132,25 @@ def test_a_still_next_frame_keeps_its_picture_and_a_change_is_drawn_as_anew():
     moved[150:190, 180:230] = 255 - moved[150:190, 180:230]
     same = lfrender.render(shot.flat, camera, depth, previous=(shot.flat, depth, first))
     np.testing.assert_array_equal(same.image, first.image)
-    plan = make_plan(lambda p: moved[p[1] : p[3], p[0] : p[2]], camera, depth, None, None, None, "natural")
-    plan = replace(plan, noise=first.noise)
-    wanted = np.zeros(first.valid.shape, bool)
-    reached = 2.0 * camera.lattice.pitch / plan.spacing
-    left, top = (np.array([180, 150]) / plan.spacing - reached).astype(int)
-    right, bottom = (np.array([230, 190]) / plan.spacing + reached).astype(int)
-    wanted[max(top, 0) : bottom, max(left, 0) : right] = True
-    image, _ = plan.render_changed(moved, wanted, first.image, first.valid)
-    np.testing.assert_array_equal(image, plan.draw(moved, stored=True)[0])
+    after = lfrender.render(moved, camera, depth, previous=(shot.flat, depth, first))
+    look = lambda p: moved[p[1] : p[3], p[0] : p[2]]  # noqa: E731
+    afresh, _ = make_renderer(look, camera, depth, None, None, None, noise=first.noise).draw(moved, dtype=np.uint8)
+    spacing = camera.lattice.pitch / first.scale
+    left, top, right, bottom = (np.array([180, 150, 230, 190]) / spacing).astype(int)
+    np.testing.assert_array_equal(after.image[top:bottom, left:right], afresh[top:bottom, left:right])
+    far = int(4.0 * first.scale)
+    after.image[max(top - far, 0) : bottom + far, max(left - far, 0) : right + far] = 0
+    kept = after.image.any(2)
+    assert kept.mean() > 0.2
+    np.testing.assert_array_equal(after.image[kept], first.image[kept])
 
 
-def test_detail_needs_a_depth_map_and_no_other_sharpening():
+def test_detail_needs_a_depth_map():
     shot, depth = capture()
     with pytest.raises(ValueError, match="needs a depth map"):
         lfrender.render(shot.flat, shot.truth.calibration, patch_size=-6.0, detail="natural")
     with pytest.raises(ValueError, match="detail must be 'natural' or 'off', got 'restored'"):
         lfrender.render(shot.flat, shot.truth.calibration, depth, detail="restored")
-    with pytest.raises(ValueError, match="either"):
-        lfrender.render(shot.flat, shot.truth.calibration, depth, detail="natural", sharpen="auto")
 
 
 def test_the_command_restores_detail(tmp_path):
@@ -164,6 +163,8 @@ def test_the_command_restores_detail(tmp_path):
     result = CliRunner().invoke(main, [*given, "--depth", str(tmp_path / "depth.npz"), "--detail", "natural"])
     assert result.exit_code == 0, result.output
     np.testing.assert_array_equal(cv2.imread(str(out))[..., ::-1], picture("natural").image)
+    refused = CliRunner().invoke(main, [*given, "--sharpen", "auto"])
+    assert refused.exit_code == 2 and "--detail" in refused.output
 
 
 def test_sixteen_bits_that_are_encoded_are_restored_as_eight():

@@ -199,8 +199,6 @@ def test_a_part_has_the_bits_of_the_whole_picture():
     for bad in ((900, 0, 950, 50), (0, 0, float("nan"), 9)):
         with pytest.raises(ValueError, match="roi"):
             lfrender.render(shot.flat, calibration, depth, roi=bad)
-    with pytest.raises(ValueError, match="either roi or sharpen"):
-        lfrender.render(shot.flat, calibration, depth, roi=(100, 60, 300, 200), sharpen="auto")
 
 
 def test_flat_without_any_depth_is_drawn_at_a_pixel_per_lens_and_that_is_said():

@@ -235,18 +235,3 @@ def test_what_cannot_be_written_is_refused_in_one_line(files, tmp_path, output, 
     assert word in result.stderr
     assert result.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
-
-
-def test_views_lens_by_lens_are_those_of_the_general_kernel_with_as_many_lenses(monkeypatch):
-    from lfrender.rendering import plan
-
-    shot, depth = capture("house")
-    q = (0.5 * shot.truth.calibration.lattice.radius, -0.3 * shot.truth.calibration.lattice.radius)
-    arguments = {"offsets": [q], "still": FAR * PITCH}
-    monkeypatch.setattr(plan, "DEFAULT", dataclasses.replace(plan.DEFAULT, view_reach=plan.DEFAULT.reach))
-    (fast,) = lfrender.views(shot.flat, shot.truth.calibration, depth, **arguments)
-    monkeypatch.setattr(plan.RenderPlan, "_suits_rows", lambda *_: False)
-    (general,) = lfrender.views(shot.flat, shot.truth.calibration, depth, **arguments)
-    np.testing.assert_array_equal(fast.valid, general.valid)
-    difference = np.abs(fast.image.astype(int) - general.image)
-    assert difference.max() <= 1, "[grey levels]"

@@ -1,0 +1,80 @@
+"""What the kernels of blending read and write."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+__all__ = ["OCCLUDED", "ONE_SAMPLE", "RIM", "Flat", "Grid", "Lenses", "Light", "Output", "Weighting"]
+
+#: The weight of a lens falls from this at its centre with the squared distance, and is still above 0 at the rim.
+RIM = np.float32(1.02)
+#: Factor for a pixel that shows another depth than the surface has: it counts only if all do.
+OCCLUDED = np.float32(1e-4)
+#: Output pixels up to so much larger than those of the flat are sampled once.
+ONE_SAMPLE = np.float32(1.05)
+
+
+class Flat(NamedTuple):
+    """A part of a flat."""
+
+    pixels: Any  # (h, w, C) array; (h, w) of C values each in one integer for `blend_rows`
+    depth: Any  # (h, w) float32 [px]: patch size that pixels of `edged` lenses show, inf where unlit
+    corner: Any  # (2,) int [px]: flat coordinates x, y of the first pixel
+    size: Any  # (2,) int [px]: width and height of the whole flat
+
+
+class Lenses(NamedTuple):
+    """The lenses by y, and how those about a scene point are looked up."""
+
+    centres: Any  # (n, 2) float64 [px]
+    types: Any  # (n,) int64: row of `shares`
+    tables: Any  # (n,) int64: light table of each
+    edged: Any  # (n,) bool: `Flat.depth` is known on their pixels
+    rows: Any  # (nj, ni) int32: row of lens (i, j) in the arrays above at [j - low[1], i - low[0]], -1 if there is none
+    low: Any  # (2,) int64
+    origin: Any  # (2,) float64 [px]
+    inverse: Any  # (2, 2) float64: of the basis
+    displacements: Any  # (m, n, 2) of a distorted lattice, from its straight one; (0, 0, 2) if straight
+    lowest: Any  # (2,) int64: lattice index of the first displacement
+    offsets: Any  # (k,) float32 [px]: least distance of lenses so many steps apart, the nearest first
+    steps: Any  # (k, 2) int32: those steps, in lattice indices
+    shares: Any  # (types, r) float32: weight of a type over s / D from -1 to 1
+    pitch: Any  # float32 [px]
+
+
+class Light(NamedTuple):
+    """Gain that undoes the vignetting over the squared distance from the centre of a lens; its inverse square is a
+    weight."""
+
+    gains: Any  # (t, k) float32
+    step: Any  # float32 [px^2]: distance between entries
+    applied: Any  # float32: 1, or 0 where pixels are even already
+
+
+class Grid(NamedTuple):
+    """Pixels of the picture that are drawn."""
+
+    first: Any  # (2,) float64 [px]: scene coordinates of pixel (0, 0) of the whole picture
+    spacing: Any  # float [px]
+    scale: Any  # float32: pixels per pitch
+    start: Any  # (2,) int: column and row of the first pixel of the part that is drawn
+    wanted: Any  # (h, w) bool: pixels that `blend_pixels` draws, (0, 0) for all
+
+
+class Weighting(NamedTuple):
+    """Which lenses count, and how much."""
+
+    reach: Any  # float32 [px]: lenses farther from a scene point are not read
+    widest: Any  # float32 [px]: lenses are read up to so far from their centres, the viewpoint included
+    viewpoint: Any  # (3,) float32: x, y [px] and squared radius [px^2] up to which lenses are read about it
+    tolerance: Any  # float32: difference from the mean colour at which a lens counts a quarter; 0: nearest lens alone
+    blurred: Any  # float32: square of the share of an output pixel's side over which microlenses average already
+
+
+class Output(NamedTuple):
+    """The picture."""
+
+    image: Any  # (h, w, C) float32
+    valid: Any  # (h, w) bool: some lens shows the pixel

@@ -1,0 +1,224 @@
+"""Drawing pictures: what the kernels of blending read is prepared once, and any part is drawn from the flat it needs.
+
+Kernels work in the coordinates of the whole flat and picture, so that a picture has the same bits in one part or many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from lfcal import Calibration
+
+from ..data.rendering import Part, PictureGrid, convert_to_dtype
+from ..data.surface import Surface, edge_step, sample_surface_at
+from ..data.viewpoint import Viewpoint
+from ..flat.gray_flat import white_level
+from ..flat.prefilter import prefilter_flat
+from ..runtime.buffers import allocate_pooled
+from .blend.blend_pixels import blend_pixels
+from .blend.blend_rows import blend_rows
+from .blend.lens_table import tabulate_lenses
+from .blend.lit_flat import LitFlat, light_flat
+from .blend.records import Flat, Grid, Lenses, Output, Weighting
+from .fixed_patch import render_patches, shows_patches
+
+__all__ = ["AGREEMENT", "BLUR", "REACH", "REFOCUS_REACH", "VIEW_REACH", "Renderer"]
+
+#: Lenses farther from a scene point add little but blur [pitch].
+REACH = 1.7
+#: The same of views off the middle: farther lenses see the place from other viewpoints [pitch].
+VIEW_REACH = 1.3
+#: The same of `refocus`, the widest blur: as many lenses as the kernel mixes [pitch].
+REFOCUS_REACH = 3.0
+#: Side of the square over which microlenses average the largest patches [px]; as good as measuring it on the flat.
+BLUR = 1.5
+#: Difference from the mean colour at which a lens counts a quarter [white]; ghosts exceed it.
+AGREEMENT = 0.2
+
+
+# No mask: all pixels of a part are drawn.
+_ALL = np.empty((0, 0), bool)
+
+
+@dataclass(frozen=True)
+class Renderer:
+    """Draws a picture.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    surface : Surface
+    scale : float
+        Output pixels per pitch.
+    full : float [px]
+        The scale of full resolution, the size of the largest patches.
+    blend : bool
+        The mean over all lenses that agree on a point, or the lens alone whose centre is nearest.
+    reach : float [pitch]
+        Lenses farther than this from a scene point are not read.
+    agreement : float [white]
+        Difference from the mean colour at which a lens counts a quarter.
+    aperture : float
+        Part of the radius of microimages that is read.
+    viewpoint : Viewpoint
+    lit : LitFlat, optional
+        Of the whole flat, if several pictures are drawn from it.
+    """
+
+    calibration: Calibration
+    surface: Surface
+    scale: float
+    full: float
+    blend: bool
+    reach: float = REACH
+    agreement: float = AGREEMENT
+    aperture: float = 1.0
+    viewpoint: Viewpoint = field(default_factory=Viewpoint)
+    lit: LitFlat | None = None
+
+    @property
+    def grid(self) -> PictureGrid:
+        """Where the pixels of the picture lie."""
+        lattice = self.calibration.lattice
+        return PictureGrid(lattice.image_size, lattice.pitch, self.scale)
+
+    @property
+    def blur(self) -> float:
+        """Share of a pixel's side over which microlenses average already."""
+        return BLUR * self.scale / self.full
+
+    def required_part(self, part: Part) -> Part:
+        """The part of the flat that a part of the picture is drawn from."""
+        lattice = self.calibration.lattice
+        beside = self.reach * lattice.pitch + lattice.radius + 2 * self._aside + float(np.abs(self._moved).max())
+        # Four pixels for interpolation and its compensation.
+        return self.grid.flat_part(part, int(np.ceil(beside + self.grid.spacing)) + 4)
+
+    def draw(
+        self,
+        pixels: NDArray[Any],
+        corner: tuple[int, int] = (0, 0),
+        part: Part | None = None,
+        dtype: DTypeLike = np.float32,
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Draw a part of the picture.
+
+        Parameters
+        ----------
+        pixels : (h, w, C) array
+            The part of the flat that is `required_part`, or more, in colour.
+        corner : (int, int) [px]
+            Flat coordinates x, y of its first pixel.
+        part : (left, top, right, bottom), optional
+            Of the picture; by default all of it.
+        dtype : data type
+            float32, or that of `pixels`.
+
+        Returns
+        -------
+        image : (rows, columns, C) of this type, in the flat's units
+        valid : (rows, columns) bool
+            Pixels that some lens shows.
+        """
+        part = part or self.grid.whole
+        if self.blend or not shows_patches(self.calibration, self.surface, self.scale, self.aperture):
+            image, valid = self._blend(pixels, corner, part)
+            return convert_to_dtype(image, np.dtype(dtype)), valid
+        patch, valid = render_patches(pixels, corner, self.calibration, self.surface.patch_size[0, 0], part)
+        if not valid.all():
+            # Beside the border of the flat, where the nearest lens does not show all.
+            image, seen = self._blend(pixels, corner, part, ~valid)
+            np.copyto(patch, convert_to_dtype(image, patch.dtype), where=~valid[..., None])
+            valid |= seen
+        return patch.astype(dtype, copy=False), valid
+
+    def light(
+        self, pixels: NDArray[Any], corner: tuple[int, int] = (0, 0), viewpoints: Iterable[Viewpoint] = ()
+    ) -> LitFlat:
+        """What a picture reads of a part of the flat, or several pictures from `viewpoints`."""
+        surface, lattice = self.surface, self.calibration.lattice
+        parallax = max(point.max_parallax(surface, lattice) for point in (self.viewpoint, *viewpoints))
+        return light_flat(self.calibration, surface if self.blend else None, pixels, corner, self._reach + parallax)
+
+    def seen_depth(self) -> NDArray[np.float32]:
+        """(rows, columns) signed patch size that each pixel of the picture shows [px]."""
+        edge, shape = edge_step(self.calibration.lattice.pitch), self.grid.size[::-1]
+        return sample_surface_at(self._seen_surface, edge, shape, self.grid.first + self._moved, self.grid.spacing)
+
+    def _blend(
+        self, pixels: NDArray[Any], corner: tuple[int, int], part: Part, wanted: NDArray[np.bool_] = _ALL
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """A part of the picture, or the `wanted` pixels of it alone."""
+        lattice = self.calibration.lattice
+        lit = self.lit or self.light(pixels, corner)
+        lenses, order = self._lenses
+        lenses = lenses._replace(edged=lit.edged[order])
+        depth = self._seen_surface.patch_size, self._seen_surface.grid(edge_step(lattice.pitch))
+        shape = part[3] - part[1], part[2] - part[0]
+        image = allocate_pooled((*shape, pixels.shape[2]), np.float32)
+        if wanted.size:
+            image.fill(0)
+        output = Output(image, np.zeros(shape, bool))
+        grid = Grid(
+            self.grid.first + self._moved, self.grid.spacing, np.float32(self.scale), np.array(part[:2]), wanted
+        )  # fmt: skip
+        # Off the middle, rims often show a place alone; their last pixel mixes in light of the next microimage.
+        radius = self.aperture * lattice.radius - (1 if self._aside else 0)
+        weighting = Weighting(
+            np.float32(min(self._reach, VIEW_REACH * lattice.pitch) if self._aside else self._reach),
+            np.float32(self.aperture * lattice.radius + self._aside),
+            np.array([*self.viewpoint.offset, radius * radius], np.float32),
+            np.float32(self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0),
+            np.float32(self.blur**2),
+        )
+        flat = Flat(lit.pixels, lit.shown, np.array(corner), np.array(lattice.image_size))
+        if self.blend and self._is_packable(pixels):
+            left = np.empty(shape, bool)
+            blend_rows(flat._replace(pixels=lit.packed), lit.light, lenses, *depth, grid, weighting, output, left)
+            flat = flat._replace(pixels=lit.packed.view(pixels.dtype).reshape(*lit.packed.shape, 4))
+            grid = grid._replace(wanted=left)
+        elif self.blend:
+            # Only a mean over many lenses is as sharp as the flat if the blur of the interpolation is compensated.
+            flat = flat._replace(pixels=prefilter_flat(lit.pixels))
+        if not grid.wanted.size or grid.wanted.any():
+            blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
+        if self._aside and not output.valid.all():
+            # At the border, some places are seen by far lenses alone.
+            grid, weighting = grid._replace(wanted=~output.valid), weighting._replace(reach=np.float32(self._reach))
+            blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
+        return output.image, output.valid
+
+    def _is_packable(self, pixels: NDArray[Any]) -> bool:
+        """Whether `blend_rows` reads such pixels; its places in the flat are integers of 31 bits."""
+        return pixels.dtype.kind == "u" and pixels.shape[2] <= 3 and pixels.shape[0] * pixels.shape[1] < 2**31
+
+    @cached_property
+    def _lenses(self) -> tuple[Lenses, NDArray[np.int64]]:
+        return tabulate_lenses(self.calibration, self._reach)
+
+    @property
+    def _reach(self) -> float:
+        return self.reach * self.calibration.lattice.pitch
+
+    @property
+    def _aside(self) -> float:
+        return float(np.hypot(*self.viewpoint.offset))
+
+    @cached_property
+    def _seen_from(self) -> tuple[Surface, NDArray[np.float64]]:
+        lattice = self.calibration.lattice
+        return self.viewpoint.warp_surface(self.surface, lattice, edge_step(lattice.pitch))
+
+    @property
+    def _seen_surface(self) -> Surface:
+        return self._seen_from[0]
+
+    @property
+    def _moved(self) -> NDArray[np.float64]:
+        return self._seen_from[1]
