@@ -153,7 +153,7 @@ def _record() -> None:
     import lfcal
     import lfrender
     from lfcal.runtime.kernels.signatures import encode_type, write_signatures
-    from lfrender.web.report_figures import draw_pictures
+    from lfrender.web.report_pictures import draw_pictures
 
     for options in ({}, *_KINDS.values()):
         settings: dict[str, Any] = {"lattice": "hex", "focus": 0.04, "size": (700, 560), **options}

@@ -19,7 +19,6 @@ import tifffile
 import lfcal
 import lfrender
 from lfrender.large.render import LargePicture
-from lfrender.large.settings import LargeSettings
 
 from .plane_flats import PlaneFlat
 
@@ -37,8 +36,6 @@ def _render(folder: Path, name: str) -> LargePicture:
     with lfcal.open_flat(folder / "flat.tif") as source:
         return lfrender.render_large(
             source, folder / name, camera, patch_size=_PATCH, tile=_TILE, compress=name.startswith("packed"),
-            # Every tile is made safe on the disk at once, as those of a large flat, which take long to draw.
-            tuning=LargeSettings(sync_seconds=0.0),
         )  # fmt: skip
 
 

@@ -18,11 +18,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def rendering_settings(
-    depth: DepthMap | None,
-    patch_size: float | None,
-    detail: str | None = None,
-) -> dict[str, Any]:
+def rendering_settings(depth: DepthMap | None, patch_size: float | None, detail: str | None = None) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
     chosen = {} if detail is None else {"detail": detail}
     if depth is not None:
@@ -34,21 +30,17 @@ def rendering_settings(
 
 def camera_figures(calibration: Calibration, depth: DepthMap | None = None) -> dict[str, Any]:
     """Pitch, number of lenses, confidence of the calibration, and the warnings about it and about the depth."""
+    from ..rendering.traditional import find_depth_problem
+
+    # Fewer lenses show surfaces than in any scene, even one almost without texture.
+    problem = depth and find_depth_problem(depth)
     return {
         "pitch": calibration.lattice.pitch,
         "lenses": len(calibration.lattice),
         "camera_source": calibration.source,
         "camera_confidence": calibration.confidence,
-        "warnings": [*calibration.warnings, *_warnings(depth)],
+        "warnings": [*calibration.warnings, *([problem] if problem else [])],
     }
-
-
-def _warnings(depth: DepthMap | None) -> list[str]:
-    """A warning if fewer lenses show surfaces than in any scene, even one almost without texture."""
-    from ..rendering.traditional import find_depth_problem
-
-    problem = depth and find_depth_problem(depth)
-    return [problem] if problem else []
 
 
 def capture_figures(
@@ -65,20 +57,19 @@ def capture_figures(
     from ..data.depth_map import REASONS
     from ..output.depth_picture import MODES
 
-    mode = np.asarray(depth.mode)
-    sizes = np.abs(np.asarray(depth.patch_size))[mode != 0]
-    reasons = np.unique(depth.reason[mode == 0])
+    sizes = np.abs(depth.patch_size[depth.mode != 0])
     figures |= {
-        "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items()} if mode.size else {},
+        "modes": {name: float(np.mean(depth.mode == code)) for code, name in MODES.items()} if len(depth) else {},
         "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan"),
-        "unresolved": {REASONS[code]: float(np.mean(depth.reason == code)) for code in reasons},
+        "unresolved": {
+            REASONS[code]: float(np.mean(depth.reason == code)) for code in np.unique(depth.reason[depth.mode == 0])
+        },
         "saved": depth.saved,
     }
     if optics is not None:
         camera = calibration if optics is calibration.optics else optics
         known, errors = depth.distance(camera), depth.distance_error(camera)
-        errors = errors[np.isfinite(errors)]
-        known = known[~np.isnan(known)]
+        known, errors = known[~np.isnan(known)], errors[np.isfinite(errors)]
         ends = np.quantile(known, (0.05, 0.5, 0.95), method="nearest") if known.size else [float("nan")] * 3
         figures |= {"distance_median": float(ends[1]), "distance_range": [float(ends[0]), float(ends[2])]}
         figures["distance_error"] = float(np.median(errors)) if errors.size else float("nan")
@@ -87,14 +78,9 @@ def capture_figures(
 
 def picture_figures(picture: Rendering) -> dict[str, Any]:
     """Size, scale, share of valid pixels, and affine to the flat."""
-    import numpy as np
-
-    return {
-        "size": [picture.image.shape[1], picture.image.shape[0]],
-        "scale": picture.scale,
-        "valid": float(np.mean(picture.valid)),
-        "affine": picture.affine,
-    }
+    height, width = picture.image.shape[:2]
+    valid = float(picture.valid.mean())
+    return {"size": [width, height], "scale": picture.scale, "valid": valid, "affine": picture.affine}
 
 
 def percent(share: float) -> str:
@@ -116,16 +102,14 @@ def depth_sentences(calibration: Calibration, depth: DepthMap | None = None, opt
     """The shares of the modes; with optics, the distances."""
     if depth is None:
         return []
-    import numpy as np
-
     from ..data.depth_map import REASONS
     from ..output.depth_picture import MODES
 
-    figures = capture_figures(calibration, depth, optics)
-    analysed = np.asarray(depth.mode)[np.asarray(depth.reason) != REASONS.index("not analysed")]
+    analysed = depth.mode[depth.reason != REASONS.index("not analysed")]
     part = f"{analysed.size:,} lenses in this part" if analysed.size < len(depth) else "lenses"
-    shares = [(float(np.mean(analysed == code)), name) for code, name in MODES.items()] if analysed.size else []
+    shares = [(float((analysed == code).mean()), name) for code, name in MODES.items()] if analysed.size else []
     sentences = [f"Of the {part} {', '.join(f'{percent(n)} {name}' for n, name in shares if n >= 0.0005)}."]
+    figures = capture_figures(calibration, depth, optics)
     if optics is not None and figures["distance_median"] == figures["distance_median"]:
         near, far = figures["distance_range"]
         sentences.append(
@@ -145,9 +129,7 @@ def eight_bits_sentence(white: float | None, dtype: Any) -> str:
 
 def picture_sentence(path: Any, picture: Rendering, what: str, took: str) -> str:
     """Where a picture is, how large, what it shows, and how long all took."""
-    import numpy as np
-
     height, width = picture.image.shape[:2]
-    unseen = 1 - float(np.mean(picture.valid))
+    unseen = 1 - float(picture.valid.mean())
     hole = f"; {percent(unseen)} of it seen by no lens" if unseen > 0.001 else ""
     return f"{path}: {width} x {height} px, {what}, in {took}{hole}."

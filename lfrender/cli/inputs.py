@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,8 +15,6 @@ from lfcal.runtime import console
 from lfcal.runtime.image_formats import VIDEO_FORMATS, Mosaic
 from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
-from .camera_input import read_camera
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
 
     from ..data.depth_map import DepthMap
 
-__all__ = ["CaptureInput", "raw_layout"]
+__all__ = ["CaptureInput", "is_large", "is_published"]
 
 
 @dataclass(frozen=True)
@@ -37,18 +35,14 @@ class CaptureInput:
     camera: Path | None = None
     white: Path | None = None
     depth_file: Path | None = None
-    mosaic: Mosaic | None = None
-    preset: str = "balanced"
     dark: Path | None = None  # frame that is subtracted from the flat and from the white image
+    preset: str | None = None
+    roi: tuple[float, float, float, float] | None = None
+    mosaic: Mosaic | None = None
     page: int | None = None  # of a TIFF of several pictures, or of a video
     # Of raw video; with a camera file that has it, the size is that of the camera.
     size: tuple[int, int] | None = None
     pixel_format: str | None = None
-
-    #: Fields that are options of commands.
-    OPTIONS: ClassVar = (
-        "flat", "camera", "white", "depth_file", "mosaic", "preset", "dark", "page", "size", "pixel_format",
-    )  # fmt: skip
 
     @property
     def files(self) -> list[Path | None]:
@@ -69,14 +63,23 @@ class CaptureInput:
         """The pixels of the flat, less the dark frame."""
         from lfcal import read_flat
 
-        layout = raw_layout([self.flat], self.size, self.pixel_format, self.camera)
-        return self._subtract_dark(read_flat(self.flat, self.page, **layout))
+        return self._subtract_dark(read_flat(self.flat, self.page, **self.raw_layout([self.flat])))
 
     def open(self) -> FlatSource:
         """The flat, less the dark frame, to be read in parts."""
         from lfcal import open_flat
 
         return open_flat(self.flat, self.page, self.dark)
+
+    def raw_layout(self, inputs: Iterable[Path]) -> dict[str, Any]:
+        """How raw video among the `inputs` is read, as options of `lfcal.read_flat`."""
+        size = self.size
+        if size is None and self.camera is not None and any(path.suffix.lower() == RAW_SUFFIX for path in inputs):
+            from lfcal import load
+
+            with suppress(CameraFileError):
+                size = load(self.camera).image_size
+        return {"size": size, "pixel_format": self.pixel_format}
 
     def _subtract_dark(self, pixels: NDArray[Any]) -> NDArray[Any]:
         if self.dark is None:
@@ -99,38 +102,40 @@ class CaptureInput:
     def find_camera(self, pixels: Any) -> Calibration:
         """The camera of the file, or calibrated from the white image or from the pixels.
 
-        With a camera file of lfcal, `pixels` may be a `FlatSource`.
+        With a camera file of lfcal, `pixels` may be a `FlatSource`. Videos are encoded for display, whatever bits they
+        have.
         """
-        return self._as_stored(self._find_camera(pixels))
-
-    def _as_stored(self, calibration: Calibration) -> Calibration:
-        """The camera of this flat: videos are encoded for display, whatever bits they have."""
+        if self.mosaic is not None and len(pixels.shape) == 3:
+            raise click.UsageError(f"{self.flat} is in colour already; leave out --mosaic")
+        if self.camera is not None:
+            calibration = _read_camera(self.camera, pixels)
+            calibration = calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
+        else:
+            calibration = self._calibrate_scene(pixels) if self.white is None else self._calibrate_white(pixels)
         encoded = calibration.encoded is None and self.flat.suffix.lower() in (*VIDEO_FORMATS, RAW_SUFFIX)
         return replace(calibration, encoded=True) if encoded else calibration
 
-    def _find_camera(self, pixels: Any) -> Calibration:
+    def _calibrate_scene(self, pixels: NDArray[Any]) -> Calibration:
+        from lfcal import calibrate
+
+        with console.name_file_in_errors(self.flat):
+            calibration = calibrate(pixels, mosaic=self.mosaic)
+        if calibration.source != "white":
+            return calibration
+        warning = "this is a white image, there is no scene in it; give a capture, and this one as --white"
+        return replace(calibration, warnings=(*calibration.warnings, warning))
+
+    def _calibrate_white(self, pixels: NDArray[Any]) -> Calibration:
         from lfcal import FlatError, calibrate, read_flat
 
-        mosaic = self.mosaic
-        if mosaic is not None and len(pixels.shape) == 3:
-            raise click.UsageError(f"{self.flat} is in colour already; leave out --mosaic")
-        if self.camera:
-            calibration = read_camera(self.camera, pixels)
-            return calibration.with_mosaic(mosaic) if mosaic is not None else calibration
-        if self.white is None:
-            with console.name_file_in_errors(self.flat):
-                calibration = calibrate(pixels, mosaic=mosaic)
-            if calibration.source != "white":
-                return calibration
-            warning = "this is a white image, there is no scene in it; give a capture, and this one as --white"
-            return replace(calibration, warnings=(*calibration.warnings, warning))
+        assert self.white is not None
         white = read_flat(self.white)
         if white.shape[:2] != pixels.shape[:2]:
             sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (white.shape, pixels.shape))
             raise FlatError(f"{self.white}: white image and flat must be of one size, they have {sizes} px")
         white = self._subtract_dark(white)
         with console.name_file_in_errors(self.white):
-            calibration = calibrate(white, kind="white", mosaic=mosaic if white.ndim == 2 else None)
+            calibration = calibrate(white, kind="white", mosaic=self.mosaic if white.ndim == 2 else None)
         # Scenes show more of which filters are red.
         return calibration.with_mosaic_of(pixels)
 
@@ -144,7 +149,7 @@ class CaptureInput:
                 return depth
             from .. import analyze
 
-            return analyze(pixels, calibration, preset=self.preset, **options)
+            return analyze(pixels, calibration, preset=self.preset or "balanced", **options)
 
     def warn_of_other_flat(self) -> None:
         """Warn that the depth file was made from other pixels."""
@@ -164,13 +169,54 @@ class CaptureInput:
         return DepthMap.load(path)
 
 
-def raw_layout(
-    inputs: Iterable[Path], size: tuple[int, int] | None, pixel_format: str | None, camera: Path | None
-) -> dict[str, Any]:
-    """How raw video among the `inputs` is read, as options of `lfcal.read_flat`."""
-    if size is None and camera is not None and any(path.suffix.lower() == RAW_SUFFIX for path in inputs):
-        from lfcal import load
+def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
+    """Whether a flat can be read in parts and has more than `least_bytes`; smaller ones are faster as a whole."""
+    from lfcal import LightFieldError, open_flat
+    from lfcal.runtime.image_formats import TIFF_SUFFIXES
 
-        with suppress(CameraFileError):
-            size = load(camera).image_size
-    return {"size": size, "pixel_format": pixel_format}
+    # A compressed file that is a hundred times smaller need not be opened: its flat is smaller too.
+    is_file = flat.is_file() and flat.suffix.lower() in TIFF_SUFFIXES and flat.stat().st_size >= least_bytes / 100
+    if not (is_file or flat.is_dir()):
+        return False
+    try:
+        with open_flat(flat) as source:
+            return source.in_parts and source.nbytes > least_bytes
+    except (LightFieldError, OSError):
+        # Reading the file will report what is wrong with it.
+        return False
+
+
+def is_published(path: Path) -> bool:
+    """Whether a camera file is of another program, so that its lattice may be moved onto the pixels."""
+    return path.suffix.lower() != ".json"
+
+
+def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
+    """A camera file for flats of this size, with a warning if the pixels contradict it or show nothing of it.
+
+    A published one is moved onto the microimages where the flat is a crop of the sensor; colour filters that it does
+    not know are found on the flat. Raises CameraFileError where the flat shows another lattice.
+    """
+    import numpy as np
+
+    from lfcal import check_camera, load
+
+    from ..data.region import crop_lattice
+
+    size = np.array(pixels.shape[1::-1])
+    calibration = load(path, (int(size[0]), int(size[1])))
+    if isinstance(pixels, np.ndarray):
+        part, shown = pixels, calibration
+    else:
+        # The middle of a flat that is not in memory; even, so that a colour filter mosaic keeps its phase.
+        low = np.maximum(size - 3000, 0) // 4 * 2
+        high = np.minimum(low + 3000, size)
+        part = pixels.read(*low.tolist(), *high.tolist())
+        shown = replace(calibration, lattice=crop_lattice(calibration.lattice, low, high), gain_map=None)
+    check = check_camera(shown, part)
+    if check.adjusted is not None and is_published(path) and part is pixels:
+        warning = "as published, the lattice lies beside the microimages, as in crops of a sensor; it was moved there"
+        calibration = replace(check.adjusted, warnings=(*calibration.warnings, warning))
+    else:
+        calibration = check.warn(calibration, path)
+    return calibration.with_mosaic_of(part) if part.ndim == 2 else calibration

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .camera_input import is_published
 from .figures import camera_sentence, capture_figures, depth_sentences, rendering_settings
-from .inputs import CaptureInput
+from .inputs import CaptureInput, is_published
 from .options import option_errors
 
 if TYPE_CHECKING:
@@ -30,7 +29,13 @@ def analyze_in_tiles(capture: CaptureInput, skip: bool, cluster: dict[str, Any])
 
 
 def render_in_tiles(
-    capture: CaptureInput, output: Path, patch_size: float | None, alpha: bool, cluster: dict[str, Any], **options: Any
+    capture: CaptureInput,
+    output: Path,
+    cluster: dict[str, Any],
+    *,
+    patch_size: float | None,
+    alpha: bool,
+    **options: Any,
 ) -> None:
     """Calibrate, analyse and render in tiles; what is finished is kept until the picture is there."""
     from .. import render_large
@@ -57,11 +62,11 @@ def render_in_tiles(
                     depth = checkpoint.reuse(
                         "depth.npz", key, DepthMap.load, lambda: _analyze(capture, source, calibration, cluster)
                     )
+        settings = rendering_settings(depth, patch_size, detail=options.get("detail"))
         with report.stage("render"), report.counted_progress("tiles") as progress, option_errors(0):
             made = render_large(
-                source, output, calibration, depth, patch_size=patch_size, alpha=alpha,
-                settings=rendering_settings(depth, patch_size, detail=options.get("detail")), progress=progress,
-                **options, **cluster,
+                source, output, calibration, depth, patch_size=patch_size, alpha=alpha, settings=settings,
+                progress=progress, **options, **cluster,
             )  # fmt: skip
     kept = f", {made.kept} of them kept from an earlier run" if made.kept else ""
     width, height = made.size
@@ -112,5 +117,6 @@ def _analyze(
 ) -> DepthMap:
     from .. import analyze_large
 
+    preset = capture.preset or "balanced"
     with capture.report.counted_progress("tiles") as progress:
-        return analyze_large(source, calibration, capture.preset, skip=skip, progress=progress, **cluster)
+        return analyze_large(source, calibration, preset, skip=skip, progress=progress, **cluster)

@@ -1,10 +1,16 @@
-"""Options that several commands share, and how errors in their values are reported."""
+"""The table of all options, how commands take them from it, and how errors in their values are reported.
+
+What a command works on is the same everywhere, a `CaptureInput`: its options make sense for every command, or are
+refused with the reason.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import click
@@ -16,57 +22,8 @@ from lfcal.runtime.image_formats import MOSAICS
 from .inputs import CaptureInput
 
 __all__ = [
-    "CAMERA", "INPUT", "OUTPUT", "at_most_one", "capture_command", "cluster_options", "connect_cluster",
-    "edges_option", "eight_bits_option", "grid_size", "option_errors", "output_option", "preset_option", "roi_option",
-    "scale_option", "white_option",
+    "at_most_one", "capture_command", "connect_cluster", "grid_size", "option_errors", "options", "output_option",
 ]  # fmt: skip
-
-INPUT, OUTPUT = console.InputPath(), console.OutputPath()
-CAMERA = "Camera file of lfcal, or a published calibration (.xml, .cfg)."
-
-preset_option = click.option(
-    "--preset",
-    type=click.Choice(["fast", "balanced", "accurate"]),
-    default="balanced",
-    show_default=True,
-    help="How much time the depth analysis may take.",
-)
-edges_option = click.option(
-    "--edges/--no-edges",
-    default=None,
-    help="Place depth edges on the pixels of the microimages: cleaner outlines, in up to twice the time. The preset "
-    "'balanced' does so.",
-)
-scale_option = click.option(
-    "--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch."
-)
-eight_bits_option = click.option(
-    "--8bit",
-    "eight_bits",
-    is_flag=True,
-    help="Write 8 bits a channel, in proportion: 0 to white become 0 to 255. JPEG and WebP do so by themselves.",
-)
-white_option = click.option("--white", type=INPUT, help="Calibrate from this white image of the same camera.")
-_camera_option = click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} Without it, FLAT itself is calibrated.")
-_depth_option = click.option("--depth", "depth_file", type=INPUT, help="Depth map made by 'lfrender analyze'.")
-_mosaic_option = click.option(
-    "--mosaic",
-    type=click.Choice(MOSAICS),
-    help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, if the camera file does not have them.",
-)
-_dark_option = click.option("--dark", type=INPUT, help="Dark frame that is subtracted from FLAT and the white image.")
-
-
-def output_option(metavar: str, text: str, piped: str = "") -> Callable[[Any], Any]:
-    """The option `--output`; `piped` is the format of what goes to stdout with `-`, if that is possible."""
-    kind = console.OutputPath(piped)
-    text += f" With -, {piped[1:].upper()} to stdout." if piped else ""
-    return click.option("-o", "--output", type=kind, required=True, metavar=metavar, help=text)
-
-
-def roi_option(text: str) -> Callable[[Any], Any]:
-    """The option `--roi`; `lfrender.data.region.check_region` checks it, for commands and functions alike."""
-    return click.option("--roi", type=_Corner(), nargs=4, metavar="X0 Y0 X1 Y1", help=text)
 
 
 class _Corner(click.ParamType):
@@ -81,57 +38,200 @@ class _Corner(click.ParamType):
             self.fail(f"give four numbers, X0 Y0 X1 Y1 [px of the flat]; {value!r} is none", param, ctx)
 
 
-def capture_command(
-    *examples: str,
-    output: tuple[str, ...] | None = None,
-    white: bool = False,
-    depth: bool = True,
-    mosaic: bool = False,
-    preset: bool = True,
-) -> Callable[[Any], click.Command]:
-    """Make a command that works on one capture, with the options that such commands share.
+_FILE, _OUTPUT, _SIZE = console.InputPath(), console.OutputPath(), console.SizeOption()
+_PRESET, _POSES = click.Choice(["fast", "balanced", "accurate"]), click.Choice(["nerfstudio", "colmap", "rvs"])
+_POSITIVE, _SHARE = click.FloatRange(0, min_open=True), click.FloatRange(0, 1, min_open=True)
 
-    The function is called with `capture`, a `CaptureInput`, in place of these options, and with its own ones. `output`
-    is what `output_option` takes; `examples` are calls to show in the help.
+
+def _option(names: str, kind: Any, text: str, **more: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+    return tuple(names.split()), {"help": text, **({"is_flag": True} if kind is bool else {"type": kind}), **more}
+
+
+# fmt: off
+#: Names and further arguments of `click.option`, by the name of the value.
+TABLE = {
+    # Of the capture.
+    "camera": _option("-c --camera", _FILE,
+        "Camera file of lfcal, or a published calibration (.xml, .cfg). Without it, FLAT itself is "
+        "calibrated."),
+    "white": _option("--white", _FILE, "Calibrate from this white image of the same camera."),
+    "depth_file": _option("--depth depth_file", _FILE, "Depth map made by 'lfrender analyze'."),
+    "dark": _option("--dark", _FILE, "Dark frame that is subtracted from FLAT and from the white image."),
+    "preset": _option("--preset", _PRESET, "How much time the depth analysis may take. [default: balanced]"),
+    "roi": _option("--roi", _Corner(),
+        "Only the part between two opposite corners [px of the flat].", nargs=4, metavar="X0 Y0 X1 Y1"),
+    "mosaic": _option("--mosaic", click.Choice(MOSAICS, case_sensitive=False),
+        "Colour filters of the top left 2 x 2 pixels of a raw mosaic, if the camera file does not have them."),
+    "page": _option("--page", click.IntRange(0),
+        "Which picture of a TIFF of several, or frame of a video, from 0.", metavar="N"),
+    "size": _option("--size", _SIZE, "Of raw video (.yuv), if its name does not have it."),
+    "pixel_format": _option("--pixel-format", str, "Of raw video: yuv420p10, yuv444p, ...", metavar="FORMAT"),
+    # What to draw.
+    "patch_size": _option("--patch-size", float,
+        "One signed patch size [px] for all lenses: > 0 telescopic, < 0 binocular."),
+    "blend": _option("--blend", bool, "With --patch-size: the mean over lenses instead of the nearest one."),
+    "traditional": _option("--traditional", bool, "One pixel per microlens, the mean of its microimage."),
+    "scale": _option("--scale", _POSITIVE, "Output pixels per microlens pitch."),
+    "edges": _option("--edges/--no-edges", None,
+        "Place depth edges on the pixels of the microimages: cleaner outlines, in up to twice the time. The "
+        "preset 'balanced' does so.", default=None),
+    "detail": _option("--detail", click.Choice(["natural", "off"]),
+        "Undo the blur of the microlenses, place by place, as noise allows. [default: natural, for depth maps]"),
+    "sharpen": _option("--sharpen", str, "Gone.", hidden=True),
+    "at": _option("--at", float, "Focus on this place [px of the flat].", nargs=2, metavar="X Y"),
+    "patch_sizes": _option("--patch-size patch_sizes", float,
+        "Signed patch size [px] in focus: > 0 telescopic, < 0 binocular. Several times: a focal stack.", multiple=True),
+    "stack": _option("--stack", click.IntRange(1), "N pictures from the farthest depth to the nearest.", metavar="N"),
+    "focus_aperture": _option("--aperture aperture", float,
+        "Part of the aperture used, 0.05 to 1.", default=1.0, show_default=True),
+    "exhaustive": _option("--exhaustive", bool, "Take no shortcuts: match every lens at every shift."),
+    # Views.
+    "grid": _option("--grid", str,
+        "Pictures on a grid of viewpoints, row1_column1 ... [default: 5x5]", metavar="ROWSxCOLUMNS"),
+    "stereo": _option("--stereo", bool, "The view of the left eye, and beside it that of the right one."),
+    "animation": _option("--animation", click.IntRange(2),
+        "N views around a circle; 24 where the output is .gif, .mp4 or .mkv.", metavar="N"),
+    "quilt": _option("--quilt", str,
+        "Views from left to right in one picture, for holographic displays: 8x6.", metavar="COLUMNSxROWS"),
+    "poses": _option("--poses", _POSES,
+        "The grid with cameras, depth and masks for this program; metric where the optics are known."),
+    "view_aperture": _option("--aperture aperture", _SHARE,
+        "How far from the middle, as a part of the radius of the microimages: more parallax, less light.",
+        default=0.7, show_default=True),
+    "resize": _option("--resize", _SIZE, "Size of the views [px]."),
+    "grid_format": _option("--format suffix", str,
+        "Of the grid's pictures: tif, png, yuv, ...", default="tif", show_default=True),
+    "frame_views": _option("--views", str,
+        "Views of a grid: with --format yuv a file for each, v000-WxH.yuv ..., else FRAME/image_001 ...",
+        metavar="ROWSxCOLUMNS"),
+    "frame_aperture": _option("--aperture aperture", _SHARE, "Of --views, as in 'lfrender views'. [default: 0.7]"),
+    # How to write it.
+    "eight_bits": _option("--8bit eight_bits", bool,
+        "Write 8 bits a channel, in proportion: 0 to white become 0 to 255. JPEG and WebP do so by "
+        "themselves."),
+    "alpha": _option("--alpha", bool, "Make pixels that no lens has seen transparent (not in JPEG)."),
+    "compress": _option("--compress", bool, "Write a TIFF in deflated tiles: smaller and slower."),
+    "tile": _option("--tile", click.IntRange(16),
+        "Draw in tiles of this side, with little memory; an interrupted run is continued. [default: large "
+        "flats]", metavar="PIXELS"),
+    "frame_format": _option("--format suffix", str,
+        "Format of the pictures: tif, jpg, ...; of views also yuv. [default: tif]"),
+    "fps": _option("--fps", click.FloatRange(0, 1000, min_open=True),
+        "Pictures a second of a film. [default: as the input, or 25]"),
+    "overwrite": _option("--overwrite", bool, "Render all frames again; else pictures already there are kept."),
+    "dense": _option("--dense", _OUTPUT,
+        "Patch size [px] of every pixel of the picture, and where a lens has one (second page, or channel).",
+        metavar="DEPTH.tif|.pfm|.exr"),
+    "unfilled": _option("--unfilled", bool,
+        "Write NaN to --dense where no lens has a depth, not that of places around."),
+    "picture": _option("--picture", _OUTPUT, "Magnification M in colours.", metavar="DEPTH.png"),
+    "ply": _option("--ply", _OUTPUT, "Point cloud: X/D, Y/D, virtual depth D/s, colour.", metavar="CLOUD.ply|.pcd"),
+    "optics": _option("--optics", _FILE,
+        "Focal length and distances [mm] of the camera: distances in metres, the point cloud and --poses too. "
+        "By default those of the camera file, if 'lfcal metric' has measured them.", metavar="OPTICS.json"),
+    "metres": _option("--metres", bool, "Write --dense as distances in front of the main lens [m]."),
+    # Where to show it.
+    "export": _option("--export", _OUTPUT,
+        "Write the page instead: as one file that holds everything, or as a folder of static files for web "
+        "pages.", metavar="FOLDER|PAGE.html"),
+    "port": _option("--port", click.IntRange(0, 65535), "Port on this machine; by default a free one.", default=0),
+    "no_browser": _option("--no-browser", bool, "Only print the address of the page, do not open a browser."),
+    # Several processes.
+    "workers": _option("--workers", click.IntRange(1), "Work in so many processes of this machine (needs Dask)."),
+    "scheduler": _option("--scheduler", str, "Work on this Dask scheduler.", metavar="tcp://HOST:PORT"),
+    "processes": _option("--processes", click.IntRange(1), "Processes that compile. [default: all cores]", metavar="N"),
+}
+# fmt: on
+#: Options of all commands on captures, by their titles in the help.
+_CAPTURE = {
+    "Files": ("camera", "white", "depth_file", "dark"),
+    "Depth analysis": ("preset",),
+    "Reading FLAT": ("roi", "mosaic", "page", "size", "pixel_format"),
+}
+_FIELDS = [name for names in _CAPTURE.values() for name in names]
+
+
+def _declare(name: str, inputs: str = "FLAT", **further: Any) -> Callable[[Any], Any]:
+    names, more = TABLE[name]
+    return click.option(*names, **{**more, "help": more["help"].replace("FLAT", inputs), **further})
+
+
+def output_option(metavar: str, text: str, piped: str = "", **more: Any) -> Callable[[Any], Any]:
+    """The option `--output`; `piped` is the format of what goes to stdout with `-`, if that is possible."""
+    text += f" With -, {piped[1:].upper()} to stdout." if piped else ""
+    more = {"required": True, "metavar": metavar, **more}
+    return click.option("-o", "--output", type=console.OutputPath(piped), help=text, **more)
+
+
+def options(
+    output: Callable[[Any], Any] | None = None,
+    own: Mapping[str, str] | None = None,
+    refused: Mapping[str, str] | str = "",
+    inputs: str = "FLAT",
+) -> Callable[[Any], Any]:
+    """Give a command options of the table, and those of reports.
+
+    It is called with a `CaptureInput`, and a namespace of the values of its own options.
+
+    Parameters
+    ----------
+    output : decorator, optional
+        As from `output_option`.
+    own : mapping of str to str
+        Titles in the help, and the names of options under each.
+    refused : mapping of str to str, or str
+        Options of the capture that make no sense here, with the reason to say; a text is that of all of them.
+    inputs : str
+        What the camera is calibrated from, in the help.
     """
+    reasons = dict(refused) if not isinstance(refused, str) else dict.fromkeys(_FIELDS, refused) if refused else {}
 
-    def decorate(function: Any) -> click.Command:
+    def decorate(function: Any) -> Any:
         @wraps(function)
         def run(as_json: bool, quiet: bool, **values: Any) -> Any:
-            at_most_one("--camera", values["camera"], "--white", values.get("white"))
-            given = {name: values.pop(name) for name in CaptureInput.OPTIONS if name in values}
-            return function(capture=CaptureInput(console.Report(as_json, quiet), **given), **values)
+            given = {name: values.pop(name) for name in _FIELDS}
+            for name, reason in reasons.items():
+                if given[name] is not None:
+                    option = next(text for text in TABLE[name][0] if text.startswith("--"))
+                    raise click.UsageError(f"{option} makes no sense here: {reason}")
+            at_most_one("--camera", given["camera"], "--white", given["white"])
+            flat = values["inputs"][0] if "inputs" in values else values.pop("flat", Path())
+            capture = CaptureInput(console.Report(as_json, quiet), flat, **given)
+            return function(capture, SimpleNamespace(**values))
 
-        own = run.__dict__.pop("__click_params__", [])
         # Click shows the option of the outermost decorator first.
         decorated: Any = console.report_options(run)
-        reading = [_mosaic_option] if mosaic else []
-        reading += [console.page_option, console.raw_video_options]
-        decorated = console.grouped("Reading FLAT", *reading)(decorated)
-        decorated = console.grouped("Depth analysis", preset_option)(decorated) if preset else decorated
-        decorated.__click_params__.extend(own)
-        files = [
-            (output is not None, output_option(*(output or ("", "")))),
-            (True, _camera_option), (white, white_option), (depth, _depth_option), (True, _dark_option),
-        ]  # fmt: skip
-        decorated = console.grouped("Files", *(option for wanted, option in files if wanted))(decorated)
-        flat = console.single_input(
-            "FLAT",
-            "'lfrender batch' renders several",
-            "render all flats in it with 'lfrender batch {} -o pictures', or give one of them",
-        )
-        return console.command(*examples)(flat(decorated))
+        for name in reasons:
+            decorated = _declare(name, hidden=True)(decorated)
+        shown: dict[str, list[Callable[[Any], Any]]] = {"Files": [output] if output else []}
+        for title, names in (own or {}).items():
+            shown.setdefault(title, []).extend(_declare(name) for name in names.split())
+        for title, fields in _CAPTURE.items():
+            shown.setdefault(title, []).extend(_declare(name, inputs) for name in fields if name not in reasons)
+        for title, some in reversed(shown.items()):
+            decorated = console.grouped(title.replace("FLAT", inputs), *some)(decorated) if some else decorated
+        return decorated
 
     return decorate
 
 
-def cluster_options(command: Any) -> Any:
-    """Give a command the options `--workers` and `--scheduler`."""
-    scheduler = click.option("--scheduler", metavar="tcp://HOST:PORT", help="Work on this Dask scheduler.")
-    workers = click.option(
-        "--workers", type=click.IntRange(1), help="Work in so many processes of this machine (needs Dask)."
+def capture_command(
+    *examples: str, output: tuple[str, ...] | None = None, **more: Any
+) -> Callable[[Any], click.Command]:
+    """Make a command that works on one capture; `output` is for `output_option`, the rest as for `options`.
+
+    `examples` are calls to show in the help.
+    """
+    hints = (
+        "'lfrender batch' renders several",
+        ("render all flats in it with 'lfrender batch {} -o pictures', or give one of them"),
     )
-    return console.grouped("Several processes", workers, scheduler)(command)
+
+    def decorate(function: Any) -> click.Command:
+        taken = options(None if output is None else output_option(*output), **more)(function)
+        return console.command(*examples)(console.single_input("FLAT", *hints)(taken))
+
+    return decorate
 
 
 @contextmanager
@@ -140,7 +240,7 @@ def connect_cluster(workers: int | None, scheduler: str | None, report: console.
     if workers is None and scheduler is None:
         yield {}
         return
-    from ..sequence.cluster import connect
+    from ..sequence.workers import connect
 
     # Or each worker on this machine would.
     report.compile_kernels()
@@ -149,8 +249,9 @@ def connect_cluster(workers: int | None, scheduler: str | None, report: console.
 
 
 def at_most_one(*pairs: Any) -> None:
-    """Raise an error if options exclude each other: names and values in turn, None for those not given."""
-    given = [name for name, value in zip(pairs[::2], pairs[1::2], strict=True) if value is not None]
+    """Raise an error if options exclude each other: names and values in turn, None or False for those not given."""
+    values = zip(pairs[::2], pairs[1::2], strict=True)
+    given = [name for name, value in values if value is not None and value is not False]
     if len(given) > 1:
         raise click.UsageError(f"{given[0]} and {given[1]} exclude each other")
 
@@ -173,11 +274,8 @@ def option_errors(*values: Any) -> Iterator[None]:
     except ValueError as error:
         if all(value is None for value in values):
             raise
-        raise click.UsageError(_name_option(str(error))) from error
-
-
-def _name_option(message: str) -> str:
-    """A message about an argument of a function, about the option that it comes from."""
-    argument, space, rest = message.partition(" ")
-    options = {"patch_size": "--patch-size", "position": "--at"} | {n: f"--{n}" for n in ("aperture", "roi", "scale")}
-    return f"{options.get(argument, argument)}{space}{rest}"
+        # A message about an argument of a function is one about the option that it comes from.
+        argument, space, rest = str(error).partition(" ")
+        names = {"patch_size": "--patch-size", "position": "--at", "roi": "--roi", "scale": "--scale"}
+        names["aperture"] = "--aperture"
+        raise click.UsageError(f"{names.get(argument, argument)}{space}{rest}") from error

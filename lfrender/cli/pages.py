@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,26 +13,18 @@ from lfcal.runtime.output_file import check_output
 
 from .figures import camera_figures, camera_sentence, capture_figures, depth_sentences, percent
 from .inputs import CaptureInput
-from .options import OUTPUT, capture_command
+from .options import capture_command, options, output_option
 
 __all__ = ["demo", "report", "view"]
 
 
-@capture_command("lfrender view flat.png", "lfrender view flat.png -c camera.json --export page.html", preset=False)
-@console.grouped(
-    "Where to show it",
-    click.option(
-        "--export",
-        type=OUTPUT,
-        metavar="FOLDER|PAGE.html",
-        help="Write the page instead: as one file that holds everything, or as a folder of static files for web pages.",
-    ),
-    click.option(
-        "--port", type=click.IntRange(0, 65535), default=0, help="Port on this machine; by default a free one."
-    ),
-    click.option("--no-browser", is_flag=True, help="Only print the address of the page, do not open a browser."),
+@capture_command(
+    "lfrender view flat.png",
+    "lfrender view flat.png -c camera.json --export page.html",
+    refused={"roi": "the viewer shows the whole flat; zoom into it"},
+    own={"Where to show it": "export port no_browser"},
 )
-def view(capture: CaptureInput, export: Path | None, port: int, no_browser: bool) -> None:
+def view(capture: CaptureInput, given: Any) -> None:
     """Refocus FLAT in the browser, with mouse or fingers.
 
     Click to focus, drag to look from aside. The page is served to this machine alone until Ctrl-C. It needs a browser
@@ -39,7 +32,7 @@ def view(capture: CaptureInput, export: Path | None, port: int, no_browser: bool
     """
     from ..web.viewer import viewer_files, write_viewer
 
-    report = capture.report
+    report, export = capture.report, given.export
     if export is not None and export.suffix:
         check_output(export, {".html", ".htm"}, capture.files)
     pixels, calibration, depth = capture.load()
@@ -54,10 +47,10 @@ def view(capture: CaptureInput, export: Path | None, port: int, no_browser: bool
     from ..web.viewer_server import PageServer
 
     with report.stage("prepare"):
-        server = PageServer(dict(viewer_files(pixels, calibration, depth, capture.flat.name)), port)
+        server = PageServer(dict(viewer_files(pixels, calibration, depth, capture.flat.name)), given.port)
     with server:
         report.finish({"page": server.url, "warnings": warnings}, *sentences, f"{server.url} until Ctrl-C.")
-        if not no_browser:
+        if not given.no_browser:
             click.launch(server.url)
         with suppress(KeyboardInterrupt):
             server.serve_forever()
@@ -67,18 +60,18 @@ def view(capture: CaptureInput, export: Path | None, port: int, no_browser: bool
     "lfrender report flat.png -o report.html",
     "lfrender report flat.png -c camera.json -o report.html --preset fast",
     output=("REPORT.html", "Page to write.", ".html"),
-    white=True,
+    refused={"roi": "the report is about the whole flat"},
 )
-def report(capture: CaptureInput, output: Path) -> None:
+def report(capture: CaptureInput, given: Any) -> None:
     """Write depth, pictures and calibration of FLAT as one page.
 
     The page holds everything and opens offline.
     """
     from ..web.report import write_report
-    from ..web.report_figures import draw_pictures
+    from ..web.report_pictures import draw_pictures
 
+    progress, output = capture.report, given.output
     check_output(output, {".html", ".htm"}, capture.files)
-    progress = capture.report
     pixels, calibration, depth = capture.load()
     with progress.stage("render"):
         pictures = draw_pictures(pixels, calibration, depth)
@@ -93,24 +86,22 @@ def report(capture: CaptureInput, output: Path) -> None:
 
 
 @console.command("lfrender demo -o demo")
-@click.option(
-    "-o",
-    "--output",
-    type=OUTPUT,
-    default=Path("lfrender-demo"),
-    show_default=True,
-    help="Folder for pictures and page.",
+@options(
+    output_option(
+        "FOLDER", "Folder for pictures and page.", required=False, default=Path("lfrender-demo"), show_default=True
+    ),
+    refused="the demo simulates its own capture",
 )
-@console.report_options
-def demo(output: Path, as_json: bool, quiet: bool) -> None:
+def demo(capture: CaptureInput, given: Any) -> None:
     """Try everything on a simulated capture, and show it on a page.
 
     The capture is calibrated, analysed and rendered from its pixels alone, and compared with the truth.
     """
     from ..web.demo import run_demo
 
-    report = console.Report(as_json, quiet, log_stages=True)
-    figures = run_demo(output, report)
+    report = capture.report
+    report.log_stages = True
+    figures = run_demo(given.output, report)
     modes, merit = figures["mode_right"]["one_depth"], figures["merit"]["all_in_focus"]["psnr"]
     centres = figures["calibration"]["scene"]["centre_error"]
     report.finish(

@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lfcal.runtime import console
-
-from ..large.size import is_large
 from .figures import (
     camera_sentence,
     capture_figures,
@@ -18,22 +15,17 @@ from .figures import (
     picture_figures,
     picture_sentence,
     rendering_settings,
-)
-from .inputs import CaptureInput
-from .options import (
-    at_most_one,
-    capture_command,
-    cluster_options,
-    connect_cluster,
-    edges_option,
-    eight_bits_option,
-    option_errors,
-    roi_option,
-    scale_option,
-)
+)  # fmt: skip
+from .inputs import CaptureInput, is_large
+from .options import at_most_one, capture_command, connect_cluster, option_errors
 
 if TYPE_CHECKING:
-    from ..rendering.render import Detail
+    from numpy.typing import NDArray
+
+    from lfcal import Calibration
+
+    from ..data.depth_map import DepthMap
+    from ..data.rendering import Rendering
 
 __all__ = ["render"]
 
@@ -43,144 +35,107 @@ __all__ = ["render"]
     "lfrender render flat.png -c camera.json --depth depth.npz --scale 12 -o picture.png",
     "lfrender render flat.png --white white.png --patch-size -8.5 -o binocular.png",
     output=("PICTURE", "Picture to write: .tif, .png, .jpg, ...", ".png"),
-    white=True,
-    mosaic=True,
+    own={
+        "What to draw": "patch_size blend traditional scale edges detail sharpen",
+        "How to write it": "eight_bits alpha compress tile",
+        "Several processes": "workers scheduler",
+    },
 )
-@console.grouped(
-    "What to draw",
-    click.option(
-        "--patch-size", type=float, help="One signed patch size [px] for all lenses: > 0 telescopic, < 0 binocular."
-    ),
-    click.option("--blend", is_flag=True, help="With --patch-size: the mean over lenses instead of the nearest one."),
-    click.option("--traditional", is_flag=True, help="One pixel per microlens, the mean of its microimage."),
-    scale_option,
-    edges_option,
-    roi_option("Draw only this part, between two opposite corners [px of the flat]."),
-    click.option(
-        "--detail",
-        type=click.Choice(["natural", "off"]),
-        help="Undo the blur of the microlenses, place by place, as noise allows. [default: natural, for depth maps]",
-    ),
-    click.option("--sharpen", hidden=True, expose_value=False, callback=lambda *given: _refuse_sharpen(given[2])),
-)
-@console.grouped(
-    "How to write it",
-    eight_bits_option,
-    click.option("--alpha", is_flag=True, help="Make pixels that no lens has seen transparent (not in JPEG)."),
-    click.option("--compress", is_flag=True, help="Write a TIFF in deflated tiles: smaller and slower."),
-    click.option(
-        "--tile",
-        type=click.IntRange(16),
-        metavar="PIXELS",
-        help="Draw in tiles of this side, with little memory; an interrupted run is continued. [default: large flats]",
-    ),
-)
-@cluster_options
-def render(
-    capture: CaptureInput,
-    output: Path,
-    patch_size: float | None,
-    blend: bool,
-    traditional: bool,
-    scale: float | None,
-    detail: Detail | None,
-    eight_bits: bool,
-    alpha: bool,
-    compress: bool,
-    tile: int | None,
-    edges: bool | None,
-    roi: tuple[float, float, float, float] | None,
-    workers: int | None,
-    scheduler: str | None,
-) -> None:
+def render(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT as one picture that is sharp at every depth.
 
     Without --depth, --patch-size and --traditional the depth is analysed first. A flat of more than 100 MB, as TIFF or
     Zarr, is read and drawn in tiles; the finished tiles of an interrupted run are used by the next one.
     """
-    mean = "--traditional", traditional or None
-    on_cluster = workers or scheduler
+    if given.sharpen is not None:
+        raise click.UsageError("--sharpen is gone: pictures get their detail back by --detail natural, the default")
+    output, patch_size, traditional = given.output, given.patch_size, given.traditional
+    roi, mean, on_cluster = capture.roi, ("--traditional", traditional), given.workers or given.scheduler
     at_most_one("--depth", capture.depth_file, "--patch-size", patch_size, *mean)
-    at_most_one("--scale", scale, *mean)
-    at_most_one("--detail", detail, "--patch-size", patch_size, *mean)
-    at_most_one("--roi", roi, *mean, "--tile", tile)
-    at_most_one("--workers", workers, "--scheduler", scheduler)
+    at_most_one("--scale", given.scale, *mean)
+    at_most_one("--detail", given.detail, "--patch-size", patch_size, *mean)
+    at_most_one("--roi", roi, *mean, "--tile", given.tile)
+    at_most_one("--workers", given.workers, "--scheduler", given.scheduler)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, *mean)
     for other in (("--depth", capture.depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
-        at_most_one("--edges", edges or None, *other)
-    if blend and patch_size is None:
+        at_most_one("--edges", given.edges or None, *other)
+    if given.blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
-    options: dict[str, Any] = {"patch_size": patch_size, "scale": scale, "blend": blend or None, "detail": detail}
-    if not (traditional or roi):
-        from ..output.ome import is_ome_name
+    options: dict[str, Any] = {name: getattr(given, name) for name in ("patch_size", "scale", "detail")}
+    options["blend"] = given.blend or None
+    stored = {"alpha": given.alpha, "compress": given.compress}
+    if not (traditional or roi) and (_in_tiles(output, given.tile, on_cluster) or is_large(capture.flat)):
+        from .large import render_in_tiles
 
-        # A plain Zarr array is written tile by tile, OME-Zarr as a whole.
-        plain_zarr = output.suffix.lower() == ".zarr" and not is_ome_name(output)
-        in_tiles = on_cluster or tile is not None or plain_zarr
-        if edges and (in_tiles or is_large(capture.flat)):
+        if given.edges:
             raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
-        if eight_bits and (in_tiles or is_large(capture.flat)):
+        if given.eight_bits:
             raise click.UsageError("--8bit is for flats that are drawn as a whole: write the pixels as they are")
-        if in_tiles or is_large(capture.flat):
-            from .large import render_in_tiles
+        with connect_cluster(given.workers, given.scheduler, capture.report) as cluster:
+            render_in_tiles(capture, output, cluster, tile=given.tile, **stored, **options)
+        return
+    from ..output.formats import check_format
 
-            with connect_cluster(workers, scheduler, capture.report) as cluster:
-                render_in_tiles(capture, output, alpha=alpha, compress=compress, tile=tile, cluster=cluster, **options)
-            return
-    from ..output.metadata import read_metadata
-    from ..output.picture import check_picture, write_picture
-
-    check_picture(output, alpha=alpha, inputs=capture.files)
+    check_format(output, "picture", alpha=given.alpha, inputs=capture.files)
     pixels = capture.read()
-    check_picture(output, pixels.dtype, alpha)
+    check_format(output, "picture", dtype=pixels.dtype, alpha=given.alpha)
     pixels, calibration = capture.calibrate(pixels)
-    depth = None
-    if not traditional and patch_size is None:
-        needed = None
-        if roi:
-            from ..rendering.render import expand_roi
-
-            with option_errors(roi):
-                needed = expand_roi(roi, calibration)
-        depth = capture.analyze(pixels, calibration, roi=needed, edges=edges)
-    options["roi"] = roi
-    with capture.report.stage("render"), option_errors(*options.values()):
+    whole = traditional or patch_size is not None
+    depth = None if whole else _find_depth(capture, pixels, calibration, given.edges)
+    with capture.report.stage("render"), option_errors(*options.values(), roi):
         from .. import render as run
         from .. import traditional as run_traditional
         from ..rendering.traditional import TOO_LITTLE, resolves_too_little
 
-        if depth is not None and not (scale or roi) and resolves_too_little(depth):
+        if depth is not None and not (given.scale or roi) and resolves_too_little(depth):
             traditional = True
             capture.report.warn(TOO_LITTLE.format("--scale"))
-        picture = run_traditional(pixels, calibration) if traditional else run(pixels, calibration, depth, **options)
-    from ..output.picture import eight_bits as to_eight_bits
-    from ..output.picture import needs_eight_bits
+        if traditional:
+            picture = run_traditional(pixels, calibration)
+        else:
+            picture = run(pixels, calibration, depth, roi=roi, **options)
+    drawn = None if traditional else depth
+    settings = rendering_settings(drawn, patch_size, given.detail)
+    stated = _write(capture, output, picture, settings, given.eight_bits, **stored)
+    what = "a pixel per microlens" if traditional else "sharp at every depth"
+    if patch_size is not None:
+        what = f"of one patch size, {patch_size:g} px{', mixed from all lenses' if given.blend else ''}"
+    capture.report.finish(
+        {"picture": str(output), **picture_figures(picture), **capture_figures(calibration, depth)},
+        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, drawn),
+        picture_sentence(output, picture, what, capture.report.took), *stated,
+    )  # fmt: skip
 
-    figures = {**picture_figures(picture), **capture_figures(calibration, depth)}
+
+def _in_tiles(output: Path, tile: int | None, on_cluster: Any) -> bool:
+    """Whether a flat is drawn in tiles however small it is: a plain Zarr array is, OME-Zarr is not."""
+    from ..output.ome import is_ome_name
+
+    return bool(on_cluster) or tile is not None or (output.suffix.lower() == ".zarr" and not is_ome_name(output))
+
+
+def _find_depth(capture: CaptureInput, pixels: NDArray[Any], calibration: Calibration, edges: bool | None) -> DepthMap:
+    needed = None
+    if capture.roi:
+        from ..rendering.render import expand_roi
+
+        with option_errors(capture.roi):
+            needed = expand_roi(capture.roi, calibration)
+    return capture.analyze(pixels, calibration, roi=needed, edges=edges)
+
+
+def _write(
+    capture: CaptureInput, output: Path, picture: Rendering, settings: dict[str, Any], eight_bits: bool, **options: Any
+) -> list[str]:
+    """Write the picture; what is to be said about its bits."""
+    from ..output.metadata import read_metadata
+    from ..output.picture import eight_bits as to_eight_bits
+    from ..output.picture import needs_eight_bits, write_picture
+
     stated = []
     if (eight_bits and picture.image.dtype.name != "uint8") or needs_eight_bits(output, picture):
         stated = [eight_bits_sentence(picture.white, picture.image.dtype)]
         picture = to_eight_bits(picture)
     with capture.report.stage("write"):
-        settings = rendering_settings(None if traditional else depth, patch_size, detail)
-        embedded = read_metadata(capture.flat)
-        write_picture(output, picture, alpha=alpha, settings=settings, embedded=embedded, compress=compress)
-    what = _describe_drawing(traditional, patch_size, blend)
-    capture.report.finish(
-        {"picture": str(output), **figures},
-        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, None if traditional else depth),
-        picture_sentence(output, picture, what, capture.report.took), *stated,
-    )  # fmt: skip
-
-
-def _describe_drawing(traditional: bool, patch_size: float | None, blend: bool) -> str:
-    if traditional:
-        return "a pixel per microlens"
-    if patch_size is None:
-        return "sharp at every depth"
-    return f"of one patch size, {patch_size:g} px{', mixed from all lenses' if blend else ''}"
-
-
-def _refuse_sharpen(given: str | None) -> None:
-    if given is not None:
-        raise click.UsageError("--sharpen is gone: pictures get their detail back by --detail natural, the default")
+        write_picture(output, picture, settings=settings, embedded=read_metadata(capture.flat), **options)
+    return stated

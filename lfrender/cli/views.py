@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from lfcal.runtime import console
 from lfcal.runtime.output_file import check_folder
 
-from ..sequence.animation import MOVING_SUFFIXES, PICTURES, check_moving, write_moving
 from .figures import (
     camera_figures,
     camera_sentence,
@@ -23,7 +21,7 @@ from .figures import (
     picture_sentence,
 )
 from .inputs import CaptureInput
-from .options import INPUT, at_most_one, capture_command, eight_bits_option, grid_size, option_errors, scale_option
+from .options import at_most_one, capture_command, grid_size, option_errors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,8 +34,12 @@ if TYPE_CHECKING:
 __all__ = ["refocus", "views"]
 
 _View = TypeVar("_View")
+# As `lfrender.sequence.film` has them, which is not loaded before a command runs.
+_MOVING = (".gif", ".mkv", ".mp4")
 # Suffixes that no folder has, of files that are not written.
-_NO_FOLDERS = frozenset({".apng", ".avi", ".m4v", ".mov", ".mpeg", ".mpg", ".webm", ".wmv"})
+_NO_FOLDERS = (".apng", ".avi", ".m4v", ".mov", ".mpeg", ".mpg", ".webm", ".wmv")
+# Pictures of an animation where no number is given: two seconds.
+_PICTURES = 24
 
 
 @capture_command(
@@ -45,56 +47,29 @@ _NO_FOLDERS = frozenset({".apng", ".avi", ".m4v", ".mov", ".mpeg", ".mpg", ".web
     "lfrender refocus flat.png -c camera.json -o stack.tif --stack 12",
     "lfrender refocus flat.png -o focus.mp4",
     output=("PICTURE", "Picture to write: .tif, .jpg, ...; or .gif, .mp4: from far to near and back.", ".png"),
-    preset=False,
+    own={"What to draw": "at patch_sizes stack focus_aperture scale eight_bits"},
 )
-@console.grouped(
-    "What to draw",
-    click.option("--at", type=float, nargs=2, metavar="X Y", help="Focus on this place [px of the flat]."),
-    click.option(
-        "--patch-size",
-        "patch_sizes",
-        type=float,
-        multiple=True,
-        help="Signed patch size [px] in focus: > 0 telescopic, < 0 binocular. Several times: a focal stack.",
-    ),
-    click.option(
-        "--stack", type=click.IntRange(1), metavar="N", help="N pictures from the farthest depth to the nearest."
-    ),
-    click.option(
-        "--aperture", type=float, default=1.0, show_default=True, help="Part of the aperture used, 0.05 to 1."
-    ),
-    scale_option,
-    eight_bits_option,
-)
-def refocus(
-    capture: CaptureInput,
-    output: Path,
-    patch_sizes: tuple[float, ...],
-    at: tuple[float, float] | None,
-    stack: int | None,
-    aperture: float,
-    scale: float | None,
-    eight_bits: bool,
-) -> None:
+def refocus(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT in focus at one depth, out of focus before and behind.
 
     Several depths make a focal stack on one grid: pages of one TIFF, or PICTURE_01.png and so on; as .gif, .mp4 or .mkv
     an animation.
     """
+    output, at, patch_sizes, stack = given.output, given.at, given.patch_sizes, given.stack
     at_most_one("--patch-size", patch_sizes or None, "--at", at, "--stack", stack)
-    moving = output.suffix.lower() in MOVING_SUFFIXES
+    moving = output.suffix.lower() in _MOVING
     if not (patch_sizes or at or stack):
         if not moving:
             raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
-        stack = PICTURES
+        stack = _PICTURES
     if moving and (at or len(patch_sizes) == 1):
         raise click.UsageError(f"{output} moves through several depths: give --stack N, or another suffix")
-    from ..output.picture import check_picture
+    from ..output.formats import check_format
 
-    check = check_moving if moving else check_picture
-    check(output, inputs=capture.files)
+    uses = ("animation", "film") if moving else ("picture",)
+    check_format(output, *uses, inputs=capture.files)
     pixels = capture.read()
-    check(output, pixels.dtype)
+    check_format(output, *uses, dtype=pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration) if at or stack else None
     with capture.report.stage("render"), option_errors(0):
@@ -102,23 +77,31 @@ def refocus(
         from .. import refocus as run
         from ..rendering.refocus import stack_depths
 
+        drawing = {"aperture": given.aperture, "scale": given.scale}
         sizes = stack_depths(depth, stack) if depth is not None and stack else list(patch_sizes)
         if len(sizes) > 1:
-            pictures = focal_stack(pixels, calibration, sizes, aperture=aperture, scale=scale)
+            pictures = focal_stack(pixels, calibration, sizes, **drawing)
         else:
             one = sizes[0] if sizes else None
-            pictures = [run(pixels, calibration, one, position=at, depth=depth, aperture=aperture, scale=scale)]
+            pictures = [run(pixels, calibration, one, position=at, depth=depth, **drawing)]
+        pictures = [_cut(picture, capture, calibration) for picture in pictures]
     settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
-    paths, stated = _write_refocused(capture, output, pictures, settings, eight_bits)
+    paths, stated = _write_refocused(capture, output, pictures, settings, given.eight_bits)
     written = {"picture": str(output)} if len(paths) == 1 else {"pictures": [str(path) for path in paths]}
-    figures = {**picture_figures(pictures[0]), **camera_figures(calibration, depth)}
     what = f"{len(pictures)} depths" if len(pictures) > 1 else "in focus at one depth"
     named = output if len(paths) == 1 else f"{paths[0]} to {paths[-1].name}"
     capture.report.finish(
-        {**written, "patch_sizes": sizes, **figures},
+        {**written, "patch_sizes": sizes, **picture_figures(pictures[0]), **camera_figures(calibration, depth)},
         camera_sentence(calibration, capture.camera),
         picture_sentence(named, pictures[0], what, capture.report.took), *stated,
     )  # fmt: skip
+
+
+def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) -> Rendering:
+    """The part of a picture that --roi asks for."""
+    from ..output.views import crop_view
+
+    return picture if capture.roi is None else crop_view(picture, capture.roi, calibration.lattice)
 
 
 def _write_refocused(
@@ -128,15 +111,15 @@ def _write_refocused(
     from ..output.metadata import read_metadata
     from ..output.picture import eight_bits as to_eight_bits
     from ..output.picture import needs_eight_bits, write_picture, write_stack
+    from ..sequence.film import write_moving
 
     first, stated = pictures[0], []
-    moving = output.suffix.lower() in MOVING_SUFFIXES
     if first.image.dtype.name != "uint8" and (eight_bits or needs_eight_bits(output, first)):
         stated = [eight_bits_sentence(first.white, first.image.dtype)]
         pictures = [to_eight_bits(picture) for picture in pictures]
     with capture.report.stage("write"):
         embedded = read_metadata(capture.flat)
-        if moving:
+        if output.suffix.lower() in _MOVING:
             write_moving(output, [*pictures, *pictures[-2:0:-1]])
         elif len(pictures) > 1:
             return write_stack(output, pictures, settings=settings, embedded=embedded), stated
@@ -151,199 +134,152 @@ def _write_refocused(
     "lfrender views flat.png -o round.gif",
     "lfrender views flat.png -c camera.json -o scene --poses nerfstudio",
     output=("FOLDER|FILE", "Folder of a grid, or one file."),
+    own={
+        "What to draw: a grid of views in a folder, or one file": "grid stereo animation quilt poses optics",
+        "How to draw it": "view_aperture scale resize grid_format eight_bits",
+    },
 )
-@console.grouped(
-    "What to draw: a grid of views in a folder, or one file",
-    click.option(
-        "--grid", metavar="ROWSxCOLUMNS", help="Pictures on a grid of viewpoints, row1_column1 ... [default: 5x5]"
-    ),
-    click.option("--stereo", is_flag=True, help="The view of the left eye, and beside it that of the right one."),
-    click.option(
-        "--animation",
-        type=click.IntRange(2),
-        metavar="N",
-        help=f"N views around a circle; {PICTURES} where the output is .gif, .mp4 or .mkv.",
-    ),
-    click.option(
-        "--quilt",
-        metavar="COLUMNSxROWS",
-        help="Views from left to right in one picture, for holographic displays: 8x6.",
-    ),
-    click.option(
-        "--poses",
-        type=click.Choice(["nerfstudio", "colmap", "rvs"]),
-        help="The grid with cameras, depth and masks for this program; metric where the optics are known.",
-    ),
-    click.option("--optics", type=INPUT, help="Lengths of the camera, for --poses, if its file does not have them."),
-)
-@console.grouped(
-    "How to draw it",
-    click.option(
-        "--aperture",
-        type=click.FloatRange(0, 1, min_open=True),
-        default=0.7,
-        show_default=True,
-        help="How far from the middle, as a part of the radius of the microimages: more parallax, less light.",
-    ),
-    scale_option,
-    click.option("--resize", type=console.SizeOption(), help="Size of the views [px]."),
-    click.option(
-        "--format", "suffix", default="tif", show_default=True, help="Of the grid's pictures: tif, png, yuv, ..."
-    ),
-    eight_bits_option,
-)
-def views(
-    capture: CaptureInput,
-    output: Path,
-    grid: str | None,
-    stereo: bool,
-    animation: int | None,
-    quilt: str | None,
-    poses: str | None,
-    optics: Path | None,
-    aperture: float,
-    scale: float | None,
-    suffix: str,
-    resize: tuple[int, int] | None,
-    eight_bits: bool,
-) -> None:
+def views(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT as seen from other places in the main lens: parallax.
 
     Every view is sharp at every depth.
     """
-    at_most_one("--grid", grid, "--stereo", stereo or None, "--animation", animation, "--quilt", quilt)
-    at_most_one("--poses", poses, "--stereo", stereo or None, "--animation", animation, "--quilt", quilt)
-    at_most_one("--resize", resize, "--scale", scale)
-    at_most_one("--resize", resize, "--poses", poses)
-    if animation is None and output.suffix.lower() in MOVING_SUFFIXES and not (grid or stereo or quilt or poses):
-        animation = PICTURES
-    form = _ViewForm(
-        *grid_size("--grid", grid or "5x5"), f".{suffix.lstrip('.').lower()}", animation, stereo,
-        grid_size("--quilt", quilt) if quilt is not None else None, poses,
-    )  # fmt: skip
-    form.check(output, inputs=capture.files)
+    for option, value in (("--grid", given.grid), ("--poses", given.poses)):
+        others = "--stereo", given.stereo, "--animation", given.animation, "--quilt", given.quilt
+        at_most_one(option, value, *others)
+    at_most_one("--resize", given.resize, "--scale", given.scale)
+    for option, value in (("--resize", given.resize), ("--roi", capture.roi)):
+        at_most_one(option, value, "--poses", given.poses)
+    output, still = given.output, given.grid or given.stereo or given.quilt or given.poses
+    if given.animation is None and output.suffix.lower() in _MOVING and not still:
+        given.animation = _PICTURES
+    given.grid = grid_size("--grid", given.grid or "5x5")
+    given.quilt = None if given.quilt is None else grid_size("--quilt", given.quilt)
+    given.suffix = f".{given.suffix.lstrip('.').lower()}"
+    _check_views(given, inputs=capture.files)
     pixels = capture.read()
-    form.check(output, pixels.dtype)
+    _check_views(given, pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration)
-    report, offsets = capture.report, form.offsets(aperture * calibration.lattice.radius)
+    report, offsets = capture.report, _offsets(given, given.aperture * calibration.lattice.radius)
     figures: dict[str, Any] = {"views": str(output), "offsets": offsets}
+    stated = []
     with report.stage("render and write"), report.progress("views", len(offsets)) as advance:
-        if poses:
-            figures |= _write_posed(output, poses, pixels, calibration, depth, offsets, scale, optics, advance)
+        if given.poses:
+            figures |= _write_posed(given, pixels, calibration, depth, offsets, advance)
         else:
-            from .. import views as run
             from ..output.metadata import read_metadata
-            from ..output.views import resize_view, scale_for_size
 
-            with option_errors(0):
-                scale = scale if resize is None else scale_for_size(calibration, resize)
-                pictures: Iterator[Rendering] = run(pixels, calibration, depth, offsets=offsets, scale=scale)
-            if resize is not None:
-                pictures = (resize_view(picture, resize) for picture in pictures)
-            if eight_bits:
-                from ..output.picture import eight_bits as to_eight_bits
-
-                pictures = (to_eight_bits(picture) for picture in pictures)
-            settings = {"rendering": "views", "aperture": aperture, "preset": depth.preset}
-            options = {"settings": settings, "embedded": read_metadata(capture.flat)}
-            figures["views"] = str(form.write(output, _advance_with(pictures, advance), options))
-    if pixels.dtype.name != "uint8" and (eight_bits or form.holds_eight_bits(output)):
-        stated = [eight_bits_sentence(calibration.white_level, pixels.dtype)]
-    else:
-        stated = []
+            settings = {"rendering": "views", "aperture": given.aperture, "preset": depth.preset}
+            pictures = _draw_views(capture, given, pixels, calibration, depth, offsets)
+            with option_errors(capture.roi):
+                stated = _write_views(
+                    given, _advance_with(pictures, advance), settings=settings, embedded=read_metadata(capture.flat)
+                )
+    if pixels.dtype.name != "uint8" and (given.eight_bits or _holds_eight_bits(given)):
+        stated.append(eight_bits_sentence(calibration.white_level, pixels.dtype))
     report.finish(
         {**figures, **capture_figures(calibration, depth)},
         camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth),
-        f"{figures['views']}: {len(offsets)} views, in {report.took}.", *stated,
+        f"{output}: {len(offsets)} views, in {report.took}.", *stated,
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _ViewForm:
-    """What views are written as: a grid, unless another form is given."""
+def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
+    """The viewpoints [px]."""
+    from ..rendering.viewpoints import circle_offsets, grid_offsets
 
-    rows: int
-    columns: int
-    suffix: str
-    animation: int | None
-    stereo: bool
-    quilt: tuple[int, int] | None
-    poses: str | None
-
-    def offsets(self, radius: float) -> list[tuple[float, float]]:
-        """The viewpoints [px]."""
-        from ..rendering.viewpoints import circle_offsets, grid_offsets
-
-        if self.animation:
-            return circle_offsets(self.animation, radius)
-        if self.quilt:
-            return grid_offsets(1, self.quilt[0] * self.quilt[1], radius)
-        return [(-radius, 0.0), (radius, 0.0)] if self.stereo else grid_offsets(self.rows, self.columns, radius)
-
-    def check(self, output: Path, dtype: Any = None, inputs: Any = ()) -> None:
-        """Raise an error if the views could not be written."""
-        from ..output.formats import FORMATS
-        from ..output.picture import check_picture
-        from ..output.raw_video import check_raw_format
-        from ..output.views import check_animation, check_grid
-
-        if self.animation:
-            check = check_moving if output.suffix.lower() in MOVING_SUFFIXES else check_animation
-            check(output, dtype, inputs)
-        elif self.stereo or self.quilt:
-            check_picture(output, dtype, inputs=inputs)
-        elif output.suffix.lower() in _NO_FOLDERS and not output.is_dir():
-            raise click.UsageError(
-                f"{output}: films and animations are written as {', '.join(sorted(MOVING_SUFFIXES))}"
-            )
-        elif output.suffix.lower() in FORMATS and not output.is_dir():
-            raise click.UsageError(
-                f"{output} is one file: say what it shows with --stereo, --animation N or --quilt 8x6, or give a folder"
-            )
-        elif self.suffix.startswith(".yuv"):
-            check_raw_format(check_folder(output), self.suffix[1:])
-        else:
-            check_grid(output, ".png" if self.poses else self.suffix, None if self.poses else dtype, inputs)
-
-    def holds_eight_bits(self, output: Path) -> bool:
-        """Whether the files have 8 bits a channel whatever the flat has."""
-        from ..output.formats import FORMATS
-
-        if self.animation:
-            return output.suffix.lower() != ".mkv"
-        kind = FORMATS.get(output.suffix.lower() if self.stereo or self.quilt else self.suffix)
-        return kind is not None and kind.pixel_types == ("uint8",)
-
-    def write(self, output: Path, pictures: Iterator[Rendering], options: dict[str, Any]) -> Path:
-        """Write the views; returns where."""
-        from ..output.picture import write_picture
-        from ..output.raw_video import write_view_videos
-        from ..output.views import stereo_pair, write_animation, write_grid, write_quilt
-
-        if self.animation:
-            write = write_moving if output.suffix.lower() in MOVING_SUFFIXES else write_animation
-            write(output, pictures)
-        elif self.quilt:
-            return write_quilt(output, pictures, *self.quilt, **options)
-        elif self.stereo:
-            write_picture(output, stereo_pair(*pictures), **options)
-        elif self.suffix.startswith(".yuv"):
-            write_view_videos(output, pictures, self.suffix[1:])
-        else:
-            write_grid(output, pictures, self.columns, self.suffix, **options)
-        return output
+    if given.animation:
+        return circle_offsets(given.animation, radius)
+    if given.quilt:
+        return grid_offsets(1, given.quilt[0] * given.quilt[1], radius)
+    rows, columns = given.grid
+    return [(-radius, 0.0), (radius, 0.0)] if given.stereo else grid_offsets(rows, columns, radius)
 
 
-def _write_posed(
-    output: Path,
-    kind: str,
+def _check_views(given: Any, dtype: Any = None, inputs: Any = ()) -> None:
+    """Raise an error if the views could not be written."""
+    from ..output.formats import FORMATS, check_format
+    from ..output.raw_video import check_raw_format
+    from ..output.views import check_grid
+
+    output = given.output
+    suffix = "" if output.is_dir() else output.suffix.lower()
+    if given.animation:
+        check_format(output, "animation", "film", dtype=dtype, inputs=inputs)
+    elif given.stereo or given.quilt:
+        check_format(output, "picture", dtype=dtype, inputs=inputs)
+    elif suffix in _NO_FOLDERS:
+        raise click.UsageError(f"{output}: films and animations are written as {', '.join(_MOVING)}")
+    elif suffix in FORMATS:
+        raise click.UsageError(
+            f"{output} is one file: say what it shows with --stereo, --animation N or --quilt 8x6, or give a folder"
+        )
+    elif given.suffix.startswith(".yuv"):
+        check_raw_format(check_folder(output), given.suffix[1:])
+    else:
+        check_grid(output, ".png" if given.poses else given.suffix, None if given.poses else dtype, inputs)
+
+
+def _draw_views(
+    capture: CaptureInput,
+    given: Any,
     pixels: NDArray[Any],
     calibration: Calibration,
     depth: DepthMap,
     offsets: list[tuple[float, float]],
-    scale: float | None,
-    optics: Path | None,
+) -> Iterator[Rendering]:
+    from .. import views as run
+    from ..output.picture import eight_bits
+    from ..output.views import resize_view, scale_for_size
+
+    size = given.resize
+    with option_errors(0):
+        scale = given.scale if size is None else scale_for_size(calibration, size)
+        pictures: Iterator[Rendering] = run(pixels, calibration, depth, offsets=offsets, scale=scale)
+    pictures = pictures if size is None else map(partial(resize_view, size=size), pictures)
+    pictures = map(partial(_cut, capture=capture, calibration=calibration), pictures)
+    return map(eight_bits, pictures) if given.eight_bits else pictures
+
+
+def _holds_eight_bits(given: Any) -> bool:
+    """Whether the files have 8 bits a channel whatever the flat has."""
+    from ..output.formats import FORMATS
+
+    suffix = given.output.suffix.lower()
+    kind = FORMATS.get(suffix if given.stereo or given.quilt else given.suffix)
+    return suffix != ".mkv" if given.animation else kind is not None and kind.pixel_types == ("uint8",)
+
+
+def _write_views(given: Any, pictures: Iterator[Rendering], **options: Any) -> list[str]:
+    """Write the views; returns what is to be said about them."""
+    from ..output.picture import write_picture
+    from ..output.raw_video import write_view_videos
+    from ..output.views import stereo_pair, write_grid, write_quilt
+    from ..sequence.film import write_moving
+
+    output = given.output
+    if given.animation:
+        write_moving(output, pictures)
+    elif given.quilt:
+        ending = write_quilt(output, pictures, *given.quilt, **options)
+        if not output.stem.endswith(ending):
+            return [f"Players take the grid from the name: call it {output.stem}{ending}{output.suffix} for them."]
+    elif given.stereo:
+        write_picture(output, stereo_pair(*pictures), **options)
+    elif given.suffix.startswith(".yuv"):
+        write_view_videos(output, pictures, given.suffix[1:])
+    else:
+        write_grid(output, pictures, given.grid[1], given.suffix, **options)
+    return []
+
+
+def _write_posed(
+    given: Any,
+    pixels: NDArray[Any],
+    calibration: Calibration,
+    depth: DepthMap,
+    offsets: list[tuple[float, float]],
     advance: Callable[[str], None],
 ) -> dict[str, Any]:
     """Write views with their cameras; returns figures about these."""
@@ -352,11 +288,11 @@ def _write_posed(
     from ..output.posed_files import write_posed_views
     from ..rendering.viewpoints import still_depth, views_with_depth
 
-    known, still = Optics.load(optics) if optics is not None else None, still_depth(depth)
+    known, still = Optics.load(given.optics) if given.optics is not None else None, still_depth(depth)
     with option_errors(0):
-        drawn = views_with_depth(pixels, calibration, depth, offsets=offsets, scale=scale, still=still)
+        drawn = views_with_depth(pixels, calibration, depth, offsets=offsets, scale=given.scale, still=still)
     counted = _advance_with(drawn, advance)
-    rig = write_posed_views(output, kind, counted, calibration, depth, offsets, still, known)
+    rig = write_posed_views(given.output, given.poses, counted, calibration, depth, offsets, still, known)
     positions = [camera.position.tolist() for camera in rig.cameras]
     return {"unit": rig.unit, "camera_error": rig.error, "positions": positions}
 

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import click
+from typing import Any
 
 from lfcal.runtime import console
+
+from .inputs import CaptureInput
+from .options import options
 
 __all__ = ["warm"]
 
 
 @console.command("lfrender warm", "lfrender warm --processes 4")
-@click.option("--processes", type=click.IntRange(1), metavar="N", help="Processes that compile. [default: all cores]")
-@console.report_options
-def warm(processes: int | None, as_json: bool, quiet: bool) -> None:
+@options(own={"What to compile": "processes"}, refused="no flat is read")
+def warm(capture: CaptureInput, given: Any) -> None:
     """Compile all kernels, unless that has been done for this installation.
 
     The first command does so too. The kernels of lfcal and lfrender, for flats of all kinds, go into Numba's cache.
     """
-    report = console.Report(as_json, quiet)
-    failed = report.compile_kernels(processes)
+    report = capture.report
+    failed = report.compile_kernels(given.processes)
     seconds = report.compile_seconds
     more = f"; {failed} could not be compiled" if failed else ""
     done = "All kernels were compiled already." if failed is None else f"Kernels compiled in {seconds:.0f} s{more}."

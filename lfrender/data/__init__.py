@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .registry import Registry, open_registry, write_registry
-    from .samples import board, cache_folder, clutter, house, periodic, plane, ramp, slope
+    from .samples import board, cache_folder, clutter, example, house, periodic, plane, ramp, slope
 
 __all__ = [
-    "Registry", "board", "cache_folder", "clutter", "house", "open_registry", "periodic", "plane", "ramp", "slope",
-    "write_registry",
+    "Registry", "board", "cache_folder", "clutter", "example", "house", "open_registry", "periodic", "plane", "ramp",
+    "slope", "write_registry",
 ]  # fmt: skip
 
 

@@ -26,7 +26,7 @@ DENSE_FORMATS = (".tif", ".tiff", ".pfm", ".exr")
 
 @dataclass(frozen=True, eq=False)
 class DenseDepth(Frozen):
-    """Signed patch size on the grid of a picture.
+    """Signed patch size on the grid of a picture, from `dense_depth`.
 
     Parameters
     ----------
@@ -41,12 +41,8 @@ class DenseDepth(Frozen):
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> dense = dense_depth(depth, scale=6)
-    >>> dense.patch_size.shape, dense.affine.shape
-    ((47, 62), (2, 3))
+    >>> dense_depth(lfrender.data.example()[2], scale=6).resolved.shape
+    (47, 62)
     """
 
     patch_size: NDArray[np.float32]
@@ -64,22 +60,14 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
     ----------
     depth : DepthMap
     scale : float, optional
-        Pixels per pitch; by default that of `render`.
+        Pixels per pitch; by default that of `render`. ValueError beyond four times the pitch.
     fill : bool
         Whether unresolved places have the depth of those around them; else NaN.
-
-    Raises
-    ------
-    ValueError
-        If `scale` is not between 0 and four times the pitch.
 
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> dense = dense_depth(depth, scale=6)
+    >>> dense = dense_depth(lfrender.data.example()[2], scale=6)
     >>> dense.patch_size.shape, dense.pitch
     ((47, 62), 23.2)
     """
@@ -90,21 +78,10 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
     shape = (max(1, round(height / spacing)), max(1, round(width / spacing)))
     first = 0.5 * spacing - 0.5
     out = sample_surface(depth.surface, pitch, shape, spacing)
-    resolved = _nearest_resolved(depth, shape, first, spacing)
+    resolved = ~depth.unresolved_places(shape, (first, first), spacing)
     if not fill:
         out[~resolved] = np.nan
     return DenseDepth(out, np.array([[spacing, 0.0, first], [0.0, spacing, first]]), pitch, resolved)
-
-
-def _nearest_resolved(depth: DepthMap, shape: tuple[int, int], first: float, spacing: float) -> NDArray[np.bool_]:
-    """Whether the lens nearest to each pixel has a depth; everywhere in files that do not hold the centres."""
-    from scipy.spatial import cKDTree
-
-    if depth.centres is None:
-        return np.ones(shape, np.bool_)
-    v, u = np.indices(shape, np.float32)
-    places = first + spacing * np.stack([u, v], -1).reshape(-1, 2)
-    return ~depth.filled[cKDTree(depth.centres).query(places)[1]].reshape(shape)
 
 
 def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
@@ -119,56 +96,46 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArr
     """Write the patch sizes [px] as 32-bit TIFF or OpenEXR, with the affine as JSON, or as PFM; whole or not at all.
 
     With `distance`, as `dense_distance` makes it, that is written in their place. A second page of the TIFF, or a
-    channel "resolved" of OpenEXR, is not 0 where a lens has a depth; PFM has no room for it.
-
-    Raises
-    ------
-    OutputError
-        If the ending is none of these, the package OpenEXR is needed, or the folder cannot be written.
+    channel "resolved" of OpenEXR, is not 0 where a lens has a depth; PFM has no room for it. OutputError if the ending
+    is none of these, the package OpenEXR is needed, or the folder cannot be written.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
     >>> with TemporaryDirectory() as folder:
-    ...     write_dense(f"{folder}/depth.tif", dense_depth(depth, scale=6))
+    ...     write_dense(f"{folder}/depth.tif", dense_depth(lfrender.data.example()[2], scale=6))
     ...     Path(folder, "depth.tif").exists()
     True
     """
     path = Path(path)
     check_output(path, set(DENSE_FORMATS))
-    if path.suffix.lower() == ".exr" and find_spec("OpenEXR") is None:
+    suffix, values = path.suffix.lower(), dense.patch_size if distance is None else distance
+    if suffix == ".exr" and find_spec("OpenEXR") is None:
         raise OutputError(f"{path}: .exr files need the package 'OpenEXR'; pip install 'lfrender[exr]'")
-    values = dense.patch_size if distance is None else distance
+    about = {
+        "software": "lfrender",
+        "content": "signed patch size [px]" if distance is None else "distance in front of the main lens [m]",
+        "pitch": dense.pitch,
+        "affine": dense.affine.tolist(),
+    }
     with atomic_write(path) as temporary:
-        if path.suffix.lower() == ".pfm":
+        if suffix == ".pfm":
             height, width = values.shape
             # Rows from the bottom up; the negative scale says little-endian.
             rows = np.ascontiguousarray(values[::-1], "<f4")
-            Path(temporary).write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + rows.tobytes())
-            return
-        about = {
-            "software": "lfrender",
-            "content": "signed patch size [px]" if distance is None else "distance in front of the main lens [m]",
-            "pitch": dense.pitch,
-            "affine": dense.affine.tolist(),
-        }
-        if path.suffix.lower() == ".exr":
+            temporary.write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + rows.tobytes())
+        elif suffix == ".exr":
             import OpenEXR
 
-            header = {
-                "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": json.dumps(about),
-            }  # fmt: skip
+            kind = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
             channels = {"Y": np.ascontiguousarray(values), "resolved": dense.resolved.astype(np.float32)}
-            with OpenEXR.File(header, channels) as file:
+            with OpenEXR.File(kind | {"comments": json.dumps(about)}, channels) as file:
                 file.write(str(temporary))
-            return
-        import tifffile
+        else:
+            import tifffile
 
-        with tifffile.TiffWriter(temporary) as file:
-            file.write(values, description=json.dumps(about), metadata=None)
-            about["content"] = "255 where a lens has a depth, 0 where it is filled in"
-            file.write(255 * dense.resolved.astype(np.uint8), description=json.dumps(about), metadata=None)
+            with tifffile.TiffWriter(temporary) as file:
+                file.write(values, description=json.dumps(about), metadata=None)
+                about["content"] = "255 where a lens has a depth, 0 where it is filled in"
+                file.write(255 * dense.resolved.astype(np.uint8), description=json.dumps(about), metadata=None)

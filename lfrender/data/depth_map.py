@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, CalibrationError, LightFieldError, Optics
 from lfcal.runtime.frozen import Frozen
@@ -18,7 +18,6 @@ from lfcal.runtime.output_file import atomic_write
 from ..runtime.quantiles import quantile
 from .flat_samples import is_same_flat, sample_flat
 from .frame_state import FrameState
-from .settings import DEFAULT, DataSettings
 from .surface import Surface
 
 __all__ = ["BINOCULAR", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap", "default_scale"]
@@ -31,6 +30,12 @@ UNRESOLVED = 0
 REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the microlenses", "not analysed")
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
+# Arrays and numbers of a file that bear the name of their field; then those that a file need not have.
+_SAVED = (
+    "patch_size", "mode", "magnification", "confidence", "standard_error", "filled", "pitch", "image_size", "preset",
+    "reason",
+)  # fmt: skip
+_OPTIONAL = ("flat_samples", "centres")
 
 
 class DepthFileError(LightFieldError, ValueError):
@@ -42,12 +47,6 @@ class DepthFileError(LightFieldError, ValueError):
     Traceback (most recent call last):
     lfrender.data.depth_map.DepthFileError: no.npz: cannot be read as a depth file (No such file or directory)
     """
-
-
-def _finite(values: NDArray[np.float32]) -> bool:
-    """Whether all values are finite: a sum that is finite holds no other, and is faster than a mask."""
-    with np.errstate(invalid="ignore"):
-        return bool(np.isfinite(values.sum()))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,9 +87,7 @@ class DepthMap(Frozen):
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> flat, camera, depth = lfrender.data.example()
     >>> len(depth) == len(camera.lattice), set(depth.mode.tolist()) <= {-1, 0, 1}
     (True, True)
     >>> bool((depth.magnification[depth.mode != 0] >= 1).all())
@@ -117,21 +114,18 @@ class DepthMap(Frozen):
             values = np.array(getattr(self, name), dtype=np.float32)
             if values.shape != (n,):
                 raise ValueError(f"{name} must have one value per lens ({n}), got shape {values.shape}")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+            self._set(**{name: values})
         reason = self.reason
         if reason is None:
             reason = np.where(np.isfinite(self.patch_size), 0, np.where(self.confidence > 0, 2, 1))
         reason = np.array(reason, dtype=np.int8)
         if reason.shape != (n,) or ((reason == 0) != np.isfinite(self.patch_size)).any():
             raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
-        reason.flags.writeable = False
-        object.__setattr__(self, "reason", reason)
         if self.centres is not None and self.centres.shape != (n, 2):
             raise ValueError(f"centres must have one place per lens ({n}), got shape {self.centres.shape}")
-        if not _finite(self.filled_patch_size) or not _finite(self.surface.patch_size):
+        if not (np.isfinite(self.filled_patch_size).all() and np.isfinite(self.surface.patch_size).all()):
             raise ValueError("drawn and surface must be finite")
-        object.__setattr__(self, "image_size", (int(self.image_size[0]), int(self.image_size[1])))
+        self._set(reason=reason, image_size=(int(self.image_size[0]), int(self.image_size[1])))
 
     def __len__(self) -> int:
         return len(self.patch_size)
@@ -157,6 +151,19 @@ class DepthMap(Frozen):
     def filled(self) -> NDArray[np.bool_]:
         """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
         return np.isnan(self.patch_size)
+
+    def unresolved_places(self, shape: tuple[int, int], first: ArrayLike, spacing: float) -> NDArray[np.bool_]:
+        """(h, w) bool: pixels of a picture whose nearest lens is unresolved; none if the centres are not known.
+
+        Pixel (0, 0) lies at `first` (x, y), pixels are `spacing` [px of the flat] apart.
+        """
+        from scipy.spatial import cKDTree
+
+        if self.centres is None or not self.filled.any():
+            return np.zeros(shape, bool)
+        v, u = np.indices(shape, np.float32)
+        places = np.asarray(first) + spacing * np.stack([u, v], -1).reshape(-1, 2)
+        return self.filled[cKDTree(self.centres).query(places)[1]].reshape(shape)
 
     def is_of(self, flat: NDArray) -> bool:
         """Whether it was made from a flat (H, W) or (H, W, C), in any type or exposure; True where that is unknown.
@@ -187,16 +194,9 @@ class DepthMap(Frozen):
         return optics.distance_error(self.patch_size.astype(np.float64) / self.pitch, error, points)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the magnification over the scene on a logarithmic colour scale; unresolved lenses are grey.
+        """Draw the magnification over the scene on Matplotlib axes, by default the current ones; returns them.
 
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            By default the current one.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
+        Colours are on a logarithmic scale; unresolved lenses are grey.
         """
         from .plots import plot_depth
 
@@ -214,29 +214,14 @@ class DepthMap(Frozen):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
+        fields = {name: getattr(self, name) for name in _SAVED}
+        fields["drawn"], fields["surface"] = self.filled_patch_size, self.surface.patch_size
+        fields["surface_first"], fields["surface_spacing"] = self.surface.first, self.surface.spacing
+        fields["saved_by"] = np.array(list(self.saved), str)
+        fields["saved"] = np.array(list(self.saved.values()), np.float64)
+        fields |= {name: getattr(self, name) for name in _OPTIONAL if getattr(self, name) is not None}
         with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
-            np.savez(
-                stream,
-                version=np.int64(_VERSION),
-                patch_size=self.patch_size,
-                mode=self.mode,
-                magnification=self.magnification,
-                confidence=self.confidence,
-                standard_error=self.standard_error,
-                drawn=self.filled_patch_size,
-                filled=self.filled,
-                surface=self.surface.patch_size,
-                surface_first=np.array(self.surface.first, dtype=np.float64),
-                surface_spacing=np.float64(self.surface.spacing),
-                pitch=np.float64(self.pitch),
-                image_size=np.array(self.image_size, dtype=np.int64),
-                preset=np.array(self.preset),
-                reason=self.reason,
-                saved_by=np.array(list(self.saved), dtype=str),
-                saved=np.array(list(self.saved.values()), dtype=np.float64),
-                flat_samples=np.zeros(0, np.float32) if self.flat_samples is None else self.flat_samples,
-                centres=np.zeros((0, 2), np.float32) if self.centres is None else self.centres,
-            )
+            np.savez(stream, version=np.int64(_VERSION), **fields)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> DepthMap:
@@ -254,35 +239,28 @@ class DepthMap(Frozen):
                 version = int(data["version"])
                 if version != _VERSION:
                     raise DepthFileError(f"{path}: version {version} is not known (this is {_VERSION}); {remedy}")
-                first = data["surface_first"]
-                reason: Any = data.get("reason")
-                return cls(
-                    patch_size=data["patch_size"],
-                    standard_error=data["standard_error"],
-                    confidence=data["confidence"],
-                    filled_patch_size=data["drawn"],
-                    surface=Surface(
-                        np.ascontiguousarray(data["surface"], np.float32),
-                        (float(first[0]), float(first[1])),
-                        float(data["surface_spacing"]),
-                    ),
-                    pitch=float(data["pitch"]),
-                    image_size=(int(data["image_size"][0]), int(data["image_size"][1])),
-                    preset=str(data["preset"]),
-                    reason=reason,
-                    saved={str(k): float(v) for k, v in zip(data["saved_by"], data["saved"], strict=True)}
-                    if "saved" in data
-                    else {},
-                    flat_samples=_optional(data, "flat_samples"),
-                    centres=_optional(data, "centres"),
-                )
+                return cls._of_file(data)
         except DepthFileError:
             raise
         except OSError as error:
             raise DepthFileError(f"{path}: cannot be read as a depth file ({error.strerror or error})") from error
         # Damaged bytes can raise nearly any error in the readers of ZIP files and array headers.
         except Exception as error:
-            raise DepthFileError(f"{path}: not a whole depth file ({_one_line(error)}); {remedy}") from error
+            text = " ".join(str(error).split())[:200] or type(error).__name__
+            raise DepthFileError(f"{path}: not a whole depth file ({text}); {remedy}") from error
+
+    @classmethod
+    def _of_file(cls, data: Any) -> DepthMap:
+        first_x, first_y = data["surface_first"].tolist()
+        surface = np.ascontiguousarray(data["surface"], np.float32)
+        saved = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True) if "saved" in data else ()
+        more: Any = {name: np.asarray(data[name], np.float32) for name in _OPTIONAL if name in data and data[name].size}
+        return cls(
+            data["patch_size"], data["standard_error"], data["confidence"], data["drawn"],
+            Surface(surface, (first_x, first_y), float(data["surface_spacing"])),
+            float(data["pitch"]), tuple(data["image_size"].tolist()), str(data["preset"]),
+            data.get("reason"), dict(saved), **more,
+        )  # fmt: skip
 
 
 def _optics_and_centres(camera: Optics | Calibration, lenses: int) -> tuple[Optics, NDArray[np.float64] | None]:
@@ -295,31 +273,18 @@ def _optics_and_centres(camera: Optics | Calibration, lenses: int) -> tuple[Opti
     return camera.optics, camera.lattice.centres()
 
 
-def default_scale(depth: DepthMap, settings: DataSettings = DEFAULT) -> float:
+def default_scale(depth: DepthMap) -> float:
     """Output pixels per pitch that keep the flat's resolution where patches are largest [px per pitch].
 
-    Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as its patch has.
+    Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as its patch has, for
+    98 % of the lenses.
 
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> flat, camera, depth = lfrender.data.example()
     >>> bool(1 < default_scale(depth) < camera.lattice.pitch)
     True
     """
     sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
-    if sizes.size == 0:
-        return 1.0
-    return max(1.0, quantile(sizes, settings.full_resolution_share))
-
-
-def _optional(data: Any, name: str) -> NDArray[np.float32] | None:
-    """An array of a file; None in those without."""
-    values = np.asarray(data[name], np.float32) if name in data else np.zeros(0, np.float32)
-    return values if values.size else None
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
+    return max(1.0, quantile(sizes, 0.98)) if sizes.size else 1.0

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 __all__ = ["depth_html", "napari_layers", "plot_depth", "plot_rendering", "rendering_html"]
 
 # Colour of unresolved lenses, as in the maps of `lfrender.output.depth_picture`.
-
 _UNRESOLVED = (150, 150, 150)
 
 
@@ -25,18 +24,16 @@ def depth_html(depth: DepthMap) -> str:
     """HTML with the magnification over the scene in colours, unresolved lenses grey, and the figures of a depth map."""
     import cv2
 
-    known = depth.magnification[np.isfinite(depth.magnification)]
     shown, low, high = _magnification(depth)
     share = np.log(shown / low) / np.log(high / low)
     colours = cv2.applyColorMap(np.rint(255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)[:, :, ::-1]
-    colours[_unresolved_places(depth)] = _UNRESOLVED
+    colours[depth.unresolved_places(shown.shape, depth.surface.first, depth.surface.spacing)] = _UNRESOLVED
+    modes = ((1, "telescopic"), (-1, "binocular"), (0, "unresolved"))
     figures = {
         "lenses": f"{len(depth)}, preset {depth.preset}",
-        "modes": ", ".join(
-            f"{name} {float(np.mean(depth.mode == code)):.1%}"
-            for code, name in ((1, "telescopic"), (-1, "binocular"), (0, "unresolved"))
-        ),
+        "modes": ", ".join(f"{name} {float(np.mean(depth.mode == code)):.1%}" for code, name in modes),
     }
+    known = depth.magnification[np.isfinite(depth.magnification)]
     if known.size:
         figures["magnification"] = f"{known.min():.2f} to {known.max():.2f}, median {np.median(known):.2f}"
         figures["standard error of s"] = f"{np.median(depth.standard_error[depth.mode != 0]):.2g} px (median)"
@@ -67,7 +64,7 @@ def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
     from matplotlib.colors import LogNorm
 
     shown, low, high = _magnification(depth)
-    shown[_unresolved_places(depth)] = np.nan
+    shown[depth.unresolved_places(shown.shape, depth.surface.first, depth.surface.spacing)] = np.nan
     surface = depth.surface
     left, top = (first - surface.spacing / 2 for first in surface.first)
     extent = (left, left + shown.shape[1] * surface.spacing, top + shown.shape[0] * surface.spacing, top)
@@ -100,10 +97,9 @@ def napari_layers(
     depth: DepthMap | None = None,
     rendering: Rendering | None = None,
 ) -> list[tuple[Any, dict[str, Any], str]]:
-    """Layers of napari, one for each argument that is given, all in the coordinates of the flat.
+    """Layers of napari, one for each argument that is given, all in the coordinates of the flat, order `y, x`.
 
     Add them by `for layer in napari_layers(...): viewer.add_layer(napari.layers.Layer.create(*layer))`.
-    Coordinates are flat pixels, order `y, x`.
 
     Parameters
     ----------
@@ -122,10 +118,8 @@ def napari_layers(
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> [kind for _, _, kind in napari_layers(flat, camera)]
-    ['image', 'points']
+    >>> [kind for _, _, kind in napari_layers(*lfrender.data.example())]
+    ['image', 'image', 'points']
     """
     layers: list[tuple[Any, dict[str, Any], str]] = []
     if flat is not None:
@@ -154,16 +148,3 @@ def _magnification(depth: DepthMap) -> tuple[NDArray[np.float32], float, float]:
     low, high = (float(value) for value in np.percentile(whole, (1, 99)))
     high = max(high, 1.2 * low)
     return np.clip(whole, low, high), low, high
-
-
-def _unresolved_places(depth: DepthMap) -> NDArray[np.bool_]:
-    """(h, w) places of the surface whose nearest lens is unresolved; none where the centres are not known."""
-    surface = depth.surface
-    rows, columns = surface.patch_size.shape
-    if depth.centres is None or not depth.filled.any():
-        return np.zeros((rows, columns), bool)
-    from scipy.spatial import cKDTree
-
-    v, u = np.indices((rows, columns))
-    places = np.column_stack([u.ravel(), v.ravel()]) * surface.spacing + surface.first
-    return depth.filled[cKDTree(depth.centres).query(places)[1]].reshape(rows, columns)

@@ -14,7 +14,6 @@ from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import lens_grid
 from ..runtime.cache import cached_latest
 from .depth_map import DepthMap
-from .settings import DEFAULT, DataSettings
 from .surface import Surface
 
 __all__ = ["check_region", "crop_flat", "crop_lattice", "embed_region", "rescale_depth", "select_lenses"]
@@ -49,14 +48,12 @@ def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> N
     return inside
 
 
-def crop_flat(
-    gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_], settings: DataSettings = DEFAULT
-) -> tuple[GrayFlat, Lattice]:
+def crop_flat(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tuple[GrayFlat, Lattice]:
     """Crop a flat and its lattice to the lenses `inside` and those around that support them."""
     centres = lattice.centres()[inside]
     size = np.array(lattice.image_size)
-    around = settings.region_margin * lattice.pitch
-    step = int(np.ceil(settings.region_step * lattice.pitch))
+    # The reach of the shading correction. Parts end at multiples of a pitch: the next frame mostly has the same part.
+    around, step = 4.5 * lattice.pitch, int(np.ceil(lattice.pitch))
     low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
     high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
     sub = cached_latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: crop_lattice(lattice, low, high))

@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ LIST_NAME = "registry.txt"
 
 @dataclass(frozen=True)
 class Registry:
-    """Files with known hashes at one place.
+    """Files with known hashes at one place, from `open_registry`.
 
     Parameters
     ----------
@@ -37,18 +37,17 @@ class Registry:
 
     Examples
     --------
-    >>> import tempfile, numpy, lfrender
+    >>> import tempfile, lfrender
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     lfrender.write_picture(f"{folder}/flat.png", numpy.full((20, 30), 7, numpy.uint8))
+    ...     lfrender.write_picture(f"{folder}/flat.png", lfrender.data.example()[0])
     ...     _ = lfrender.data.write_registry(folder)
     ...     lab = lfrender.data.open_registry(folder)
     ...     lab.names, lab.read("flat.png").shape
-    (['flat.png'], (20, 30))
+    (['flat.png'], (180, 240, 3))
     """
 
     base: str
     hashes: dict[str, str]
-    _cache: Path | None = field(default=None, repr=False)
 
     @property
     def names(self) -> list[str]:
@@ -58,10 +57,7 @@ class Registry:
     def fetch(self, name: str) -> Path:
         """The file, from the cache if it is there with the right hash.
 
-        Raises
-        ------
-        FlatError
-            If there is no such file, it cannot be fetched, or its hash is not the one listed.
+        FlatError if there is no such file, it cannot be fetched, or its hash is not the one listed.
         """
         if name not in self.hashes:
             raise FlatError(f"{name}: is not in the registry at {self.base}; it has {', '.join(self.names[:8])}")
@@ -70,18 +66,13 @@ class Registry:
         except ImportError as error:
             raise FlatError("registries need the package 'pooch'; pip install 'lfrender[samples]'") from error
         place = hashlib.sha256(self.base.encode()).hexdigest()[:12]
-        store = pooch.create(
-            path=(self._cache or cache_folder()) / "fetched" / place,
-            base_url=self.base.rstrip("/") + "/",
-            registry=self.hashes,
-        )
+        address = self.base.rstrip("/") + "/"
+        store = pooch.create(path=cache_folder() / "fetched" / place, base_url=address, registry=self.hashes)
         pooch.get_logger().setLevel("WARNING")
         try:
             return Path(store.fetch(name, downloader=None if _is_address(self.base) else _copy))
         except (OSError, ValueError) as error:
-            raise FlatError(
-                f"{self.base.rstrip('/')}/{name}: cannot be fetched ({' '.join(str(error).split())})"
-            ) from error
+            raise FlatError(f"{address}{name}: cannot be fetched ({' '.join(str(error).split())})") from error
 
     def read(self, name: str, page: int | None = None) -> NDArray[Any]:
         """The pixels of a file, as `lfcal.read_flat`."""
@@ -91,7 +82,7 @@ class Registry:
 def open_registry(
     base: str | os.PathLike[str], hashes: Mapping[str, str] | str | os.PathLike[str] | None = None
 ) -> Registry:
-    """The registry of a folder or of an address.
+    """The registry of a folder or of an address; FlatError if the list cannot be read.
 
     Parameters
     ----------
@@ -101,55 +92,39 @@ def open_registry(
         Hashes by name, or the list with them. By default `registry.txt` in the folder; for an address it must be given,
         since a list from the same server would prove nothing.
 
-    Raises
-    ------
-    FlatError
-        If the list cannot be read.
-
     Examples
     --------
-    >>> from tempfile import TemporaryDirectory
-    >>> import lfrender, numpy
-    >>> with TemporaryDirectory() as folder:
-    ...     lfrender.write_picture(f"{folder}/flat.png", numpy.zeros((20, 30), numpy.uint8))
-    ...     _ = lfrender.data.write_registry(folder)
-    ...     lab = lfrender.data.open_registry(folder)
-    ...     lab.names, lab.read("flat.png").shape
-    (['flat.png'], (20, 30))
+    >>> import lfrender
+    >>> lfrender.data.open_registry("captures", {"flat.png": "sha256:" + 64 * "0"}).names
+    ['flat.png']
     """
     place = os.fspath(base)
     if hashes is None:
         if _is_address(place):
             raise FlatError(f"{place}: give the list of hashes too (hashes='registry.txt'); write_registry makes it")
         hashes = Path(place) / LIST_NAME
-    if not isinstance(hashes, Mapping):
-        hashes = _read_list(Path(hashes))
-    return Registry(place, dict(hashes))
+    return Registry(place, dict(hashes) if isinstance(hashes, Mapping) else _read_list(Path(hashes)))
 
 
 def write_registry(folder: str | os.PathLike[str]) -> Path:
-    """Write `registry.txt` with the hashes of all files in a folder; returns its path.
+    """Write `registry.txt` with the hashes of all files in a folder but hidden ones; returns its path.
 
     Examples
     --------
-    >>> from tempfile import TemporaryDirectory
-    >>> import lfrender, numpy
-    >>> with TemporaryDirectory() as folder:
-    ...     lfrender.write_picture(f"{folder}/flat.png", numpy.zeros((20, 30), numpy.uint8))
-    ...     _ = lfrender.data.write_registry(folder)
-    ...     lab = lfrender.data.open_registry(folder)
-    ...     lab.names, lab.read("flat.png").shape
-    (['flat.png'], (20, 30))
+    >>> import tempfile, lfrender
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     lfrender.data.write_registry(folder).name
+    'registry.txt'
     """
     place = Path(folder)
     lines = []
     for path in sorted(place.rglob("*")):
-        name = path.relative_to(place).as_posix()
-        if path.is_file() and name != LIST_NAME and not any(part.startswith(".") for part in Path(name).parts):
+        name = path.relative_to(place)
+        if path.is_file() and name.name != LIST_NAME and not any(part.startswith(".") for part in name.parts):
             with path.open("rb") as stream:
-                lines.append(f"{name} sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}")
+                lines.append(f"{name.as_posix()} sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}\n")
     with atomic_write(place / LIST_NAME) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        temporary.write_text("".join(lines), encoding="utf-8")
     return place / LIST_NAME
 
 

@@ -127,9 +127,7 @@ class Rendering(Frozen):
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> flat, camera, depth = lfrender.data.example()
     >>> picture = lfrender.render(flat, camera, depth, scale=6)
     >>> picture.image.shape, picture.scale
     ((47, 62, 3), 6.0)
@@ -145,17 +143,7 @@ class Rendering(Frozen):
     noise: float | None = None
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the picture over scene coordinates.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            By default the current one.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
+        """Draw the picture over scene coordinates on Matplotlib axes, by default the current ones; returns them."""
         from .plots import plot_rendering
 
         return plot_rendering(self, ax)

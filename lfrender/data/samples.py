@@ -6,6 +6,7 @@ and read from the cache after that. Another version of the simulator makes its o
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -18,18 +19,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lfcal import OutputError
+from lfcal import Calibration, OutputError
 
 if TYPE_CHECKING:
     from data_synth import BoardShoot, Camera, Capture
 
-__all__ = ["board", "cache_folder", "clutter", "house", "periodic", "plane", "ramp", "slope"]
+    from .depth_map import DepthMap
+
+__all__ = ["board", "cache_folder", "clutter", "example", "house", "periodic", "plane", "ramp", "slope"]
 
 _Made = TypeVar("_Made")
 #: Environment variable that names another folder for the cache; it changes no result.
 CACHE_VARIABLE = "LFRENDER_CACHE"
-_NOISE = (9000.0, 5.0)
 
 
 def cache_folder() -> Path:
@@ -49,10 +52,25 @@ def cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("lfrender", appauthor=False))
 
 
-def house(
-    *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
-) -> Capture:
-    """The house behind branches: telescopic and binocular places on one flat.
+def _scene(name: str, about: str) -> Callable[..., Capture]:
+    """The public function that makes the sample `name`."""
+
+    def make(
+        *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
+    ) -> Capture:
+        from data_synth import SCENES, Camera, load_capture, simulate
+
+        design = Camera.design(size=size, pitch=pitch, **camera)
+
+        def trace() -> Capture:
+            # Noise of a pixel: a full well of 9000 electrons, and 5 of them when it is read.
+            scene = SCENES[name](design, seed=seed)
+            return simulate(scene, design, samples=samples, seed=seed, noise=(9000.0, 5.0))
+
+        return _cached(name, design, {"samples": samples, "seed": seed}, load_capture, trace)
+
+    make.__name__ = make.__qualname__ = name
+    make.__doc__ = f"""{about}
 
     Parameters
     ----------
@@ -80,92 +98,42 @@ def house(
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(120, 90), samples=1)
+    >>> sample = lfrender.data.{name}(size=(120, 90), samples=1)
     >>> sample.flat.shape, sample.truth.calibration.lattice.pitch
     ((90, 120, 3), 23.2)
     """
-    return _scene("house", size, pitch, samples, seed, camera)
+    return make
 
 
-def clutter(
-    *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
-) -> Capture:
-    """Balls, boxes and cards before a wall, binocular, depth edges everywhere; arguments as of `house`.
-
-    Examples
-    --------
-    >>> import lfrender
-    >>> lfrender.data.clutter(size=(120, 90), samples=1).flat.shape
-    (90, 120, 3)
-    """
-    return _scene("clutter", size, pitch, samples, seed, camera)
+house = _scene("house", "The house behind branches: telescopic and binocular places on one flat.")
+clutter = _scene("clutter", "Balls, boxes and cards before a wall, binocular, depth edges everywhere.")
+plane = _scene("plane", "One plane that faces the camera, binocular.")
+slope = _scene("slope", "One slanted plane, binocular.")
+ramp = _scene("ramp", "A smooth ramp of brightness, on which every seam shows.")
+periodic = _scene("periodic", "Texture that repeats, whose depth is ambiguous.")
 
 
-def plane(
-    *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
-) -> Capture:
-    """One plane that faces the camera, binocular; arguments as of `house`.
+def example() -> tuple[NDArray[np.uint8], Calibration, DepthMap]:
+    """A small flat of the house, its true camera, and its depth with the preset `fast`: the inputs of the examples.
 
     Examples
     --------
     >>> import lfrender
-    >>> lfrender.data.plane(size=(120, 90), samples=1).flat.shape
-    (90, 120, 3)
+    >>> flat, camera, depth = lfrender.data.example()
+    >>> flat.shape, len(depth) == len(camera.lattice)
+    ((180, 240, 3), True)
     """
-    return _scene("plane", size, pitch, samples, seed, camera)
+    import lfrender
 
-
-def slope(
-    *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
-) -> Capture:
-    """One slanted plane, binocular; arguments as of `house`.
-
-    Examples
-    --------
-    >>> import lfrender
-    >>> lfrender.data.slope(size=(120, 90), samples=1).flat.shape
-    (90, 120, 3)
-    """
-    return _scene("slope", size, pitch, samples, seed, camera)
-
-
-def ramp(
-    *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
-) -> Capture:
-    """A smooth ramp of brightness, on which every seam shows; arguments as of `house`.
-
-    Examples
-    --------
-    >>> import lfrender
-    >>> lfrender.data.ramp(size=(120, 90), samples=1).flat.shape
-    (90, 120, 3)
-    """
-    return _scene("ramp", size, pitch, samples, seed, camera)
-
-
-def periodic(
-    *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
-) -> Capture:
-    """Texture that repeats, whose depth is ambiguous; arguments as of `house`.
-
-    Examples
-    --------
-    >>> import lfrender
-    >>> lfrender.data.periodic(size=(120, 90), samples=1).flat.shape
-    (90, 120, 3)
-    """
-    return _scene("periodic", size, pitch, samples, seed, camera)
+    sample = house(size=(240, 180), samples=2)
+    camera = sample.truth.calibration
+    return sample.flat, camera, lfrender.analyze(sample.flat, camera, "fast")
 
 
 def board(
-    *,
-    size: tuple[int, int] = (800, 600),
-    pitch: float = 23.2,
-    poses: int = 6,
-    samples: int = 16,
-    seed: int = 0,
+    *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, poses: int = 6, samples: int = 16, seed: int = 0,
     **camera: Any,
-) -> BoardShoot:
+) -> BoardShoot:  # fmt: skip
     """Photographs of a checkerboard in random poses, for metric calibration; arguments as of `house`.
 
     Returns
@@ -180,37 +148,17 @@ def board(
     >>> len(shoot.flats), shoot.white.shape
     (2, (240, 300))
     """
-    from data_synth import shoot_board
+    from data_synth import Camera, shoot_board
 
-    design = _design(size, pitch, camera)
+    design = Camera.design(size=size, pitch=pitch, **camera)
     recipe = {"poses": poses, "samples": samples, "seed": seed}
     return _cached("board", design, recipe, _load_board, lambda: shoot_board(design, poses, samples=samples, seed=seed))
-
-
-def _design(size: tuple[int, int], pitch: float, options: dict[str, Any]) -> Camera:
-    from data_synth import Camera
-
-    return Camera.design(size=size, pitch=pitch, **options)
-
-
-def _scene(name: str, size: tuple[int, int], pitch: float, samples: int, seed: int, options: dict[str, Any]) -> Capture:
-    """A capture of a named scene, from the cache or simulated."""
-    from data_synth import SCENES, load_capture, simulate
-
-    camera = _design(size, pitch, options)
-
-    def make() -> Capture:
-        return simulate(SCENES[name](camera, seed=seed), camera, samples=samples, seed=seed, noise=_NOISE)
-
-    return _cached(name, camera, {"samples": samples, "seed": seed}, load_capture, make)
 
 
 def _cached(
     name: str, camera: Camera, recipe: dict[str, Any], load: Callable[[Path], _Made], make: Callable[[], _Made]
 ) -> _Made:
     """A sample from its folder in the cache, made and saved there if it is not whole."""
-    import dataclasses
-
     about = json.dumps([_simulator_digest(), dataclasses.asdict(camera), recipe], sort_keys=True, default=list)
     folder = cache_folder() / "samples" / f"{name}-{hashlib.sha256(about.encode()).hexdigest()[:16]}"
     if folder.is_dir():

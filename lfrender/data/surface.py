@@ -1,4 +1,4 @@
-"""The depth of every scene point: patch sizes on a regular grid, and how they are interpolated."""
+"""Patch size on a regular grid of scene points: linear between its values on one surface, nearest across an edge."""
 
 from __future__ import annotations
 
@@ -13,15 +13,10 @@ from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.kernels.jit import kernel
 
-from .settings import DEFAULT, DataSettings
-
 __all__ = [
     "DepthGrid", "Surface", "constant_surface", "edge_step", "mark_changed_places", "patch_size_at", "sample_surface",
     "sample_surface_at",
 ]  # fmt: skip
-
-# Side of the blocks of grid values that are compared first, so that lenses amid equal blocks are skipped.
-_BLOCK = 4
 
 
 class DepthGrid(NamedTuple):
@@ -52,54 +47,6 @@ def patch_size_at(surface, grid, x, y):
     return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
 
 
-@kernel(share=lambda values, first_x, first_y, spacing, points, out: len(out))
-def _nearest(begin, end, values, first_x, first_y, spacing, points, out):
-    rows, columns = values.shape
-    for k in range(begin, end):
-        u, v = np.rint((points[k, 0] - first_x) / spacing), np.rint((points[k, 1] - first_y) / spacing)
-        out[k] = values[min(max(int(v), 0), rows - 1), min(max(int(u), 0), columns - 1)]
-
-
-@njit
-def _differ(old, new, top, bottom, left, right):
-    """Whether any value of some rows and columns differs."""
-    for v in range(top, bottom):
-        for u in range(left, right):
-            if old[v, u] != new[v, u]:
-                return True
-    return False
-
-
-@kernel(error_model="numpy", fastmath=FAST, share=lambda old, new, some: len(some))
-def _mark_blocks(begin, end, old, new, some):
-    """Set `some` of the blocks that differ between two surfaces, and unset the rest."""
-    rows, columns = new.shape
-    for j in range(begin, end):
-        for i in range(some.shape[1]):
-            v, u = j * _BLOCK, i * _BLOCK
-            some[j, i] = _differ(old, new, v, min(v + _BLOCK, rows), u, min(u + _BLOCK, columns))
-
-
-@kernel(error_model="numpy", fastmath=FAST, share=lambda *given: len(given[6]))
-def _mark_changes(begin, end, old, new, some, first_x, first_y, spacing, centres, reach, changed):
-    """Set `changed` of lenses with a value within `reach` that differs between two surfaces, in `some` blocks."""
-    rows, columns = new.shape
-    for lens in range(begin, end):
-        if changed[lens]:
-            continue
-        x, y = (centres[lens, 0] - first_x) / spacing, (centres[lens, 1] - first_y) / spacing
-        side = reach / spacing
-        top, bottom = max(0, int(np.ceil(y - side))), min(rows, int(np.floor(y + side)) + 1)
-        left, right = max(0, int(np.ceil(x - side))), min(columns, int(np.floor(x + side)) + 1)
-        for j in range(top // _BLOCK, (bottom + _BLOCK - 1) // _BLOCK):
-            for i in range(left // _BLOCK, (right + _BLOCK - 1) // _BLOCK):
-                if some[j, i] and not changed[lens]:
-                    v, u = j * _BLOCK, i * _BLOCK
-                    changed[lens] = _differ(
-                        old, new, max(v, top), min(v + _BLOCK, bottom), max(u, left), min(u + _BLOCK, right)
-                    )  # fmt: skip
-
-
 @kernel(error_model="numpy", share=lambda *given: len(given[5]))
 def _sample(begin, end, surface, grid, first_x, first_y, spacing, out):
     for v in range(begin, end):
@@ -124,10 +71,7 @@ class Surface(Frozen):
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> rows, columns = depth.surface.patch_size.shape
+    >>> flat, camera, depth = lfrender.data.example()
     >>> depth.surface.at(np.array([[120.0, 90.0]])).shape  # patch size at a place of the scene
     (1,)
     """
@@ -142,19 +86,18 @@ class Surface(Frozen):
 
     def grid(self, edge: float) -> DepthGrid:
         """For kernels; patch sizes that differ by less than `edge` [px] belong to one surface."""
-        x, y, spacing, step = np.array([*self.first, self.spacing, edge], np.float32)
-        return DepthGrid(x, y, spacing, step)
+        return DepthGrid(*np.array([*self.first, self.spacing, edge], np.float32))
 
-    def at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+    def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(n,) float32 [px]: patch size of the grid value nearest to scene points (n, 2)."""
-        out = np.empty(len(points), np.float32)
-        _nearest(self.patch_size, *self.first, self.spacing, points, out)
-        return out
+        rows, columns = self.patch_size.shape
+        u, v = np.rint((points - self.first) / self.spacing).astype(int).T
+        return self.patch_size[v.clip(0, rows - 1), u.clip(0, columns - 1)]
 
 
-def edge_step(pitch: float, settings: DataSettings = DEFAULT) -> float:
+def edge_step(pitch: float) -> float:
     """Patch sizes that differ by less than this belong to one surface [px]."""
-    return max(settings.edge_pixels, settings.edge_share * pitch)
+    return max(0.5, 0.03 * pitch)
 
 
 def sample_surface(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
@@ -177,10 +120,18 @@ def mark_changed_places(
     before: Surface, after: Surface, places: NDArray[np.floating], reach: float, changed: NDArray[np.bool_]
 ) -> None:
     """Set `changed` (n,) where a grid value differs within `reach` [px] of `places` (n, 2); the grids are the same."""
-    old, new = before.patch_size, after.patch_size
-    some = np.empty((-(-new.shape[0] // _BLOCK), -(-new.shape[1] // _BLOCK)), bool)
-    _mark_blocks(old, new, some)
-    _mark_changes(old, new, some, *after.first, after.spacing, places, reach, changed)
+    import cv2
+
+    differ = before.patch_size != after.patch_size
+    if not differ.any():
+        return
+    # How many values differ above and to the left of each corner of the grid.
+    total = cv2.integral(differ.view(np.uint8))
+    at, side = (places - after.first) / after.spacing, reach / after.spacing
+    size = np.array(differ.shape[::-1])
+    left, top = np.clip(np.ceil(at - side), 0, size).astype(int).T
+    right, bottom = np.clip(np.floor(at + side) + 1, 0, size).astype(int).T
+    changed |= total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left] > 0
 
 
 def constant_surface(patch_size: float) -> Surface:

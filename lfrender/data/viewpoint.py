@@ -11,7 +11,6 @@ from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import kernel
 
-from .settings import DEFAULT, DataSettings
 from .surface import Surface, patch_size_at
 
 __all__ = ["Viewpoint", "virtual_depth"]
@@ -77,9 +76,7 @@ class Viewpoint:
         first = (surface.first[0] + moved[0], surface.first[1] + moved[1])
         return Surface(warped, first, surface.spacing), moved
 
-    def _nearest_in_reach(
-        self, depths: NDArray[np.float32], spacing: float, settings: DataSettings = DEFAULT
-    ) -> NDArray[np.float32]:
+    def _nearest_in_reach(self, depths: NDArray[np.float32], spacing: float) -> NDArray[np.float32]:
         """(h, w) virtual depth before which the ray of each grid value meets nothing.
 
         The range of depths is cut into slabs: in each, a ray passes over a few grid values, and meets none of them if
@@ -87,7 +84,7 @@ class Viewpoint:
         """
         import cv2
 
-        slabs = np.linspace(depths.min(), depths.max(), settings.slabs + 1)
+        slabs = np.linspace(depths.min(), depths.max(), 5)
         first = np.full(depths.shape, slabs[-1], np.float32)
         for near, far in zip(slabs[-2::-1], slabs[:0:-1], strict=True):
             kernel, anchor = [], []
@@ -103,9 +100,9 @@ class Viewpoint:
         return first
 
 
-def _least_size(pitch: float, settings: DataSettings = DEFAULT) -> np.float32:
-    """Bound of `|s|` [px], since `D / s` has a pole at 0."""
-    return np.float32(pitch / settings.largest_magnification)
+def _least_size(pitch: float) -> np.float32:
+    """Bound of `|s|` [px], since `D / s` has a pole at 0; no capture has smaller patches than D / 12."""
+    return np.float32(pitch / 12)
 
 
 def virtual_depth(patch_size: NDArray[np.float32], pitch: float) -> NDArray[np.float32]:

@@ -36,9 +36,8 @@ from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
 from ..flat.lens_graph import lens_grid, neighbour_rows
 from ..flat.texture import estimate_noise, find_texture, sample_statistics
 from ..flat.validation import match_exposure
-from .settings import DEFAULT, LargeSettings
+from ..sequence.workers import Workers
 from .tiles import LensTile, TileReader, lens_tiles, lens_windows
-from .workers import Workers, choose_workers
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -55,12 +54,12 @@ def analyze_large(
     progress: Callable[[int, int], None] | None = None,
     client: Client | None = None,
     threads: int | None = None,
-    tuning: LargeSettings = DEFAULT,
+    memory: float = 6e8,
 ) -> DepthMap:
     """Estimate the depth of a flat that need not fit into memory; as `analyze`, with nearly the same results.
 
-    The tiles follow from size, type and pitch of the flat alone: the result does not depend on the number of workers or
-    on the machine.
+    The tiles follow from size, type and pitch of the flat and from `memory` alone: the result does not depend on the
+    number of workers or on the machine.
 
     Parameters
     ----------
@@ -75,44 +74,32 @@ def analyze_large(
         themselves: it must lie on storage that all of them see under the same path.
     threads : int or None
         Threads of the kernels in each worker of a cluster; None leaves it to the machine.
-    tuning : LargeSettings
-
-    Returns
-    -------
-    DepthMap
-
-    Raises
-    ------
-    FlatError, CalibrationError, ValueError
-        As `analyze`.
+    memory : float [bytes]
+        Of a tile. Results beside the seams of other tiles differ a little.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
-    >>> import lfcal
-    >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> import lfcal, lfrender
+    >>> flat, camera, depth = lfrender.data.example()
     >>> with TemporaryDirectory() as folder:
     ...     lfrender.write_picture(f"{folder}/flat.tif", flat)
     ...     with lfcal.open_flat(f"{folder}/flat.tif") as source:
-    ...         depth = lfrender.analyze_large(source, camera, "fast")
-    >>> len(depth) == len(camera.lattice)
+    ...         len(lfrender.analyze_large(source, camera, "fast")) == len(depth)
     True
     """
     if preset not in PRESETS:
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
     shortcuts = Shortcuts.of(skip)
     reader = TileReader(source, calibration)
-    calibration = match_exposure(reader.sample_exposure(), calibration)
-    workers = choose_workers(reader, client, threads, tuning)
-    flat = FlatContext(calibration, preset, shortcuts)
-    pixel_bytes = reader.channels * source.dtype.itemsize
-    tiles = list(lens_tiles(calibration.lattice, flat.factor, PRESETS[preset], pixel_bytes, tuning))
-    windows = list(lens_windows(calibration.lattice, flat.factor, tuning))
-    flat = replace(flat, overview=_survey(flat, workers, windows))
-    depth = _analyze_tiles(flat, workers, tiles, progress)
+    calibration = reader.calibration = match_exposure(reader.sample_exposure(), calibration)
+    flat = FlatContext(reader, preset, shortcuts)
+    workers = Workers(client, threads)
+    tiles = lens_tiles(
+        calibration.lattice, flat.factor, PRESETS[preset], reader.channels * source.dtype.itemsize, memory
+    )
+    flat = replace(flat, overview=_survey(flat, workers, list(lens_windows(calibration.lattice, flat.factor))))
+    depth = _analyze_tiles(flat, workers, list(tiles), progress)
     # Those of a colour filter mosaic are not those of the flat in colour.
     raw = calibration.mosaic is not None and len(source.shape) == 2
     return rescale_depth(depth, calibration.lattice, flat.factor, flat_samples=None if raw else sample_source(source))
@@ -122,10 +109,14 @@ def analyze_large(
 class FlatContext:
     """What the analysis of each part needs to know about the whole flat."""
 
-    calibration: Calibration
+    reader: TileReader
     preset: str
     shortcuts: Shortcuts
     overview: SceneStatistics = SceneStatistics(0.0, np.zeros(0, np.float32), 0.0)  # noqa: RUF009 (nobody writes into it)
+
+    @property
+    def calibration(self) -> Calibration:
+        return self.reader.calibration
 
     @property
     def factor(self) -> int:
@@ -142,8 +133,13 @@ class FlatContext:
     def _gain(self) -> Any:
         return self.calibration.region_gain() if uneven_lenses(self.calibration) else None
 
-    def gray_tile(self, part: LensTile, pixels: NDArray[Any]) -> GrayFlat:
+    def read(self, part: LensTile) -> NDArray[Any]:
+        """The pixels of a part as stored."""
+        return self.reader.read_raw(part.rectangle)
+
+    def gray_tile(self, part: LensTile, raw: NDArray[Any]) -> GrayFlat:
         """A part of the flat as it is analysed, its vignetting corrected as on the whole flat."""
+        pixels = self.reader.read(part.rectangle, raw)
         height, width = pixels.shape[:2]
         light = None if self._gain is None else self._gain.at(*part.rectangle[:2], width, height)
         return make_gray_flat(pixels, replace(self.calibration, lattice=part.full), part.factor, light)
@@ -186,12 +182,13 @@ def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> tu
 
 def _survey(flat: FlatContext, workers: Workers, windows: list[LensTile]) -> SceneStatistics:
     """Noise and range of depths in windows of the flat."""
-    rectangles = [part.rectangle for part in windows]
-    raw, rough = map(np.concatenate, zip(*workers.map(_measure_roughness, flat, windows, rectangles), strict=True))
+    measured = workers.map(_measure_roughness, flat, windows, FlatContext.read)
+    raw, rough = map(np.concatenate, zip(*measured, strict=True))
     overview = SceneStatistics(estimate_noise(rough), np.zeros(0, np.float32), estimate_noise(raw))
     thorough = Shortcuts(blank=flat.shortcuts.blank, ranges=False, still=False)
     estimating = replace(flat, shortcuts=thorough, overview=overview)
-    return replace(overview, sizes=np.concatenate(list(workers.map(_measure_depths, estimating, windows, rectangles))))
+    sizes = workers.map(_measure_depths, estimating, windows, FlatContext.read)
+    return replace(overview, sizes=np.concatenate(list(sizes)))
 
 
 def _analyze_tiles(
@@ -207,7 +204,7 @@ def _analyze_tiles(
     finer = EDGES.finer if PRESETS[preset].edges else 1
     surface = np.empty((shape[0] * finer, shape[1] * finer), np.float32)
     saved: dict[str, float] = {}
-    found = workers.map(_analyze_tile, flat, tiles, [part.rectangle for part in tiles])
+    found = workers.map(_analyze_tile, flat, tiles, FlatContext.read)
     for number, (part, (depth, own)) in enumerate(zip(tiles, found, strict=True)):
         rows = flat.rows(part)
         for into, some in (

@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,16 +18,15 @@ from ..data.depth_map import DepthMap
 from ..data.rendering import Part, Rendering
 from ..detail.draw import DetailRenderer
 from ..flat.validation import match_exposure
-from ..output.formats import FORMATS, PictureError, check_package
+from ..output.formats import FORMATS, PictureError, check_format, check_package
 from ..output.metadata import read_metadata
-from ..output.picture import check_picture, describe, with_alpha, write_picture
+from ..output.picture import describe, with_alpha, write_picture
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import TileWriter, move_into_place, new_writer
 from ..rendering.render import Detail, make_renderer
 from ..rendering.renderer import Renderer
-from .settings import DEFAULT, LargeSettings
+from ..sequence.workers import Workers
 from .tiles import TileReader
-from .workers import Workers, choose_workers
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -39,7 +36,7 @@ __all__ = ["LargePicture", "check_large_picture", "render_large"]
 
 @dataclass(frozen=True)
 class LargePicture:
-    """A picture drawn into a file.
+    """A picture drawn into a file, from `render_large`, which has an example.
 
     Parameters
     ----------
@@ -57,18 +54,8 @@ class LargePicture:
 
     Examples
     --------
-    >>> from tempfile import TemporaryDirectory
-    >>> import lfcal
-    >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> with TemporaryDirectory() as folder:
-    ...     lfrender.write_picture(f"{folder}/flat.tif", flat)
-    ...     with lfcal.open_flat(f"{folder}/flat.tif") as source:
-    ...         made = lfrender.render_large(source, f"{folder}/picture.tif", camera, patch_size=-7.0, scale=6)
-    >>> made.scale
-    6.0
+    >>> LargePicture(Path("picture.tif"), (620, 470), np.eye(2, 3), 6.0, 1.0, tiles=4, kept=3).tiles
+    4
     """
 
     path: Path
@@ -97,12 +84,12 @@ def render_large(
     progress: Callable[[int, int], None] | None = None,
     client: Client | None = None,
     threads: int | None = None,
-    tuning: LargeSettings = DEFAULT,
 ) -> LargePicture:
     """Draw a large flat into a file, tile by tile: the pixels are those of `render`, whatever the tiles.
 
     Finished tiles are kept in a hidden folder beside `path`, with which a run that was killed can be continued. The
-    picture appears whole. TIFF and Zarr pictures need memory for one tile, others are held as a whole to be encoded.
+    picture appears whole; errors are those of `render` and `write_picture`. TIFF and Zarr pictures need memory for one
+    tile, others are held as a whole to be encoded.
 
     Parameters
     ----------
@@ -120,21 +107,12 @@ def render_large(
         Called with the number of finished tiles and of all.
     client, threads
         As in `analyze_large`: tiles are drawn by the workers of a cluster, and written here.
-    tuning : LargeSettings
-
-    Raises
-    ------
-    FlatError, CalibrationError, ValueError, OutputError, PictureError
-        As `render` and `write_picture`.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
-    >>> import lfcal
-    >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> import lfcal, lfrender
+    >>> flat, camera, depth = lfrender.data.example()
     >>> with TemporaryDirectory() as folder:
     ...     lfrender.write_picture(f"{folder}/flat.tif", flat)
     ...     with lfcal.open_flat(f"{folder}/flat.tif") as source:
@@ -149,16 +127,18 @@ def render_large(
     check_large_picture(output, source.dtype, alpha)
     exposed = match_exposure(reader.sample_exposure(), calibration)
     drawing = make_renderer(reader.read, exposed, depth, patch_size, scale, blend, detail)
-    workers = choose_workers(reader, client, threads, tuning)
-    side = _tile_size(drawing, reader, tile, 1 if client is None else tuning.tiles_per_thread * workers.count, tuning)
-    text = describe(Rendering(np.empty(0), drawing.grid.affine(), np.empty(0, bool), drawing.grid.scale), settings)
+    grid = drawing.grid
+    workers = Workers(client, threads)
+    # For a cluster four tiles a thread, so that few threads are idle at the end.
+    side = _tile_size(drawing, reader, tile, 1 if client is None else 4 * workers.count)
+    text = describe(Rendering(np.empty(0), grid.affine(), np.empty(0, bool), grid.scale), settings)
     channels = reader.channels + alpha
-    shape = (*drawing.grid.size[::-1], channels) if channels > 1 else drawing.grid.size[::-1]
-    depth_key = [patch_size] if depth is None else [fingerprint(depth.patch_size, depth.surface.patch_size)]
+    shape = (*grid.size[::-1], channels) if channels > 1 else grid.size[::-1]
     # Tiles of an earlier run are used if all that the picture depends on is the same.
     key = fingerprint(
-        file_identity(source.path), [source.page], file_identity(source.dark), calibration.to_dict(), depth_key,
-        drawing.grid.scale, patch_size is None if blend is None else blend,
+        file_identity(source.path), [source.page], file_identity(source.dark), calibration.to_dict(),
+        [patch_size] if depth is None else [fingerprint(depth.patch_size, depth.surface.patch_size)],
+        [grid.scale, patch_size is None if blend is None else blend],
         [drawing.noise if isinstance(drawing, DetailRenderer) else None], side,
         text, [alpha, compress, output.suffix.lower(), str(source.dtype)],
     )  # fmt: skip
@@ -168,22 +148,59 @@ def render_large(
         output if direct else output.with_suffix(".tif"), checkpoint.open(), shape, source.dtype, side,
         json.dumps(text), icc=read_metadata(source.path).icc, compress=compress and direct,
     )  # fmt: skip
-    run = _Run(drawing, reader, workers, writer, checkpoint, key, alpha, tuning.sync_seconds)
-    tiles = list(drawing.grid.tiles(side))
-    kept, seen = run.draw_missing(tiles, progress)
+    done, kept = _finished_tiles(checkpoint, key, writer)
+    parts = dict(enumerate(grid.tiles(side)))
+    missing = {number: part for number, part in parts.items() if str(number) not in done}
+    # A copy, without the tables that are cached in it: workers compute their own.
+    drawn = workers.map(_draw_tile, _Drawing(replace(drawing), reader), missing.values(), _read_part)
+    for (number, part), (image, valid) in zip(missing.items(), drawn, strict=True):
+        pixels = image if reader.channels > 1 else image[:, :, 0]
+        writer.write(part, with_alpha(pixels, valid) if alpha else pixels)
+        done[str(number)] = int(np.count_nonzero(valid))
+        checkpoint.keep("picture", key, done)
+        if progress is not None:
+            progress(len(done), len(parts))
     if direct:
         writer.finish(output)
     else:
         _encode(writer, checkpoint, output, drawing, settings, source)
     checkpoint.remove()
-    valid = seen / (shape[0] * shape[1])
-    return LargePicture(output, drawing.grid.size, drawing.grid.affine(), drawing.grid.scale, valid, len(tiles), kept)
+    valid_share = sum(done.values()) / (shape[0] * shape[1])
+    return LargePicture(output, grid.size, grid.affine(), grid.scale, valid_share, len(parts), kept)
+
+
+def _finished_tiles(checkpoint: Checkpoint, key: str, writer: TileWriter) -> tuple[dict[str, int], int]:
+    """The valid pixels of each tile that an earlier run has drawn, and the number of these; the writer is opened."""
+    found = checkpoint.find("picture", key)
+    # A run that was killed while it removed its files may have left the list of finished tiles alone.
+    if not writer.open(fresh=found is None) or found is None:
+        checkpoint.keep("picture", key, {})
+        return {}, 0
+    return dict(found), len(found)
+
+
+@dataclass(frozen=True)
+class _Drawing:
+    """What workers need to draw a tile."""
+
+    renderer: Renderer | DetailRenderer
+    reader: TileReader
+
+
+def _read_part(drawing: _Drawing, tile: Part) -> NDArray[Any]:
+    return drawing.reader.read_raw(drawing.renderer.required_part(tile))
+
+
+def _draw_tile(drawing: _Drawing, tile: Part, raw: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """A tile of the picture from the part of the flat that it needs."""
+    part = drawing.renderer.required_part(tile)
+    return drawing.renderer.draw(drawing.reader.read(part, raw), part[:2], tile, drawing.reader.dtype)
 
 
 def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> None:
-    """Raise an error if a picture could not be written; as `check_picture`, but Zarr arrays are accepted too."""
+    """Raise an error if a picture could not be written; as `check_format`, but Zarr arrays are accepted too."""
     if output.suffix.lower() != ".zarr":
-        check_picture(output, dtype, alpha, inputs)
+        check_format(output, "picture", dtype=dtype, alpha=alpha, inputs=inputs)
         return
     check_package(output, FORMATS[".zarr"])
     if not output.absolute().parent.is_dir():
@@ -192,88 +209,26 @@ def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ())
         raise PictureError(f"{output}: is an input of this command; give another output")
 
 
-def _tile_size(
-    drawing: Renderer | DetailRenderer, reader: TileReader, tile: int | None, least: int, tuning: LargeSettings
-) -> tuple[int, int]:
-    """Columns and rows of the tiles: as given, or nearly square ones that fit the memory, at least `least` of them."""
+def _tile_size(drawing: Renderer | DetailRenderer, reader: TileReader, tile: int | None, least: int) -> tuple[int, int]:
+    """Columns and rows of the tiles: as given, or nearly square ones of a gigabyte, at least `least` of them."""
     columns, rows = drawing.grid.size
     if tile is not None:
         if tile < 1:
             raise ValueError(f"tile must be a positive number of pixels, got {tile}")
         return min(tile, columns), min(tile, rows)
-    item = reader.source.dtype.itemsize * reader.channels
+    item = reader.dtype.itemsize * reader.channels
     # A pixel of the flat is in memory as read, for this tile and the next one, without vignetting, and prepared for
     # interpolation, and has an occlusion depth. A pixel of the picture is there as computed, and as stored twice.
-    flat_bytes = 4 * item + 6
-    picture_bytes = 4 * reader.channels + 4 + 2 * item
+    flat_bytes, picture_bytes = 4 * item + 6, 4 * reader.channels + 4 + 2 * item
     one = drawing.required_part((columns // 2, rows // 2, columns // 2 + 1, rows // 2 + 1))
-    halo, spacing = max(one[2] - one[0], one[3] - one[1]), drawing.grid.spacing
-    side = 64
-    while (side * 1.1 * spacing + halo) ** 2 * flat_bytes + (side * 1.1) ** 2 * picture_bytes < tuning.picture_memory:
-        side = int(side * 1.1) + 1
+    halo, sides = max(one[2] - one[0], one[3] - one[1]), np.arange(64, 64 + max(columns, rows))
+    needed = (sides * drawing.grid.spacing + halo) ** 2 * flat_bytes + sides**2 * picture_bytes
+    side = int(sides[max(int(np.searchsorted(needed, 1 << 30)) - 1, 0)])
     if least > 1:
-        side = min(side, max(int(np.sqrt(columns * rows / least)), tuning.least_tile))
+        # Smaller tiles for a cluster would be mostly halo.
+        side = min(side, max(int(np.sqrt(columns * rows / least)), 512))
     across, down = -(-columns // side), -(-rows // side)
     return -(-columns // across), -(-rows // down)
-
-
-@dataclass(frozen=True)
-class _Run:
-    """Draws tiles, writes them, and notes in the checkpoint which ones are finished."""
-
-    drawing: Renderer | DetailRenderer
-    reader: TileReader
-    workers: Workers
-    writer: TileWriter
-    checkpoint: Checkpoint
-    key: str
-    alpha: bool
-    sync_seconds: float
-
-    def draw_missing(self, tiles: list[Part], progress: Callable[[int, int], None] | None) -> tuple[int, int]:
-        """Draw the missing tiles; returns how many were there already, and how many pixels are valid in all."""
-        found = self.checkpoint.find("picture", self.key)
-        # A run that was killed while it removed its files may have left the list of finished tiles alone.
-        if not self.writer.open(fresh=found is None):
-            found = None
-        done: dict[str, int] = dict(found) if found else {}
-        if found is None:
-            self.checkpoint.keep("picture", self.key, {})
-        kept = len(done)
-        numbers = [number for number in range(len(tiles)) if str(number) not in done]
-        missing = [tiles[number] for number in numbers]
-        # A copy is shared, without the tables that this drawing has cached: workers compute their own.
-        drawn = self.workers.map(_draw_tile, replace(self.drawing), missing, map(self.drawing.required_part, missing))
-        last = monotonic()
-        waiting: Future[None] | None = None
-        # A tile is written while the next one is drawn.
-        with ThreadPoolExecutor(1) as pool:
-            for number, (image, valid) in zip(numbers, drawn, strict=True):
-                if waiting is not None:
-                    waiting.result()
-                waiting = pool.submit(self._store, tiles[number], image, valid)
-                done[str(number)] = int(np.count_nonzero(valid))
-                if progress is not None:
-                    progress(len(done), len(tiles))
-                if monotonic() - last > self.sync_seconds:
-                    waiting.result()
-                    self.writer.sync()
-                    self.checkpoint.keep("picture", self.key, done)
-                    last = monotonic()
-            if waiting is not None:
-                waiting.result()
-        return kept, sum(done.values())
-
-    def _store(self, tile: Part, image: NDArray[Any], valid: NDArray[np.bool_]) -> None:
-        pixels = image if self.reader.channels > 1 else image[:, :, 0]
-        self.writer.write(tile, with_alpha(pixels, valid) if self.alpha else pixels)
-
-
-def _draw_tile(
-    drawing: Renderer | DetailRenderer, tile: Part, pixels: NDArray[Any]
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """A tile of the picture from the part of the flat that it needs."""
-    return drawing.draw(pixels, drawing.required_part(tile)[:2], tile, pixels.dtype)
 
 
 def _encode(

@@ -7,14 +7,13 @@ of the reduced flat does: their pixels are those that the whole reduced flat wou
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, CalibrationError, FlatSource, Lattice
+from lfcal import Calibration, CalibrationError, FlatError, FlatSource, Lattice, open_flat
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 
 from ..data.region import crop_lattice
@@ -22,7 +21,7 @@ from ..depth.presets import Preset
 from ..depth.surface.scene_grid import grid_shape
 from ..flat.demosaicing import SUPPORT, demosaic
 from ..flat.validation import exposure_rows
-from .settings import DEFAULT, LargeSettings
+from ..output.resume import file_identity
 
 __all__ = ["LensTile", "Rectangle", "TileReader", "lens_tiles", "lens_windows"]
 
@@ -33,65 +32,58 @@ Rectangle = tuple[int, int, int, int]
 class TileReader:
     """Reads parts of a flat: with a channel axis, and in colour where the camera has a colour mosaic.
 
-    CalibrationError if the calibration is for another image size.
+    A copy, such as that of a worker on another machine, opens the file itself, under the same path. CalibrationError if
+    the calibration is for another image size.
     """
 
     def __init__(self, source: FlatSource, calibration: Calibration) -> None:
         check_type(source, FlatSource, "source", "lfcal.open_flat makes one")
         check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
-        size = source.shape[1], source.shape[0]
-        if size != calibration.image_size:
-            was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))
+        self.size = source.shape[1], source.shape[0]
+        if self.size != calibration.image_size:
+            was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, self.size))
             raise CalibrationError(f"calibration is for images of {was} px, the flat has {now}; calibrate on this flat")
-        self.source, self.calibration, self._size = source, calibration, size
+        self._source: FlatSource | None = source
+        dark = None if source.dark is None else source.dark.absolute()
+        self._file = source.path.absolute(), source.page, dark
+        # The size alone: copies on the disks of several machines differ in their times.
+        self._bytes = file_identity(source.path)[1]
+        self.calibration, self.dtype = calibration, source.dtype
         self._mosaic = calibration.mosaic is not None and len(source.shape) == 2
         self.channels = 3 if self._mosaic or len(source.shape) == 3 else 1
 
-    def read(self, part: Rectangle) -> NDArray[Any]:
-        """(h, w, C) pixels of `left, top, right, bottom`, the same as `check_flat` gives there."""
-        return self._demosaic(part, self._read_raw(part))
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_source": None}
 
-    def read_ahead(self, parts: Iterable[Rectangle]) -> Iterator[NDArray[Any]]:
-        """The pixels of each part; the file is read for the next one meanwhile."""
-        rest = iter(parts)
-        part = next(rest, None)
-        if part is None:
-            return
-        # The first one is read in this thread, which imports what reading needs before others do so beside it.
-        pixels = self._read_raw(part)
-        with ThreadPoolExecutor(1) as reader:
-            for following in rest:
-                waiting = reader.submit(self._read_raw, following)
-                yield self._demosaic(part, pixels)
-                part, pixels = following, waiting.result()
-            yield self._demosaic(part, pixels)
+    def read_raw(self, part: Rectangle) -> NDArray[Any]:
+        """The pixels of a part as stored, with those around it that demosaicing needs."""
+        if self._source is None:
+            if file_identity(self._file[0])[1] != self._bytes:
+                raise FlatError(f"{self._file[0]}: is another file where the workers are, or has been changed")
+            self._source = open_flat(*self._file)
+        return self._source.read(*self._widen(part))
 
-    def _read_raw(self, part: Rectangle) -> NDArray[Any]:
-        return self.source.read(*self._widen(part))
-
-    def _widen(self, part: Rectangle) -> Rectangle:
-        """The part with the pixels around it that demosaicing needs; it begins at even places of a mosaic."""
-        if not self._mosaic:
-            return part
-        left, top, right, bottom = part
-        width, height = self._size
-        return (
-            max(0, left - SUPPORT) // 2 * 2, max(0, top - SUPPORT) // 2 * 2, min(width, right + SUPPORT),
-            min(height, bottom + SUPPORT),
-        )  # fmt: skip
-
-    def sample_exposure(self) -> NDArray[Any]:
-        """Rows (n, W, C) of the flat from which its exposure is measured."""
-        width, height = self.calibration.image_size
-        return np.concatenate([self.read((0, row, width, row + 1)) for row in exposure_rows(height).tolist()])
-
-    def _demosaic(self, part: Rectangle, raw: NDArray[Any]) -> NDArray[Any]:
-        # Not done in the thread that reads ahead: kernels with several threads must not run beside each other.
+    def read(self, part: Rectangle, raw: NDArray[Any] | None = None) -> NDArray[Any]:
+        """(h, w, C) pixels of a part, the same as `check_flat` gives there; from those of `read_raw` if given."""
+        raw = self.read_raw(part) if raw is None else raw
         if not self._mosaic:
             return raw if raw.ndim == 3 else raw[:, :, None]
         left, top, _, _ = self._widen(part)
         colour = demosaic(raw, self.calibration, (left, top))
         return np.ascontiguousarray(colour[part[1] - top : part[3] - top, part[0] - left : part[2] - left])
+
+    def _widen(self, part: Rectangle) -> Rectangle:
+        """The part with the pixels around it that demosaicing needs; it begins at even places of a mosaic."""
+        if not self._mosaic:
+            return part
+        left, top = (max(0, at - SUPPORT) // 2 * 2 for at in part[:2])
+        right, bottom = (min(n, at + SUPPORT) for n, at in zip(self.size, part[2:], strict=True))
+        return left, top, right, bottom
+
+    def sample_exposure(self) -> NDArray[Any]:
+        """Rows (n, W, C) of the flat from which its exposure is measured."""
+        width, height = self.size
+        return np.concatenate([self.read((0, row, width, row + 1)) for row in exposure_rows(height).tolist()])
 
 
 @dataclass(frozen=True)
@@ -129,43 +121,42 @@ class LensTile:
         return x, y, x + width, y + height
 
 
-def lens_windows(whole: Lattice, factor: int, settings: LargeSettings = DEFAULT) -> Iterator[LensTile]:
-    """Windows evenly spread from border to border."""
-    size = _reduced_size(whole, factor)
-    pitch = whole.pitch / factor
-    side = int(max(settings.window_pitches * pitch, settings.window_pixels))
-    starts: list[list[int]] = []
-    sides: list[int] = []
-    for length in size:
-        count = int(np.clip(length // side, 1, settings.windows))
-        starts.append(np.linspace(0, max(0, length - side), count).astype(int).tolist())
-        sides.append(side if count > 1 else length)
+def lens_windows(whole: Lattice, factor: int) -> Iterator[LensTile]:
+    """At most 6 x 6 windows of 16 pitches, evenly spread from border to border; lenses near their borders are halo."""
+    size, pitch = _reduced_size(whole, factor), whole.pitch / factor
+    side = int(max(16 * pitch, 256))
+    counts = [int(np.clip(length // side, 1, 6)) for length in size]
+    spans = [side if count > 1 else length for length, count in zip(size, counts, strict=True)]
+    starts = [
+        np.linspace(0, max(0, length - side), count).astype(int).tolist()
+        for length, count in zip(size, counts, strict=True)
+    ]
     for y in starts[1]:
         for x in starts[0]:
-            end = min(x + sides[0], size[0]), min(y + sides[1], size[1])
-            margin = settings.window_margin * pitch
+            end = min(x + spans[0], size[0]), min(y + spans[1], size[1])
             # At the border of the flat the window cuts nothing off.
-            low = np.array([at + margin if at > 0 else -np.inf for at in (x, y)])
-            high = np.array([at - margin if at < n else np.inf for at, n in zip(end, size, strict=True)])
+            low = np.array([at + 3 * pitch if at > 0 else -np.inf for at in (x, y)])
+            high = np.array([at - 3 * pitch if at < n else np.inf for at, n in zip(end, size, strict=True)])
             yield LensTile.cut(whole, factor, (x, y), end, np.stack([low, high]))
 
 
 def lens_tiles(
-    whole: Lattice, factor: int, preset: Preset, pixel_bytes: int = 3, settings: LargeSettings = DEFAULT
+    whole: Lattice, factor: int, preset: Preset, pixel_bytes: int = 3, memory: float = 6e8
 ) -> Iterator[LensTile]:
-    """The flat, of `pixel_bytes` per pixel, cut into tiles that fit the memory, each with its halo."""
-    size = _reduced_size(whole, factor)
-    pitch = whole.pitch / factor
+    """The flat, of `pixel_bytes` per pixel, cut into tiles that need `memory` [bytes] each, with their halos."""
+    size, pitch = _reduced_size(whole, factor), whole.pitch / factor
     # Matching averages blocks of pixels and skips rows of them: tiles use the same blocks as the whole flat.
     block = max(1, round(pitch / preset.search_pitch)) * preset.row_step
-    halo = int(np.ceil(settings.halo * pitch))
-    bytes_each = settings.copies_read * pixel_bytes * factor**2 + settings.bytes_per_pixel
-    side = max(2 * halo, int(np.sqrt(settings.analysis_memory / bytes_each)) - 2 * halo)
+    # Shading is averaged over 4.2 pitches, the rest is for support.
+    halo = int(np.ceil(8 * pitch))
+    # Pixels as read, of this tile and of the next one; then grey, without shading, cut out, masks.
+    bytes_each = 2 * pixel_bytes * factor**2 + 20
+    side = max(2 * halo, int(np.sqrt(memory / bytes_each)) - 2 * halo)
     edges = [np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist() for length in size]
     spacing = grid_shape(whole if factor == 1 else whole.downscaled(factor), preset.surface_cells)[2]
     for top, bottom in zip(edges[1], edges[1][1:], strict=False):
         for left, right in zip(edges[0], edges[0][1:], strict=False):
-            low = [_align(max(0, at - halo), spacing, block, settings.alignment_cells) for at in (left, top)]
+            low = [_align(max(0, at - halo), spacing, block) for at in (left, top)]
             high = [min(n, at + halo) for n, at in zip(size, (right, bottom), strict=True)]
             core = np.array([(left, top), (right, bottom)]) - 0.5
             # A lens may have its centre beyond the last whole pixel of the reduced flat.
@@ -179,9 +170,9 @@ def _reduced_size(whole: Lattice, factor: int) -> tuple[int, int]:
     return -(-width // factor), -(-height // factor)
 
 
-def _align(at: int, spacing: float, block: int, cells: int) -> int:
-    """The pixel at or before `at` where a block begins and, as nearly as possible, a cell of the surface's grid."""
+def _align(at: int, spacing: float, block: int) -> int:
+    """The pixel at or before `at` where a block begins and, of 40 cells, most nearly a cell of the surface's grid."""
     last = int(at / spacing)
-    starts = np.arange(max(0, last - cells), last + 1) * spacing
+    starts = np.arange(max(0, last - 40), last + 1) * spacing
     pixels = np.rint(starts / block).astype(int) * block
     return int(pixels[np.abs(starts - pixels).argmin()])

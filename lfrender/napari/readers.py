@@ -52,15 +52,16 @@ def _read(path: str | list[str]) -> list[Layer]:
 
 def house() -> list[Layer]:
     """The sample `house`: the flat, its true camera."""
-    from ..data import samples
-
-    sample = samples.house()
-    return napari_layers(flat=sample.flat, calibration=sample.truth.calibration)
+    return _sample("house")
 
 
 def clutter() -> list[Layer]:
     """The sample `clutter`: the flat, its true camera."""
-    from ..data import samples
+    return _sample("clutter")
 
-    sample = samples.clutter()
+
+def _sample(name: str) -> list[Layer]:
+    from .. import data
+
+    sample = getattr(data, name)()
     return napari_layers(flat=sample.flat, calibration=sample.truth.calibration)

@@ -20,19 +20,13 @@ from numpy.typing import NDArray
 from lfcal import LightFieldError
 from lfcal.runtime.output_file import check_output
 
-from .metadata import EmbeddedMetadata, embed_in_jpeg, embed_in_png
+from .metadata import EmbeddedMetadata, embed_in_png
 from .ome import is_ome_name, ome_tags, write_ome_zarr
 
 __all__ = [
-    "FORMATS",
-    "Page",
-    "PictureError",
-    "PictureFormat",
-    "check_format",
-    "check_package",
-    "tiff_tags",
-    "tiff_tiles",
-]
+    "FORMATS", "Page", "PictureError", "PictureFormat", "check_format", "check_package", "tiff_tags", "tiff_tiles",
+    "write_exr",
+]  # fmt: skip
 
 #: Pixels, with alpha where they have 2 or 4 channels, and the JSON text that is stored with them.
 Page = tuple[NDArray[Any], str]
@@ -43,8 +37,8 @@ class PictureError(LightFieldError, ValueError):
 
     Examples
     --------
-    >>> import lfrender.output.picture
-    >>> lfrender.output.picture.write_stack("stack.tif", [])
+    >>> from lfrender.output.picture import write_stack
+    >>> write_stack("stack.tif", [])
     Traceback (most recent call last):
     lfrender.output.formats.PictureError: stack.tif: a stack needs at least one picture
     """
@@ -76,26 +70,33 @@ class PictureFormat:
 
 def check_format(
     path: str | os.PathLike[str],
-    use: Literal["picture", "animation", "film"],
+    *uses: Literal["picture", "animation", "film"],
     dtype: Any = None,
     alpha: bool = False,
-    inputs: Iterable[str | os.PathLike[str] | None] = (),
+    inputs: Iterable[Any] = (),
 ) -> None:
     """Raise an error if a file could not be written, before anything is computed for it.
 
-    OutputError if no format with this use has such a suffix, the folder cannot be written, or `path` is one of the
-    `inputs` that are read for it. PictureError if the format can hold neither pixels of this type nor 8 bits, or no
-    alpha channel, or needs a package that is not installed.
+    OutputError if no format with one of these uses has such a suffix, the folder cannot be written, or `path` is one of
+    the `inputs` that are read for it. PictureError if the format can hold neither pixels of this type nor 8 bits, or no
+    alpha channel, or needs a package or an encoder that is not installed.
     """
-    check_output(path, [suffix for suffix, kind in FORMATS.items() if getattr(kind, use)], inputs)
+    check_output(path, [name for name, kind in FORMATS.items() if any(getattr(kind, use) for use in uses)], inputs)
     suffix = Path(path).suffix.lower()
     kind = FORMATS[suffix]
     name = None if dtype is None else np.dtype(dtype).name
     if name not in (None, *kind.pixel_types) and not kind.reduces(name):
-        raise PictureError(f"{path}: {suffix} cannot hold {np.dtype(dtype).name} pixels; use .tif")
+        raise PictureError(f"{path}: {suffix} cannot hold {name} pixels; use .tif")
     check_package(path, kind)
     if alpha and not kind.alpha:
         raise PictureError(f"{path}: {suffix} cannot hold an alpha channel; use .png or .tif")
+    if kind.film:
+        import av
+
+        if kind.film[0] not in av.codecs_available:
+            raise PictureError(
+                f"{path}: the package 'av' was built without the encoder {kind.film[0]}; use another suffix"
+            )
 
 
 def check_package(path: str | os.PathLike[str], kind: PictureFormat) -> None:
@@ -140,70 +141,66 @@ def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compr
             tiff.write(np.ascontiguousarray(pixels), **options)
 
 
-def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
+def write_exr(path: Path, channels: dict[str, NDArray[np.float32]], text: str = "") -> None:
+    """Write channels (h, w), or (h, w, 3 or 4) as RGB or RGBA, as OpenEXR with a comment."""
     import OpenEXR
 
-    ((pixels, text),) = pages
-    names = {2: "Y", 3: "RGB", 4: "RGBA"}
-    channels = {names.get(pixels.shape[2], "Y") if pixels.ndim == 3 else "Y": np.ascontiguousarray(pixels)}
-    if pixels.ndim == 3 and pixels.shape[2] == 2:
-        channels = {"Y": np.ascontiguousarray(pixels[..., 0]), "A": np.ascontiguousarray(pixels[..., 1])}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": text}
-    with OpenEXR.File(header, channels) as file:
+    whole = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    with OpenEXR.File(header, whole) as file:
         file.write(str(path))
 
 
+def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
+    ((pixels, text),) = pages
+    count = pixels.shape[2] if pixels.ndim == 3 else 1
+    if count < 3:
+        layers = np.atleast_3d(pixels)
+        channels = {name: layers[..., k] for k, name in enumerate("YA"[:count])}
+    else:
+        channels = {"RGBA"[:count]: pixels}
+    write_exr(path, channels, text)
+
+
 def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool) -> None:
-    ((pixels, text),) = pages
-    path.write_bytes(embed_in_png(_encode(pixels, ".png", []), text, embedded))
-
-
-def _write_jpeg(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool, quality: int = 95) -> None:
+    # By OpenCV: Pillow has no colours of 16 bits.
     import cv2
 
     ((pixels, text),) = pages
-    data = _encode(pixels, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
-    path.write_bytes(embed_in_jpeg(data, text, embedded))
+    if pixels.ndim == 3:
+        colours = pixels[..., (0, 0, 0, 1)] if pixels.shape[2] == 2 else pixels
+        code = cv2.COLOR_RGB2BGR if colours.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+        pixels = cv2.cvtColor(np.ascontiguousarray(colours), code)
+    try:
+        data = cv2.imencode(".png", pixels)[1].tobytes()
+    except cv2.error as error:
+        raise PictureError(f"{path}: cannot be written as .png ({error.err or error})") from error
+    path.write_bytes(embed_in_png(data, text, embedded))
 
 
-def _write_webp(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool, quality: int = 95) -> None:
-    ((pixels, _),) = pages
-    extra = {"icc_profile": embedded.icc, "exif": embedded.exif}
-    if any(extra.values()) and pixels.ndim == 3 and pixels.shape[2] != 2:
-        from PIL import Image
+def _write_small(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool) -> None:
+    """JPEG or WebP."""
+    from PIL import Image
 
-        stream = io.BytesIO()
-        Image.fromarray(np.ascontiguousarray(pixels)).save(
-            stream, "WEBP", quality=quality, **{name: value for name, value in extra.items() if value}
-        )
-        path.write_bytes(stream.getvalue())
-        return
-    import cv2
-
-    path.write_bytes(_encode(pixels, ".webp", [cv2.IMWRITE_WEBP_QUALITY, quality]))
-
-
-def _encode(pixels: NDArray[Any], suffix: str, options: list[int]) -> bytes:
-    """The bytes of a picture file as OpenCV writes it."""
-    import cv2
-
+    ((pixels, text),) = pages
     if pixels.ndim == 3 and pixels.shape[2] == 2:
         pixels = pixels[..., (0, 0, 0, 1)]
-    if pixels.ndim == 3:
-        code = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
-        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
+    kind = "WEBP" if path.suffix.lower() == ".webp" else "JPEG"
+    more: dict[str, Any] = {"icc_profile": embedded.icc, "exif": embedded.exif}
+    more["comment"] = text.encode("ascii") if kind == "JPEG" else None
+    stream = io.BytesIO()
     try:
-        done, data = cv2.imencode(suffix, pixels, options)
-    except cv2.error as error:
-        raise PictureError(f"cannot be written as {suffix} ({error.err or error})") from error
-    if not done:
-        raise PictureError(f"{pixels.shape[1]} x {pixels.shape[0]} px cannot be written as {suffix}; use .tif")
-    return bytes(data.tobytes())
+        given = {name: value for name, value in more.items() if value}
+        Image.fromarray(np.ascontiguousarray(pixels)).save(stream, kind, quality=95, **given)
+    except (OSError, ValueError) as error:
+        size = f"{pixels.shape[1]} x {pixels.shape[0]} px"
+        raise PictureError(f"{path}: {size} cannot be written as {path.suffix} ({error}); use .tif") from error
+    path.write_bytes(stream.getvalue())
 
 
 _WHOLE = ("uint8", "uint16")
 _TIFF = PictureFormat((*_WHOLE, "float32"), _write_tiff, stack=True, tiles=True)
-_JPEG = PictureFormat(("uint8",), _write_jpeg, alpha=False)
+_JPEG = PictureFormat(("uint8",), _write_small, alpha=False)
 #: The formats by the suffix of their files.
 FORMATS = {
     ".exr": PictureFormat(("float32",), _write_exr, package="OpenEXR", extra="exr"),
@@ -219,7 +216,7 @@ FORMATS = {
     ".png": PictureFormat(_WHOLE, _write_png, animation="PNG"),
     ".tif": _TIFF,
     ".tiff": _TIFF,
-    ".webp": PictureFormat(("uint8",), _write_webp, animation="WEBP"),
+    ".webp": PictureFormat(("uint8",), _write_small, animation="WEBP"),
     # Raw planes, by default 4:2:0 of 10 bits, as coders of video take them.
     ".yuv": PictureFormat(_WHOLE, film=("rawvideo", {}), package="av", extra="video"),
     ".zarr": PictureFormat((*_WHOLE, "float32"), write_ome_zarr, folder=True, tiles=True, package="zarr", extra="zarr"),

@@ -9,16 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-__all__ = ["EmbeddedMetadata", "embed_in_jpeg", "embed_in_png", "read_metadata"]
+__all__ = ["EmbeddedMetadata", "embed_in_png", "read_metadata"]
 
 _EXIF_HEADER = b"Exif\0\0"
-# Most bytes of a profile in one JPEG segment.
-_SEGMENT = 65519
 
 
 @dataclass(frozen=True)
 class EmbeddedMetadata:
-    """ICC profile, and TIFF block of the EXIF data without thumbnail and sizes; empty where there is none."""
+    """ICC profile, and EXIF data without thumbnail and sizes; empty where there is none."""
 
     icc: bytes = b""
     exif: bytes = b""
@@ -52,25 +50,18 @@ def _read_tiff(source: Path) -> EmbeddedMetadata:
 def _read_image(source: Path) -> EmbeddedMetadata:
     from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
-    readers: dict[str, Any] = {
-        ".png": PngImagePlugin.PngImageFile,
-        ".jpg": JpegImagePlugin.JpegImageFile,
-        ".jpeg": JpegImagePlugin.JpegImageFile,
-        ".webp": WebPImagePlugin.WebPImageFile,
-    }
-    reader = readers.get(source.suffix.lower())
-    if reader is None:
-        return EmbeddedMetadata()
     # The format's own class is used, not Image.open: that one refuses sensors above 179 megapixels.
-    with reader(str(source)) as image:
+    jpeg = JpegImagePlugin.JpegImageFile
+    readers: dict[str, Any] = {".png": PngImagePlugin.PngImageFile, ".jpg": jpeg, ".jpeg": jpeg}
+    readers[".webp"] = WebPImagePlugin.WebPImageFile
+    with readers[source.suffix.lower()](str(source)) as image:
         exif = image.getexif()
         camera_data = exif.get_ifd(0x8769)
         # Width and height of the flat, which are not those of the picture.
         for tag in (0x0100, 0x0101, 0xA002, 0xA003):
             exif.pop(tag, None)
             camera_data.pop(tag, None)
-        block = exif.tobytes() if len(exif) else b""
-        return EmbeddedMetadata(image.info.get("icc_profile") or b"", block.removeprefix(_EXIF_HEADER))
+        return EmbeddedMetadata(image.info.get("icc_profile") or b"", exif.tobytes() if len(exif) else b"")
 
 
 def embed_in_png(data: bytes, text: str, embedded: EmbeddedMetadata) -> bytes:
@@ -80,26 +71,9 @@ def embed_in_png(data: bytes, text: str, embedded: EmbeddedMetadata) -> bytes:
     if embedded.icc:
         chunks = _chunk(b"iCCP", b"ICC profile\0\0" + zlib.compress(embedded.icc)) + chunks
     if embedded.exif:
-        chunks += _chunk(b"eXIf", embedded.exif)
+        chunks += _chunk(b"eXIf", embedded.exif.removeprefix(_EXIF_HEADER))
     return data[:after_header] + chunks + data[after_header:]
 
 
 def _chunk(kind: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-
-
-def embed_in_jpeg(data: bytes, text: str, embedded: EmbeddedMetadata) -> bytes:
-    """A JPEG file with a comment, the profile and EXIF data put in at its start; what does not fit is left out."""
-    segments = b""
-    if embedded.exif and len(embedded.exif) <= _SEGMENT:
-        segments += _segment(0xE1, _EXIF_HEADER + embedded.exif)
-    parts = [embedded.icc[k : k + _SEGMENT] for k in range(0, len(embedded.icc), _SEGMENT)]
-    for number, part in enumerate(parts, 1):
-        segments += _segment(0xE2, b"ICC_PROFILE\0" + bytes([number, len(parts)]) + part)
-    if len(text) <= _SEGMENT:
-        segments += _segment(0xFE, text.encode("ascii"))
-    return data[:2] + segments + data[2:]
-
-
-def _segment(marker: int, body: bytes) -> bytes:
-    return struct.pack(">BBH", 0xFF, marker, len(body) + 2) + body

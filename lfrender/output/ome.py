@@ -21,7 +21,6 @@ from .metadata import EmbeddedMetadata
 
 __all__ = ["is_ome_name", "ome_tags", "write_ome_zarr"]
 
-_CHUNK = 512
 Page = tuple[NDArray[Any], str]
 
 
@@ -33,17 +32,14 @@ def is_ome_name(path: Path) -> bool:
 def ome_tags(shape: tuple[int, ...], text: str) -> dict[str, Any]:
     """Options of tifffile for OME metadata of a picture of this shape, in place of those of plain TIFF."""
     about: dict[str, Any] = {"axes": "YX" if len(shape) == 2 else "YXS", "Description": text}
-    affine = _affine(text)
-    if affine is not None:
-        # OME has no place for where a picture begins but those of planes, in any unit.
-        about |= {"PhysicalSizeX": affine[0, 0], "PhysicalSizeXUnit": "pixel"}
-        about |= {"PhysicalSizeY": affine[1, 1], "PhysicalSizeYUnit": "pixel"}
+    # OME has no place for where a picture begins but those of planes, in any unit.
+    for axis, size in zip("XY", np.diag(_affine(text)), strict=True):
+        about |= {f"PhysicalSize{axis}": size, f"PhysicalSize{axis}Unit": "pixel"}
     return {"metadata": about, "description": None}
 
 
-def _affine(text: str) -> NDArray[np.float64] | None:
-    affine = json.loads(text).get("affine")
-    return None if affine is None else np.array(affine, dtype=np.float64)
+def _affine(text: str) -> NDArray[np.float64]:
+    return np.array(json.loads(text).get("affine", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.float64)
 
 
 def write_ome_zarr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
@@ -52,14 +48,11 @@ def write_ome_zarr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _
 
     ((pixels, text),) = pages
     array = np.moveaxis(pixels, -1, 0) if pixels.ndim == 3 else pixels
-    axes = [{"name": "c", "type": "channel"}] * (array.ndim - 2)
-    axes += [{"name": name, "type": "space"} for name in "yx"]
-    affine = _affine(text)
-    scale, start = ([1.0, 1.0], [0.0, 0.0]) if affine is None else ([affine[1, 1], affine[0, 0]], [*affine[::-1, 2]])
-    lead = array.ndim - 2
+    lead, affine = array.ndim - 2, _affine(text)
+    axes = [{"name": "c", "type": "channel"}] * lead + [{"name": name, "type": "space"} for name in "yx"]
     moves = [
-        {"type": "scale", "scale": [1.0] * lead + [float(n) for n in scale]},
-        {"type": "translation", "translation": [0.0] * lead + [float(n) for n in start]},
+        {"type": "scale", "scale": [1.0] * lead + np.diag(affine)[::-1].tolist()},
+        {"type": "translation", "translation": [0.0] * lead + affine[::-1, 2].tolist()},
     ]
     scales = [{"name": path.name, "axes": axes, "datasets": [{"path": "0", "coordinateTransformations": moves}]}]
     made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
@@ -68,7 +61,7 @@ def write_ome_zarr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _
             attributes = {"ome": {"version": "0.5", "multiscales": scales}, "description": text}
             group = zarr.create_group(str(made), attributes=attributes, zarr_format=3)
             names = ("c", "y", "x")[-array.ndim :]
-            chunks = (*array.shape[:lead], min(_CHUNK, array.shape[-2]), min(_CHUNK, array.shape[-1]))
+            chunks = (*array.shape[:lead], *(min(512, n) for n in array.shape[lead:]))
             group.create_array("0", data=np.ascontiguousarray(array), chunks=chunks, dimension_names=names)
         made.replace(path)
     except OSError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,21 +20,11 @@ from .formats import FORMATS, Page, PictureError, check_format
 from .metadata import EmbeddedMetadata
 
 __all__ = [
-    "PictureError", "check_picture", "describe", "eight_bits", "needs_eight_bits", "with_alpha", "write_picture",
+    "PictureError", "describe", "eight_bits", "needs_eight_bits", "with_alpha", "write_picture",
     "write_stack",
 ]  # fmt: skip
 
 _NO_METADATA = EmbeddedMetadata()
-
-
-def check_picture(
-    path: str | os.PathLike[str],
-    dtype: Any = None,
-    alpha: bool = False,
-    inputs: Iterable[str | os.PathLike[str] | None] = (),
-) -> None:
-    """Raise an error if a picture could not be written, before it is computed; as `check_format`."""
-    check_format(path, "picture", dtype, alpha, inputs)
 
 
 def write_picture(
@@ -50,7 +40,8 @@ def write_picture(
 
     All but WebP carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3 affine from output
     pixel `(u, v)` to scene coordinates `X` and the settings of the rendering. Pixels no lens has seen are 0; with
-    `alpha`, they are transparent too.
+    `alpha`, they are transparent too. OutputError or PictureError if the file cannot be written, or its format cannot
+    hold these pixels.
 
     Parameters
     ----------
@@ -67,11 +58,6 @@ def write_picture(
         Colour profile (not in OpenEXR) and EXIF data (not in TIFF and OpenEXR) to put into the file.
     compress : bool
         Write a TIFF in deflated tiles instead of plain rows: smaller, and slower to write. Above 4 GB it is a BigTIFF.
-
-    Raises
-    ------
-    OutputError, PictureError
-        If the file cannot be written, or its format cannot hold these pixels.
 
     Examples
     --------
@@ -90,54 +76,34 @@ def write_stack(
     *,
     settings: Sequence[Mapping[str, Any]] | None = None,
     embedded: EmbeddedMetadata = _NO_METADATA,
-    compress: bool = False,
 ) -> list[Path]:
-    """Write several pictures: as pages of one TIFF, or in other formats as numbered files, `NAME_01.png` and so on.
+    """Write pictures, at least one, as pages of one TIFF, or in other formats as numbered files, `NAME_01.png` ...
 
-    Parameters
-    ----------
-    path : path-like
-        The suffix chooses the format.
-    pictures : sequence
-        Each as for `write_picture`.
-    settings : sequence of mappings, optional
-        Further entries for the JSON text of each picture.
-    embedded, compress
-        As for `write_picture`.
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    OutputError, PictureError
-        As `write_picture`; also without any picture.
+    `settings` are further entries for the JSON text of each; the rest is as for `write_picture`.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> flat, camera, depth = lfrender.data.example()
     >>> stack = lfrender.focal_stack(flat, camera, [-7.0, 7.0], scale=6)
     >>> with TemporaryDirectory() as folder:
-    ...     [path.name for path in write_stack(f"{folder}/stack.tif", list(stack))]
+    ...     [path.name for path in write_stack(f"{folder}/stack.tif", stack)]
     ['stack.tif']
     """
     if not pictures:
         raise PictureError(f"{path}: a stack needs at least one picture")
     target = Path(path)
-    check_picture(target)
+    check_format(target, "picture")
     texts = settings if settings is not None else [{}] * len(pictures)
-    pages = (_page(target, *pair) for pair in zip(pictures, texts, strict=True))
+    pages = [_page(target, *pair) for pair in zip(pictures, texts, strict=True)]
     if FORMATS[target.suffix.lower()].stack:
-        _write(target, list(pages), embedded, compress)
+        _write(target, pages, embedded, False)
         return [target]
     digits = max(2, len(str(len(pictures))))
     paths = [target.with_stem(f"{target.stem}_{k + 1:0{digits}d}") for k in range(len(pictures))]
     for one, page in zip(paths, pages, strict=True):
-        _write(one, [page], embedded, compress)
+        _write(one, [page], embedded, False)
     return paths
 
 
@@ -159,11 +125,9 @@ def eight_bits(picture: Any) -> Any:
 
 def describe(picture: Any, settings: Mapping[str, Any] | None) -> dict[str, Any]:
     """The entries of the JSON text of a picture."""
-    description: dict[str, Any] = {"software": "lfrender"}
     affine = getattr(picture, "affine", None)
-    if affine is not None:
-        description["affine"] = np.asarray(affine, dtype=float).tolist()
-    return {**description, **(settings or {})}
+    known = {} if affine is None else {"affine": np.asarray(affine, dtype=float).tolist()}
+    return {"software": "lfrender", **known, **(settings or {})}
 
 
 def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
@@ -179,7 +143,7 @@ def _page(path: str | os.PathLike[str], picture: Any, settings: Mapping[str, Any
     pixels = np.asarray(getattr(picture, "image", picture))
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or not pixels.size:
         raise PictureError(f"{path}: a picture has shape (h, w) or (h, w, 3), got {pixels.shape}")
-    check_picture(path, pixels.dtype, alpha)
+    check_format(path, "picture", dtype=pixels.dtype, alpha=alpha)
     if alpha:
         valid = getattr(picture, "valid", None)
         pixels = with_alpha(pixels, np.ones(pixels.shape[:2], bool) if valid is None else np.asarray(valid))
@@ -187,10 +151,10 @@ def _page(path: str | os.PathLike[str], picture: Any, settings: Mapping[str, Any
 
 
 def _write(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool) -> None:
-    write = FORMATS[path.suffix.lower()].picture
-    assert write is not None
-    if FORMATS[path.suffix.lower()].folder:
-        write(path, pages, embedded, compress)
+    kind = FORMATS[path.suffix.lower()]
+    assert kind.picture is not None
+    if kind.folder:
+        kind.picture(path, pages, embedded, compress)
         return
     with atomic_write(path) as temporary:
-        write(temporary, pages, embedded, compress)
+        kind.picture(temporary, pages, embedded, compress)

@@ -21,9 +21,7 @@ __all__ = ["CLOUD_SUFFIXES", "point_cloud", "write_points"]
 
 CLOUD_SUFFIXES = frozenset({".ply", ".pcd"})
 
-_POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
-)
+_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
 
 
 def point_cloud(
@@ -33,9 +31,8 @@ def point_cloud(
     optics: Optics | None = None,
     *,
     points_per_pitch: float = 7.0,
-    farthest: float = 50.0,
 ) -> NDArray:
-    """Every resolved place of the scene as a point.
+    """Every resolved place of the scene as a point; CalibrationError if `depth` belongs to another camera.
 
     Parameters
     ----------
@@ -44,34 +41,22 @@ def point_cloud(
     depth : DepthMap
         Of this flat.
     optics : Optics, optional
-        Gives positions in metres instead; where its principal point is not known the axis of the main lens is taken
-        to meet the middle of the flat. By default those of the calibration, if it has any.
+        Gives positions in metres; where its principal point is not known the axis of the main lens is taken to meet the
+        middle of the flat. By default those of the calibration, if it has any.
     points_per_pitch : float
         Density of the points; 7 is as fine as the depth is resolved.
-    farthest : float
-        Largest virtual depth `D / |s|`, which has a pole at `s = 0`.
 
     Returns
     -------
     (n,) structured array
-        `x, y` scene coordinates over the pitch `D`, `z` the signed virtual depth `D / s` (positive: in
-        front of the microlenses), all float32; `red, green, blue` 0..255. Places without a resolved lens and those
-        beyond `farthest` are left out. With `optics`, `x` to the right, `y` down and `z` in front of the main lens [m];
-        places at infinity are left out.
-
-    Raises
-    ------
-    CalibrationError
-        If `depth` belongs to another camera.
+        `x, y` scene coordinates over the pitch `D`, `z` the signed virtual depth `D / s` (positive: in front of the
+        microlenses), all float32; `red, green, blue` 0..255. Those farther than 50 pitches are left out. With `optics`,
+        `x` to the right, `y` down and `z` in front of the main lens [m]; places at infinity are left out.
 
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> points = point_cloud(flat, camera, depth, points_per_pitch=4)
-    >>> points.dtype.names
+    >>> point_cloud(*lfrender.data.example(), points_per_pitch=4).dtype.names
     ('x', 'y', 'z', 'red', 'green', 'blue')
     """
     lattice = calibration.lattice
@@ -81,7 +66,8 @@ def point_cloud(
     scale = min(points_per_pitch, depth.pitch)
     picture = render(flat, calibration, depth, scale=scale)
     dense = dense_depth(depth, scale)
-    v, u = np.nonzero(picture.valid & (np.abs(dense.patch_size) * farthest >= depth.pitch))
+    # Virtual depth has a pole at s = 0.
+    v, u = np.nonzero(picture.valid & (np.abs(dense.patch_size) * 50 >= depth.pitch))
     scene = np.column_stack([u, v, np.ones(len(u))]) @ dense.affine.T
     resolved = depth.mode[nearest_lens(lattice, scene)] != 0
     u, v, scene = u[resolved], v[resolved], scene[resolved]
@@ -107,44 +93,33 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> points = point_cloud(flat, camera, depth)
+    >>> points = point_cloud(*lfrender.data.example(), points_per_pitch=4)
     >>> with TemporaryDirectory() as folder:
     ...     write_points(f"{folder}/cloud.ply", points)
-    >>> points.dtype.names
-    ('x', 'y', 'z', 'red', 'green', 'blue')
+    ...     Path(folder, "cloud.ply").read_bytes()[:3]
+    b'ply'
     """
     check_output(path, CLOUD_SUFFIXES)
     if Path(path).suffix.lower() == ".pcd":
-        with atomic_write(path) as temporary:
-            Path(temporary).write_bytes(_pcd_bytes(points))
-        return
-    virtual = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
-    kinds = {"f": "float", "u": "uchar"}
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment {'metres; x right, y down, z in front of the main lens' if metres else virtual}",
-        f"element vertex {len(points)}",
-        *(f"property {kinds[_POINT[name].kind]} {name}" for name in _POINT.names or ()),
-        "end_header\n",
-    ]
+        # The colour is a whole number 0xRRGGBB.
+        packed = np.empty(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
+        for name in "xyz":
+            packed[name] = points[name]
+        red, green, blue = (points[name].astype(np.uint32) for name in ("red", "green", "blue"))
+        packed["rgb"] = red << 16 | green << 8 | blue
+        header = [
+            "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z rgb", "SIZE 4 4 4 4",
+            "TYPE F F F U", "COUNT 1 1 1 1", f"WIDTH {len(points)}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0",
+            f"POINTS {len(points)}", "DATA binary\n",
+        ]  # fmt: skip
+    else:
+        packed = points.astype(_POINT)
+        virtual = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
+        header = [
+            "ply", "format binary_little_endian 1.0",
+            f"comment {'metres; x right, y down, z in front of the main lens' if metres else virtual}",
+            f"element vertex {len(points)}", *(f"property float {name}" for name in "xyz"),
+            *(f"property uchar {name}" for name in ("red", "green", "blue")), "end_header\n",
+        ]  # fmt: skip
     with atomic_write(path) as temporary:
-        Path(temporary).write_bytes("\n".join(header).encode() + points.astype(_POINT).tobytes())
-
-
-def _pcd_bytes(points: NDArray) -> bytes:
-    """The points as a PCD file (Point Cloud Library): the colour is a whole number 0xRRGGBB."""
-    packed = np.empty(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
-    for name in "xyz":
-        packed[name] = points[name]
-    red, green, blue = (points[name].astype(np.uint32) for name in ("red", "green", "blue"))
-    packed["rgb"] = red << 16 | green << 8 | blue
-    header = [
-        "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z rgb", "SIZE 4 4 4 4",
-        "TYPE F F F U", "COUNT 1 1 1 1", f"WIDTH {len(points)}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(points)}", "DATA binary\n",
-    ]  # fmt: skip
-    return "\n".join(header).encode() + packed.tobytes()
+        temporary.write_bytes("\n".join(header).encode() + packed.tobytes())

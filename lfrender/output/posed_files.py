@@ -23,26 +23,22 @@ from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
+from .formats import write_exr
 from .picture import write_picture
-from .poses import ViewRig, view_rig
+from .poses import ViewCamera, ViewRig, view_rig
 from .raw_video import check_raw_format, raw_format_of, yuv_frame
 
 __all__ = ["POSE_FORMATS", "write_posed_views"]
 
-# Side of the blocks of pixels of the middle view of which COLMAP gets one point.
-_POINT_STEP = 4
-# Depth of files with 16 bits, in the unit of the rig: millimetres where that holds.
-_DEPTH_STEP = 1e-3
-_FARTHEST_SHARE = 0.999
-
 
 @dataclass(frozen=True)
 class _Posed:
-    """A view as it is written: its number, picture, and depth (h, w)."""
+    """A view as it is written: its number, picture, depth (h, w), and camera."""
 
     number: int
     picture: Rendering
     depth: NDArray[np.float32]
+    camera: ViewCamera
 
     @property
     def stem(self) -> str:
@@ -64,7 +60,7 @@ def write_posed_views(
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
-    """Write views with intrinsics, extrinsics, depth and masks.
+    """Write views with intrinsics, extrinsics, depth and masks; OutputError or PictureError if that fails.
 
     Parameters
     ----------
@@ -76,23 +72,12 @@ def write_posed_views(
     calibration, depth, offsets, still, optics
         As for `view_rig`.
 
-    Returns
-    -------
-    ViewRig
-
-    Raises
-    ------
-    OutputError, PictureError
-        If a file cannot be written.
-
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
     >>> from lfrender.rendering.viewpoints import views_with_depth
+    >>> flat, camera, depth = lfrender.data.example()
     >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
     >>> pairs = views_with_depth(flat, camera, depth, offsets=offsets, scale=6, still=-7.0)
     >>> with TemporaryDirectory() as folder:
@@ -110,14 +95,14 @@ def write_posed_views(
     posed = []
     for number, (picture, sizes) in enumerate(views):
         if rig is None:
-            same = [picture.affine] * len(offsets), [(picture.image.shape[1], picture.image.shape[0])] * len(offsets)
-            rig = view_rig(calibration, depth, offsets, *same, still, optics)
-        v, u = np.mgrid[: sizes.shape[0], : sizes.shape[1]]
+            height, width = sizes.shape
+            rig = view_rig(calibration, depth, offsets, picture.affine, (width, height), still, optics)
+        v, u = np.indices(sizes.shape)
         places = np.stack([u, v, np.ones_like(u)], -1) @ picture.affine.T
         places = places + np.array(offsets[number]) * (depth.pitch / still)
-        posed.append(_Posed(number, picture, rig.depth(number, sizes, places)))
+        posed.append(_Posed(number, picture, rig.depth(number, sizes, places), rig.cameras[number]))
     assert rig is not None
-    POSE_FORMATS[kind](target, posed, rig)
+    POSE_FORMATS[kind](target, posed, rig.unit)
     return rig
 
 
@@ -126,150 +111,128 @@ def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
     for name in ("images", "depth", "masks"):
         (folder / name).mkdir(exist_ok=True)
     largest = max((float(view.depth[view.known].max()) for view in views if view.known.any()), default=1.0)
-    step = max(_DEPTH_STEP, largest / 65000)
+    # Millimetres where 16 bits hold that.
+    step = max(1e-3, largest / 65000)
     for view in views:
-        write_picture(folder / "images" / f"{view.stem}.png", _as_png(view.picture))
+        shown = view.picture.image
+        shown = shown if shown.dtype.kind == "u" else to_eight_bits(shown, view.picture.white)
+        write_picture(folder / "images" / f"{view.stem}.png", shown)
         write_picture(folder / "masks" / mask.format(view.stem), view.picture.valid.astype(np.uint8) * np.uint8(255))
         whole = np.where(view.known, view.depth / step, 0)
         write_picture(folder / "depth" / f"{view.stem}.png", np.rint(np.minimum(whole, 65535)).astype(np.uint16))
-        _write_depth(folder / "depth" / view.stem, np.where(view.known, view.depth, np.inf).astype(np.float32))
+        exact = np.where(view.known, view.depth, np.inf).astype(np.float32)
+        if find_spec("OpenEXR") is None:
+            write_picture(folder / "depth" / f"{view.stem}.tif", exact)
+            continue
+        with atomic_write(folder / "depth" / f"{view.stem}.exr") as temporary:
+            write_exr(temporary, {"Z": exact})
     return step
-
-
-def _as_png(picture: Rendering) -> NDArray[Any]:
-    """Pixels that a PNG holds."""
-    return picture.image if picture.image.dtype.kind == "u" else to_eight_bits(picture.image, picture.white)
-
-
-def _write_depth(stem: Path, depth: NDArray[np.float32]) -> None:
-    """Write float depth as OpenEXR, channel `Z`, or as TIFF without its package."""
-    if find_spec("OpenEXR") is None:
-        write_picture(stem.with_suffix(".tif"), depth)
-        return
-    import OpenEXR
-
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with atomic_write(stem.with_suffix(".exr")) as temporary, OpenEXR.File(header, {"Z": depth}) as file:
-        file.write(str(temporary))
 
 
 def _write_text(path: Path, text: str) -> None:
     with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text + "\n", encoding="utf-8")
 
 
-def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
+def _write_nerfstudio(folder: Path, views: list[_Posed], unit: str) -> None:
     """`transforms.json`: axes x right, y up, z backwards, pixel (0, 0) from 0 to 1."""
     step = _write_files(folder, views, "{}.png")
     frames = []
-    for view, camera in zip(views, rig.cameras, strict=True):
-        x, y, z = camera.position.tolist()
-        names = zip(("k1", "k2", "p1", "p2"), camera.distortion, strict=True)
-        frames.append(
-            {
-                "file_path": f"images/{view.stem}.png",
-                "depth_file_path": f"depth/{view.stem}.png",
-                "mask_path": f"masks/{view.stem}.png",
-                "fl_x": camera.focal[0],
-                "fl_y": camera.focal[1],
-                "cx": camera.principal_point[0] + 0.5,
-                "cy": camera.principal_point[1] + 0.5,
-                "w": camera.size[0],
-                "h": camera.size[1],
-                **dict(names),
-                "transform_matrix": [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]],
-            }
-        )
-    model = {
-        "camera_model": "OPENCV", "unit": rig.unit, "depth_unit_scale_factor": step, "frames": frames,
-    }  # fmt: skip
-    _write_text(folder / "transforms.json", json.dumps(model, indent=1) + "\n")
+    for view in views:
+        camera, (x, y, z) = view.camera, view.camera.position.tolist()
+        frames.append({
+            "file_path": f"images/{view.stem}.png",
+            "depth_file_path": f"depth/{view.stem}.png",
+            "mask_path": f"masks/{view.stem}.png",
+            "fl_x": camera.focal[0],
+            "fl_y": camera.focal[1],
+            "cx": camera.principal_point[0] + 0.5,
+            "cy": camera.principal_point[1] + 0.5,
+            "w": camera.size[0],
+            "h": camera.size[1],
+            **dict(zip(("k1", "k2", "p1", "p2"), camera.distortion, strict=True)),
+            "transform_matrix": [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]],
+        })  # fmt: skip
+    model = {"camera_model": "OPENCV", "unit": unit, "depth_unit_scale_factor": step, "frames": frames}
+    _write_text(folder / "transforms.json", json.dumps(model, indent=1))
 
 
-def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
+def _write_colmap(folder: Path, views: list[_Posed], unit: str) -> None:
     """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as COLMAP names them."""
     step = _write_files(folder, views, "{}.png.png")
     sparse = folder / "sparse" / "0"
     sparse.mkdir(parents=True, exist_ok=True)
     cameras, images = [], []
-    for view, camera in zip(views, rig.cameras, strict=True):
-        number = view.number + 1
+    for view in views:
+        camera, number = view.camera, view.number + 1
         bent = any(camera.distortion)
         values = [*camera.focal, *(p + 0.5 for p in camera.principal_point), *(camera.distortion if bent else ())]
         size = f"{camera.size[0]} {camera.size[1]}"
         cameras.append(f"{number} {'OPENCV' if bent else 'PINHOLE'} {size} {' '.join(f'{v:.12g}' for v in values)}")
         place = " ".join(f"{-p:.12g}" for p in camera.position)
         images.append(f"{number} 1 0 0 0 {place} {number} {view.stem}.png\n")
-    _write_text(sparse / "cameras.txt", "\n".join(cameras) + "\n")
-    _write_text(sparse / "images.txt", "\n".join(images) + "\n")
-    middle = views[len(views) // 2]
-    _write_text(sparse / "points3D.txt", _points(middle, rig))
-    _write_text(folder / "depth" / "unit.txt", f"16-bit files times {step:.9g} {rig.unit}\n")
+    _write_text(sparse / "cameras.txt", "\n".join(cameras))
+    _write_text(sparse / "images.txt", "\n".join(images))
+    _write_text(sparse / "points3D.txt", _points(views[len(views) // 2]))
+    _write_text(folder / "depth" / "unit.txt", f"16-bit files times {step:.9g} {unit}")
 
 
-def _points(view: _Posed, rig: ViewRig) -> str:
-    """Lines of points that a view shows, of every few pixels."""
-    camera, image = rig.cameras[view.number], to_eight_bits(view.picture.image, view.picture.white)
-    v, u = (axis.ravel() for axis in np.mgrid[: image.shape[0] : _POINT_STEP, : image.shape[1] : _POINT_STEP])
-    keep = view.known[v, u]
-    u, v = u[keep], v[keep]
-    z = view.depth[v, u].astype(float)
+def _points(view: _Posed, step: int = 4) -> str:
+    """Lines of points that a view shows, one of every `step` x `step` pixels."""
+    camera, image = view.camera, to_eight_bits(view.picture.image, view.picture.white)
+    v, u = (step * axis for axis in np.nonzero(view.known[::step, ::step]))
+    z = view.depth[v, u].astype(float)[:, None]
     slopes = (np.column_stack([u, v]) - camera.principal_point) / camera.focal
-    points = np.column_stack([slopes * z[:, None], z]) + camera.position
+    points = np.hstack([slopes * z, z]) + camera.position
     colours = image[v, u] if image.ndim == 3 else np.repeat(image[v, u][:, None], 3, 1)
     lines = (
         f"{n + 1} {p[0]:.9g} {p[1]:.9g} {p[2]:.9g} {c[0]} {c[1]} {c[2]} 0"
         for n, (p, c) in enumerate(zip(points.tolist(), colours.tolist(), strict=True))
     )
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
-def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
+def _write_rvs(folder: Path, views: list[_Posed], unit: str) -> None:
     """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the depths of each view."""
-    cameras = []
-    for view, camera in zip(views, rig.cameras, strict=True):
+    cameras: list[dict[str, Any]] = []
+    for view in views:
         layout = raw_format_of(view.picture.image.shape, "yuv420p10")
         size = f"{layout.width}x{layout.height}"
         known = view.depth[view.known]
-        near = float(known.min()) * 0.999 if known.size else 1.0
-        far = float(np.quantile(known, _FARTHEST_SHARE)) * 1.001 if known.size else 2.0
+        near, far = np.quantile(known, (0, 0.999)).tolist() if known.size else (1.0, 2.0)
+        near, far = 0.999 * near, 1.001 * far
         disparity = (1 / np.where(view.known, view.depth, far) - 1 / far) / (1 / near - 1 / far)
         whole = np.rint(np.clip(disparity, 0, 1) * 65535).astype("<u2")[: layout.height, : layout.width]
+        grey = np.full(layout.width * layout.height // 2, 0x8000, "<u2")
         name = f"v{view.number:02d}"
         with atomic_write(folder / f"{name}_texture_{size}_yuv420p10le.yuv") as temporary:
             temporary.write_bytes(yuv_frame(view.picture.image, "yuv420p10", view.picture.white))
-        grey = np.full(layout.width * layout.height // 2, 0x8000, "<u2")
         with atomic_write(folder / f"{name}_depth_{size}_yuv420p16le.yuv") as temporary:
             temporary.write_bytes(np.ascontiguousarray(whole).tobytes() + grey.tobytes())
-        x, y, z = camera.position.tolist()
-        cameras.append(
-            {
-                "Name": name,
-                "Position": [z, -x, -y],
-                "Rotation": [0.0, 0.0, 0.0],
-                "Depthmap": 1,
-                "Background": 0,
-                "Depth_range": [near, far],
-                "Resolution": [layout.width, layout.height],
-                "Projection": "Perspective",
-                "Focal": list(camera.focal),
-                "Principle_point": [p + 0.5 for p in camera.principal_point],
-                "BitDepthColor": 10,
-                "BitDepthDepth": 16,
-                "ColorSpace": "YUV420",
-                "DepthColorSpace": "YUV420",
-            }
-        )
-    about = {"Converted_by": "lfrender", "Unit": rig.unit}
-    model = {
-        "Version": "2.0", "Content_name": folder.name, "Fps": 1, "Frames_number": 1, "Informative": about,
-        "cameras": cameras,
-    }  # fmt: skip
-    _write_text(folder / "cameras.json", json.dumps(model, indent=1) + "\n")
+        x, y, z = view.camera.position.tolist()
+        cameras.append({
+            "Name": name,
+            "Position": [z, -x, -y],
+            "Rotation": [0.0, 0.0, 0.0],
+            "Depthmap": 1,
+            "Background": 0,
+            "Depth_range": [near, far],
+            "Resolution": [layout.width, layout.height],
+            "Projection": "Perspective",
+            "Focal": list(view.camera.focal),
+            "Principle_point": [p + 0.5 for p in view.camera.principal_point],
+            "BitDepthColor": 10,
+            "BitDepthDepth": 16,
+            "ColorSpace": "YUV420",
+            "DepthColorSpace": "YUV420",
+        })  # fmt: skip
+    about = {"Converted_by": "lfrender", "Unit": unit}
+    model = {"Version": "2.0", "Content_name": folder.name, "Fps": 1, "Frames_number": 1, "Informative": about}
+    _write_text(folder / "cameras.json", json.dumps(model | {"cameras": cameras}, indent=1))
 
 
 #: Writers by the name of the program.
-POSE_FORMATS: dict[str, Callable[[Path, list[_Posed], ViewRig], None]] = {
+POSE_FORMATS: dict[str, Callable[[Path, list[_Posed], str], None]] = {
     "nerfstudio": _write_nerfstudio,
     "colmap": _write_colmap,
     "rvs": _write_rvs,

@@ -43,16 +43,10 @@ class ViewCamera:
 
     Examples
     --------
-    >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
-    >>> pictures = list(lfrender.views(flat, camera, depth, offsets=offsets, scale=6, still=-7.0))
-    >>> affines, sizes = [p.affine for p in pictures], [p.image.shape[1::-1] for p in pictures]
-    >>> rig = view_rig(camera, depth, offsets, affines, sizes, still=-7.0)
-    >>> rig.cameras[0].project(np.array([[0.0, 0.0, 5.0]])).shape
-    (1, 2)
+    >>> import numpy
+    >>> camera = ViewCamera(numpy.zeros(3), (100.0, 100.0), (50.0, 40.0), (101, 81))
+    >>> camera.project([[0.1, 0.0, 1.0]])
+    array([[60., 40.]])
     """
 
     position: Array
@@ -62,15 +56,7 @@ class ViewCamera:
     distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     def project(self, points: ArrayLike) -> Array:
-        """(n, 2) pixels `u, v` at which points (n, 3) are seen.
-
-        Examples
-        --------
-        >>> import numpy
-        >>> camera = ViewCamera(numpy.zeros(3), (100.0, 100.0), (50.0, 40.0), (101, 81))
-        >>> camera.project([[0.1, 0.0, 1.0]])
-        array([[60., 40.]])
-        """
+        """(n, 2) pixels `u, v` at which points (n, 3) are seen."""
         x, y, z = (np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.position).T
         x, y = x / z, y / z
         k1, k2, p1, p2 = self.distortion
@@ -96,15 +82,11 @@ class ViewRig:
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
-    >>> pictures = list(lfrender.views(flat, camera, depth, offsets=offsets, scale=6, still=-7.0))
-    >>> affines, sizes = [p.affine for p in pictures], [p.image.shape[1::-1] for p in pictures]
-    >>> rig = view_rig(camera, depth, offsets, affines, sizes, still=-7.0)
-    >>> len(rig.cameras)
-    2
+    >>> flat, camera, depth = lfrender.data.example()
+    >>> picture = lfrender.render(flat, camera, depth, scale=6)
+    >>> rig = view_rig(camera, depth, [(-4.0, 0.0), (4.0, 0.0)], picture.affine, (62, 47), still=-7.0)
+    >>> len(rig.cameras), rig.unit
+    (2, 'baseline')
     """
 
     cameras: tuple[ViewCamera, ...]
@@ -147,8 +129,8 @@ def view_rig(
     calibration: Calibration,
     depth: DepthMap,
     offsets: Sequence[tuple[float, float]],
-    affines: Sequence[Array],
-    sizes: Sequence[tuple[int, int]],
+    affine: Array,
+    size: tuple[int, int],
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
@@ -161,8 +143,8 @@ def view_rig(
     depth : DepthMap
     offsets : sequence of (float, float) [px]
         As for `views`.
-    affines, sizes
-        Of each view: from pixel to scene coordinates, width and height.
+    affine, size
+        Of all views: from pixel to scene coordinates, width and height [px].
     still : float [px]
         As for `views`.
     optics : Optics, optional
@@ -170,103 +152,96 @@ def view_rig(
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
-    >>> pictures = list(lfrender.views(flat, camera, depth, offsets=offsets, scale=6, still=-7.0))
-    >>> affines, sizes = [p.affine for p in pictures], [p.image.shape[1::-1] for p in pictures]
-    >>> rig = view_rig(camera, depth, offsets, affines, sizes, still=-7.0)
-    >>> len(rig.cameras)
-    2
+    >>> flat, camera, depth = lfrender.data.example()
+    >>> picture = lfrender.render(flat, camera, depth, scale=6)
+    >>> view_rig(camera, depth, [(-4.0, 0.0)], picture.affine, (62, 47), still=-7.0).cameras[0].size
+    (62, 47)
     """
     lattice = calibration.lattice
     optics = optics or calibration.optics
     middle = (np.array(lattice.image_size) - 1) / 2
     where = np.array(offsets, dtype=float).reshape(-1, 2)
-    moved = where * (lattice.pitch / still)
-    frames = [(np.asarray(a, float), shift, size) for a, shift, size in zip(affines, moved, sizes, strict=True)]
+    grid = _Grid(np.asarray(affine, float), where * (lattice.pitch / still), size)
     if optics is None:
-        return _chosen_rig(depth, where, frames, middle)
+        return _chosen_rig(depth, where, grid, middle)
     axis = np.array(optics.principal_point) if optics.principal_point is not None else middle
     far = optics.mla_distance
     spread = 1 + optics.sensor_distance / far
-    cameras = []
-    for offset, frame in zip(where, frames, strict=True):
-        # The lens at c is read at c + q: the ray crosses the main lens there.
-        aside = offset * optics.pixel * far / optics.sensor_distance
-        centre = axis - spread / optics.pixel * aside * (1 - far / optics.focal_length)
-        cameras.append(_camera(np.array([*(aside * 1e-3), 0.0]), spread * far / optics.pixel, centre, frame))
-    rig = ViewRig(
-        tuple(cameras), "m", 0.0, lattice.pitch, where, optics, middle,
-    )  # fmt: skip
+    # The lens at c is read at c + q: the ray crosses the main lens there.
+    aside = where * optics.pixel * far / optics.sensor_distance
+    centres = axis - spread / optics.pixel * aside * (1 - far / optics.focal_length)
+    cameras = grid.cameras(aside * 1e-3, spread * far / optics.pixel, centres)
+    rig = ViewRig(cameras, "m", 0.0, lattice.pitch, where, optics, middle)
     bent = (*optics.radial, *optics.tangential, *optics.tilt, optics.curvature, optics.pupil)
-    return _fitted(rig, depth, frames) if any(bent) else rig
+    return _fitted(rig, depth, grid) if any(bent) else rig
 
 
-def _camera(position: Array, focal: float, centre: Array, frame: tuple[Array, Array, tuple[int, int]]) -> ViewCamera:
-    """A camera with focal length and principal point on the microlens plane [px of the flat], for a grid of pixels."""
-    affine, moved, size = frame
-    spacing = np.array([affine[0, 0], affine[1, 1]])
-    at = (centre - moved - affine[:, 2]) / spacing
-    return ViewCamera(
-        position, (float(focal / spacing[0]), float(focal / spacing[1])), (float(at[0]), float(at[1])), size
-    )
+@dataclass(frozen=True)
+class _Grid:
+    """The pixels of all views: from pixel to scene coordinates, how far each view is moved there, width and height."""
+
+    affine: Array
+    moved: Array  # (n, 2) [px]
+    size: tuple[int, int]
+
+    def pixels(self, view: int, places: Array) -> Array:
+        """(n, 2) pixels of a view that show places (n, 2) on the microlens plane."""
+        return (places - self.moved[view] - self.affine[:, 2]) / np.diag(self.affine)
+
+    def cameras(self, aside: Array, focal: float, centres: Array) -> tuple[ViewCamera, ...]:
+        """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the microlens plane."""
+        across, down = np.diag(self.affine).tolist()
+        made = []
+        for view, (place, centre) in enumerate(zip(aside, centres, strict=True)):
+            x, y = self.pixels(view, centre).tolist()
+            made.append(ViewCamera(np.array([*place, 0.0]), (focal / across, focal / down), (x, y), self.size))
+        return tuple(made)
 
 
-def _chosen_rig(
-    depth: DepthMap, offsets: Array, frames: list[tuple[Array, Array, tuple[int, int]]], middle: Array
-) -> ViewRig:
+def _chosen_rig(depth: DepthMap, offsets: Array, grid: _Grid, middle: Array) -> ViewRig:
     """Cameras in units of the baseline: the focal length is the longer side, infinity a little behind the scene."""
     virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
     near, far = (float(v) for v in np.quantile(virtual, (0.01, 0.99)))
     beyond = far + 0.25 * max(far - near, 0.1)
     focal = float(max(depth.image_size))
-    gaps = [np.hypot(*(a - b)) for k, a in enumerate(offsets) for b in offsets[:k]]
-    unit = min((gap for gap in gaps if gap > 0), default=1.0)
-    cameras = []
-    for offset, frame in zip(offsets, frames, strict=True):
-        # A point at infinity, `D / s = beyond`, is drawn at X + q beyond.
-        cameras.append(_camera(np.array([*(offset / unit), 0.0]), focal, middle + offset * beyond, frame))
-    return ViewRig(
-        tuple(cameras), "baseline", 0.0, depth.pitch, offsets, None, middle, beyond, unit / focal,
-    )  # fmt: skip
+    gaps = np.linalg.norm(offsets[:, None] - offsets, axis=-1)
+    unit = float(gaps[gaps > 0].min(initial=np.inf))
+    unit = unit if np.isfinite(unit) else 1.0
+    # A point at infinity, `D / s = beyond`, is drawn at X + q beyond.
+    cameras = grid.cameras(offsets / unit, focal, middle + offsets * beyond)
+    return ViewRig(cameras, "baseline", 0.0, depth.pitch, offsets, None, middle, beyond, unit / focal)
 
 
-def _fitted(rig: ViewRig, depth: DepthMap, frames: list[tuple[Array, Array, tuple[int, int]]]) -> ViewRig:
+def _fitted(rig: ViewRig, depth: DepthMap, grid: _Grid) -> ViewRig:
     """The rig with cameras that come nearest to optics with distortion, tilt, curvature or a pupil."""
     from scipy.optimize import least_squares
 
     assert rig._optics is not None
     virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
-    depths = np.quantile(virtual, (0.02, 0.5, 0.98))
     sides = [np.linspace(0.02, 0.98, 9) * side for side in depth.image_size]
-    x, y, v = (axis.ravel() for axis in np.meshgrid(*sides, depths))
-    scene, ratio = np.column_stack([x, y]), np.reciprocal(np.asarray(v, dtype=np.float64))
-    points = rig._optics.positions(scene, ratio, rig._middle)
+    x, y, v = (axis.ravel() for axis in np.meshgrid(*sides, np.quantile(virtual, (0.02, 0.5, 0.98))))
+    scene = np.column_stack([x, y])
+    points = rig._optics.positions(scene, 1 / v.astype(np.float64), rig._middle)
     known = np.isfinite(points).all(1)
     points, scene, v = points[known], scene[known], v[known]
     cameras, squares = [], []
-    for camera, offset, (affine, moved, _) in zip(rig.cameras, rig._offsets, frames, strict=True):
-        drawn = scene + offset * v[:, None] - moved
-        pixels = (drawn - affine[:, 2]) / [affine[0, 0], affine[1, 1]]
-        # Steps of a size: about a thousandth of each number.
-        scale = np.array([1e-3, 1e-3, 1e-3, camera.focal[0], 10.0, 10.0, 0.1, 0.1, 0.01, 0.01])
+    for view, camera in enumerate(rig.cameras):
+        drawn = grid.pixels(view, scene + rig._offsets[view] * v[:, None])
 
-        def moved_camera(step: Array, camera: ViewCamera = camera, scale: Array = scale) -> ViewCamera:
-            s = step * scale
-            ratio = 1 + s[3] / camera.focal[0]
+        def changed(step: Array, camera: ViewCamera = camera) -> ViewCamera:
+            ratio = 1 + step[3]
             return replace(
                 camera,
-                position=camera.position + s[:3],
+                position=camera.position + step[:3],
                 focal=(camera.focal[0] * ratio, camera.focal[1] * ratio),
-                principal_point=(camera.principal_point[0] + s[4], camera.principal_point[1] + s[5]),
-                distortion=(s[6], s[7], s[8], s[9]),
+                principal_point=(camera.principal_point[0] + step[4], camera.principal_point[1] + step[5]),
+                distortion=tuple(step[6:].tolist()),
             )
 
-        found = least_squares(
-            lambda step, make=moved_camera, pixels=pixels: (make(step).project(points) - pixels).ravel(), np.zeros(10)
-        )
-        cameras.append(moved_camera(found.x))
+        def residuals(step: Array, make: Any = changed, drawn: Array = drawn) -> Array:
+            return np.ravel(make(step).project(points) - drawn)
+
+        found = least_squares(residuals, np.zeros(10), x_scale="jac")
+        cameras.append(changed(found.x))
         squares.append(float(np.mean(found.fun**2)) * 2)
     return replace(rig, cameras=tuple(cameras), error=float(np.sqrt(np.mean(squares))))

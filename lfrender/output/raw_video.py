@@ -23,10 +23,6 @@ from .formats import FORMATS, PictureError, check_package
 __all__ = ["check_raw_format", "raw_format_of", "view_name", "write_view_videos", "yuv_frame"]
 
 
-# White of limited range in the 16 bits of FFmpeg, both ways: it counts them as 8 bits times 256.
-_WHITE = 0xFF00
-
-
 def check_raw_format(folder: str | os.PathLike[str], pixel_format: str) -> str:
     """The full name of a pixel format, 4:2:0 of 10 bits for `"yuv"`; PictureError if it cannot be written."""
     check_package(Path(folder) / "v000.yuv", FORMATS[".yuv"])
@@ -72,7 +68,8 @@ def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = Non
     if pixels.dtype != np.uint8 or white not in (None, 255):
         full = 1.0 if pixels.dtype.kind == "f" else white or np.iinfo(pixels.dtype).max
         if pixels.dtype != np.uint16 or full != 65535:
-            pixels = np.rint(np.clip(np.nan_to_num(pixels) / full, 0, 1) * _WHITE).astype(np.uint16)
+            # FFmpeg counts 16 bits as 8 bits times 256, both ways.
+            pixels = np.rint(np.clip(np.nan_to_num(pixels) / full, 0, 1) * 0xFF00).astype(np.uint16)
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[..., None], 3, 2)
     frame = VideoFrame.from_ndarray(
@@ -84,20 +81,9 @@ def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = Non
 def write_view_videos(
     folder: str | os.PathLike[str], pictures: Iterable[Any], pixel_format: str = "yuv420p10"
 ) -> list[Path]:
-    """Write each view as raw video of one frame, `v000-1920x1080.yuv` and so on.
+    """Write each view, row by row, as raw video of one frame, `v000-1920x1080.yuv` and so on.
 
-    Parameters
-    ----------
-    folder : path-like
-        Made where it does not exist.
-    pictures : iterable of Rendering
-        Row by row.
-    pixel_format : str
-
-    Raises
-    ------
-    OutputError, PictureError
-        If the folder or a file cannot be written.
+    OutputError or PictureError if the folder or a file cannot be written.
     """
     name = check_raw_format(folder, pixel_format)
     make_folder(folder)

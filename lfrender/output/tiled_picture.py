@@ -64,39 +64,32 @@ class _TiffWriter:
         return found
 
     def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
-        """Write the pixels of `left, top, right, bottom`; tiles come in any order."""
+        """Write the pixels of `left, top, right, bottom`, safe on the disk; tiles come in any order."""
         left, top, right, _ = tile
         pixel = self._dtype.itemsize * int(np.prod(self._shape[2:]))
         row = self._shape[1] * pixel
-        pixels = np.ascontiguousarray(pixels)
-        full_width = right - left == self._shape[1]
-        for number, some in enumerate([pixels] if full_width else pixels):
+        whole_rows = right - left == self._shape[1]
+        for number, some in enumerate([pixels] if whole_rows else pixels):
             self._file.seek(self._start + (top + number) * row + left * pixel)
-            view = some.reshape(-1).view(np.uint8).data
+            view = np.ascontiguousarray(some).reshape(-1).view(np.uint8).data
             while len(view):
                 view = view[self._file.write(view) :]
-
-    def sync(self) -> None:
-        """Wait until the disk holds what was written."""
         os.fsync(self._file.fileno())
 
     def finish(self, output: Path) -> None:
         """Move the picture to its place, over an earlier one."""
         self._file.close()
-        if not self._compress:
-            move_into_place(self._path, output)
-            return
-        import tifffile
+        made = self._path
+        if self._compress:
+            import tifffile
 
-        options = tiff_tiles(self._dtype)
-        # If the process is killed here, the next run finds and removes this file in the folder of unfinished work.
-        packed = self._path.with_name("packed.tif")
-        with atomic_write(packed) as temporary:
-            tifffile.imwrite(
-                temporary, self._tiles(options["tile"][0]), shape=self._shape, dtype=self._dtype,
-                **options, **self._tags,
-            )  # fmt: skip
-        move_into_place(packed, output)
+            # If the process is killed here, the next run finds and removes this file in the folder of unfinished work.
+            made = self._path.with_name("packed.tif")
+            options = tiff_tiles(self._dtype) | self._tags
+            with atomic_write(made) as temporary:
+                tiles = self._tiles(options["tile"][0])
+                tifffile.imwrite(temporary, tiles, shape=self._shape, dtype=self._dtype, **options)
+        move_into_place(made, output)
 
     def _tiles(self, side: int) -> Any:
         """The tiles of the finished picture, row by row."""
@@ -125,28 +118,25 @@ class _ZarrWriter:
         found = self._path.exists()
         # Empty chunks are written too, so that a missing chunk is one that was lost.
         with zarr.config.set({"array.write_empty_chunks": True}):
-            if not found:
+            if found:
+                self._array = zarr.open_array(str(self._path), mode="r+")
+            else:
                 self._array = zarr.create_array(
                     str(self._path), shape=self._shape, dtype=self._dtype, chunks=self._chunks,
                     attributes={"description": self._description},
                 )  # fmt: skip
-            else:
-                self._array = zarr.open_array(str(self._path), mode="r+")
         return found
 
     def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
         left, top, right, bottom = tile
         self._array[top:bottom, left:right] = pixels
 
-    def sync(self) -> None:
-        """The operating system keeps files of whole chunks, also those of a process that was killed."""
-
     def finish(self, output: Path) -> None:
         if output.exists() and not any((output / name).exists() for name in ("zarr.json", ".zarray", ".zgroup")):
             raise OutputError(f"{output}: is there already and no Zarr array; give another output")
-        earlier = self._path.with_name("earlier.zarr")
         # The earlier array is moved away in one step: a folder that is half removed would still be read as a picture.
         if output.exists():
+            earlier = self._path.with_name("earlier.zarr")
             shutil.rmtree(earlier, ignore_errors=True)
             move_into_place(output, earlier)
         move_into_place(self._path, output)

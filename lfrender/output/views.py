@@ -1,80 +1,57 @@
-"""Files of several viewpoints: a folder of pictures, a stereo pair in one picture, an animation."""
+"""Files of several viewpoints: a folder of pictures, a stereo pair in one picture, a quilt, an animation."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lfcal import Calibration
+from lfcal import Calibration, Lattice
 from lfcal.runtime.eight_bit import to_eight_bits
 from lfcal.runtime.output_file import atomic_write, check_folder, make_folder
 
+from ..data.region import check_region
 from ..data.rendering import Rendering
 from .formats import FORMATS, PictureError, check_format
-from .metadata import EmbeddedMetadata
-from .picture import check_picture, write_picture
+from .picture import write_picture
 
 __all__ = [
-    "check_animation", "check_grid", "resize_view", "scale_for_size", "stereo_pair", "write_animation", "write_grid",
-    "write_quilt",
+    "check_grid", "crop_view", "resize_view", "scale_for_size", "stereo_pair", "write_animation",
+    "write_grid", "write_quilt",
 ]  # fmt: skip
-
-_NO_METADATA = EmbeddedMetadata()
 
 
 def check_grid(folder: str | os.PathLike[str], suffix: str, dtype: Any = None, inputs: Iterable[Any] = ()) -> None:
-    """Raise an error if a folder of views could not be made, before the views are drawn; as `check_picture`."""
+    """Raise an error if a folder of views could not be made, before the views are drawn; as `check_format`."""
     target = check_folder(folder)
     inside = target if target.is_dir() else target.parent
-    check_picture(inside / f"view{suffix}", dtype, inputs=inputs)
+    check_format(inside / f"view{suffix}", "picture", dtype=dtype, inputs=inputs)
 
 
 def write_grid(
-    folder: str | os.PathLike[str],
-    pictures: Iterable[Rendering],
-    columns: int,
-    suffix: str = ".tif",
-    *,
-    settings: Mapping[str, Any] | None = None,
-    embedded: EmbeddedMetadata = _NO_METADATA,
+    folder: str | os.PathLike[str], pictures: Iterable[Rendering], columns: int, suffix: str = ".tif", **options: Any
 ) -> list[Path]:
-    """Write views row by row as `row1_column1.tif` and so on.
+    """Write views row by row as `row1_column1.tif` and so on, into a folder that is made where it does not exist.
 
     Parameters
     ----------
     folder : path-like
-        Made where it does not exist.
     pictures : iterable of Rendering
         As `views` yields them for `grid_offsets`; one at a time is held in memory.
     columns : int
         Pictures per row.
-    suffix : str
-        Format of the pictures, as for `write_picture`.
-    settings, embedded
-        As for `write_picture`.
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    OutputError, PictureError
-        If the folder or a picture cannot be written.
+    suffix, **options
+        Format of the pictures; `settings` and `embedded` of `write_picture`, whose errors this raises.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> pictures = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> pictures = lfrender.views(*lfrender.data.example(), offsets=[(-4, 0), (4, 0)], scale=6)
     >>> with TemporaryDirectory() as folder:
     ...     [path.name for path in write_grid(folder, pictures, columns=2, suffix=".png")]
     ['row1_column1.png', 'row1_column2.png']
@@ -84,59 +61,34 @@ def write_grid(
     for index, picture in enumerate(pictures):
         row, column = divmod(index, columns)
         paths.append(target / f"row{row + 1}_column{column + 1}{suffix}")
-        write_picture(paths[-1], picture, settings=settings, embedded=embedded)
+        write_picture(paths[-1], picture, **options)
     return paths
 
 
 def write_quilt(
-    path: str | os.PathLike[str],
-    pictures: Iterable[Rendering],
-    columns: int,
-    rows: int,
-    *,
-    settings: Mapping[str, Any] | None = None,
-    embedded: EmbeddedMetadata = _NO_METADATA,
-) -> Path:
+    path: str | os.PathLike[str], pictures: Iterable[Rendering], columns: int, rows: int, **options: Any
+) -> str:
     """Write views from left to right as a quilt of a Looking Glass display: the first at the bottom left, row by row.
 
-    The name gets the grid and the aspect of a view, from which players take them, such as `scene_qs8x6a1.33.png`.
-
-    Parameters
-    ----------
-    path : path-like
-    pictures : iterable of Rendering
-        `columns * rows` of one size.
-    columns, rows : int
-    settings, embedded
-        As for `write_picture`.
-
-    Returns
-    -------
-    Path
-        The file, with its full name.
+    There must be `columns * rows` of one size; `options` are `settings` and `embedded` of `write_picture`. Players take
+    grid and aspect of a view from the end of the name, such as `_qs8x6a1.33`, which is returned.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> pictures = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> pictures = lfrender.views(*lfrender.data.example(), offsets=[(-4, 0), (4, 0)], scale=6)
     >>> with TemporaryDirectory() as folder:
-    ...     write_quilt(f"{folder}/scene.png", pictures, columns=2, rows=1).name
-    'scene_qs2x1a1.32.png'
+    ...     write_quilt(f"{folder}/scene_qs2x1a1.32.png", pictures, columns=2, rows=1)
+    '_qs2x1a1.32'
     """
     images = [picture.image for picture in pictures]
     if len(images) != columns * rows:
         raise PictureError(f"{path}: a quilt of {columns} x {rows} needs {columns * rows} views, got {len(images)}")
     lines = [np.concatenate(images[row * columns : (row + 1) * columns], axis=1) for row in reversed(range(rows))]
+    write_picture(path, np.concatenate(lines, axis=0), **options)
     height, width = images[0].shape[:2]
-    target = Path(path)
-    if "_qs" not in target.stem:
-        target = target.with_stem(f"{target.stem}_qs{columns}x{rows}a{width / height:.2f}")
-    write_picture(target, np.concatenate(lines, axis=0), settings=settings, embedded=embedded)
-    return target
+    return f"_qs{columns}x{rows}a{width / height:.2f}"
 
 
 def scale_for_size(calibration: Calibration, size: tuple[int, int]) -> float:
@@ -161,33 +113,34 @@ def resize_view(picture: Rendering, size: tuple[int, int]) -> Rendering:
     return replace(picture, image=image, valid=valid, affine=picture.affine @ matrix, scale=picture.scale / across)
 
 
+def crop_view(picture: Rendering, roi: tuple[float, float, float, float], lattice: Lattice) -> Rendering:
+    """The pixels of a picture, at least one, whose scene coordinates lie between two opposite corners x0, y0, x1, y1.
+
+    ValueError if these lie outside the flat.
+    """
+    corners = np.array(check_region(roi, lattice)).reshape(2, 2)
+    size = np.array(picture.image.shape[1::-1])
+    at = (corners - picture.affine[:, 2]) / np.diag(picture.affine)
+    low = np.clip(np.ceil(at[0]).astype(int), 0, size - 1)
+    high = np.clip(np.floor(at[1]).astype(int) + 1, low + 1, size)
+    part = np.s_[low[1] : high[1], low[0] : high[0]]
+    affine = picture.affine.copy()
+    affine[:, 2] = picture.affine @ [*low, 1]
+    return replace(picture, image=picture.image[part], valid=picture.valid[part], affine=affine)
+
+
 def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
     """Two views side by side, for parallel viewing: the left eye's on the left. The affine is that of the left one.
 
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> left, right = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> left, right = lfrender.views(*lfrender.data.example(), offsets=[(-4, 0), (4, 0)], scale=6)
     >>> left.image.shape, stereo_pair(left, right).image.shape
     ((47, 62, 3), (47, 124, 3))
     """
     image = np.concatenate([left.image, right.image], axis=1)
     return replace(left, image=image, valid=np.concatenate([left.valid, right.valid], axis=1))
-
-
-def check_animation(
-    path: str | os.PathLike[str], dtype: Any = None, inputs: Iterable[str | os.PathLike[str] | None] = ()
-) -> None:
-    """Raise an error if an animation could not be written, before its views are drawn; as `check_picture`.
-
-    Pixels must be uint8 or uint16.
-    """
-    check_format(path, "animation", inputs=inputs)
-    if dtype is not None and np.dtype(dtype).name not in ("uint8", "uint16"):
-        raise PictureError(f"{path}: animations cannot hold {np.dtype(dtype).name} pixels; write a grid of .tif")
 
 
 def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering], *, milliseconds: int = 80) -> None:
@@ -198,23 +151,15 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     path : path-like
         The suffix chooses the format.
     pictures : iterable of Rendering
-        One per frame, uint8 or uint16, the latter written with 8 bits.
+        One per frame, at least one; they are written with 8 bits.
     milliseconds : int
         How long a frame is shown.
-
-    Raises
-    ------
-    OutputError, PictureError
-        As `check_animation`; also without any picture.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> pictures = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> pictures = lfrender.views(*lfrender.data.example(), offsets=[(-4, 0), (4, 0)], scale=6)
     >>> with TemporaryDirectory() as folder:
     ...     write_animation(f"{folder}/around.gif", pictures)
     ...     Path(folder, "around.gif").exists()
@@ -222,11 +167,9 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     """
     from PIL import Image
 
-    check_animation(path)
-    frames = []
-    for picture in pictures:
-        check_animation(path, picture.image.dtype)
-        frames.append(Image.fromarray(np.ascontiguousarray(to_eight_bits(picture.image, picture.white))))
+    check_format(path, "animation")
+    shown = (np.ascontiguousarray(to_eight_bits(picture.image, picture.white)) for picture in pictures)
+    frames = [Image.fromarray(pixels) for pixels in shown]
     if not frames:
         raise PictureError(f"{path}: an animation needs at least one picture")
     suffix = Path(path).suffix.lower()
@@ -236,8 +179,6 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
         colours = [frame.convert("RGB") for frame in frames]
         palette = colours[0].quantize(256)
         frames = [frame.quantize(palette=palette) for frame in colours]
+    options |= {"save_all": True, "append_images": frames[1:], "duration": milliseconds, "loop": 0}
     with atomic_write(path) as temporary:
-        frames[0].save(
-            temporary, FORMATS[suffix].animation, save_all=True, append_images=frames[1:], duration=milliseconds,
-            loop=0, **options,
-        )  # fmt: skip
+        frames[0].save(temporary, FORMATS[suffix].animation, **options)

@@ -1,11 +1,10 @@
-"""A sequence rendered into a film: H.264 in MP4, which plays everywhere, or FFV1 in Matroska, which is lossless."""
+"""Films: H.264 in MP4, which plays everywhere, FFV1 in Matroska, which is lossless, raw video; and animations."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Generator, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from fractions import Fraction
@@ -24,6 +23,7 @@ from ..output.formats import FORMATS, PictureError, check_format
 from ..output.raw_video import raw_format_of, yuv_frame
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import move_into_place
+from ..output.views import write_animation
 from .batch import render_frames
 from .frames import Frames
 from .job import FrameResult, load_camera
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from ..data.rendering import Rendering
 
-__all__ = ["FilmFile", "check_film", "render_film", "to_film_pixels", "write_film"]
+__all__ = ["FilmFile", "render_film", "to_film_pixels", "write_moving"]
 
 # What PyAV calls arrays of so many channels and bytes, and how FFV1 stores them.
 _LAYOUTS = {
@@ -57,7 +57,8 @@ def render_film(
     """Render the frames of a sequence into a film, which is complete once the last result has been taken.
 
     Pictures are those of `render_frames`. Until the film is complete they are kept in a hidden folder beside it, from
-    which a run that was killed is continued. In place of a frame that fails the picture before it is repeated.
+    which a run that was killed is continued. In place of a frame that fails the picture before it is repeated. Errors
+    say that the film cannot be written (OutputError, PictureError), is there already, or has no picture (FlatError).
 
     Parameters
     ----------
@@ -66,44 +67,26 @@ def render_film(
     path : path-like
         `.mp4`: H.264 with 8 bits up to the white of the camera, nearly lossless; `.mkv`: FFV1, lossless, also with 16
         bits; `.yuv`: raw planes, 4:2:0 of 10 bits. Needs the package `av`.
-    calibration, preset, scale
+    calibration, preset, scale, client, threads
         As in `render_frames`.
     rate : float, Fraction or None
         Pictures a second; with None that of the first video, else 25.
     overwrite : bool
         Replace an existing film, and render all pictures again.
-    client : distributed.Client or None
-        Render on this cluster, as `render_frames_on`.
-    threads : int or None
-        As in `render_frames_on`.
-
-    Yields
-    ------
-    FrameResult
-        In the order of the frames.
-
-    Raises
-    ------
-    OutputError, PictureError
-        If the film cannot be written, or is there already.
-    FlatError
-        If none of the frames can be rendered.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> flat, camera, depth = lfrender.data.example()
     >>> with TemporaryDirectory() as folder:
-    ...     for number in range(2):
-    ...         lfrender.write_picture(f"{folder}/{number}.png", flat)
+    ...     lfrender.write_picture(f"{folder}/0.png", flat)
     ...     done = list(render_film(lfrender.open_frames([folder]), f"{folder}/film.mp4", camera, preset="fast"))
     >>> [frame.outcome for frame in done]
-    ['rendered', 'rendered']
+    ['rendered']
     """
     output = Path(path).absolute()
-    check_film(output, frames.files)
+    check_format(output, "film", inputs=frames.files)
     if output.exists() and not overwrite:
         raise OutputError(f"{path}: is there already; give another output, or render it again (--overwrite)")
     checkpoint = Checkpoint(output)
@@ -114,22 +97,24 @@ def render_film(
         checkpoint.keep("film", key)
     # Rates of television have denominators up to 1001; further digits of a decimal number are rounding.
     speed = Fraction(rate or frames.rate or 25).limit_denominator(1001)
-    options: dict[str, Any] = {"preset": preset, "scale": scale}
-    if client is None:
-        pictures = render_frames(frames, checkpoint.folder, calibration, **options)
-    else:
-        from .cluster import render_frames_on
-
-        pictures = render_frames_on(client, frames, checkpoint.folder, calibration, threads=threads, **options)
-    comment = json.dumps({"software": "lfrender", "rendering": "all in focus", "preset": preset})
+    pictures = render_frames(
+        frames, checkpoint.folder, calibration, preset=preset, scale=scale, client=client, threads=threads
+    )
     partial = checkpoint.folder / f"film{output.suffix.lower()}"
+    about = {"software": "lfrender", "rendering": "all in focus", "preset": preset}
+    shown: Path | None = None
+    times = 0
     # Closed in this order: threads must end before the film that they write into, and not in the garbage collector.
-    with (
-        closing(pictures),
-        FilmFile(partial, speed, comment) as film,
-        closing(_encode(pictures, film, checkpoint.folder)) as results,
-    ):
-        for result in results:
+    with closing(pictures), FilmFile(partial, speed, json.dumps(about)) as film:
+        for result in pictures:
+            shown = shown if result.outcome == "failed" else result.path
+            times += 1
+            if shown is not None:
+                white = load_camera(checkpoint.folder).white_level
+                pixels = to_film_pixels(read_flat(shown), film.eight_bits, white)
+                for _ in range(times):
+                    film.add(pixels)
+                times = 0
             yield replace(result, path=output)
         if not film.count:
             raise FlatError(f"{path}: is not written, because none of the frames could be rendered")
@@ -137,54 +122,15 @@ def render_film(
     checkpoint.remove()
 
 
-def _encode(results: Iterable[FrameResult], film: FilmFile, folder: Path) -> Generator[FrameResult, None, None]:
-    """Add the pictures of a folder to a film, each in a thread of its own while the next one is rendered."""
-    waiting: Future[None] | None = None
-    shown: Path | None = None
-    white: float | None = None
-    times = 0
-    with ThreadPoolExecutor(1) as encoder:
-        for result in results:
-            shown = shown if result.outcome == "failed" else result.path
-            times += 1
-            if shown is not None:
-                if waiting is None:
-                    white = load_camera(folder).white_level
-                else:
-                    waiting.result()
-                waiting = encoder.submit(_add, film, shown, times, white)
-                times = 0
-            yield result
-        if waiting is not None:
-            waiting.result()
-
-
-def _add(film: FilmFile, picture: Path, times: int, white: float | None) -> None:
-    pixels = to_film_pixels(read_flat(picture), film.eight_bits, white)
-    for _ in range(times):
-        film.add(pixels)
-
-
-def write_film(path: str | os.PathLike[str], pictures: Iterable[Rendering], rate: Fraction = Fraction(25, 2)) -> None:
-    """Write pictures, such as views around a circle, as a film; the file appears whole or not at all.
-
-    `rate` is that of `write_animation` [pictures a second]. Errors as of `check_film`.
-    """
-    check_film(Path(path))
+def write_moving(path: Path, pictures: Iterable[Rendering]) -> None:
+    """Write pictures as an animation or a film by the suffix, as fast as `write_animation`; whole or not at all."""
+    if not FORMATS[path.suffix.lower()].film:
+        write_animation(path, pictures)
+        return
     comment = json.dumps({"software": "lfrender"})
-    with atomic_write(path) as temporary, FilmFile(temporary, rate, comment) as film:
+    with atomic_write(path) as temporary, FilmFile(temporary, Fraction(25, 2), comment) as film:
         for picture in pictures:
             film.add(to_film_pixels(picture.image, film.eight_bits, picture.white))
-
-
-def check_film(path: Path, inputs: Iterable[Path | None] = ()) -> None:
-    """Raise an error if a film could not be written, before its first picture is rendered; as `check_format`."""
-    check_format(path, "film", inputs=inputs)
-    import av
-
-    encoder, _ = _encoder_of(path)
-    if encoder not in av.codecs_available:
-        raise PictureError(f"{path}: the package 'av' was built without the encoder {encoder}; use another suffix")
 
 
 def _encoder_of(path: Path) -> tuple[str, dict[str, str]]:
@@ -214,8 +160,6 @@ class FilmFile:
         #: Number of pictures.
         self.count = 0
         self._path, self._rate, self._kind = path, rate, path.suffix.lower()
-        self._shape: tuple[int, ...] = ()
-        self._dtype = np.dtype(np.uint8)
         self._stream: Any = None
         # With the index before the pictures, a browser can play the film before it has all of it.
         options = {"movflags": "+faststart"} if self._kind == ".mp4" else {}
@@ -230,17 +174,19 @@ class FilmFile:
         return self._kind == ".mp4"
 
     def add(self, pixels: NDArray[Any]) -> None:
-        """Add a picture (h, w) or (h, w, 3), uint8 or uint16, converted to the type and channels of the first one.
+        """Add a picture (h, w) or (h, w, 3), uint8 or uint16, of the size and type of the first one.
 
-        PictureError if it has another size than the first one, OutputError if the film cannot be written.
+        PictureError if it is of another, OutputError if the film cannot be written.
         """
         if self._stream is None:
+            self._kind_of_first = pixels.shape, pixels.dtype
             self._begin(pixels)
-        if pixels.shape[:2] != self._shape[:2]:
-            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (self._shape, pixels.shape))
-            raise PictureError(f"{self._path}: the pictures of a film have one size, these have {sizes} px")
+        if (pixels.shape, pixels.dtype) != self._kind_of_first:
+            kinds = (self._kind_of_first, (pixels.shape, pixels.dtype))
+            told = " and ".join(f"{shape[1]} x {shape[0]} px of {kind}" for shape, kind in kinds)
+            raise PictureError(f"{self._path}: the pictures of a film are of one kind, these are {told}")
         with self._output_errors():
-            frame = self._frame(_convert_like(pixels, self._shape, self._dtype))
+            frame = self._frame(pixels)
             frame.pts, frame.time_base = self.count, 1 / self._rate
             self._file.mux(self._stream.encode(frame))
         self.count += 1
@@ -264,9 +210,8 @@ class FilmFile:
                 self._file.close()
 
     def _begin(self, pixels: NDArray[Any]) -> None:
-        self._shape, self._dtype = pixels.shape, pixels.dtype
         codec, options = _encoder_of(self._path)
-        height, width = self._shape[:2]
+        height, width = pixels.shape[:2]
         with self._output_errors():
             self._stream = self._file.add_stream(codec, rate=self._rate, options=dict(options))
             context = self._stream.codec_context
@@ -278,31 +223,26 @@ class FilmFile:
                 context.colorspace = context.color_primaries = context.color_trc = 1
                 context.color_range = 1
             elif self._kind == ".yuv":
-                layout = raw_format_of(self._shape, "yuv420p10")
+                layout = raw_format_of(pixels.shape, "yuv420p10")
                 context.width, context.height, context.pix_fmt = layout.width, layout.height, layout.pixel_format
             else:
-                context.width, context.height, context.pix_fmt = width, height, self._layout[1]
-
-    @property
-    def _layout(self) -> tuple[str, str]:
-        return _LAYOUTS[3 if len(self._shape) == 3 else 1, self._dtype.itemsize]
+                context.width, context.height, context.pix_fmt = width, height, _layout(pixels)[1]
 
     def _frame(self, pixels: NDArray[Any]) -> Any:
         import av
 
+        if self._kind == ".yuv":
+            layout = raw_format_of(pixels.shape, "yuv420p10")
+            return frame_of_planes(yuv_frame(pixels, "yuv420p10"), layout.width, layout.height, layout.pixel_format)
+        given, stored = _layout(pixels)
         if self._kind == ".mp4":
             # Colours are stored for 2 x 2 pixels each: odd sizes get one more row or column.
             odd = [(0, n % 2) for n in pixels.shape[:2]]
             pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
-            frame = convert_frame(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
-        elif self._kind == ".yuv":
-            layout = raw_format_of(self._shape, "yuv420p10")
-            frame = frame_of_planes(yuv_frame(pixels, "yuv420p10"), layout.width, layout.height, layout.pixel_format)
-        else:
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
-            frame = frame.reformat(format=self._layout[1])
-        return frame
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=given)
+        if self._kind == ".mp4":
+            return convert_frame(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        return frame.reformat(format=stored)
 
     @contextmanager
     def _output_errors(self, silent: bool = False) -> Iterator[None]:
@@ -318,14 +258,5 @@ class FilmFile:
             raise OutputError(f"{self._path}: cannot be written ({reason})") from error
 
 
-def _convert_like(pixels: NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Pixels with as many channels and the type of another picture."""
-    if pixels.ndim < len(shape):
-        pixels = np.repeat(pixels[..., None], 3, 2)
-    elif pixels.ndim > len(shape):
-        pixels = np.rint(pixels.mean(2)).astype(pixels.dtype)
-    if pixels.dtype.itemsize < dtype.itemsize:
-        return pixels.astype(np.uint16) * np.uint16(257)
-    if pixels.dtype.itemsize > dtype.itemsize:
-        return ((pixels.astype(np.uint32) + 128) // 257).astype(np.uint8)
-    return pixels
+def _layout(pixels: NDArray[Any]) -> tuple[str, str]:
+    return _LAYOUTS[3 if pixels.ndim == 3 else 1, pixels.dtype.itemsize]

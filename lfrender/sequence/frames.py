@@ -49,6 +49,15 @@ class _Part:
             number = page if len(self.names) > 1 else None
             yield Frame(name, partial(read_flat, self.path, number, **dict(self.layout)), source)
 
+    def header(self, value: Callable[[Any], Any]) -> Any:
+        """A value of the header of a video, None where it has none."""
+        av = import_av(self.path)
+        try:
+            with _open_video(self.path) as container:
+                return value(container.streams.video[0])
+        except (av.error.FFmpegError, FlatError, OSError):
+            return None
+
 
 @dataclass(frozen=True)
 class Frames:
@@ -56,16 +65,12 @@ class Frames:
 
     Examples
     --------
-    >>> from tempfile import TemporaryDirectory
-    >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> with TemporaryDirectory() as folder:
-    ...     for number in range(2):
-    ...         lfrender.write_picture(f"{folder}/{number}.png", flat)
+    >>> import tempfile, lfrender
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     lfrender.write_picture(f"{folder}/0.png", lfrender.data.example()[0])
     ...     frames = lfrender.open_frames([folder])
     ...     frames.count, [path.name for path in frames.files]
-    (2, ['0.png', '1.png'])
+    (1, ['0.png'])
     """
 
     parts: tuple[_Part, ...]
@@ -74,13 +79,14 @@ class Frames:
     @property
     def count(self) -> int | None:
         """Number of frames, None if the header of a video does not have it."""
-        counts = [_video_length(part.path) if part.names is None else len(part.names) for part in self.parts]
-        return None if None in counts else sum(c for c in counts if c is not None)
+        counts = [p.header(lambda s: int(s.frames) or None) if p.names is None else len(p.names) for p in self.parts]
+        return None if None in counts else sum(counts)
 
     @property
     def rate(self) -> Fraction | None:
         """Frames a second of the first video whose header has it, None if there is none."""
-        return next(filter(None, (_video_rate(part.path) for part in self.parts if part.names is None)), None)
+        rates = (part.header(lambda stream: stream.average_rate) for part in self.parts if part.names is None)
+        return next((Fraction(rate) for rate in rates if rate), None)
 
     @property
     def files(self) -> list[Path]:
@@ -103,6 +109,8 @@ def open_frames(
 ) -> Frames:
     """Find the frames in files and folders without decoding them.
 
+    FlatError if there is no frame, an input is of no known kind, or two frames would have the same name.
+
     Parameters
     ----------
     inputs : path-likes
@@ -114,17 +122,12 @@ def open_frames(
     dark : path-like or None
         File of a dark frame, which is subtracted from every frame (`lfcal.subtract_dark`).
 
-    Raises
-    ------
-    FlatError
-        If there is no frame, an input is of no known kind, or two frames would have the same name.
-
     Examples
     --------
-    >>> import tempfile, numpy, lfrender
+    >>> import tempfile, lfrender
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     for k in (10, 9):
-    ...         lfrender.write_picture(f"{folder}/f{k}.png", numpy.full((20, 30), k, numpy.uint8))
+    ...     for name in ("f10", "f9"):
+    ...         lfrender.write_picture(f"{folder}/{name}.png", lfrender.data.example()[0])
     ...     [frame.name for frame in lfrender.open_frames([folder])]
     ['f9', 'f10']
     """
@@ -136,12 +139,10 @@ def open_frames(
     twice = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
     if twice:
         raise FlatError(f"{len(twice)} frames would have the same name, such as '{twice[0]}'; give them one by one")
-    if dark is None:
-        return Frames(tuple(parts))
-    path = Path(dark).absolute()
-    # Errors of this file are raised at once, not for every frame.
-    _read_dark(path)
-    return Frames(tuple(parts), path)
+    if dark is not None:
+        # Errors of this file are raised at once, not for every frame.
+        _read_dark(Path(dark).absolute())
+    return Frames(tuple(parts), None if dark is None else Path(dark).absolute())
 
 
 @lru_cache(1)
@@ -176,29 +177,25 @@ def is_video(path: Path) -> bool:
 
 def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
     if path.is_dir():
-        files = [
-            file
-            for file in path.iterdir()
-            if file.suffix.lower() in {*IMAGE_SUFFIXES, RAW_SUFFIX} and not file.name.startswith(".")
-        ]
+        known = {*IMAGE_SUFFIXES, RAW_SUFFIX}
+        files = [f for f in path.iterdir() if f.suffix.lower() in known and not f.name.startswith(".")]
         if not files:
             raise FlatError(f"{path}: no image files are in this folder")
         return [part for file in sorted(files, key=_numeric_order) for part in _parts(file, layout)]
     if not path.exists():
         raise FlatError(f"{path}: no such file or folder")
-    if path.suffix.lower() in VIDEO_FORMATS:
+    if is_video(path):
         import_av(path)
-        return [_Part(path, None)]
-    if path.suffix.lower() == RAW_SUFFIX:
-        import_av(path)
+        if path.suffix.lower() in VIDEO_FORMATS:
+            return [_Part(path, None)]
         return [_Part(path, _numbered(path.stem, count_pages(path, **layout)), tuple(layout.items()))]
-    if path.suffix.lower() not in TIFF_SUFFIXES:
-        return [_Part(path, (path.stem,))]
-    try:
-        pages = count_pages(path)
-    except FlatError:
-        # Reading the frame will report what is wrong.
-        pages = 1
+    pages = 1
+    if path.suffix.lower() in TIFF_SUFFIXES:
+        try:
+            pages = count_pages(path)
+        except FlatError:
+            # Reading the frame will report what is wrong.
+            pages = 1
     return [_Part(path, _numbered(path.stem, pages))]
 
 
@@ -209,25 +206,6 @@ def _numeric_order(path: Path) -> Any:
 
 def _numbered(stem: str, pages: int) -> tuple[str, ...]:
     return (stem,) if pages == 1 else tuple(f"{stem}_{page:05d}" for page in range(pages))
-
-
-def _video_length(path: Path) -> int | None:
-    """Number of frames by the header of a video."""
-    return _read_header(path, lambda stream: int(stream.frames) or None)
-
-
-def _video_rate(path: Path) -> Fraction | None:
-    """Frames a second by the header of a video."""
-    return _read_header(path, lambda stream: Fraction(stream.average_rate) if (stream.average_rate or 0) > 0 else None)
-
-
-def _read_header(path: Path, value: Callable[[Any], Any]) -> Any:
-    av = import_av(path)
-    try:
-        with _open_video(path) as container:
-            return value(container.streams.video[0])
-    except (av.error.FFmpegError, FlatError, OSError):
-        return None
 
 
 def _open_video(path: Path) -> Any:
@@ -246,18 +224,17 @@ def _video_frames(path: Path) -> Iterator[Frame]:
         with _open_video(path) as container:
             count = _least_length(container)
             for picture in _decode(container):
-                yield Frame(_video_name(path, number), _read_picture(path, number, picture))
+                yield Frame(f"{path.stem}_{number:05d}", _read_picture(path, number, picture))
                 number += 1
         if number == 0:
             raise FlatError(f"{path}: holds no frames")
         if number < count:
             raise FlatError(f"{path}: ends after {number} of {count} frames")
-    except FlatError as error:
-        yield Frame(_video_name(path, number), partial(_raise, str(error)))
     # FFmpeg raises errors of many kinds on damaged videos.
     except Exception as error:
         message = f"{path}: cannot be read as a video from frame {number} on ({_one_line(error)})"
-        yield Frame(_video_name(path, number), partial(_raise, message))
+        message = str(error) if isinstance(error, FlatError) else message
+        yield Frame(f"{path.stem}_{number:05d}", partial(_raise, message))
 
 
 def _least_length(container: Any) -> int:
@@ -305,16 +282,15 @@ def _decode_with_log(packet: Any) -> tuple[list[Any], str]:
 
 def _read_picture(path: Path, number: int, picture: Any) -> Callable[[], NDArray[Any]]:
     """A function that returns the pixels of a decoded picture, or raises an error if it is damaged."""
-    if isinstance(picture, Exception):
-        return partial(_raise, f"{path}: frame {number}: {_one_line(picture)}")
     # Decoders fill in what is missing; such a flat must not be rendered.
-    if picture.is_corrupt:
+    if not isinstance(picture, Exception) and picture.is_corrupt:
         return partial(_raise, f"{path}: frame {number} is damaged")
     try:
-        pixels = rgb_pixels(picture)
+        if isinstance(picture, Exception):
+            raise picture
+        return partial(np.asarray, rgb_pixels(picture))
     except Exception as error:
         return partial(_raise, f"{path}: frame {number}: {_one_line(error)}")
-    return partial(np.asarray, pixels)
 
 
 def _one_line(error: BaseException) -> str:
@@ -324,7 +300,3 @@ def _one_line(error: BaseException) -> str:
 
 def _raise(message: str) -> NDArray[Any]:
     raise FlatError(message)
-
-
-def _video_name(path: Path, number: int) -> str:
-    return f"{path.stem}_{number:05d}"

@@ -1,4 +1,4 @@
-"""One run over a sequence: its settings, the files in its hidden folder, and the analysis and picture of one frame.
+"""One run over a sequence: its settings, the files in its hidden folder, and the analysis and picture of each frame.
 
 The sequence is divided into segments, and these into groups. Depth is updated incrementally, so that static parts keep
 one depth from picture to picture: the first frame of a segment, its key frame, is compared with the key frame of the
@@ -9,13 +9,13 @@ group. A run that was interrupted, or spread over many machines, therefore makes
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import RLock
 from time import perf_counter
 from typing import Any, Literal
 
-import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, load
@@ -26,17 +26,18 @@ from ..data.rendering import Rendering
 from ..depth.analyze import analyze
 from ..depth.incremental import load_reference_match, save_reference_match
 from ..flat.demosaicing import demosaic
+from ..output.formats import check_format
 from ..output.metadata import EmbeddedMetadata, read_metadata
-from ..output.picture import check_picture, eight_bits, write_picture
+from ..output.picture import eight_bits, write_picture
 from ..rendering.render import render
+from ..rendering.viewpoints import still_depth
 from .frames import Frame
 from .view_grid import ViewGrid, ViewOutput
 
-__all__ = ["FrameResult", "Job", "KeyFrame", "load_camera"]
+__all__ = ["FrameResult", "Group", "Job", "load_camera", "render_group"]
 
 _HIDDEN = ".lfrender"
-# Pictures of key frames held in memory, the last ones used: of a segment, of a group, and of the next group.
-_PICTURES = 3
+_Numbered = tuple[int, Frame]
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,11 @@ class FrameResult:
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> flat, camera, depth = lfrender.data.example()
     >>> with TemporaryDirectory() as folder:
-    ...     for number in range(2):
-    ...         lfrender.write_picture(f"{folder}/{number}.png", flat)
-    ...     first, *_ = lfrender.render_frames(lfrender.open_frames([folder]), f"{folder}/out", camera, preset="fast")
-    >>> first.name, first.path.name, first.outcome
+    ...     lfrender.write_picture(f"{folder}/0.png", flat)
+    ...     (done,) = lfrender.render_frames(lfrender.open_frames([folder]), f"{folder}/out", camera, preset="fast")
+    >>> done.name, done.path.name, done.outcome
     ('0', '0.tif', 'rendered')
     """
 
@@ -79,18 +78,27 @@ class FrameResult:
     still: float = 0.0
 
 
-@dataclass(frozen=True)
-class KeyFrame:
-    """A frame that others of its segment or group are compared with; flat and depth are filled in when needed.
+@dataclass
+class Group:
+    """Frames that are worked on together."""
 
-    `before` is the frame of its segment, if any, whose picture it keeps where nothing has changed.
-    """
+    outcomes: list[FrameResult | None] = field(default_factory=list)  # None for frames to be rendered ...
+    missing: list[_Numbered] = field(default_factory=list)  # ... which are these
+    first: _Numbered | None = None  # the frame that they are compared with, if its picture is there already
+    key: _Numbered | None = None  # of their segment
+
+
+@dataclass
+class _Reference:
+    """A frame that others are compared with."""
 
     number: int
-    frame: Frame
-    flat: NDArray[Any] | None = None
-    depth: DepthMap | None = None
-    before: KeyFrame | None = None
+    flat: NDArray[Any]
+    depth: DepthMap
+    picture: Rendering | None = None
+
+    def previous(self) -> tuple[Any, ...]:
+        return self.flat, self.depth, self.picture
 
 
 def load_camera(folder: Path) -> Calibration:
@@ -113,63 +121,92 @@ class Job:
     encoded: bool = False  # frames are encoded for display, whatever bits they have
     still: float | None = None  # patch size [px] of the places that all views have in common
     _output: ViewOutput | None = None
-    _pictures: dict[int, Rendering] = field(default_factory=dict)
-    _drawing: RLock = field(default_factory=RLock, compare=False)
+    _keys: dict[int, _Reference] = field(default_factory=dict)  # the last two, of neighbouring segments
+    _lock: RLock = field(default_factory=RLock, compare=False)
 
-    @classmethod
-    def open(
-        cls,
-        folder: Path,
-        calibration: Calibration | None,
-        preset: str,
-        scale: float | None,
-        suffix: str,
-        overwrite: bool,
-        views: ViewGrid | None = None,
-        eight_bits: bool = False,
-        dark: str | None = None,
-        encoded: bool = False,
-    ) -> Job:
-        """Start a run in a folder, or continue the one that is there."""
-        hidden = folder / _HIDDEN
-        make_folder(folder)
-        make_folder(hidden)
-        job = cls(folder, calibration, preset, scale, suffix, views, eight_bits, dark, encoded)
-        job.calibration = calibration and job._as_stored(calibration)
-        if views is None:
-            check_picture(folder / f"picture{suffix}")
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_keys": {}, "_lock": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=RLock())
+
+    def start(self, overwrite: bool) -> None:
+        """Make the folder, or continue the run that is there."""
+        make_folder(self.folder)
+        make_folder(self._hidden)
+        if self.calibration is not None:
+            self.calibration = self._as_stored(self.calibration)
+        if self.views is None:
+            check_format(self.folder / f"picture{self.suffix}", "picture")
         else:
-            job._output = ViewOutput(folder, hidden, views, suffix)
-            job._output.start(overwrite)
+            self._output = ViewOutput(self.folder, self._hidden, self.views, self.suffix)
+            self._output.start(overwrite)
         if overwrite:
             for pattern in ("depth_*.npz", "comparison_*.npz", "camera.json", "settings.json"):
-                for file in hidden.glob(pattern):
+                for file in self._hidden.glob(pattern):
                     file.unlink()
-        if job._settings_file.exists():
-            job._resume()
-        return job
+        if self._settings_file.exists():
+            self._resume()
+
+    @property
+    def _hidden(self) -> Path:
+        return self.folder / _HIDDEN
+
+    @property
+    def _settings_file(self) -> Path:
+        return self._hidden / "settings.json"
+
+    def _settings(self) -> dict[str, Any]:
+        """What pictures of one folder have in common, beside their camera and scale."""
+        views = None if self.views is None else {**self.views.to_dict(), "format": self.suffix}
+        return {"preset": self.preset, "eight_bits": self.eight_bits, "dark": self.dark, "views": views}
 
     def _resume(self) -> None:
         """Take camera and scale from an earlier run."""
-        hidden = self.folder / _HIDDEN
         camera = load_camera(self.folder)
         try:
             settings = json.loads(self._settings_file.read_text(encoding="utf-8"))
-            views = None if self.views is None else {**self.views.to_dict(), "format": self.suffix}
-            same = settings["preset"] == self.preset and self.scale in (None, settings["scale"])
-            same &= settings.get("views") == views and settings.get("eight_bits", False) == self.eight_bits
-            same &= settings.get("dark") == self.dark
-            self.scale = float(settings["scale"])
-            self.still = None if views is None else float(settings["still"])
-        except (OSError, KeyError, TypeError, ValueError) as error:
-            raise OutputError(f"{hidden}: damaged ({error}); render everything again (--overwrite)") from error
-        given = self.calibration
-        if not same or (given is not None and given.to_dict() != camera.to_dict()):
+            scale, self.still = float(settings.pop("scale")), settings.pop("still", None)
+            same = settings == self._settings() and self.scale in (None, scale)
+        except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
+            raise OutputError(f"{self._hidden}: damaged ({error}); render everything again (--overwrite)") from error
+        if not same or (self.calibration is not None and self.calibration.to_dict() != camera.to_dict()):
             raise OutputError(
                 f"{self.folder}: holds pictures made with another camera, dark frame, preset or scale; "
                 "give another folder, or render everything again (--overwrite)"
             )
-        self.calibration = camera
+        self.calibration, self.scale = camera, scale
+
+    def groups(self, frames: Iterable[Frame], overwrite: bool, segment: int, group: int) -> Iterator[Group]:
+        """The frames in groups, all but the last with some to be rendered; key frames are analysed on the way."""
+        earlier: _Numbered | None = None
+        key: _Numbered | None = None
+        made = Group()
+        for number, frame in enumerate(frames):
+            if number % segment == 0:
+                earlier, key = key or earlier, None
+            if number % segment % group == 0:
+                if made.missing:
+                    yield made
+                    made = Group()
+                made.first = None
+            if not overwrite and not self.is_missing(frame):
+                key, made.first = key or (number, frame), made.first or (number, frame)
+                made.outcomes.append(FrameResult(frame.name, self.path_of(frame), "kept"))
+                continue
+            try:
+                if key is None or not self._depth_file(key[0]).exists():
+                    self._analyze_key(*(key or (number, frame)), earlier)
+                    key = key or (number, frame)
+            except OutputError:
+                raise
+            except LightFieldError as error:
+                made.outcomes.append(self._failed(frame, error))
+                continue
+            made.outcomes.append(None)
+            made.missing.append((number, frame))
+            made.key = key
+        yield made
 
     def path_of(self, frame: Frame) -> Path:
         if self._output is not None:
@@ -186,13 +223,15 @@ class Job:
         if self._output is not None:
             self._output.finish(names)
 
-    def depth_file(self, key: KeyFrame) -> Path:
-        """File of the depth map of a key frame."""
-        return self.folder / _HIDDEN / f"depth_{key.number:06d}.npz"
+    def _failed(self, frame: Frame, error: LightFieldError, seconds: float = 0.0) -> FrameResult:
+        return FrameResult(frame.name, self.path_of(frame), "failed", f"{frame.name}: {error}", seconds)
 
-    def _comparison_file(self, key: KeyFrame) -> Path:
-        """File of what later frames are compared with, beside the depth map of a key frame."""
-        return self.folder / _HIDDEN / f"comparison_{key.number:06d}.npz"
+    def _depth_file(self, number: int) -> Path:
+        return self._hidden / f"depth_{number:06d}.npz"
+
+    def _comparison_file(self, number: int) -> Path:
+        """What later frames are compared with, beside the depth map of a key frame."""
+        return self._hidden / f"comparison_{number:06d}.npz"
 
     def camera(self, pixels: NDArray[Any]) -> Calibration:
         """The camera of the run, calibrated from these pixels if there is none yet."""
@@ -202,128 +241,118 @@ class Job:
             self.calibration = self._as_stored(calibrate(pixels))
         return self.calibration
 
-    @property
-    def _settings_file(self) -> Path:
-        return self.folder / _HIDDEN / "settings.json"
-
     def _as_stored(self, calibration: Calibration) -> Calibration:
         return replace(calibration, encoded=True) if self.encoded and calibration.encoded is None else calibration
 
-    def demosaic(self, pixels: NDArray[Any]) -> NDArray[Any]:
-        """The flat in colour, if the camera has a colour mosaic."""
+    def read(self, frame: Frame) -> NDArray[Any]:
+        """The flat of a frame, in colour if the camera has a colour mosaic."""
+        pixels = frame.read()
         return demosaic(pixels, self.camera(pixels)) if pixels.ndim == 2 else pixels
 
-    def kept(self, frame: Frame) -> FrameResult:
-        """The outcome of a frame whose picture is there already."""
-        return FrameResult(frame.name, self.path_of(frame), "kept")
+    def _analyze_key(self, number: int, frame: Frame, earlier: _Numbered | None) -> None:
+        """Write the depth map of a key frame, compared with that of an earlier segment, if any."""
+        flat = self.read(frame)
+        if not self._depth_file(number).exists():
+            camera, previous = self.camera(flat), None
+            if earlier is not None:
+                # The depth as it was saved: the state of that in memory is that of its own segment.
+                match = load_reference_match(self._load_depth(earlier[0]), self._comparison_file(earlier[0]))
+                previous = self._key(*earlier).flat, match
+            depth = analyze(flat, camera, self.preset, previous=previous)
+            if not self._settings_file.exists():
+                self._save_settings(camera, depth)
+            save_reference_match(depth, self._comparison_file(number))
+            depth.save(self._depth_file(number))
+        self._remember(_Reference(number, flat, self._load_depth(number)))
 
-    def failed(self, frame: Frame, error: LightFieldError, seconds: float = 0.0) -> FrameResult:
-        """The outcome of a frame that cannot be rendered."""
-        return FrameResult(frame.name, self.path_of(frame), "failed", f"{frame.name}: {error}", seconds)
+    def _remember(self, key: _Reference) -> _Reference:
+        with self._lock:
+            self._keys = {**dict(list(self._keys.items())[-1:]), key.number: key}
+        return key
 
-    def render_frame(self, number: int, frame: Frame, flat: NDArray[Any], first: KeyFrame) -> FrameResult:
-        """Analyse, draw and write one frame, with its pixels in colour; `first` of its group has flat and depth."""
-        path, start = self.path_of(frame), perf_counter()
-        try:
-            if first.number == number:
-                assert first.depth is not None
-                depth = first.depth
-            else:
-                depth = self._analyze_after(first, flat)
-            if self._output is not None:
-                assert self.views is not None and self.still is not None
-                pictures = self.views.draw(flat, self.camera(flat), depth, self.scale, self.still)
-                pictures = map(eight_bits, pictures) if self.eight_bits else pictures
-                self._output.write(number, frame.name, pictures)
-            else:
-                own = first.number == number
-                self._write(path, frame, self._key_picture(first) if own else self._render_after(first, flat, depth))
-        except OutputError:
-            raise
-        except LightFieldError as error:
-            return self.failed(frame, error, perf_counter() - start)
-        still = float(depth.saved.get("still", 0.0))
-        return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, still)
+    def _key(self, number: int, frame: Frame) -> _Reference:
+        """A key frame with flat and depth."""
+        with self._lock:
+            found = self._keys.get(number)
+            return found or self._remember(_Reference(number, self.read(frame), self._load_depth(number)))
 
-    def _write(self, path: Path, frame: Frame, picture: Rendering) -> None:
-        check_picture(path, np.asarray(picture.image).dtype)
-        settings = {"rendering": "all in focus", "preset": self.preset}
-        embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
-        shown = eight_bits(picture) if self.eight_bits else picture
-        write_picture(path, shown, settings=settings, embedded=embedded)
-
-    def analyze_key(self, key: KeyFrame, earlier: KeyFrame | None) -> KeyFrame:
-        """The key frame of a segment with flat and depth, analysed against that of an earlier segment, if any."""
-        if earlier is None or self.depth_file(key).exists():
-            return self._analyze_once(key, None, self._comparison_file(key))
-        earlier = earlier if earlier.depth else self.analyze_key(earlier, None)
-        # A fresh copy: the state of `earlier.depth` is that of its own segment.
-        depth = load_reference_match(self._load_depth(self.depth_file(earlier)), self._comparison_file(earlier))
-        return self._analyze_once(key, replace(earlier, depth=depth), self._comparison_file(key))
-
-    def analyze_first(self, first: KeyFrame, key: KeyFrame) -> KeyFrame:
-        """The first frame of a group with flat and depth; it may be the key frame of its segment itself."""
-        return key if first.number == key.number else replace(self._analyze_once(first, key), before=key)
-
-    def _analyze_once(self, key: KeyFrame, earlier: KeyFrame | None, comparison: Path | None = None) -> KeyFrame:
-        """A frame with flat and depth; analysed, unless its depth map is in the hidden folder.
-
-        What later frames are compared with is saved to the file `comparison`.
-        """
-        flat = self.demosaic(key.frame.read()) if key.flat is None else key.flat
-        file = self.depth_file(key)
+    def _load_depth(self, number: int) -> DepthMap:
+        """A depth map from its file: other workers and later runs have no more than what is in it."""
+        file = self._depth_file(number)
         if not file.exists():
-            camera = self.camera(flat)
-            depth = analyze(flat, camera, self.preset) if earlier is None else self._analyze_after(earlier, flat)
-            if self.scale is None:
-                self.scale = default_scale(depth)
-            if self.views is not None and self.still is None:
-                self.still = self.views.find_still(depth)
-            self._save_settings(camera)
-            if comparison is not None:
-                save_reference_match(depth, comparison)
-            depth.save(file)
-        # Always loaded: other workers and later runs have no more than what is in the file.
-        return replace(key, flat=flat, depth=self._load_depth(file))
-
-    def _load_depth(self, file: Path) -> DepthMap:
+            raise OutputError(f"{self.folder}: a file of one worker is not seen by another; give a shared folder")
         try:
             return DepthMap.load(file)
         except DepthFileError as error:
             what = "left by another version, or damaged; render everything again (--overwrite)"
             raise OutputError(f"{file}: {what}") from error
 
-    def _save_settings(self, camera: Calibration) -> None:
-        if self._settings_file.exists():
-            return
-        camera.save(self.folder / _HIDDEN / "camera.json")
+    def _save_settings(self, camera: Calibration, depth: DepthMap) -> None:
+        self.scale = default_scale(depth) if self.scale is None else self.scale
+        settings = {**self._settings(), "scale": self.scale}
+        if self.views is not None:
+            settings["still"] = self.still = still_depth(depth)
+        camera.save(self._hidden / "camera.json")
         with atomic_write(self._settings_file) as temporary:
-            settings: dict[str, Any] = {"preset": self.preset, "scale": self.scale, "eight_bits": self.eight_bits}
-            settings["dark"] = self.dark
-            if self.views is not None:
-                settings |= {"views": {**self.views.to_dict(), "format": self.suffix}, "still": self.still}
             temporary.write_text(json.dumps(settings), encoding="utf-8")
 
-    def _analyze_after(self, key: KeyFrame, flat: NDArray[Any]) -> DepthMap:
-        """Depth of a frame, updated from that of a key frame."""
-        assert key.flat is not None and key.depth is not None
-        return analyze(flat, self.camera(flat), self.preset, previous=(key.flat, key.depth))
+    def _key_picture(self, key: _Reference) -> None:
+        # Locked: groups of one segment may be worked on at once.
+        with self._lock:
+            if key.picture is None and self._output is None:
+                key.picture = render(key.flat, self.camera(key.flat), key.depth, scale=self.scale)
 
-    def _render_after(self, key: KeyFrame, flat: NDArray[Any], depth: DepthMap) -> Rendering:
-        """Picture of a frame, updated from that of a key frame."""
-        assert key.flat is not None and key.depth is not None
-        return render(flat, self.camera(flat), depth, previous=(key.flat, key.depth, self._key_picture(key)))
+    def first_of_group(self, number: int, frame: Frame, flat: NDArray[Any] | None, key: _Numbered) -> _Reference:
+        """The first frame of a group with flat, depth and picture; it may be the key frame of its segment itself."""
+        before = self._key(*key)
+        self._key_picture(before)
+        if number == before.number:
+            return before
+        flat = self.read(frame) if flat is None else flat
+        if not self._depth_file(number).exists():
+            self._analyze_after(before, flat).save(self._depth_file(number))
+        first = _Reference(number, flat, self._load_depth(number))
+        if self._output is None:
+            first.picture = render(flat, self.camera(flat), first.depth, previous=before.previous())
+        return first
 
-    def _key_picture(self, key: KeyFrame) -> Rendering:
-        """The picture of a key frame."""
-        # Locked: the last frames of one group and the first of the next may be worked on at once.
-        with self._drawing:
-            picture = self._pictures.pop(key.number, None)
-            if picture is None:
-                assert key.flat is not None and key.depth is not None
-                if key.before is None:
-                    picture = render(key.flat, self.camera(key.flat), key.depth, scale=self.scale)
-                else:
-                    picture = self._render_after(key.before, key.flat, key.depth)
-            self._pictures = {**dict(list(self._pictures.items())[1 - _PICTURES :]), key.number: picture}
-            return picture
+    def _analyze_after(self, before: _Reference, flat: NDArray[Any]) -> DepthMap:
+        return analyze(flat, self.camera(flat), self.preset, previous=before.previous()[:2])
+
+    def render_frame(self, number: int, frame: Frame, flat: NDArray[Any], first: _Reference) -> FrameResult:
+        """Analyse, draw and write one frame, with its pixels in colour, after the `first` of its group."""
+        path, start, own = self.path_of(frame), perf_counter(), first.number == number
+        camera = self.camera(flat)
+        depth = first.depth if own else self._analyze_after(first, flat)
+        if self._output is not None:
+            assert self.views is not None and self.still is not None
+            pictures = self.views.draw(flat, camera, depth, self.scale, self.still)
+            self._output.write(number, frame.name, map(eight_bits, pictures) if self.eight_bits else pictures)
+        else:
+            picture = first.picture if own else render(flat, camera, depth, previous=first.previous())
+            settings = {"rendering": "all in focus", "preset": self.preset}
+            embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
+            shown = eight_bits(picture) if self.eight_bits else picture
+            write_picture(path, shown, settings=settings, embedded=embedded)
+        still = float(depth.saved.get("still", 0.0))
+        return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, still)
+
+
+def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
+    """The outcomes of a group in the order of its frames, the missing ones rendered."""
+    outcomes, first = list(group.outcomes), None
+    for number, frame in group.missing:
+        start = perf_counter()
+        try:
+            flat = job.read(frame)
+            if first is None:
+                assert group.key is not None
+                given = group.first or (number, frame)
+                first = job.first_of_group(*given, flat if given[0] == number else None, group.key)
+            result = job.render_frame(number, frame, flat, first)
+        except OutputError:
+            raise
+        except LightFieldError as error:
+            result = job._failed(frame, error, perf_counter() - start)
+        outcomes[outcomes.index(None)] = result
+    return [outcome for outcome in outcomes if outcome is not None]

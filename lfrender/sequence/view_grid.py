@@ -20,10 +20,11 @@ from lfcal import Calibration, OutputError
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
-from ..output.picture import check_picture, write_picture
+from ..output.formats import check_format
+from ..output.picture import write_picture
 from ..output.raw_video import check_raw_format, raw_format_of, view_name, yuv_frame
 from ..output.views import resize_view, scale_for_size
-from ..rendering.viewpoints import grid_offsets, still_depth, views
+from ..rendering.viewpoints import grid_offsets, views
 
 __all__ = ["ViewGrid", "ViewOutput"]
 
@@ -46,13 +47,10 @@ class ViewGrid:
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> flat, camera, depth = lfrender.data.example()
     >>> with TemporaryDirectory() as folder:
-    ...     for number in range(2):
-    ...         lfrender.write_picture(f"{folder}/{number}.png", flat)
-    ...     grid = ViewGrid(1, 2)
-    ...     frames = lfrender.open_frames([folder])
+    ...     lfrender.write_picture(f"{folder}/0.png", flat)
+    ...     frames, grid = lfrender.open_frames([folder]), ViewGrid(1, 2)
     ...     done = list(lfrender.render_frames(frames, f"{folder}/out", camera, preset="fast", views=grid))
     >>> grid.count
     2
@@ -82,10 +80,6 @@ class ViewGrid:
         for picture in views(flat, calibration, depth, offsets=offsets, scale=scale, still=still):
             yield picture if self.size is None else resize_view(picture, self.size)
 
-    def find_still(self, depth: DepthMap) -> float:
-        """Patch size [px] of the places that all views of a sequence have in common, by the depth of one frame."""
-        return still_depth(depth)
-
 
 class ViewOutput:
     """The files of a run; `suffix` is one of pictures, or `yuv` with the pixel format of raw video."""
@@ -97,7 +91,7 @@ class ViewOutput:
         if self._raw:
             self._raw = check_raw_format(folder, self._raw)
         else:
-            check_picture(folder / f"image{suffix}")
+            check_format(folder / f"image{suffix}", "picture")
 
     def path_of(self, name: str) -> Path:
         """Where the views of a frame are."""
@@ -126,7 +120,6 @@ class ViewOutput:
         unfinished.mkdir()
         for view, picture in enumerate(pictures):
             path = unfinished / f"image_{view + 1:03d}{self.suffix}"
-            check_picture(path, picture.image.dtype)
             write_picture(path, picture, settings={"rendering": "views", "view": view})
         shutil.rmtree(self.folder / name, ignore_errors=True)
         os.replace(unfinished, self.folder / name)

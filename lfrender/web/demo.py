@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
@@ -26,7 +24,8 @@ from ..flat.lens_graph import nearest_lens
 from ..output.depth_picture import magnification_picture, mode_picture
 from ..output.picture import write_picture
 from .report import write_report
-from .report_figures import ReportPictures, cards, data_urls, draw_pictures, png_url, table_rows
+from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_url
+from .templates import fill
 
 __all__ = ["run_demo"]
 
@@ -89,19 +88,16 @@ def run_demo(
         _write_pictures(target, capture, results, truth, crop)
     figures = {**figures, "seconds": report.seconds}
     urls, _ = data_urls({"reference": truth}, 2_000_000)
+    # Those that a user's own capture would take: without the simulation, its truth, and its white image.
+    stages = {"calibrate": "calibrate from the capture", "analyze": "analyze", "render": "render"}
+    processing = {name: report.seconds[stage] for name, stage in stages.items()}
     write_report(
         target / "index.html", capture.flat, results.from_scene, results.depth, results.pictures,
-        title="One capture, both modes, sharp everywhere", seconds=_processing(report.seconds),
+        title="One capture, both modes, sharp everywhere", seconds=processing,
         compare={"truth": truth},
-        further=_truth_section(figures, png_url(crop), urls["reference"]), command="lfrender demo",
+        further=_truth_section(figures, picture_url(crop, ".png"), urls["reference"]), command="lfrender demo",
     )  # fmt: skip
     return {"page": str(target / "index.html"), **figures}
-
-
-def _processing(seconds: Mapping[str, float]) -> dict[str, float]:
-    """The seconds that a user's own capture would take: without the simulation, its truth, and its white image."""
-    names = {"calibrate from the capture": "calibrate", "analyze": "analyze", "render": "render"}
-    return {names[name]: value for name, value in seconds.items() if name in names}
 
 
 def _process(capture: Capture, report: Report) -> _Results:
@@ -173,59 +169,52 @@ def _write_pictures(
         **results.pictures.fixed,
         "all_in_focus": sharp,
         "reference": reference,
-        "magnification": magnification_picture(depth.patch_size, depth.mode, lattice, sharp.affine, shape),
+        "magnification": magnification_picture(depth.magnification, lattice, sharp.affine, shape),
         "modes": mode_picture(depth.mode, lattice, sharp.affine, shape),
     }
     for name, picture in pictures.items():
         write_picture(folder / f"{name}.png", picture)
 
 
-def _crop_of_both_modes(capture: Capture, largest: tuple[int, int] = (320, 240)) -> NDArray[Any]:
-    """The part of the flat that shows both modes most evenly."""
+def _crop_of_both_modes(capture: Capture) -> NDArray[Any]:
+    """The part of the flat, at most 320 x 240 px, that shows both modes most evenly."""
     sign = np.nan_to_num(np.sign(capture.truth.disparity))
     height, width = sign.shape
-    w, h = min(largest[0], width), min(largest[1], height)
-    windows = [
-        np.s_[y : y + h, x : x + w]
-        for y in range(0, height - h + 1, h // 2 or 1)
-        for x in range(0, width - w + 1, w // 2 or 1)
-    ]
+    w, h = min(320, width), min(240, height)
+    rows, columns = range(0, height - h + 1, h // 2), range(0, width - w + 1, w // 2)
+    windows = [np.s_[y : y + h, x : x + w] for y in rows for x in columns]
     balance = [min(np.mean(sign[window] > 0), np.mean(sign[window] < 0)) for window in windows]
     return np.ascontiguousarray(capture.flat[windows[int(np.argmax(balance))]])
 
 
-def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -> str:
+def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -> Any:
     """HTML of the comparison with the truth; `flat_crop` and `reference` are data URLs of pictures."""
-    template = Template((files(__package__) / "assets" / "demo.html").read_text(encoding="utf-8"))
-    quality = figures["merit"]
+    quality, calibrations = figures["merit"], figures["calibration"]
     psnr = {name: quality[name]["psnr"] for name in quality}
     best_fixed = max(psnr[name] for name in figures["fixed_patch_size"])
-    calibrations = {"scene": "the capture itself", "white": "the white image"}
+    sources = {"scene": "the capture itself", "white": "the white image"}
     depths = (
         ("mode_right", "mode is right", ".1%"),
         ("mode_wrong", "mode is the opposite one", ".1%"),
         ("magnification_error", "M, median relative error (unresolved: 1)", ".2%"),
     )
-    return template.substitute(
+    return fill(
+        "demo.html",
         flat_crop=flat_crop,
         reference=reference,
-        cards=cards({
+        cards={
             "all in focus": f"{psnr['all_in_focus']:.1f} dB",
             "better than the best single patch size": f"{psnr['all_in_focus'] - best_fixed:.1f} dB",
             "modes right, lenses that see one depth": f"{figures['mode_right']['one_depth']:.1%}",
             "error of M, median, all lenses": f"{figures['magnification_error']['all']:.1%}",
-            "RMS error of centres, from the capture alone":
-                f"{figures['calibration']['scene']['centre_error']:.3f} px",
-        }),
-        pictures=table_rows(
-            (_PICTURES[name], f"{m['psnr']:.1f} dB", f"{m['ssim']:.3f}") for name, m in quality.items()
-        ),
-        calibrations=table_rows(
-            (calibrations[kind], f"{c['centre_error']:.4f} px", f"{c['confidence']:.2f}")
-            for kind, c in figures["calibration"].items()
-        ),
+            "RMS error of centres, from the capture alone": f"{calibrations['scene']['centre_error']:.3f} px",
+        },
+        pictures=[(_PICTURES[name], f"{m['psnr']:.1f} dB", f"{m['ssim']:.3f}") for name, m in quality.items()],
+        calibrations=[
+            (sources[kind], f"{c['centre_error']:.4f} px", f"{c['confidence']:.2f}") for kind, c in calibrations.items()
+        ],
         lenses=f"{figures['lenses_judged']:,}",
-        depths=table_rows(
+        depths=[
             (label, *(f"{figures[name][key]:{form}}" for key in ("all", "one_depth"))) for name, label, form in depths
-        ),
-    )  # fmt: skip
+        ],
+    )

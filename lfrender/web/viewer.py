@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import base64
-import html
 import json
 import os
 from collections.abc import Iterator
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Any
 
 from numpy.typing import NDArray
@@ -18,6 +15,7 @@ from lfcal import Calibration
 from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthMap
+from .templates import fill, read_asset, safe
 from .viewer_scene import viewer_scene
 
 __all__ = ["viewer_files", "viewer_page", "write_viewer"]
@@ -47,10 +45,7 @@ def viewer_page(flat: NDArray, calibration: Calibration, depth: DepthMap, title:
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> viewer_page(flat, camera, depth)[:15]
+    >>> viewer_page(*lfrender.data.example())[:15]
     '<!doctype html>'
     """
     scene = viewer_scene(flat, calibration, depth, title, compression=6)
@@ -59,21 +54,17 @@ def viewer_page(flat: NDArray, calibration: Calibration, depth: DepthMap, title:
 
 def _page(title: str, data: dict[str, str] | None = None) -> str:
     """The page, with the data files in it, or loading them from the folder `data`."""
-    web = files(__package__) / "assets"
     # Modules are data URLs: browsers do not fetch files for a page that was opened from a disk.
     urls = {}
     for name in _MODULES:
-        script = base64.b64encode((web / f"{name}.js").read_bytes()).decode()
+        script = base64.b64encode(read_asset(f"{name}.js").encode()).decode()
         urls[f"lfrender/{name}"] = f"data:text/javascript;base64,{script}"
     inside = f"<script>globalThis.lightFieldFiles = {json.dumps(data)};</script>" if data is not None else ""
-    return Template((web / "viewer.html").read_text(encoding="utf-8")).substitute(
-        title=html.escape(title),
-        style=(web / "viewer.css").read_text(encoding="utf-8"),
-        shader=(web / "light_field.frag").read_text(encoding="utf-8"),
-        prefilter=(web / "prefilter.frag").read_text(encoding="utf-8"),
-        modules=json.dumps({"imports": urls}),
-        data=inside,
-    )
+    page = fill(
+        "viewer.html", title=title, style=read_asset("viewer.css"), shader=read_asset("light_field.frag"),
+        prefilter=read_asset("prefilter.frag"), modules=safe(json.dumps({"imports": urls})), data=safe(inside),
+    )  # fmt: skip
+    return str(page)
 
 
 def write_viewer(
@@ -85,7 +76,8 @@ def write_viewer(
 ) -> Path:
     """Write the viewer as one page that holds everything, or as static files; returns the path of its page.
 
-    The page works where it is served, and from a disk. To put it on a web page, use an `iframe`.
+    OutputError if it cannot be written; FlatError and CalibrationError as `render`. The page works where it is served,
+    and from a disk. To put it on a web page, use an `iframe`.
 
     Parameters
     ----------
@@ -95,22 +87,12 @@ def write_viewer(
     flat, calibration, depth, title
         As for `viewer_files`.
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be made or written.
-    FlatError, CalibrationError
-        As `render`.
-
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
     >>> with TemporaryDirectory() as folder:
-    ...     write_viewer(f"{folder}/page", flat, camera, depth).name
+    ...     write_viewer(f"{folder}/page", *lfrender.data.example()).name
     'index.html'
     """
     target = Path(folder)

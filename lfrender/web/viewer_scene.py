@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Calibration, CalibrationError, LightFieldError, Optics
+from lfcal import Calibration, CalibrationError, LightFieldError
 from lfcal.runtime.eight_bit import to_eight_bits
 
 from ..data.depth_map import DepthMap, default_scale
+from ..data.surface import edge_step
 from ..data.viewpoint import Viewpoint, virtual_depth
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
@@ -27,25 +28,12 @@ from ..rendering.renderer import AGREEMENT, BLUR, REACH, REFOCUS_REACH, VIEW_REA
 
 __all__ = ["viewer_scene"]
 
-# Limits of every WebGL 2: side of a texture, and layers of one.
-_LARGEST_TILE = 2048
-_MOST_TILES = 256
-# Rows and columns that neighbouring tiles share, one of them before their own part: each is interpolated and sharpened
-# alone.
-_SHARED = 3
-_BEFORE = 1
 # Codes of the patch sizes of flat pixels, of 16 bits: 0 is unknown, the last one infinitely far, the others -D to D.
 _CODES = 65535
 
 
 def viewer_scene(
-    flat: NDArray,
-    calibration: Calibration,
-    depth: DepthMap,
-    title: str,
-    *,
-    tile: int = _LARGEST_TILE,
-    compression: int = 1,
+    flat: NDArray, calibration: Calibration, depth: DepthMap, title: str, *, tile: int = 2048, compression: int = 1
 ) -> Iterator[tuple[str, bytes]]:
     """The data of the viewer: names and contents of one JSON object, and of pictures and arrays beside it.
 
@@ -58,47 +46,57 @@ def viewer_scene(
     if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
         raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
     height, width = pixels.shape[:2]
-    tiles = _tiles((width, height), tile)
-    if len(tiles) > _MOST_TILES:
+    side, places = _tiles((width, height), tile)
+    # Every WebGL 2 has textures of 2048 pixels and 256 layers.
+    if len(places) > 256:
         raise LightFieldError(
-            f"a flat of {width} x {height} px needs {len(tiles)} textures, browsers take {_MOST_TILES}; "
+            f"a flat of {width} x {height} px needs {len(places)} textures, browsers take 256; "
             "view a part of it, or a smaller copy"
         )
-    edge = max(0.5, 0.03 * calibration.lattice.pitch)
+    edge = edge_step(calibration.lattice.pitch)
     even, gains, lights, step = _correct_vignetting(pixels, calibration)
     codes, central_codes = _occlusion_codes(calibration, depth, edge)
     scene = _tables(calibration, depth, edge, pixels)
     scene |= {"title": title, "size": [width, height], "metric": calibration.optics is not None}
     scene["rings"] = {"step": step, "values": _base64(np.column_stack([gains, lights]), np.float32)}
     with_occlusion, white = [], white_level(pixels, calibration)
-    for name, (x, y, side) in tiles.items():
+    for name, (x, y) in places.items():
         part = _cut(codes, x, y, side)
         if part.any():
             with_occlusion.append(name)
             coded = np.dstack([part >> 8, part & 255, _cut(central_codes, x, y, side)]).astype(np.uint8)
             yield f"occlusion-{name}.png", _png(coded, compression)
-        yield f"flat-{name}.png", _png(to_eight_bits(_to_rgb_or_gray(_cut(even, x, y, side)), white), compression)
-    last = list(tiles)[-1].split("-")
-    scene["tiles"] = {
-        "side": next(iter(tiles.values()))[2], "columns": int(last[0]) + 1, "rows": int(last[1]) + 1,
-        "occlusion": with_occlusion,
-    }  # fmt: skip
+        shown = _cut(even, x, y, side)[:, :, : 3 if even.shape[2] >= 3 else 1]
+        yield f"flat-{name}.png", _png(to_eight_bits(shown, white), compression)
+    columns, rows = (int(n) + 1 for n in list(places)[-1].split("-"))
+    scene["tiles"] = {"side": side, "columns": columns, "rows": rows, "occlusion": with_occlusion}
     surface = depth.surface
     yield "surface.f32", np.ascontiguousarray(surface.patch_size, "<f4").tobytes()
-    lenses, points = _lenses_of_surface(calibration, depth)
+    v, u = np.indices(surface.patch_size.shape)
+    points = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64) * surface.spacing + surface.first
     known = np.where(depth.filled, 0, np.rint(1 + 254 * np.clip(np.nan_to_num(depth.confidence), 0, 1)))
-    yield "confidence.u8", known.astype(np.uint8)[lenses].tobytes()
+    yield "confidence.u8", known.astype(np.uint8)[nearest_lens(calibration.lattice, points)].tobytes()
     if calibration.optics is not None:
-        yield "positions.f32", _positions(calibration.optics, surface.patch_size, points, depth).tobytes()
+        # Where scene points lie in front of the main lens [m]; NaN at infinity.
+        middle, ratio = (
+            (np.array(depth.image_size) - 1) / 2,
+            surface.patch_size.ravel().astype(np.float64) / depth.pitch,
+        )
+        at = calibration.optics.positions(points, ratio, middle)
+        at = np.where(np.isfinite(at).all(1, keepdims=True), at, np.nan)
+        yield "positions.f32", at.astype("<f4").tobytes()
     yield "scene.json", json.dumps(scene).encode()
 
 
-def _tiles(size: tuple[int, int], largest: int) -> dict[str, tuple[int, int, int]]:
-    """Left, top and side [px] of every tile by its name `COLUMN-ROW`."""
-    side = min(largest, max(*size, 2) + _SHARED - 1)
-    step = side - _SHARED
+def _tiles(size: tuple[int, int], largest: int) -> tuple[int, dict[str, tuple[int, int]]]:
+    """Side of the tiles [px], and left and top of each by its name `COLUMN-ROW`.
+
+    Neighbours share three rows or columns, one of them before their own part: each is interpolated and sharpened alone.
+    """
+    side = min(largest, max(*size, 2) + 2)
+    step = side - 3
     columns, rows = (max(1, -(-(n - 1) // step)) for n in size)
-    return {f"{i}-{j}": (i * step - _BEFORE, j * step - _BEFORE, side) for j in range(rows) for i in range(columns)}
+    return side, {f"{i}-{j}": (i * step - 1, j * step - 1) for j in range(rows) for i in range(columns)}
 
 
 def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
@@ -147,23 +145,6 @@ def _encode(patch_size: NDArray[np.float32], pitch: float, last: int) -> NDArray
     return np.where(np.isnan(patch_size), 0, np.rint(1 + share * (last - 2))).astype(np.float32)
 
 
-def _lenses_of_surface(calibration: Calibration, depth: DepthMap) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The nearest lens (n,) of every grid value of the surface, row by row, and its scene point (n, 2)."""
-    surface = depth.surface
-    v, u = np.indices(surface.patch_size.shape)
-    points = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64) * surface.spacing + surface.first
-    return nearest_lens(calibration.lattice, points), points
-
-
-def _positions(
-    optics: Optics, patch_size: NDArray[np.float32], points: NDArray[Any], depth: DepthMap
-) -> NDArray[np.float32]:
-    """(n, 3) [m]: where the scene points of the surface lie in front of the main lens; NaN at infinity."""
-    middle = (np.array(depth.image_size) - 1) / 2
-    places = optics.positions(points, patch_size.ravel().astype(np.float64) / depth.pitch, middle)
-    return np.where(np.isfinite(places).all(1, keepdims=True), places, np.nan).astype("<f4")
-
-
 def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
     """The tables in the JSON object."""
     lattice, surface = calibration.lattice, depth.surface
@@ -205,40 +186,27 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
     }
 
 
-def _planes(
-    depth: DepthMap,
-    ends: tuple[float, float] = (0.01, 0.99),
-    margin: float = 0.15,
-    smallest: float = 0.04,
-    depth_of_field: float = 0.03,
-) -> tuple[list[float], float]:
+def _planes(depth: DepthMap) -> tuple[list[float], float]:
     """Ends of the slider of depth, and the patch size that the page opens with.
 
-    In focus is the largest thing with texture: the depth at which most lenses lie within `depth_of_field` [pitch],
-    each as much as it is sure. Depths are `s` of telescopic and `s + 2 D` of binocular lenses, which grows toward
-    the camera. `ends` are shares of the lenses; `margin` is added at both sides [of the range]; `smallest` is the
-    smallest patch [pitch].
+    In focus is the largest thing with texture: the depth at which most lenses lie within 0.03 pitches, each as much as
+    it is sure. Depths are `s` of telescopic and `s + 2 D` of binocular lenses, which grows toward the camera.
     """
     resolved = np.isfinite(depth.patch_size)
     resolved = resolved if resolved.any() else np.ones(len(depth), bool)
-    known = depth.filled_patch_size[resolved].astype(float)
-    pitch = depth.pitch
+    known, pitch = depth.filled_patch_size[resolved].astype(float), depth.pitch
     near = np.where(known > 0, known, known + 2 * pitch)
-    low, high = np.quantile(near, ends, method="nearest")
+    low, high = np.quantile(near, (0.01, 0.99), method="nearest")
     order = np.argsort(near)
+    near = near[order]
     sure = np.concatenate([[0.0], np.cumsum(np.maximum(np.nan_to_num(depth.confidence[resolved][order]), 1e-3))])
-    inside = [np.searchsorted(near[order], near[order] + side * depth_of_field * pitch) for side in (-1, 1)]
-    middle = near[order][np.argmax(sure[inside[1]] - sure[inside[0]])]
-    more = margin * max(high - low, 0.2 * pitch)
-    least = smallest * pitch
+    inside = [np.searchsorted(near, near + side * 0.03 * pitch) for side in (-1, 1)]
+    middle = float(near[np.argmax(sure[inside[1]] - sure[inside[0]])])
+    # Room at both sides; but no patches smaller than 0.04 pitches.
+    more, least = 0.15 * max(high - low, 0.2 * pitch), 0.04 * pitch
     limits = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]
-    middle = min(max(float(middle), limits[0]), limits[1])
+    middle = min(max(middle, limits[0]), limits[1])
     return limits, middle if middle < pitch else middle - 2 * pitch
-
-
-def _to_rgb_or_gray(pixels: NDArray) -> NDArray:
-    """The first three channels, or the first alone."""
-    return pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1]
 
 
 def _png(pixels: NDArray[np.uint8], compression: int) -> bytes:

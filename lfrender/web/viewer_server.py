@@ -10,7 +10,6 @@ from lfcal import LightFieldError
 __all__ = ["PageServer", "ServerError"]
 
 _HOST = "127.0.0.1"
-_TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8"}
 # Nothing is loaded from other hosts: scripts are inline, in data URLs, or among the files.
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' data:; style-src 'unsafe-inline'; "
@@ -31,8 +30,7 @@ class PageServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, files: Mapping[str, bytes], port: int = 0) -> None:
-        self.files = {f"/{name}": content for name, content in files.items()}
-        self.files["/"] = self.files["/index.html"]
+        self.files = {"/": files["index.html"], **{f"/{name}": content for name, content in files.items()}}
         try:
             super().__init__((_HOST, port), _Handler)
         except OSError as error:
@@ -48,12 +46,6 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def do_GET(self) -> None:
-        self._respond(with_body=True)
-
-    def do_HEAD(self) -> None:
-        self._respond(with_body=False)
-
-    def _respond(self, with_body: bool) -> None:
         # Protects against DNS rebinding: a page of another host could let its name point to this machine.
         port = self.server.server_port
         known = self.headers.get("Host") in (f"{_HOST}:{port}", f"localhost:{port}")
@@ -63,15 +55,17 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(404 if known else 403)
             return
         self.send_response(200)
-        suffix = path[path.rfind(".") :] if "." in path else ".html"
-        self.send_header("Content-Type", _TYPES[suffix])
+        kind = "javascript" if path.endswith(".js") else "html"
+        self.send_header("Content-Type", f"text/{kind}; charset=utf-8")
         self.send_header("Content-Length", str(len(content)))
         self.send_header("Content-Security-Policy", _POLICY)
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
-        if with_body:
+        if self.command == "GET":
             self.wfile.write(content)
+
+    do_HEAD = do_GET
 
     def log_message(self, format: str, *args: object) -> None:
         """Requests are not shown on the terminal."""

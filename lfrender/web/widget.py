@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
 from typing import Any
 
 from numpy.typing import NDArray
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, LightFieldError
 
 from ..data.depth_map import DepthMap
+from .templates import read_asset
 from .viewer import viewer_page
 
 __all__ = ["light_field_widget"]
@@ -38,18 +38,12 @@ def light_field_widget(
     Returns
     -------
     anywidget.AnyWidget
-
-    Raises
-    ------
-    LightFieldError
-        If the package `anywidget` is not installed; as `viewer_page`.
+        LightFieldError if that package is not installed.
 
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> flat, camera, depth = lfrender.data.example()
     >>> widget = light_field_widget(flat, camera, depth)  # doctest: +SKIP
     >>> widget.plane = -6.2  # doctest: +SKIP
     """
@@ -62,7 +56,7 @@ def light_field_widget(
     class LightField(anywidget.AnyWidget):  # type: ignore[misc, name-defined]
         """The viewer of a light field."""
 
-        _esm = (files(__package__) / "assets" / "widget.js").read_text(encoding="utf-8")
+        _esm = str(read_asset("widget.js"))
         page = traitlets.Unicode().tag(sync=True)
         height = traitlets.Int(520).tag(sync=True)
         mode = traitlets.Enum(["focus", "range", "sharp", "tiles"], "focus").tag(sync=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from typing import get_args
 
 import pytest
 import tifffile
@@ -12,8 +13,7 @@ from click.testing import CliRunner
 import lfcal
 import lfrender
 from lfrender.cli.main import main
-from lfrender.large.settings import LargeSettings
-from lfrender.large.size import is_large
+from lfrender.output.tiled_picture import TileWriter
 
 
 def run(*arguments):
@@ -35,7 +35,8 @@ def assert_refused(result, *words):
 
 @pytest.fixture
 def everything_is_large(monkeypatch):
-    monkeypatch.setattr(is_large, "__defaults__", (1000,))
+    for command in ("render", "analyze"):
+        monkeypatch.setattr(f"lfrender.cli.{command}.is_large", lambda flat: flat.suffix == ".tif")
 
 
 def as_tiff(house_files, tmp_path):
@@ -60,24 +61,21 @@ def test_a_large_flat_is_rendered_in_tiles_to_the_same_picture(house_files, tmp_
 def test_a_large_flat_is_calibrated_analysed_and_rendered_and_an_interrupted_run_is_continued(
     house_files, tmp_path, everything_is_large, monkeypatch
 ):
-    from lfrender.large import render as large_rendering
-
     flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
     ask = ("render", flat, "-c", camera, "-o", tmp_path / "picture.tif", "--preset", "fast", "--tile", "60")
-    tuning = LargeSettings(sync_seconds=0.0)
-    monkeypatch.setitem(lfrender.render_large.__kwdefaults__, "tuning", tuning)
-    written = large_rendering._Run._store
+    writer = get_args(TileWriter)[0]
+    written = writer.write
 
-    def stopped(self, tile, image, valid):
+    def stopped(self, tile, pixels):
         if tile[:2] != (0, 0):
             raise lfcal.OutputError("the disk is full")
-        written(self, tile, image, valid)
+        written(self, tile, pixels)
 
-    monkeypatch.setattr(large_rendering._Run, "_store", stopped)
-    assert_refused(run(*ask), "the disk is full")
+    with monkeypatch.context() as patch:
+        patch.setattr(writer, "write", stopped)
+        assert_refused(run(*ask), "the disk is full")
     assert not (tmp_path / "picture.tif").exists()
-    monkeypatch.setattr(large_rendering._Run, "_store", written)
-    monkeypatch.setattr("lfrender.large.analyze._analyze_tiles", None)
+    monkeypatch.setattr(lfrender, "analyze_large", None)
     figures = figures_of(*ask)
     assert figures["tiles_kept"] == 1
     assert figures["modes"]["telescopic"] > 0.3

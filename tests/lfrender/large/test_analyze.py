@@ -13,13 +13,10 @@ import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.matching.shortcuts import Shortcuts
-from lfrender.depth.planes.plane_fit import Plane
-from lfrender.depth.planes.settings import PLANE
 from lfrender.depth.presets import PRESETS
 from lfrender.flat.gray_flat import make_gray_flat
 from lfrender.large.analyze import FlatContext
-from lfrender.large.settings import LargeSettings
-from lfrender.large.tiles import lens_tiles
+from lfrender.large.tiles import TileReader, lens_tiles
 
 
 @functools.cache
@@ -28,19 +25,13 @@ def capture(scene, size=(330, 300), pitch=13.2, **arguments):
     return simulate(SCENES[scene](camera, **arguments), camera, samples=8, seed=2)
 
 
-#: Tiles as small as their halo allows: 2 x 2 of these flats.
-SMALL_TILES = LargeSettings(analysis_memory=1.0)
-
-
 def in_both_ways(tmp_path, shot, camera=None, tiles=4):
     """Depth of the whole flat at once and by tiles, and the camera."""
     tifffile.imwrite(tmp_path / "flat.tif", shot.flat, photometric="rgb")
     camera = camera or shot.truth.calibration
     counts = []
-    options = {
-        "progress": lambda _, count: counts.append(count),
-        "tuning": SMALL_TILES if tiles > 1 else LargeSettings(),
-    }
+    # Tiles as small as their halo allows: 2 x 2 of these flats.
+    options = {"progress": lambda _, count: counts.append(count), "memory": 1.0 if tiles > 1 else 6e8}
     with lfcal.open_flat(tmp_path / "flat.tif") as source:
         many = lfrender.analyze_large(source, camera, "fast", **options)
     assert set(counts) <= {tiles}
@@ -71,17 +62,6 @@ def test_a_scene_of_one_plane_gets_one_plane(tmp_path):
     assert (one.mode == many.mode).mean() > 0.99
 
 
-def test_the_error_of_one_plane_includes_the_common_error_of_its_lenses(tmp_path, monkeypatch):
-    shot = capture("plane", ratio=0.32)
-    noisy = shot.flat + np.random.default_rng(4).normal(0, 8, shot.flat.shape)
-    shot = replace(shot, flat=np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
-    _, counted, _ = in_both_ways(tmp_path, shot)
-    monkeypatch.setattr(Plane.standard_error, "__defaults__", (replace(PLANE, shared_part=0.0),))
-    _, uncounted, _ = in_both_ways(tmp_path, shot)
-    assert np.ptp(counted.filled_patch_size) < 1e-4
-    assert np.median(counted.standard_error) > 1.03 * np.median(uncounted.standard_error)
-
-
 def test_the_surface_of_every_place_comes_from_the_tile_it_lies_in(tmp_path):
     """A tile whose surface is pasted beside its place would be off by the slope of the scene."""
     shot = capture("slope")
@@ -91,19 +71,21 @@ def test_the_surface_of_every_place_comes_from_the_tile_it_lies_in(tmp_path):
     assert np.median(apart) < 0.01
 
 
-def test_tiles_have_the_pixels_of_the_reduced_whole_flat():
+def test_tiles_have_the_pixels_of_the_reduced_whole_flat(tmp_path):
     """Bit for bit without vignetting correction, and to rounding with a gain per lens."""
-    shot = capture("house", (521, 471), 23.2)
+    shot, path = capture("house", (521, 471), 23.2), tmp_path / "flat.tif"
+    tifffile.imwrite(path, shot.flat, photometric="rgb")
     plain = lfcal.Calibration(shot.truth.calibration.lattice)
     known = lfcal.calibrate(shot.white, kind="white").gain_map
     own = (1 + 0.2 * np.sin(np.arange(len(plain.lattice)))).astype(np.float32)
     uneven = replace(plain, gain_map=replace(known, lens_gain=own))
     for camera, tolerance in ((plain, 0.0), (uneven, 1e-5)):
-        context = FlatContext(camera, "fast", Shortcuts())
+        with lfcal.open_flat(path) as source:
+            context = FlatContext(TileReader(source, camera), "fast", Shortcuts())
         assert context.factor == 2
         image = make_gray_flat(shot.flat, camera, 2).image
         lenses = 0
-        for part in lens_tiles(camera.lattice, 2, PRESETS["fast"], settings=SMALL_TILES):
+        for part in lens_tiles(camera.lattice, 2, PRESETS["fast"], memory=1.0):
             left, top, right, bottom = part.rectangle
             some = context.gray_tile(part, shot.flat[top:bottom, left:right]).image
             x, y = part.corner

@@ -13,10 +13,6 @@ import tifffile
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.large.settings import LargeSettings
-
-#: Every finished tile is made safe on the disk at once.
-SYNC = LargeSettings(sync_seconds=0.0)
 
 
 @functools.cache
@@ -34,7 +30,7 @@ def capture():
 def drawn_in_tiles(tmp_path, flat, camera, tile, *, name="picture.tif", stored=None, **options):
     tifffile.imwrite(tmp_path / "flat.tif", flat, photometric="rgb" if flat.ndim == 3 else "minisblack", **stored or {})
     with lfcal.open_flat(tmp_path / "flat.tif") as source:
-        return lfrender.render_large(source, tmp_path / name, camera, tile=tile, tuning=SYNC, **options)
+        return lfrender.render_large(source, tmp_path / name, camera, tile=tile, **options)
 
 
 @pytest.mark.parametrize("tile", [23, 64, None])
@@ -92,8 +88,8 @@ def test_a_killed_run_leaves_no_picture_and_is_continued_from_the_finished_tiles
         made = lfrender.render_large(
             source, tmp_path / name, camera, depth, tile=31, progress=lambda done, _: drawn.append(done)
         )
-    assert made.kept == 2
-    assert drawn == list(range(3, made.tiles + 1))
+    assert made.kept == 3
+    assert drawn == list(range(4, made.tiles + 1))
     whole = lfrender.render(flat, camera, depth)
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / name), whole.image)
     assert made.valid == pytest.approx(whole.valid.mean())

@@ -27,7 +27,7 @@ def test_every_picture_format_names_the_pixel_types_that_it_refuses(tmp_path):
         for dtype in ("uint8", "uint16", "float32", "int64"):
             if kind.picture and dtype not in kind.pixel_types and not kind.reduces(dtype):
                 with pytest.raises(PictureError, match=f"{suffix} cannot hold {dtype}"):
-                    check_format(tmp_path / f"file{suffix}", "picture", dtype)
+                    check_format(tmp_path / f"file{suffix}", "picture", dtype=dtype)
 
 
 def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch):

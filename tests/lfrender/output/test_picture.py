@@ -13,8 +13,9 @@ from PIL import Image, ImageCms
 
 from lfcal import OutputError, read_flat
 from lfrender.data.rendering import Rendering
+from lfrender.output.formats import check_format
 from lfrender.output.metadata import EmbeddedMetadata, read_metadata
-from lfrender.output.picture import PictureError, check_picture, write_picture, write_stack
+from lfrender.output.picture import PictureError, write_picture, write_stack
 
 AFFINE = np.array([[2.5, 0.0, 1.25], [0.0, 2.5, -3.0]])
 
@@ -115,7 +116,7 @@ def test_pixels_that_a_format_cannot_hold_are_written_with_8_bits_up_to_white(tm
 def test_unknown_endings_and_folders_are_refused_beforehand(tmp_path):
     for name in ("picture.gif", "picture", "no/picture.tif"):
         with pytest.raises(OutputError):
-            check_picture(tmp_path / name)
+            check_format(tmp_path / name, "picture")
 
 
 def test_picture_too_wide_for_its_format_leaves_nothing(tmp_path):

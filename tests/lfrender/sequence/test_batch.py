@@ -19,10 +19,9 @@ from lfcal import read_flat
 from lfrender.cli.main import main
 from lfrender.sequence import job
 from lfrender.sequence.film import FilmFile
-from lfrender.sequence.settings import SequenceSettings
 
 #: Segments of three frames and groups of two.
-SHORT = SequenceSettings(segment=3, group=2)
+SHORT = {"segment": 3, "group": 2}
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +50,7 @@ def _run(sequence, folder, **options):
 @pytest.fixture(scope="module")
 def whole(sequence, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
-    return folder, _run(sequence, folder, tuning=SHORT)
+    return folder, _run(sequence, folder, **SHORT)
 
 
 def test_frames_come_in_the_order_of_their_numbers_and_keep_depth_where_nothing_moves(whole):
@@ -85,12 +84,13 @@ def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house,
 
 def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole, tmp_path):
     frames, camera = sequence
-    started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast", tuning=SHORT)
-    # Two more are being worked on by then.
+    started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast", **SHORT)
     list(islice(started, 2))
     started.close()
-    (tmp_path / "f9.tif").unlink()
-    results = _run(sequence, tmp_path, tuning=SHORT)
+    # What was being worked on by then is there.
+    for name in ("f9", "f12"):
+        (tmp_path / f"{name}.tif").unlink(missing_ok=True)
+    results = _run(sequence, tmp_path, **SHORT)
     assert [r.outcome for r in results] == ["kept", "rendered", "kept", "kept", "rendered"]
     assert _pictures(tmp_path) == _pictures(whole[0])
 
@@ -106,7 +106,7 @@ def test_frames_are_compared_with_the_depth_maps_in_the_folder_as_in_a_later_run
 
     made = []
     monkeypatch.setattr("lfrender.sequence.job.analyze", analyze)
-    results = _run(sequence, tmp_path, tuning=SequenceSettings(segment=4, group=2))
+    results = _run(sequence, tmp_path, segment=4, group=2)
     order = [read_flat(sequence[0] / f"{r.name}.png") for r in results]
 
     def number(flat):
@@ -125,11 +125,7 @@ def test_slow_changes_of_depth_from_key_frame_to_key_frame_are_found(drawn_flat,
         gray, lattice, _, inner = drawn_flat(s, noise=0.003, detail=0.7)
         cv2.imwrite(str(inputs / f"f{k:02d}.png"), np.clip(np.rint(255 * gray.image), 0, 255).astype(np.uint8))
     frames, out = lfrender.open_frames([inputs]), tmp_path / "out"
-    list(
-        lfrender.render_frames(
-            frames, out, lfcal.Calibration(lattice), preset="fast", tuning=SequenceSettings(segment=1)
-        )
-    )
+    list(lfrender.render_frames(frames, out, lfcal.Calibration(lattice), preset="fast", segment=1))
     depth = lfrender.DepthMap.load(out / ".lfrender" / f"depth_{len(sizes) - 1:06d}.npz")
     assert abs(np.nanmedian(depth.patch_size[inner]) - sizes[-1]) < 0.5
 

@@ -19,9 +19,8 @@ import lfcal
 import lfrender
 from lfcal import OutputError
 from lfrender.cli.main import main
-from lfrender.large.settings import LargeSettings
-from lfrender.sequence.cluster import connect, render_frames_on, task_result
-from lfrender.sequence.settings import SequenceSettings
+from lfrender.sequence.cluster import connect, render_frames_on
+from lfrender.sequence.workers import task_result
 
 pytest.importorskip("distributed")
 
@@ -53,7 +52,7 @@ def frames(house, tmp_path_factory):
 
 
 def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, house, client, tmp_path):
-    camera, options = house.truth.calibration, {"preset": "fast", "tuning": SequenceSettings(segment=4, group=2)}
+    camera, options = house.truth.calibration, {"preset": "fast", "segment": 4, "group": 2}
     here = list(lfrender.render_frames(frames, tmp_path / "here", camera, **options))
     running = render_frames_on(client, frames, tmp_path / "there", camera, threads=1, **options)
     there = list(islice(running, 3))
@@ -67,9 +66,8 @@ def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, h
 
 
 @pytest.fixture
-def flat(house, tmp_path, monkeypatch):
-    """A flat whose lenses are analysed in 2 x 2 tiles, also by the command, and its camera."""
-    monkeypatch.setitem(lfrender.analyze_large.__kwdefaults__, "tuning", LargeSettings(analysis_memory=1.0))
+def flat(house, tmp_path):
+    """A flat and its camera."""
     path = tmp_path / "flat.tif"
     tifffile.imwrite(path, house.flat, photometric="rgb")
     house.truth.calibration.save(tmp_path / "camera.json")
@@ -91,9 +89,11 @@ def killing(client, when):
 def test_tiles_are_those_of_one_machine_although_a_worker_is_killed(flat, client, tmp_path):
     path, camera = flat
     with lfcal.open_flat(path) as source:
-        here = lfrender.analyze_large(source, camera, "fast")
+        # 2 x 2 tiles.
+        here = lfrender.analyze_large(source, camera, "fast", memory=1.0)
         progress, calls = killing(client, 2)
-        there = lfrender.analyze_large(source, camera, "fast", client=client, threads=1, progress=progress)
+        options = {"memory": 1.0, "client": client, "threads": 1, "progress": progress}
+        there = lfrender.analyze_large(source, camera, "fast", **options)
         assert calls == [(k + 1, 4) for k in range(4)]
         for name in ("patch_size", "standard_error", "confidence", "filled_patch_size", "reason"):
             np.testing.assert_array_equal(getattr(here, name), getattr(there, name))
@@ -118,7 +118,7 @@ def test_commands_on_large_flats_take_workers_and_a_dark_frame(flat, client, tmp
         assert (workers, scheduler) == (2, None)
         yield client
 
-    monkeypatch.setattr("lfrender.sequence.cluster.connect", connected)
+    monkeypatch.setattr("lfrender.sequence.workers.connect", connected)
     given = ["-c", str(tmp_path / "camera.json"), "--workers", "2", "--preset", "fast", "--json"]
     given += ["--dark", str(dark)]
     analyzed = ["analyze", str(path), "-o", str(tmp_path / "depth.npz"), *given]
@@ -153,11 +153,6 @@ def test_work_that_kills_every_worker_is_one_line(client):
         task_result(Given())
 
 
-def test_unreachable_scheduler_is_one_line(frames, tmp_path, monkeypatch):
-    monkeypatch.setattr(connect.__wrapped__, "__defaults__", (0.2,))
-    with pytest.raises(OutputError, match="no Dask scheduler"), connect(None, "tcp://127.0.0.1:9"):
+def test_unreachable_scheduler_is_one_line():
+    with pytest.raises(OutputError, match="no Dask scheduler"), connect(None, "tcp://127.0.0.1:9", timeout=0.2):
         pass
-    flat = tmp_path / "f.png"
-    cv2.imwrite(str(flat), np.zeros((50, 60), np.uint8))
-    arguments = ["batch", str(flat), "-o", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:9"]
-    assert CliRunner().invoke(main, arguments).exit_code == 2

@@ -27,7 +27,7 @@ def test_circles_are_those_of_the_lattice_in_pixels_of_the_flat(house, panels):
 
 
 def test_every_panel_is_a_figure_with_a_caption_and_a_name(panels):
-    page = ElementTree.fromstring(f"<div>{panels}</div>".replace('alt="Gain map of the top left corner">', "/>"))
+    page = ElementTree.fromstring(f"<div>{panels}</div>")
     figures = page.findall("figure")
     assert len(figures) >= 5
     assert all(figure.find("figcaption").find("b").text for figure in figures)

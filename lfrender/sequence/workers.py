@@ -1,0 +1,176 @@
+"""Work on parts, tiles of a flat or frames of a sequence, in this process or on the workers of a Dask cluster."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from copy import deepcopy
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+from lfcal import LightFieldError, OutputError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["Workers", "connect", "task_result"]
+
+
+class Workers:
+    """This process, or the workers of a cluster if there is a `client`, each with so many `threads`.
+
+    `at_once` parts are worked on at a time in this process.
+    """
+
+    def __init__(self, client: Client | None = None, threads: int | None = None, at_once: int = 1) -> None:
+        self._client, self._threads, self._at_once = client, threads, at_once
+
+    @property
+    def count(self) -> int:
+        """How many parts are worked on at a time."""
+        return self._at_once if self._client is None else max(1, sum(self._client.nthreads().values()))
+
+    def map(
+        self,
+        task: Callable[[Any, Any, Any], Any],
+        shared: Any,
+        items: Iterable[Any],
+        load: Callable[[Any, Any], Any] = lambda *_: None,
+    ) -> Iterator[Any]:
+        """The results of `task(shared, item, load(shared, item))` in the order of the items, taken as needed.
+
+        Here, the next part is loaded while one is worked on. `shared`, as it is when the first item has been taken, is
+        sent once to each worker of a cluster, which has a copy of its own.
+        """
+        if self._client is not None:
+            return self._map_there(task, shared, items, load)
+        return self._map_threads(task, shared, items) if self._at_once > 1 else _map_here(task, shared, items, load)
+
+    def _map_threads(self, task: Any, shared: Any, items: Iterable[Any]) -> Iterator[Any]:
+        import numba
+
+        limit = numba.set_num_threads, (numba.get_num_threads(),)
+        waiting: deque[Future[Any]] = deque()
+        with ThreadPoolExecutor(self._at_once, initializer=limit[0], initargs=limit[1]) as pool:
+            for number, item in enumerate(items):
+                # The first one, in this thread, imports what all need.
+                waiting.append(pool.submit(task, shared, item, None) if number else _done(task(shared, item, None)))
+                while len(waiting) > self._at_once:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+
+    def _map_there(self, task: Any, shared: Any, items: Iterable[Any], load: Any) -> Iterator[Any]:
+        assert self._client is not None
+        options: dict[str, Any] = {"pure": False, "retries": 3}
+        sent: Any = None
+        waiting: deque[Any] = deque()
+        try:
+            for item in items:
+                # As the result of a task, the scheduler makes it again if all workers that hold it are lost.
+                sent = sent or self._client.submit(_identity, shared, **options)
+                waiting.append(self._client.submit(_work, task, load, sent, item, self._threads, **options))
+                # One that is worked on, and one that waits, for each thread.
+                while len(waiting) > 2 * self.count:
+                    yield task_result(waiting.popleft())
+            while waiting:
+                yield task_result(waiting.popleft())
+        finally:
+            self._client.cancel([*waiting, *([sent] if sent else [])])
+
+
+def _map_here(task: Any, shared: Any, items: Iterable[Any], load: Any) -> Iterator[Any]:
+    waiting: tuple[Any, Future[Any]] | None = None
+    with ThreadPoolExecutor(1) as reader:
+        for item in items:
+            # The first one, in this thread, imports what reading needs.
+            following = item, reader.submit(load, shared, item) if waiting else _done(load(shared, item))
+            if waiting:
+                yield task(shared, waiting[0], waiting[1].result())
+            waiting = following
+        if waiting:
+            yield task(shared, waiting[0], waiting[1].result())
+
+
+def _done(value: Any) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(value)
+    return future
+
+
+class _Worker:
+    """What a worker process keeps from task to task. Tasks run one at a time: each uses several threads itself."""
+
+    lock = Lock()
+    received: Any = None
+    shared: Any = None
+
+
+def _identity(shared: Any) -> Any:
+    return shared
+
+
+def _work(task: Any, load: Any, shared: Any, item: Any, threads: int | None) -> Any:
+    """The result of one part. An error of this toolkit is returned, not raised: Dask would only try it again."""
+    with _Worker.lock:
+        if threads is not None:
+            _limit_threads(threads)
+        if _Worker.received is not shared:
+            # A copy: values are cached in it while Dask may be sending the original to others.
+            _Worker.received, _Worker.shared = shared, deepcopy(shared)
+        try:
+            return task(_Worker.shared, item, load(_Worker.shared, item))
+        except LightFieldError as error:
+            return error
+
+
+def _limit_threads(count: int) -> None:
+    """Limit the threads of everything that computes in this process."""
+    import cv2
+    import numba
+
+    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    numba.set_num_threads(min(count, most))
+    cv2.setNumThreads(count)
+
+
+def task_result(future: Any) -> Any:
+    """The result of a task; an OutputError if all workers that tried it were lost."""
+    from distributed.client import FutureCancelledError
+    from distributed.scheduler import KilledWorker
+
+    try:
+        result = future.result()
+    except (KilledWorker, FutureCancelledError) as error:
+        raise OutputError(
+            f"the cluster has given up a part of the work ({error}); workers die if memory runs out: start fewer of "
+            "them, or on larger machines"
+        ) from error
+    if isinstance(result, LightFieldError):
+        raise result
+    return result
+
+
+@contextmanager
+def connect(workers: int | None, scheduler: str | None, timeout: float = 15.0) -> Iterator[Client]:
+    """A client of a scheduler such as `"tcp://host:8786"`, or of so many worker processes on this machine.
+
+    OutputError if Dask is not installed or the scheduler cannot be reached within `timeout` seconds.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise OutputError("clusters need the package 'distributed'; pip install 'lfrender[cluster]'") from error
+    if scheduler is None:
+        options: dict[str, Any] = {"threads_per_worker": 1, "dashboard_address": None}
+        with LocalCluster(n_workers=workers, **options) as cluster, Client(cluster) as client:
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=timeout)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{scheduler}: there is no Dask scheduler ({error})") from error
+    with client:
+        yield client

@@ -1,0 +1,116 @@
+"""Pictures and maps of a report: rendered, coloured, and encoded to be part of the page itself."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfcal import Calibration, Lattice
+from lfcal.runtime.eight_bit import to_eight_bits
+
+from ..data.depth_map import BINOCULAR, TELESCOPIC, DepthMap
+from ..data.rendering import Rendering
+from ..output.depth_picture import MODES, confidence_picture, magnification_picture, mode_picture
+from ..rendering.render import render
+from ..rendering.traditional import traditional
+
+__all__ = ["ReportPictures", "data_urls", "draw_pictures", "fit_width", "map_grid", "maps", "picture_url"]
+
+
+@dataclass(frozen=True)
+class ReportPictures:
+    """Pictures of one flat, to be compared."""
+
+    sharp: Rendering  # all in focus
+    traditional: Rendering
+    fixed: Mapping[str, Rendering]  # with the median patch size of each mode, by its name, on the grid of `sharp`
+    patch_size: Mapping[str, float]  # [px] of `fixed`
+
+
+def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> ReportPictures:
+    """Draw a flat all in focus, traditionally, and with the median patch size of each mode that it shows.
+
+    A mode that fewer than one lens of a hundred has is taken for errors.
+    """
+    sharp = render(flat, calibration, depth)
+    sizes = {}
+    for mode in (TELESCOPIC, BINOCULAR):
+        found = depth.patch_size[depth.mode == mode]
+        if found.size > 0.01 * len(depth):
+            sizes[MODES[mode]] = float(np.median(found))
+    fixed = {name: render(flat, calibration, patch_size=size, scale=sharp.scale) for name, size in sizes.items()}
+    return ReportPictures(sharp, traditional(flat, calibration), fixed, sizes)
+
+
+def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None = None) -> tuple[dict[str, str], float]:
+    """Pictures (h, w) or (h, w, 3) as WebP in data URLs of at most `most` characters in all, and their scale.
+
+    All have the same quality, the best that fits, and below that the same reduction of width and height. `white` is the
+    white level of integer pictures of more than 8 bits; by default the largest value of their type.
+    """
+    shown = {name: to_eight_bits(np.asarray(picture), white) for name, picture in pictures.items()}
+    urls: dict[str, str] = {}
+    for size, quality in ((1.0, 92), (1.0, 78), (0.5, 85), (0.25, 85), (0.125, 80)):
+        # WebP holds at most so many pixels in a row.
+        if size * max(max(picture.shape[:2]) for picture in shown.values()) > 16383:
+            continue
+        urls = {}
+        for name, picture in shown.items():
+            # The traditional picture, of a pixel per lens, stays as it is.
+            reduced = picture if max(picture.shape) < 400 else _reduce(picture, size)
+            urls[name] = picture_url(reduced, ".webp", quality)
+        if sum(map(len, urls.values())) <= most:
+            break
+    return urls, size
+
+
+def picture_url(picture: NDArray[np.uint8], suffix: str = ".webp", quality: int = 85) -> str:
+    """A picture (h, w) or (h, w, C) in a data URL: WebP, or PNG, for few colours."""
+    import cv2
+
+    if picture.ndim == 2 or picture.shape[2] < 3:
+        picture = np.repeat(picture.reshape(*picture.shape[:2], -1)[..., :1], 3, axis=2)
+    options = {".webp": [cv2.IMWRITE_WEBP_QUALITY, quality], ".png": [cv2.IMWRITE_PNG_COMPRESSION, 9]}[suffix]
+    done, data = cv2.imencode(suffix, np.ascontiguousarray(picture[..., 2::-1]), options)
+    assert done
+    return f"data:image/{suffix[1:]};base64,{base64.b64encode(data.tobytes()).decode()}"
+
+
+def fit_width(picture: NDArray, widest: int, white: float | None = None) -> NDArray[np.uint8]:
+    """A picture with 8 bits, reduced to at most `widest` columns."""
+    colours = picture[..., :3] if picture.ndim == 3 else picture
+    return _reduce(to_eight_bits(colours, white), min(1.0, widest / picture.shape[1]))
+
+
+def _reduce(picture: NDArray[np.uint8], size: float) -> NDArray[Any]:
+    import cv2
+
+    width, height = (max(1, round(size * n)) for n in picture.shape[1::-1])
+    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA))
+
+
+def map_grid(lattice: Lattice) -> tuple[NDArray[np.float64], tuple[int, int]]:
+    """Affine from map pixels to scene coordinates, and the shape of the maps.
+
+    They have at most 1100 columns and 12 pixels per pitch.
+    """
+    width, height = lattice.image_size
+    spacing = max(width / 1100, lattice.pitch / 12)
+    first = 0.5 * spacing - 0.5
+    shape = max(1, round(height / spacing)), max(1, round(width / spacing))
+    return np.array([[spacing, 0.0, first], [0.0, spacing, first]]), shape
+
+
+def maps(depth: DepthMap, lattice: Lattice) -> dict[str, NDArray[np.uint8]]:
+    """Maps of magnification, mode and confidence, (h, w, 3) uint8 each."""
+    grid = lattice, *map_grid(lattice)
+    return {
+        "magnification": magnification_picture(depth.magnification, *grid),
+        "modes": mode_picture(depth.mode, *grid),
+        "confidence": confidence_picture(depth.confidence, *grid),
+    }

@@ -1,0 +1,34 @@
+"""The templates of pages, in the folder `assets`: values are escaped, and what is returned may be put into pages."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+__all__ = ["fill", "read_asset", "safe"]
+
+
+@cache
+def _environment() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("lfrender.web", "assets")
+    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+
+
+def fill(template: str, **values: Any) -> Any:
+    """The text of a template with values in it, as `markupsafe.Markup`."""
+    return safe(_environment().get_template(template).render(**values))
+
+
+def safe(text: str) -> Any:
+    """A text that is HTML already, as `markupsafe.Markup`."""
+    from markupsafe import Markup
+
+    return Markup(text)
+
+
+def read_asset(name: str) -> Any:
+    """A style sheet, script or shader, to be put into a page as it is."""
+    return safe((files(__package__) / "assets" / name).read_text(encoding="utf-8"))

@@ -1,0 +1,98 @@
+"""One table of options: every command takes each of them, or refuses it with the reason."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+import lfcal
+from lfrender.cli.main import main
+
+COMMANDS = {
+    "render": ("picture.png",),
+    "analyze": ("depth.npz",),
+    "refocus": ("focus.png", "--patch-size", "6"),
+    "views": ("pair.png", "--stereo", "--scale", "4"),
+    "view": ("page.html",),
+    "report": ("report.html",),
+    "batch": ("pictures",),
+}
+REFUSED = {
+    ("analyze", "--depth"),
+    ("batch", "--depth"),
+    ("batch", "--page"),
+    *((c, "--roi") for c in ("view", "report", "batch")),
+}
+
+
+@pytest.fixture(scope="module")
+def files(house_files, tmp_path_factory):
+    """A flat, one of a mosaic, one with two pages, a white image, a camera, a dark frame, and a depth map."""
+    folder = tmp_path_factory.mktemp("options")
+    flat = lfcal.read_flat(house_files / "flat.png")
+    tifffile.imwrite(folder / "pages.tif", np.stack([flat, flat]), photometric="rgb")
+    tifffile.imwrite(folder / "raw.tif", flat[..., 1].copy(), photometric="minisblack")
+    tifffile.imwrite(folder / "dark.tif", np.zeros(flat.shape[:2], np.uint8))
+    for name in ("flat.png", "white.png", "camera.json"):
+        (folder / name).write_bytes((house_files / name).read_bytes())
+    words = ["-c", str(folder / "camera.json"), "-o", str(folder / "depth.npz"), "--preset", "fast"]
+    made = CliRunner().invoke(main, ["analyze", str(folder / "flat.png"), *words])
+    assert made.exit_code == 0, made.output
+    return folder
+
+
+@pytest.mark.parametrize(
+    "option", ["--white", "--camera", "--dark", "--preset", "--roi", "--mosaic", "--page", "--depth"]
+)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_takes_every_option_or_says_why_not(files, tmp_path, command, option):
+    name, *more = COMMANDS[command]
+    flat = {"--mosaic": "raw.tif", "--page": "pages.tif"}.get(option, "flat.png")
+    value = {
+        "--white": [files / "white.png"], "--camera": [files / "camera.json"], "--dark": [files / "dark.tif"],
+        "--preset": ["fast"], "--roi": [100, 80, 300, 260], "--mosaic": ["GRBG"], "--page": [1],
+        "--depth": [files / "depth.npz"],
+    }[option]  # fmt: skip
+    words = [command, files / flat, "--export" if command == "view" else "-o", tmp_path / name, *more, option, *value]
+    if option not in ("--white", "--camera"):
+        words += ["-c", files / "camera.json"]
+    if option != "--preset":
+        words += ["--preset", "fast"]
+    done = CliRunner().invoke(main, [str(word) for word in [*words, "--quiet"]])
+    if (command, option) in REFUSED:
+        assert done.exit_code == 2 and f"{option} makes no sense here: " in done.stderr
+        assert list(tmp_path.iterdir()) == []
+    else:
+        assert done.exit_code == 0, done.output
+        assert (tmp_path / name).exists()
+
+
+@pytest.mark.parametrize("command", ["demo", "warm"])
+def test_commands_without_a_flat_refuse_what_is_about_one(command):
+    done = CliRunner().invoke(main, [command, "--page", "1"])
+    assert done.exit_code == 2 and "--page makes no sense here" in done.stderr
+
+
+def test_the_part_that_is_drawn_lies_on_the_whole_picture(files, tmp_path):
+    """Of the picture in focus and of a view: the same pixels as in the whole one, at the place that the affine says."""
+    roi = ["--roi", "100", "80", "300", "260"]
+    for command in (["refocus", "--patch-size", "6"], ["views", "--stereo", "--scale", "5"]):
+        for name, part in (("whole", []), ("part", roi)):
+            words = [command[0], str(files / "flat.png"), "-c", str(files / "camera.json"), *command[1:], *part]
+            done = CliRunner().invoke(main, [*words, "-o", str(tmp_path / f"{name}.tif"), "--preset", "fast"])
+            assert done.exit_code == 0, done.output
+        pictures, affines = {}, {}
+        for name in ("whole", "part"):
+            with tifffile.TiffFile(tmp_path / f"{name}.tif") as tiff:
+                pictures[name] = tiff.asarray()
+                affines[name] = np.array(json.loads(tiff.pages[0].description)["affine"])
+        x, y = np.rint((affines["part"][:, 2] - affines["whole"][:, 2]) / affines["whole"][0, 0]).astype(int)
+        height, width = pictures["part"].shape[:2]
+        width = width if command[0] == "refocus" else width // 2
+        assert width < pictures["whole"].shape[1] and height < pictures["whole"].shape[0]
+        there = pictures["whole"][y : y + height, x : x + width]
+        np.testing.assert_array_equal(pictures["part"][:, :width], there)
