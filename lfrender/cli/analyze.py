@@ -9,7 +9,7 @@ import click
 
 from lfcal.runtime.output_file import check_output
 
-from .figures import camera_sentence, capture_figures, depth_sentences
+from . import figures
 from .inputs import CaptureInput, is_large
 from .options import at_most_one, capture_command, connect_cluster, option_errors
 
@@ -85,8 +85,8 @@ def analyze(capture: CaptureInput, given: Any) -> None:
         scale = _write_depth(depth, pixels, calibration, files, optics, given.metres, not given.unfilled)
     written = dict.fromkeys(str(path) for path in (output, dense, picture, ply) if path is not None)
     report.finish(
-        {"depth": str(output), **capture_figures(calibration, depth, optics), **scale},
-        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth, optics),
+        {"depth": str(output), **figures.capture_figures(calibration, depth, optics), **scale},
+        figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth, optics),
         f"{', '.join(written)} in {report.took}.", *_scale_sentence(picture, scale),
     )  # fmt: skip
 

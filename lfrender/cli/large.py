@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .figures import camera_sentence, capture_figures, depth_sentences, rendering_settings
+from . import figures
 from .inputs import CaptureInput, is_published
 from .options import option_errors
 
@@ -62,7 +62,7 @@ def render_in_tiles(
                     depth = checkpoint.reuse(
                         "depth.npz", key, DepthMap.load, lambda: _analyze(capture, source, calibration, cluster)
                     )
-        settings = rendering_settings(depth, patch_size, detail=options.get("detail"))
+        settings = figures.rendering_settings(depth, patch_size, detail=options.get("detail"))
         with report.stage("render"), report.counted_progress("tiles") as progress, option_errors(0):
             made = render_large(
                 source, output, calibration, depth, patch_size=patch_size, alpha=alpha, settings=settings,
@@ -70,12 +70,13 @@ def render_in_tiles(
             )  # fmt: skip
     kept = f", {made.kept} of them kept from an earlier run" if made.kept else ""
     width, height = made.size
-    figures = {
+    found = {
         "picture": str(output), "size": list(made.size), "scale": made.scale, "valid": made.valid,
-        "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept, **capture_figures(calibration, depth),
+        "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept,
     }  # fmt: skip
+    found |= figures.capture_figures(calibration, depth)
     report.finish(
-        figures, camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth),
+        found, figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth),
         f"{output}: {width} x {height} px in {made.tiles} tiles{kept}, in {report.took}.",
     )  # fmt: skip
 

@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 import cloup
 
 from lfcal.runtime import console
 
 from .analyze import analyze
+from .inputs import CaptureInput
+from .options import options
 from .pages import demo, report, view
 from .render import render
 from .sequence import batch
 from .views import refocus, views
-from .warm import warm
 
 __all__ = ["main"]
+
+
+@console.command("lfrender warm", "lfrender warm --processes 4")
+@options(own={"What to compile": "processes"}, refused="no flat is read")
+def warm(capture: CaptureInput, given: Any) -> None:
+    """Compile all kernels, unless that has been done for this installation.
+
+    The first command does so too. The kernels of lfcal and lfrender, for flats of all kinds, go into Numba's cache.
+    """
+    report = capture.report
+    failed = report.compile_kernels(given.processes)
+    seconds = report.compile_seconds
+    more = f"; {failed} could not be compiled" if failed else ""
+    done = "All kernels were compiled already." if failed is None else f"Kernels compiled in {seconds:.0f} s{more}."
+    report.finish({"compiled": failed is not None, "kernels_failed": failed or 0, "compile_seconds": seconds}, done)
 
 
 # Commands that are often typed here by mistake, and the program that has them.

@@ -11,7 +11,7 @@ import click
 from lfcal.runtime import console
 from lfcal.runtime.output_file import check_output
 
-from .figures import camera_figures, camera_sentence, capture_figures, depth_sentences, percent
+from . import figures
 from .inputs import CaptureInput
 from .options import capture_command, options, output_option
 
@@ -36,8 +36,8 @@ def view(capture: CaptureInput, given: Any) -> None:
     if export is not None and export.suffix:
         check_output(export, {".html", ".htm"}, capture.files)
     pixels, calibration, depth = capture.load()
-    warnings = camera_figures(calibration, depth)["warnings"]
-    sentences = [camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth)]
+    warnings = figures.camera_figures(calibration, depth)["warnings"]
+    sentences = [figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth)]
     if export is not None:
         with report.stage("write"):
             page = write_viewer(export, pixels, calibration, depth, capture.flat.name)
@@ -79,8 +79,8 @@ def report(capture: CaptureInput, given: Any) -> None:
         seconds = dict(progress.seconds)
         write_report(output, pixels, calibration, depth, pictures, title=capture.flat.name, seconds=seconds)
     progress.finish(
-        {"report": str(output), **capture_figures(calibration, depth)},
-        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth),
+        {"report": str(output), **figures.capture_figures(calibration, depth)},
+        figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth),
         f"{output} in {progress.took}: open it in a browser.",
     )  # fmt: skip
 
@@ -101,14 +101,14 @@ def demo(capture: CaptureInput, given: Any) -> None:
 
     report = capture.report
     report.log_stages = True
-    figures = run_demo(given.output, report)
-    modes, merit = figures["mode_right"]["one_depth"], figures["merit"]["all_in_focus"]["psnr"]
-    centres = figures["calibration"]["scene"]["centre_error"]
+    found = run_demo(given.output, report)
+    modes, merit = found["mode_right"]["one_depth"], found["merit"]["all_in_focus"]["psnr"]
+    centres = found["calibration"]["scene"]["centre_error"]
     report.finish(
-        figures,
-        f"{figures['lenses']:,} microlenses, {figures['pitch']:.1f} px apart, found to {centres:.3f} px RMS from "
+        found,
+        f"{found['lenses']:,} microlenses, {found['pitch']:.1f} px apart, found to {centres:.3f} px RMS from "
         "the capture alone.",
-        f"The mode is right in {percent(modes)} of the lenses that see one depth; the picture is {merit:.1f} dB "
-        "from the truth.",
-        f"{figures['page']} in {report.took}, {report.seconds['simulate']:.1f} s of it for the simulation.",
+        f"The mode is right in {figures.percent(modes)} of the lenses that see one depth; the picture is "
+        f"{merit:.1f} dB from the truth.",
+        f"{found['page']} in {report.took}, {report.seconds['simulate']:.1f} s of it for the simulation.",
     )

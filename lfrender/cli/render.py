@@ -7,15 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .figures import (
-    camera_sentence,
-    capture_figures,
-    depth_sentences,
-    eight_bits_sentence,
-    picture_figures,
-    picture_sentence,
-    rendering_settings,
-)  # fmt: skip
+from . import figures
 from .inputs import CaptureInput, is_large
 from .options import at_most_one, capture_command, connect_cluster, option_errors
 
@@ -95,15 +87,15 @@ def render(capture: CaptureInput, given: Any) -> None:
         else:
             picture = run(pixels, calibration, depth, roi=roi, **options)
     drawn = None if traditional else depth
-    settings = rendering_settings(drawn, patch_size, given.detail)
+    settings = figures.rendering_settings(drawn, patch_size, given.detail)
     stated = _write(capture, output, picture, settings, given.eight_bits, **stored)
     what = "a pixel per microlens" if traditional else "sharp at every depth"
     if patch_size is not None:
         what = f"of one patch size, {patch_size:g} px{', mixed from all lenses' if given.blend else ''}"
     capture.report.finish(
-        {"picture": str(output), **picture_figures(picture), **capture_figures(calibration, depth)},
-        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, drawn),
-        picture_sentence(output, picture, what, capture.report.took), *stated,
+        {"picture": str(output), **figures.picture_figures(picture), **figures.capture_figures(calibration, depth)},
+        figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, drawn),
+        figures.picture_sentence(output, picture, what, capture.report.took), *stated,
     )  # fmt: skip
 
 
@@ -134,7 +126,7 @@ def _write(
 
     stated = []
     if (eight_bits and picture.image.dtype.name != "uint8") or needs_eight_bits(output, picture):
-        stated = [eight_bits_sentence(picture.white, picture.image.dtype)]
+        stated = [figures.eight_bits_sentence(picture.white, picture.image.dtype)]
         picture = to_eight_bits(picture)
     with capture.report.stage("write"):
         write_picture(output, picture, settings=settings, embedded=read_metadata(capture.flat), **options)

@@ -11,15 +11,7 @@ import click
 
 from lfcal.runtime.output_file import check_folder
 
-from .figures import (
-    camera_figures,
-    camera_sentence,
-    capture_figures,
-    depth_sentences,
-    eight_bits_sentence,
-    picture_figures,
-    picture_sentence,
-)
+from . import figures
 from .inputs import CaptureInput
 from .options import at_most_one, capture_command, grid_size, option_errors
 
@@ -91,9 +83,10 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     what = f"{len(pictures)} depths" if len(pictures) > 1 else "in focus at one depth"
     named = output if len(paths) == 1 else f"{paths[0]} to {paths[-1].name}"
     capture.report.finish(
-        {**written, "patch_sizes": sizes, **picture_figures(pictures[0]), **camera_figures(calibration, depth)},
-        camera_sentence(calibration, capture.camera),
-        picture_sentence(named, pictures[0], what, capture.report.took), *stated,
+        written | {"patch_sizes": sizes}
+        | figures.picture_figures(pictures[0]) | figures.camera_figures(calibration, depth),
+        figures.camera_sentence(calibration, capture.camera),
+        figures.picture_sentence(named, pictures[0], what, capture.report.took), *stated,
     )  # fmt: skip
 
 
@@ -115,7 +108,7 @@ def _write_refocused(
 
     first, stated = pictures[0], []
     if first.image.dtype.name != "uint8" and (eight_bits or needs_eight_bits(output, first)):
-        stated = [eight_bits_sentence(first.white, first.image.dtype)]
+        stated = [figures.eight_bits_sentence(first.white, first.image.dtype)]
         pictures = [to_eight_bits(picture) for picture in pictures]
     with capture.report.stage("write"):
         embedded = read_metadata(capture.flat)
@@ -162,11 +155,11 @@ def views(capture: CaptureInput, given: Any) -> None:
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration)
     report, offsets = capture.report, _offsets(given, given.aperture * calibration.lattice.radius)
-    figures: dict[str, Any] = {"views": str(output), "offsets": offsets}
+    found: dict[str, Any] = {"views": str(output), "offsets": offsets}
     stated = []
     with report.stage("render and write"), report.progress("views", len(offsets)) as advance:
         if given.poses:
-            figures |= _write_posed(given, pixels, calibration, depth, offsets, advance)
+            found |= _write_posed(given, pixels, calibration, depth, offsets, advance)
         else:
             from ..output.metadata import read_metadata
 
@@ -177,10 +170,10 @@ def views(capture: CaptureInput, given: Any) -> None:
                     given, _advance_with(pictures, advance), settings=settings, embedded=read_metadata(capture.flat)
                 )
     if pixels.dtype.name != "uint8" and (given.eight_bits or _holds_eight_bits(given)):
-        stated.append(eight_bits_sentence(calibration.white_level, pixels.dtype))
+        stated.append(figures.eight_bits_sentence(calibration.white_level, pixels.dtype))
     report.finish(
-        {**figures, **capture_figures(calibration, depth)},
-        camera_sentence(calibration, capture.camera), *depth_sentences(calibration, depth),
+        {**found, **figures.capture_figures(calibration, depth)},
+        figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth),
         f"{output}: {len(offsets)} views, in {report.took}.", *stated,
     )  # fmt: skip
 
@@ -282,7 +275,7 @@ def _write_posed(
     offsets: list[tuple[float, float]],
     advance: Callable[[str], None],
 ) -> dict[str, Any]:
-    """Write views with their cameras; returns figures about these."""
+    """Write views with their cameras; returns found about these."""
     from lfcal import Optics
 
     from ..output.posed_files import write_posed_views

@@ -16,7 +16,7 @@ from ..runtime.cache import cached_latest
 from .depth_map import DepthMap
 from .surface import Surface
 
-__all__ = ["check_region", "crop_flat", "crop_lattice", "embed_region", "rescale_depth", "select_lenses"]
+__all__ = ["check_region", "crop_flat", "crop_lattice", "embed_region", "rescale_depth", "rows_of", "select_lenses"]
 
 # Code in `DepthMap.reason`.
 _NOT_ANALYSED = 4
@@ -58,11 +58,7 @@ def crop_flat(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tu
     high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
     sub = cached_latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: crop_lattice(lattice, low, high))
     image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
-    kinds = None
-    if gray.lens_type is not None:
-        grid, first = lens_grid(lattice)
-        i, j = (np.rint(lattice.to_index(sub.centres() + low)).astype(int) - first).T
-        kinds = gray.lens_type[grid[j, i]]
+    kinds = None if gray.lens_type is None else gray.lens_type[rows_of(sub, lattice)]
     return replace(gray, image=image, centres=sub.centres().astype(np.float32), lens_type=kinds), sub
 
 
@@ -81,7 +77,7 @@ def embed_region(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArra
 
     The surface stays that of the part: beyond its border it is read at the nearest value.
     """
-    n, rows = len(lattice), _rows_of(sub, lattice)
+    n, rows = len(lattice), rows_of(sub, lattice)
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
     confidence, reason = np.zeros(n, np.float32), np.full(n, _NOT_ANALYSED, np.int8)
     chosen = inside[rows]
@@ -102,7 +98,7 @@ def embed_region(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArra
     )  # fmt: skip
 
 
-def _rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
+def rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
     """(m,) rows in `lattice` of the lenses of a part of it."""
     grid, low = lens_grid(lattice)
     i, j = (sub.indices() - low).T

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from lfcal import Calibration, FlatSource, Lattice
 
 from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_source
-from ..data.region import rescale_depth
+from ..data.region import rescale_depth, rows_of
 from ..data.surface import Surface
 from ..depth.edges.locate_edges import locate_edges, refine_grid
 from ..depth.edges.settings import DEFAULT as EDGES
@@ -33,14 +33,11 @@ from ..depth.surface.scene_grid import grid_shape
 from ..depth.validity.textureless import find_textureless
 from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
-from ..flat.lens_graph import lens_grid, neighbour_rows
+from ..flat.lens_graph import neighbour_rows
 from ..flat.texture import estimate_noise, find_texture, sample_statistics
 from ..flat.validation import match_exposure
 from ..sequence.workers import Workers
 from .tiles import LensTile, TileReader, lens_tiles, lens_windows
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 __all__ = ["analyze_large"]
 
@@ -52,7 +49,7 @@ def analyze_large(
     *,
     skip: bool | Iterable[str] = True,
     progress: Callable[[int, int], None] | None = None,
-    client: Client | None = None,
+    client: Any = None,
     threads: int | None = None,
     memory: float = 6e8,
 ) -> DepthMap:
@@ -146,9 +143,7 @@ class FlatContext:
 
     def rows(self, part: LensTile) -> NDArray[np.int32]:
         """Rows in `lattice.centres()` of the lenses whose results are taken from a part."""
-        grid, least = lens_grid(self.lattice)
-        i, j = (part.lattice.indices()[part.inside] - least).T
-        return grid[j, i]
+        return rows_of(part.lattice, self.lattice)[part.inside]
 
 
 def _measure_roughness(

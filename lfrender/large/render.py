@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,6 @@ from ..rendering.render import Detail, make_renderer
 from ..rendering.renderer import Renderer
 from ..sequence.workers import Workers
 from .tiles import TileReader
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 __all__ = ["LargePicture", "check_large_picture", "render_large"]
 
@@ -82,7 +79,7 @@ def render_large(
     compress: bool = False,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
-    client: Client | None = None,
+    client: Any = None,
     threads: int | None = None,
 ) -> LargePicture:
     """Draw a large flat into a file, tile by tile: the pixels are those of `render`, whatever the tiles.

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
 
+from ..data.dense_depth import dense_depth
+from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering
 from ..flat.lens_graph import nearest_lens
-
-if TYPE_CHECKING:
-    from ..data.depth_map import DepthMap
 
 __all__ = [
     "MODES", "MODE_COLOURS", "colour_scale", "confidence_picture", "depth_picture", "magnification_limits",
@@ -28,9 +27,6 @@ MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 
 def depth_picture(depth: DepthMap, lattice: Lattice, scale: float | None = None) -> Rendering:
     """The magnification in colours on the grid of the picture that `render` draws; valid where a lens has a depth."""
-    from ..data.dense_depth import dense_depth
-    from ..data.depth_map import default_scale
-
     scale = default_scale(depth) if scale is None else scale
     grid = dense_depth(depth, scale)
     image = magnification_picture(depth.magnification, lattice, grid.affine, grid.patch_size.shape)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Generator, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from lfcal import Calibration
 
@@ -13,9 +13,6 @@ from .frames import Frame, are_encoded, dark_of
 from .job import FrameResult, Job, render_group
 from .view_grid import ViewGrid
 from .workers import Workers
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 __all__ = ["render_frames"]
 
@@ -33,7 +30,7 @@ def render_frames(
     eight_bits: bool = False,
     segment: int = 30,
     group: int = 5,
-    client: Client | None = None,
+    client: Any = None,
     threads: int | None = None,
 ) -> Generator[FrameResult, None, None]:
     """Render the frames of a sequence into a folder, one picture a frame.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lfcal import Calibration
 
@@ -13,14 +13,11 @@ from .frames import Frame
 from .job import FrameResult
 from .workers import connect
 
-if TYPE_CHECKING:
-    from distributed import Client
-
 __all__ = ["connect", "render_frames_on"]
 
 
 def render_frames_on(
-    client: Client,
+    client: Any,
     frames: Iterable[Frame],
     folder: str | os.PathLike[str],
     calibration: Calibration | None = None,

@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from lfcal.runtime.eight_bit import to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.video.frame_pixels import convert_frame, frame_of_planes
 
+from ..data.rendering import Rendering
 from ..output.formats import FORMATS, PictureError, check_format
 from ..output.raw_video import raw_format_of, yuv_frame
 from ..output.resume import Checkpoint, file_identity, fingerprint
@@ -27,11 +28,6 @@ from ..output.views import write_animation
 from .batch import render_frames
 from .frames import Frames
 from .job import FrameResult, load_camera
-
-if TYPE_CHECKING:
-    from distributed import Client
-
-    from ..data.rendering import Rendering
 
 __all__ = ["FilmFile", "render_film", "to_film_pixels", "write_moving"]
 
@@ -51,7 +47,7 @@ def render_film(
     scale: float | None = None,
     rate: float | Fraction | None = None,
     overwrite: bool = False,
-    client: Client | None = None,
+    client: Any = None,
     threads: int | None = None,
 ) -> Iterator[FrameResult]:
     """Render the frames of a sequence into a film, which is complete once the last result has been taken.

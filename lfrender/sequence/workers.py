@@ -8,12 +8,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from copy import deepcopy
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lfcal import LightFieldError, OutputError
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 __all__ = ["Workers", "connect", "task_result"]
 
@@ -24,7 +21,7 @@ class Workers:
     `at_once` parts are worked on at a time in this process.
     """
 
-    def __init__(self, client: Client | None = None, threads: int | None = None, at_once: int = 1) -> None:
+    def __init__(self, client: Any = None, threads: int | None = None, at_once: int = 1) -> None:
         self._client, self._threads, self._at_once = client, threads, at_once
 
     @property
@@ -154,7 +151,7 @@ def task_result(future: Any) -> Any:
 
 
 @contextmanager
-def connect(workers: int | None, scheduler: str | None, timeout: float = 15.0) -> Iterator[Client]:
+def connect(workers: int | None, scheduler: str | None, timeout: float = 15.0) -> Iterator[Any]:
     """A client of a scheduler such as `"tcp://host:8786"`, or of so many worker processes on this machine.
 
     OutputError if Dask is not installed or the scheduler cannot be reached within `timeout` seconds.
