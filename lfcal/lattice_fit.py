@@ -61,7 +61,7 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
         ) from error
     crops = StackedCrops.of(picture)
     index = found.indices() if crops.size == found.image_size else crops.lenses(found, 0.0)[0]
-    places = found.points(index[:: max(1, len(index) // CALIBRATION.samples)])
+    places = found.points(index[:: max(1, len(index) // 4000)])
     # A distortion that the start does not have is no error of it.
     near = white.lattice if found.distortion is not None else replace(white.lattice, distortion=None)
     distance = near.points(np.rint(near.to_index(places))) - places
@@ -118,8 +118,8 @@ def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) ->
         light -= np.median(light, axis=1, keepdims=True)
         np.maximum(light, 0, out=light)
         total = light.sum(1)
-        lit = total > CALIBRATION.dark_spot * np.quantile(total, 0.9)
-        if lit.sum() < CALIBRATION.fewest_spots:
+        lit = total > 0.1 * np.quantile(total, 0.9)
+        if lit.sum() < 12:
             raise CalibrationError(f"only {lit.sum()} whole microimages have light; give a brighter white image")
         indices, centres, corner, light, total = (v[lit] for v in (indices, centres, corner, light, total))
         shifts = corner + np.column_stack([light @ x, light @ y]) / total[:, None] - centres
@@ -155,7 +155,8 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
     middle = places - places.mean(0)
     base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
     distance, cut = base.T @ (centres - places), base.T @ cut
-    share = np.clip(-(distance * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, CALIBRATION.centroid_share)
+    # Of two equal discs, the middle shifts by half of the cut.
+    share = np.clip(-(distance * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, 0.5)
     return float(np.sqrt(((distance + share * cut) ** 2).sum() / len(places)))
 
 
@@ -171,7 +172,8 @@ def fit_lattice_to_scenes(
     from .scene_fit.fit import fit_scene
 
     found = start.lattice
-    window = CALIBRATION.rim_window * found.pitch
+    # More than a rim, less than the scene in a lens.
+    window = 0.5 * found.pitch
     rims = normalise_locally(edge_strength(picture if len(lights) == 1 else sqrt_luminance(lights[0])), window)
     for light in lights[1:]:
         rims += normalise_locally(edge_strength(sqrt_luminance(light)), window)
@@ -180,7 +182,7 @@ def fit_lattice_to_scenes(
     fit = fit_scene(rims, found)
     if start.clear_gaps:
         fit = _follow_gaps(fit, picture, start)
-        if fit.distortion is None and start.explains(found.basis) > start.explains(fit.basis) + CALIBRATION.explained:
+        if fit.distortion is None and start.explains(found.basis) > start.explains(fit.basis) + 0.01:
             return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
     if fit.residual_rms > CALIBRATION.faint_rims * found.pitch and not fit.half_difference < start.half_difference:
         # Averages of whole tiles are the better measure.
@@ -203,7 +205,7 @@ def _follow_gaps(fit: LatticeFit, picture: NDArray[np.float32], start: FirstLatt
     from .scene_fit.fit import fit_scene
 
     found = start.lattice
-    darkness = np.minimum(normalise_locally(picture, CALIBRATION.dark_window * found.pitch), 0)
+    darkness = np.minimum(normalise_locally(picture, 2 * found.pitch), 0)
     try:
         by_gaps = fit_scene(darkness, found)
     except CalibrationError:

@@ -176,7 +176,7 @@ def _find_starts_on(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
     import cv2
 
     mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
-    if mean == 0 or deviation < CALIBRATION.min_contrast * mean:
+    if mean == 0 or deviation < 1e-4 * mean:
         raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
     half_size = is_searched_at_half_size((picture.shape[1], picture.shape[0]))
     for start in (find_first_lattices_at_half_size if half_size else find_first_lattices)(picture):

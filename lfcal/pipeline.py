@@ -256,7 +256,7 @@ def _measure_first(candidates: Iterator[LatticeCandidate]) -> _Measured:
     Wrong ones are the period of scene detail that all lenses show, or several types of lenses taken as one.
     """
     error: CalibrationError | None = None
-    for one in islice(candidates, 1 + CALIBRATION.more_candidates):
+    for one in islice(candidates, 3):
         try:
             return _measure(one)
         except CalibrationError as failure:

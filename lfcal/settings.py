@@ -16,25 +16,16 @@ class CalibrationSettings:
     # of scenes whose microimages have the shape of lenses, but show no parallax: 5 of 15 captures, and 4 of 218
     # pictures that are no flats
     shape_confidence: float = 0.85
-    more_candidates: int = 2  # measured after the first before a flat is refused
-    min_contrast: float = 1e-4  # [mean] standard deviation of an image that shows something
     glare: float = 0.5  # [mean] standard deviation of the root of the luminance, beyond which a few bright places may
     # outweigh the microimages; files with gamma have up to 0.46, linear ones up to 0.9
     min_roundness: float = 0.55  # of the average microimage, below which they may have done so
-    rim_window: float = 0.5  # [pitch] in which edges are normalised: more than a rim, less than the scene in a lens
-    dark_window: float = 2.0  # [pitch] in which brightness is normalised: more than a microimage
     beside_gaps: float = 0.03  # [pitch] RMS distance of a fit to edges from one to dark gaps beyond which it is wrong
-    explained: float = 0.01  # [nats per pixel] that a fit may explain less than the first lattice
     max_distance: float = 0.2  # [pitch] RMS distance from the first lattice from which on a fit has run away
     faint_rims: float = 0.02  # [pitch] scatter of single lenses from which on they cannot be fitted singly
-    centroid_share: float = 0.5  # most shift of the middle of a microimage over its cut: of two equal discs a half
     unlike_gain: float = 0.1  # light of a lens over that of its surroundings, less 1, that dust or a scene makes
     unlike_lenses: float = 0.12  # share of such lenses: 25 dust specks on 1000 large lenses made 0.09, a scene 0.16
     fewest_pixels: float = 20.0  # [px] in a lens from which on its light is measured well enough to compare
-    dark_spot: float = 0.1  # share of the light of a bright spot from which on its centroid counts
-    fewest_spots: int = 12  # that give a lattice
     enclosed_dark: float = 0.03  # share of dark lenses between lit ones from which on a flat may be a scene: dust less
-    samples: int = 4000  # lenses at which distances are measured
 
 
 CALIBRATION = CalibrationSettings()
