@@ -1,4 +1,4 @@
-"""Progress on a terminal: the stage with its seconds, or a bar with rate and remaining time."""
+"""Progress on a terminal: the stage with its seconds, and a bar with rate and remaining time."""
 
 from __future__ import annotations
 
@@ -11,52 +11,47 @@ __all__ = ["Terminal"]
 
 
 class Terminal:
-    """The last line of the terminal, for one display at a time: a bar hides its stage while it is shown."""
+    """The last lines of the terminal: one for each stage and each bar that runs."""
 
     def __init__(self) -> None:
         from rich.console import Console
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-        self._console = Console(stderr=True)
-        self._displays: list[Any] = []
+        columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+        console = Console(stderr=True)
+        self._progress = Progress(*columns, TextColumn("{task.fields[rate]}"), console=console, transient=True)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Show a stage and its seconds so far."""
-        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-        columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-        with self._shown(Progress(*columns, console=self._console, transient=True)) as display:
-            display.add_task(name, total=None)
+        with self._line(name, None, 0):
             yield
 
     @contextmanager
     def bar(self, name: str, total: int | None, before: int = 0) -> Iterator[Callable[[str], None]]:
         """Show steps out of `total`, of which some were done `before`; see `Report.progress`."""
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}")
-        start = time.perf_counter()
-        with self._shown(Progress(*columns, TimeRemainingColumn(), console=self._console, transient=True)) as display:
-            task = display.add_task(name, total=total, completed=before, rate="")
+        start, done = time.perf_counter(), 0
+        with self._line(name, total, before) as task:
 
             def advance(remark: str) -> None:
+                nonlocal done
                 if remark:
-                    display.console.print(remark, markup=False, highlight=False)
-                done = display.tasks[0].completed + 1 - before
-                display.update(task, advance=1, rate=f"{done / (time.perf_counter() - start):.2f} a second")
+                    self._progress.console.print(remark, markup=False, highlight=False)
+                done += 1
+                rate = done / (time.perf_counter() - start)
+                left = "" if total is None else f", {(total - before - done) / rate:.0f} s left"
+                steps = f"{before + done}/{total or '?'}, {rate:.2f} a second{left}"
+                self._progress.update(task, advance=1, rate=steps)
 
             yield advance
 
     @contextmanager
-    def _shown(self, display: Any) -> Iterator[Any]:
-        """Show a display instead of the current one, which is shown again afterwards."""
-        if self._displays:
-            self._displays[-1].stop()
-        self._displays.append(display)
-        display.start()
+    def _line(self, name: str, total: int | None, completed: int) -> Iterator[Any]:
+        self._progress.start()
+        task = self._progress.add_task(name, total=total, completed=completed, rate="")
         try:
-            yield display
+            yield task
         finally:
-            self._displays.pop().stop()
-            if self._displays:
-                self._displays[-1].start()
+            self._progress.remove_task(task)
+            if not self._progress.tasks:
+                self._progress.stop()
