@@ -93,7 +93,7 @@ def _plot(path: Path, rows: list[dict[str, float]]) -> None:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise SystemExit(f"{path}: plots need matplotlib: pip install 'lfrender[plots]' ({error})") from error
+        raise SystemExit(f"{path}: plots need matplotlib: pip install matplotlib ({error})") from error
     across = next(iter(rows[0]))
     x = [row[across] for row in rows]
     figure = Figure(figsize=(9, 7), layout="constrained")

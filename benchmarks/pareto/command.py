@@ -72,7 +72,7 @@ def write(folder: Path, rows: list[Row]) -> None:
     try:
         _plot(folder, rows)
     except ImportError:
-        print("no plots: pip install 'lfrender[plots]'")
+        print("no plots: pip install matplotlib")
 
 
 def _plot(folder: Path, rows: list[Row]) -> None:

@@ -96,7 +96,7 @@ def _write(folder: Path, stage: str, sweep: Sweep, rows: list[tuple[float, Outco
     try:
         _plot(path.with_suffix(".png"), sweep, rows)
     except ImportError:
-        print("no plots: pip install 'lfrender[plots]'")
+        print("no plots: pip install matplotlib")
 
 
 def _random(cases: int, log: Path | None) -> list[str]:
