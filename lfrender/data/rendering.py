@@ -77,6 +77,20 @@ class PictureGrid:
         left, top, right, bottom = part
         return max(left - halo, 0), max(top - halo, 0), min(right + halo, columns), min(bottom + halo, rows)
 
+    def border(self, part: Part, wide: int) -> Iterator[Part]:
+        """What a part has in common with the four strips, `wide` pixels, along the border of the whole picture."""
+        (columns, rows), (left, top, right, bottom) = self.size, part
+        strips = (
+            (0, 0, columns, wide),
+            (0, rows - wide, columns, rows),
+            (0, 0, wide, rows),
+            (columns - wide, 0, columns, rows),
+        )
+        for strip in strips:
+            both = max(left, strip[0]), max(top, strip[1]), min(right, strip[2]), min(bottom, strip[3])
+            if both[0] < both[2] and both[1] < both[3]:
+                yield both
+
     def part_of_region(self, roi: tuple[float, float, float, float]) -> Part:
         """Columns and rows whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
         low, high = ((np.array(ends) - self.first) / self.spacing for ends in (roi[:2], roi[2:]))

@@ -53,9 +53,9 @@ def _nearest(x, y, patches):
     return best_x, best_y
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _read_run(flat, at, across, down, fx, fy, size, line):
-    """Interpolate `size` values that follow each other in `flat`, from place `at` on."""
+    """Interpolate `size` values that follow each other in `flat`, from place `at` on, into `line`."""
     w11 = fx * fy
     w01, w10 = fx - w11, fy - w11
     w00 = np.float32(1) - fx - w10
@@ -64,27 +64,64 @@ def _read_run(flat, at, across, down, fx, fy, size, line):
         line[k] = upper + (w10 * np.float32(flat[at + down + k]) + w11 * np.float32(flat[at + down + across + k]))
 
 
+@njit(inline="always")
+def _store(out, at, value):
+    """Store a value, truncated if those of `out` are integers; by way of 32 bits, which there are vectors for."""
+    if out.itemsize < 4:
+        out[at] = np.int32(value)
+    else:
+        out[at] = value
+
+
+@njit(error_model="numpy", forceinline=True)
+def _write_run(line, size, channels, half, top, turned, out, into):
+    """Round `size` pixels and write them, in reverse order if `turned`."""
+    one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
+    for k in range(size * channels):
+        line[k] = min(line[k] + half, top)
+    if not turned:
+        for k in range(size * channels):
+            _store(out, into + k, line[k])
+    elif channels == three:
+        # The compiler uses vector instructions for strides it knows.
+        for k in range(size):
+            at, of = into + three * (size - one - k), three * k
+            _store(out, at, line[of])
+            _store(out, at + one, line[of + one])
+            _store(out, at + two, line[of + two])
+    else:
+        for k in range(size):
+            for c in range(channels):
+                _store(out, into + (size - one - k) * channels + c, line[k * channels + c])
+
+
 @kernel(error_model="numpy", share=lambda *given: len(given[8]))
-def _draw_patches(begin, end, flat, size, corner, patches, gains, gain_step, half, top, out, valid):
+def _draw_patches(begin, end, flat, size, corner, patches, gains, per_step, half, top, out, valid):
     """Fill `out` (rows, columns, C) with the pixels that the nearest lens shows, and mark them as `valid`."""
     values, channels = flat.reshape(-1), flat.shape[2]
     slope, first, spacing, left = patches.slope, patches.first, patches.spacing, patches.part[0]
-    turn = 1 if slope > 0 else -1
+    turn, per_spacing = 1 if slope > 0 else -1, 1 / spacing
     across, down = np.uint64(channels), np.uint64(flat.shape[1] * channels)
-    line, even = np.empty(out.shape[1] * channels, np.float32), len(gains) == 0
+    line = np.empty(out.shape[1] * channels, np.float32)
     around = patches.steps.astype(np.float64) @ patches.basis
+    # The half-way lines x = room + tilt * y to the neighbours at the right, at which a lens is no longer the nearest.
+    room, tilt = np.empty(len(around)), np.empty(len(around))
+    right = 0
+    for n in range(len(around)):
+        ex, ey = around[n, 0], around[n, 1]
+        if ex > 1e-9:
+            room[right], tilt[right] = 0.5 * (ex * ex + ey * ey) / ex, -ey / ex
+            right += 1
     for row in range(begin, end):
         y, u = first + (patches.part[1] + row) * spacing, left
-        valid[row] = False
+        pixels, seen = out[row].reshape(-1), valid[row]
+        seen[:] = False
         while u < patches.part[2]:
             cx, cy = _nearest(first + u * spacing, y, patches)
-            # The lens is nearest up to the half-way lines to its neighbours.
             border = np.inf
-            for n in range(len(around)):
-                if around[n, 0] > 1e-9:
-                    room = 0.5 * (around[n, 0] ** 2 + around[n, 1] ** 2) - around[n, 1] * (y - cy)
-                    border = min(border, cx + room / around[n, 0])
-            stop = max(min(int(np.ceil((border - first) / spacing)), patches.part[2]), u + 1)
+            for n in range(right):
+                border = min(border, room[n] + tilt[n] * (y - cy))
+            stop = max(min(int(np.ceil((cx + border - first) * per_spacing)), patches.part[2]), u + 1)
             # Column u is read at x - turn * u.
             x, py = cx + (cx - first) * slope, cy - (y - cy) * slope
             ix, iy = int(np.floor(x)), int(np.floor(py))
@@ -95,15 +132,18 @@ def _draw_patches(begin, end, flat, size, corner, patches, gains, gain_step, hal
                 start = ix - turn * (high - 1 if turn > 0 else low)
                 fx, fy = np.float32(x - ix), np.float32(py - iy)
                 at = np.uint64(iy - corner[1]) * down + np.uint64(start - corner[0]) * across
-                _read_run(values, at, across, down, fx, fy, np.uint64((high - low) * channels), line)
-                dx, dy2 = np.float32(start + (x - ix) - cx), np.float32(py - cy) ** 2
-                for k in range(high - low):
-                    into = (high - 1 - k if turn > 0 else low + k) - left
-                    entry = 0 if even else min(int(((dx + k) * (dx + k) + dy2) * gain_step), len(gains) - 1)
-                    gain = np.float32(1) if even else gains[entry]
-                    for c in range(channels):
-                        out[row, into, c] = min(line[k * channels + c] * gain + half, top)
-                    valid[row, into] = True
+                length, into = np.uint64(high - low), np.uint64(low - left) * across
+                _read_run(values, at, across, down, fx, fy, length * across, line)
+                if len(gains) > 0:
+                    dx, dy = np.float32(start + (x - ix) - cx), np.float32(py - cy)
+                    for k in range(length):
+                        away = dx + np.float32(k)
+                        gain = gains[min(int((away * away + dy * dy) * per_step), len(gains) - 1)]
+                        for c in range(across):
+                            line[k * across + c] *= gain
+                _write_run(line, length, across, half, top, turn > 0, pixels, into)
+                for k in range(low - left, high - left):
+                    seen[k] = True
             u = stop
 
 
@@ -144,7 +184,7 @@ def render_patches(
     lattice: Lattice = calibration.lattice
     spacing = lattice.pitch / abs(patch_size)
     gains, step = correction_tables(calibration)
-    known = np.empty(0, np.float32) if (gains == 1).all() else gains[0]
+    known, per_step = np.empty(0, np.float32) if (gains == 1).all() else gains[0], np.float32(1 / step)
     whole = pixels.dtype.kind in "ui"
     half, top = (0.5, np.iinfo(pixels.dtype).max) if whole else (0.0, np.inf)
     shape = part[3] - part[1], part[2] - part[0]
@@ -155,7 +195,7 @@ def render_patches(
         0.5 * spacing - 0.5, spacing, np.array(part),
     )  # fmt: skip
     _draw_patches(
-        np.ascontiguousarray(pixels), np.array(lattice.image_size), np.array(corner), patches, known, 1 / step,
+        np.ascontiguousarray(pixels), np.array(lattice.image_size), np.array(corner), patches, known, per_step,
         np.float32(half), np.float32(top), image, valid,
     )  # fmt: skip
     return image, valid

@@ -25,7 +25,7 @@ from .blend.blend_pixels import blend_pixels
 from .blend.blend_rows import blend_rows
 from .blend.lens_table import tabulate_lenses
 from .blend.lit_flat import LitFlat, light_flat
-from .blend.records import Flat, Grid, Lenses, Output, Weighting
+from .blend.records import ONE_SAMPLE, Flat, Grid, Lenses, Output, Weighting
 from .fixed_patch import render_patches, shows_patches
 
 __all__ = ["AGREEMENT", "BLUR", "REACH", "REFOCUS_REACH", "VIEW_REACH", "Renderer"]
@@ -131,11 +131,14 @@ class Renderer:
             image, valid = self._blend(pixels, corner, part)
             return convert_to_dtype(image, np.dtype(dtype)), valid
         patch, valid = render_patches(pixels, corner, self.calibration, self.surface.patch_size[0, 0], part)
-        if not valid.all():
-            # Beside the border of the flat, where the nearest lens does not show all.
-            image, seen = self._blend(pixels, corner, part, ~valid)
-            np.copyto(patch, convert_to_dtype(image, patch.dtype), where=~valid[..., None])
-            valid |= seen
+        left, top, _, _ = part
+        # Within a pitch of the border of the flat, the nearest lens does not show all.
+        for strip in self.grid.border(part, int(np.ceil(self.scale)) + 1):
+            box = np.s_[strip[1] - top : strip[3] - top, strip[0] - left : strip[2] - left]
+            if not valid[box].all():
+                image, seen = self._blend(pixels, corner, strip, ~valid[box])
+                np.copyto(patch[box], convert_to_dtype(image, patch.dtype), where=~valid[box][..., None])
+                valid[box] |= seen
         return patch.astype(dtype, copy=False), valid
 
     def light(
@@ -178,7 +181,7 @@ class Renderer:
             np.float32(self.blur**2),
         )
         flat = Flat(lit.pixels, lit.shown, np.array(corner), np.array(lattice.image_size))
-        if self.blend and self._is_packable(pixels):
+        if self.blend and self._is_packable(pixels) and not self._is_coarse:
             left = np.empty(shape, bool)
             blend_rows(flat._replace(pixels=lit.packed), lit.light, lenses, *depth, grid, weighting, output, left)
             flat = flat._replace(pixels=lit.packed.view(pixels.dtype).reshape(*lit.packed.shape, 4))
@@ -197,6 +200,12 @@ class Renderer:
     def _is_packable(self, pixels: NDArray[Any]) -> bool:
         """Whether `blend_rows` reads such pixels; its places in the flat are integers of 31 bits."""
         return pixels.dtype.kind == "u" and pixels.shape[2] <= 3 and pixels.shape[0] * pixels.shape[1] < 2**31
+
+    @property
+    def _is_coarse(self) -> bool:
+        """Whether most pixels are the mean of several samples, which `blend_rows` leaves out."""
+        side = float(np.median(np.abs(self.surface.patch_size[::8, ::8]))) / self.scale
+        return bool(side * side * (1 - self.blur**2) - 1 > ONE_SAMPLE**2)
 
     @cached_property
     def _lenses(self) -> tuple[Lenses, NDArray[np.int64]]:

@@ -13,6 +13,7 @@ from lfcal.runtime.kernels.jit import kernel
 from ..data.depth_map import REASONS, DepthMap
 from ..data.rendering import PictureGrid, Rendering, finish_picture
 from ..depth.same_surface import TOLERANCE, same_surface
+from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
 
@@ -26,9 +27,10 @@ TOO_LITTLE = (
 
 
 @kernel(share=lambda flat, unlit, centres, *_: len(centres), fastmath=FAST)
-def _lens_means(begin, end, flat, unlit, centres, radius, out, lit):
-    """Mean of each microimage over the pixels that are not `unlit`, and whether there are any."""
+def _lens_means(begin, end, flat, unlit, centres, radius, gains, step, out, lit):
+    """Mean of each microimage over the pixels that are not `unlit` ((0, 0): all are lit), and whether there are any."""
     height, width, channels = flat.shape
+    known, last = unlit.size > 0, len(gains) - 1
     for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
         count = 0
@@ -37,9 +39,10 @@ def _lens_means(begin, end, flat, unlit, centres, radius, out, lit):
         for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
             half = np.sqrt(max(0.0, radius * radius - square(y - cy)))
             for x in range(max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1):
-                if not unlit[y, x]:
+                if not (known and unlit[y, x]):
+                    gain = gains[min(int((square(x - cx) + square(y - cy)) / step), last)]
                     for k in range(channels):
-                        out[lens, k] += np.float32(flat[y, x, k])
+                        out[lens, k] += gain * np.float32(flat[y, x, k])
                     count += 1
         for k in range(channels):
             out[lens, k] /= max(count, 1)
@@ -104,11 +107,12 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
 
     lattice = calibration.lattice
     pixels = check_flat(flat, calibration)
-    unlit = np.zeros(pixels.shape[:2], bool)
-    if calibration.gain_map is not None or calibration.vignetting is not None:
+    unlit, ((gains, *_), step) = np.zeros((0, 0), bool), correction_tables(calibration)
+    if has_uneven_lenses(calibration, types=True):
         pixels, unlit = calibration.region_gain().flatten(pixels)
+        gains = np.ones_like(gains)
     means, lit = np.empty((len(lattice), pixels.shape[2]), np.float32), np.empty(len(lattice), bool)
-    _lens_means(pixels, unlit, lattice.centres(), lattice.radius, means, lit)
+    _lens_means(pixels, unlit, lattice.centres(), lattice.radius, gains, step, means, lit)
     grid = PictureGrid(lattice.image_size, lattice.pitch, 1.0)
     columns, rows = grid.size
     points = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2) * grid.spacing + grid.first

@@ -1,1 +1,1 @@
-"""Tools below the mathematics: caches, buffers, loop order, LLVM intrinsics, quantiles, small normal equations."""
+"""Tools below the mathematics: caches, buffers, quantiles."""

@@ -16,7 +16,7 @@ __all__ = ["allocate_pooled", "allocate_scratch"]
 # Larger scratch arrays are not kept [bytes]: parts of a flat of 24 megapixels are no larger than this.
 _MOST_SCRATCH = 1 << 27
 # Larger pooled arrays are not kept [bytes], nor is more than this in all.
-_MOST_POOLED = 1 << 26
+_MOST_POOLED = 1 << 27
 _POOL_SIZE = 1 << 28
 # Memory that no array refers to any more.
 _pool: deque[NDArray[np.uint8]] = deque()

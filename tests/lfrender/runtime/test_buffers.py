@@ -64,4 +64,4 @@ def test_pooled_memory_is_not_used_for_much_smaller_arrays_nor_kept_above_the_li
     del large
     assert allocate_pooled((1 << 18,), np.int64).ctypes.data != place
     # A pooled array would be a view.
-    assert allocate_pooled((1 << 23, 2), np.int64).base is None
+    assert allocate_pooled((1 << 24, 2), np.int64).base is None
