@@ -28,7 +28,7 @@ from .validity.classify import (
 )
 from .validity.periodicity import find_periodic_texture, sees_little_of_scene
 from .validity.settings import CLASSIFY
-from .validity.uncertainty import correlates_poorly, inflate_errors, signal_share, systematic_error
+from .validity.uncertainty import correlates_poorly, inflate_errors, signal_share
 
 __all__ = ["LensEstimates", "LensSet", "PreviousEstimates", "estimate_lenses"]
 
@@ -112,7 +112,6 @@ class LensEstimates:
     standard_error: NDArray
     confidence: NDArray
     reason: NDArray[np.int8]  # (n,) as `DepthMap`
-    systematic_error: NDArray  # (n,) [px] part of each error that all lenses of a surface may share
     # (n,) [px] patch size to fill unresolved lenses with, unless smoothing toward their neighbours changes it
     guess: NDArray
     # (n,) [px] second-best patch size of lenses with texture; NaN where there is none
@@ -146,7 +145,7 @@ class LensEstimates:
     def embed(self, count: int, rows: NDArray[np.int64], previous: PreviousEstimates | None) -> LensEstimates:
         """As the lenses at `rows` of `count`; the others have too little texture, or keep what they had."""
         blank = {
-            "patch_size": np.nan, "standard_error": np.inf, "confidence": 0, "reason": 1, "systematic_error": np.inf,
+            "patch_size": np.nan, "standard_error": np.inf, "confidence": 0, "reason": 1,
             "guess": np.nan, "second": np.nan,
         }  # fmt: skip
         old = {}
@@ -275,7 +274,6 @@ def _classify(
     texture, pitch, centres = lenses.texture, lenses.pitch, lenses.texture.flat.centres
     signal = signal_share(texture)
     explained = match.normalised_correlation / signal
-    systematic = systematic_error(error, explained)
     reason, error, sure = classify_lenses(textured, match, refined, error, signal, centres, lenses.neighbours, pitch)
     depths, shown, known = refined, reason == 0, None
     if previous is not None:
@@ -291,4 +289,4 @@ def _classify(
     own_error = np.where(reason == 0, inflate_errors(own.standard_error, explained), np.inf)
     second = np.where(textured, match.second, np.nan).astype(np.float32)
     own = replace(own, standard_error=own_error)
-    return LensEstimates(refined, error, sure, reason, systematic, match.patch_size, second, match, own)
+    return LensEstimates(refined, error, sure, reason, match.patch_size, second, match, own)

@@ -32,7 +32,6 @@ from .edges.locate_edges import locate_edges, places_of_lenses, refine_grid
 from .matching.matcher import Matcher
 from .matching.shortcuts import Shortcuts
 from .pipeline import estimate_depth_map, estimate_lens_by_lens, prepare_flat
-from .planes.settings import PLANE
 from .presets import PRESETS
 from .same_surface import TOLERANCE
 from .settings import INCREMENTAL, IncrementalSettings
@@ -89,7 +88,7 @@ def update_depth(
     blank = find_textureless(gray, small, statistics, PRESETS[preset], asked=near) if shortcuts.blank else None
     old = rescale_depth(before, small, 1 / factor)
     start = replace(old, surface=_coarse_surface(old.surface, small, preset))
-    depth, _ = estimate_lens_by_lens(gray, small, preset, shortcuts, statistics, blank, kept, start)
+    depth = estimate_lens_by_lens(gray, small, preset, shortcuts, statistics, blank, kept, start)
     if edges:
         depth = _locate_new_edges(gray, small, depth, old.surface, dilate_mask(~kept, neighbours))
     after = replace(rescale_depth(depth, lattice, factor, {**depth.saved, **saved}), frame_state=state)
@@ -232,10 +231,10 @@ def find_moved(
     moved |= (reason == 0) & reference.textured & ~match.textured
     moved |= (reason != 0) & match.textured & (match.cost < reference.cost - rise)
     moved |= (reason == 1) & match.clear & ~reference.clear
-    limit = np.maximum(settings.shift, np.float32(PLANE.significance) * np.hypot(reference.error, match.error))
+    limit = np.maximum(settings.shift, np.float32(settings.significance) * np.hypot(reference.error, match.error))
     for side in (-1, 1):
         together = count_connected(estimated & (side * shift > limit), neighbours)
-        moved |= together >= PLANE.cluster - 1
+        moved |= together >= settings.cluster - 1
     share = settings.doubtful_share
     doubtful = ~estimated | (match.cost > reference.cost + share * rise)
     doubtful |= np.abs(shift) > np.float32(share) * limit

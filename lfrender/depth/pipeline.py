@@ -1,9 +1,8 @@
 """The passes of an analysis, in order, from a grey flat to its depth map.
 
 `estimate_depth_map`: which lenses have no texture (`validity.textureless`)? Then `estimate_lens_by_lens`: select the
-lenses to match; search, refine and classify them (`estimate`). If they all lie on a plane, take that (`plane_depth`).
-Else smooth them over surfaces (`refinement.smoothing`), fill unresolved ones, find second depths
-(`surface.second_layer`) and make a dense surface of all (`surface.densify`).
+lenses to match; search, refine and classify them (`estimate`); smooth them over surfaces (`refinement.smoothing`), fill
+unresolved ones, find second depths (`surface.second_layer`) and make a dense surface of all (`surface.densify`).
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from ..flat.texture import LensStatistics, Texture, find_texture, sample_statist
 from .estimate import LensEstimates, LensSet, PreviousEstimates, estimate_lenses
 from .matching.peaks import fill_unresolved
 from .matching.shortcuts import Shortcuts, sample_lenses
-from .plane_depth import confirm_on_plane, fit_regular_plane, plane_depth_map
 from .presets import PRESETS, Preset
 from .same_surface import TOLERANCE
 from .settings import ESTIMATE, PIPELINE
@@ -33,7 +31,7 @@ from .validity.classify import occurs_among
 from .validity.settings import CLASSIFY
 from .validity.textureless import find_textureless
 
-__all__ = ["SceneStatistics", "UnsmoothedEstimates", "estimate_depth_map", "estimate_lens_by_lens", "prepare_flat"]
+__all__ = ["SceneStatistics", "estimate_depth_map", "estimate_lens_by_lens", "prepare_flat"]
 
 
 @dataclass(frozen=True)
@@ -43,15 +41,6 @@ class SceneStatistics:
     noise: float  # standard deviation of a pixel, white = 1
     sizes: NDArray[np.float32]  # (m,) [px] patch sizes of resolved lenses from all over the flat
     raw_noise: float  # as `noise`, before shading is corrected
-
-
-@dataclass(frozen=True)
-class UnsmoothedEstimates:
-    """Estimates of single lenses before smoothing, so that errors of neighbours are nearly independent."""
-
-    patch_size: NDArray  # (n,) [px]
-    standard_error: NDArray
-    systematic_error: NDArray  # (n,) [px] part of each error that all lenses of a surface may share
 
 
 @dataclass(frozen=True)
@@ -66,11 +55,6 @@ class _Selection:
     kept: NDArray[np.bool_] | None  # (n,) lenses that keep the depth they have in `before`
     before: DepthMap | None
     overview: SceneStatistics | None  # of the larger flat of which this is a part
-
-    @property
-    def is_whole(self) -> bool:
-        """Nothing else is known of the scene."""
-        return self.kept is None and self.overview is None
 
     @property
     def previous(self) -> PreviousEstimates | None:
@@ -101,7 +85,7 @@ def estimate_depth_map(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts:
     """Depth of a flat about which nothing is known."""
     statistics = sample_statistics(gray)
     blank = find_textureless(gray, lattice, statistics, PRESETS[preset]) if shortcuts.blank else None
-    return estimate_lens_by_lens(gray, lattice, preset, shortcuts, statistics, blank)[0]
+    return estimate_lens_by_lens(gray, lattice, preset, shortcuts, statistics, blank)
 
 
 def estimate_lens_by_lens(
@@ -114,28 +98,15 @@ def estimate_lens_by_lens(
     kept: NDArray[np.bool_] | None = None,
     before: DepthMap | None = None,
     overview: SceneStatistics | None = None,
-) -> tuple[DepthMap, UnsmoothedEstimates]:
+) -> DepthMap:
     """Depth of every lens, but for the `blank` ones (n,) and those `kept` (n,), which have that of `before`.
 
-    `overview` is of the larger flat of which this is a part. Also returns the estimates of lenses before smoothing.
+    `overview` is of the larger flat of which this is a part.
     """
     chosen = _select_lenses(gray, lattice, shortcuts, statistics, blank, kept, before, overview)
-    lenses, rows = chosen.lenses, chosen.rows
     estimates = chosen.estimate(PRESETS[preset], shortcuts.ranges)
     saved = _saved_work(shortcuts, chosen, estimates)
-    plane = None
-    if chosen.is_whole:
-        plane = fit_regular_plane(
-            lenses.centres, len(lattice), lenses.pitch, estimates.patch_size, estimates.standard_error,
-            estimates.reason, estimates.systematic_error, lenses.neighbours,
-        )  # fmt: skip
-    if plane is None:
-        return _complete_depth(chosen, estimates, preset, shortcuts, saved)
-    estimates = confirm_on_plane(plane, estimates, lenses)
-    if rows is not None:
-        estimates = estimates.embed(len(lattice), rows, None)
-    depth = plane_depth_map(plane, lattice, preset, estimates.reason, estimates.confidence, saved)
-    return depth, UnsmoothedEstimates(depth.patch_size, depth.standard_error, estimates.systematic_error)
+    return _complete_depth(chosen, estimates, preset, shortcuts, saved)
 
 
 def _select_lenses(
@@ -175,11 +146,10 @@ def _sample_depths(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[n
 
 def _complete_depth(
     chosen: _Selection, estimates: LensEstimates, preset: str, shortcuts: Shortcuts, saved: dict[str, float]
-) -> tuple[DepthMap, UnsmoothedEstimates]:
+) -> DepthMap:
     """Smooth estimates over surfaces, find second depths, and make a dense surface of all lenses."""
     lattice, lenses, rows, previous = chosen.lattice, chosen.lenses, chosen.rows, chosen.previous
     kept, gap, options = chosen.kept, chosen.gap, PRESETS[preset]
-    single = estimates
     estimates = estimates.smooth(lenses, kept if kept is None or rows is None else kept[rows])
     overview = chosen.overview
     occurring = _occurring_sizes(estimates, rows, previous) if overview is None else overview.sizes
@@ -187,14 +157,12 @@ def _complete_depth(
     seconds = _find_second_depths(lenses, estimates, filled, occurring, options, shortcuts, gap)
     if rows is not None:
         estimates, filled, seconds = _embed_all(lattice, rows, estimates, filled, seconds, previous)
-        single = single.embed(len(lattice), rows, previous)
     weight = np.where(estimates.resolved, estimates.confidence, PIPELINE.unresolved_weight).astype(np.float32)
     old = None if chosen.before is None else chosen.before.surface
     settled = None if kept is None else ~dilate_mask(~kept, neighbour_rows(lattice, lattice.steps))
     flat, noise = chosen.texture.flat, chosen.texture.noise
     surface = densify(flat, lattice, filled, seconds, weight, noise, options.surface_cells, settled, old)
-    depth = _assign_depths(chosen, estimates, filled, surface, preset, saved)
-    return depth, UnsmoothedEstimates(single.patch_size, single.standard_error, single.systematic_error)
+    return _assign_depths(chosen, estimates, filled, surface, preset, saved)
 
 
 def _assign_depths(

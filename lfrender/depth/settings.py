@@ -34,6 +34,8 @@ class IncrementalSettings:
     max_cached: int = 1 << 25  # [bytes] of the grey flat that is kept until the next frame
     cost_rise: float = 0.15  # rise of the cost that is allowed
     shift: float = 0.1  # [px of the search] shift of the minimum that is allowed
+    significance: float = 4.0  # [standard errors] of a shift that is no noise
+    cluster: int = 3  # lenses beside each other whose minima have moved; of fewer it is noise
     doubtful_share: float = 0.25  # of these limits above which a neighbour of a changed lens is estimated again
 
 

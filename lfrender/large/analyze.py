@@ -1,9 +1,8 @@
 """Depth of flats too large for memory, by tiles of lenses.
 
-Results of single lenses depend on others in three ways. On lenses nearby: each tile is analysed with a halo of lenses
-around it, whose results are taken from the tiles they belong to. On all lenses, by the noise and the range of depths:
-these are estimated first, in windows spread over the flat. And on the scene as a whole where it is one plane: that is
-fitted to the lenses of all tiles.
+Results of single lenses depend on others in two ways. On lenses nearby: each tile is analysed with a halo of lenses
+around it, whose results are taken from the tiles they belong to. And on all lenses, by the noise and the range of
+depths: these are estimated first, in windows spread over the flat.
 """
 
 from __future__ import annotations
@@ -25,15 +24,13 @@ from ..data.surface import Surface
 from ..depth.edges.locate_edges import locate_edges, refine_grid
 from ..depth.edges.settings import DEFAULT as EDGES
 from ..depth.matching.shortcuts import Shortcuts
-from ..depth.pipeline import SceneStatistics, UnsmoothedEstimates, estimate_lens_by_lens
-from ..depth.plane_depth import fit_regular_plane, plane_depth_map
+from ..depth.pipeline import SceneStatistics, estimate_lens_by_lens
 from ..depth.presets import PRESETS
 from ..depth.same_surface import TOLERANCE
 from ..depth.surface.scene_grid import grid_shape
 from ..depth.validity.textureless import find_textureless
 from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
-from ..flat.lens_graph import neighbour_rows
 from ..flat.texture import estimate_noise, find_texture, sample_statistics
 from ..flat.validation import match_exposure
 from ..sequence.workers import Workers
@@ -158,21 +155,19 @@ def _measure_roughness(
 
 def _measure_depths(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> NDArray[np.float32]:
     """Patch sizes of the lenses of a window that are resolved."""
-    depth, single = _analyze_tile(flat, part, pixels)
-    return single.patch_size[part.inside & (depth.reason == 0)].astype(np.float32)
+    depth = _analyze_tile(flat, part, pixels)
+    return depth.patch_size[part.inside & (depth.reason == 0)].astype(np.float32)
 
 
-def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> tuple[DepthMap, UnsmoothedEstimates]:
-    """Depth of the lenses of a part and its halo, and the estimates of single lenses before smoothing."""
+def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> DepthMap:
+    """Depth of the lenses of a part and its halo."""
     gray = flat.gray_tile(part, pixels)
     plain = sample_statistics(gray)
     blank = None
     if flat.shortcuts.blank:
         blank = find_textureless(gray, part.lattice, plain, PRESETS[flat.preset], flat.overview.raw_noise)
-    depth, single = estimate_lens_by_lens(
-        gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview
-    )
-    return (locate_edges(gray, part.lattice, depth) if PRESETS[flat.preset].edges else depth), single
+    depth = estimate_lens_by_lens(gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview)
+    return locate_edges(gray, part.lattice, depth) if PRESETS[flat.preset].edges else depth
 
 
 def _survey(flat: FlatContext, workers: Workers, windows: list[LensTile]) -> SceneStatistics:
@@ -195,17 +190,15 @@ def _analyze_tiles(
     n = len(lattice)
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
     confidence, reason, filled = np.zeros(n, np.float32), np.ones(n, np.int8), np.zeros(n, np.float32)
-    single = UnsmoothedEstimates(np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32), np.full(n, np.inf))
     finer = EDGES.finer if PRESETS[preset].edges else 1
     surface = np.empty((shape[0] * finer, shape[1] * finer), np.float32)
     saved: dict[str, float] = {}
     found = workers.map(_analyze_tile, flat, tiles, FlatContext.read)
-    for number, (part, (depth, own)) in enumerate(zip(tiles, found, strict=True)):
+    for number, (part, depth) in enumerate(zip(tiles, found, strict=True)):
         rows = flat.rows(part)
         for into, some in (
             (patch_size, depth.patch_size), (error, depth.standard_error), (confidence, depth.confidence),
-            (reason, depth.reason), (filled, depth.filled_patch_size), (single.patch_size, own.patch_size),
-            (single.standard_error, own.standard_error), (single.systematic_error, own.systematic_error),
+            (reason, depth.reason), (filled, depth.filled_patch_size),
         ):  # fmt: skip
             into[rows] = some[part.inside]
         _paste(surface, depth.surface, part, spacing, finer)
@@ -213,12 +206,6 @@ def _analyze_tiles(
             saved[name] = saved.get(name, 0.0) + share * len(rows) / n
         if progress is not None:
             progress(number + 1, len(tiles))
-    plane = fit_regular_plane(
-        lattice.centres(), n, lattice.pitch, single.patch_size, single.standard_error, reason,
-        single.systematic_error, neighbour_rows(lattice, lattice.steps),
-    )  # fmt: skip
-    if plane is not None:
-        return plane_depth_map(plane, lattice, preset, reason, confidence, saved)
     corner = first[0] - 0.5 * (1 - 1 / finer) * spacing
     fine = Surface(surface, (corner, corner), spacing / finer)
     return DepthMap(

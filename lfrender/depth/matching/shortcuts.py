@@ -30,11 +30,10 @@ class Shortcuts:
             If there is no shortcut of such a name.
         """
         names = [field.name for field in fields(cls)]
-        # "plane" was a shortcut once, and may still be named.
         if isinstance(skip, str):
             skip = (skip,)
         wanted = names * skip if isinstance(skip, bool) else list(skip)
-        unknown = [name for name in wanted if name not in (*names, "plane")]
+        unknown = [name for name in wanted if name not in names]
         if unknown:
             raise ValueError(f"skip must be True, False or some of {', '.join(names)}, got {unknown[0]!r}")
         return cls(**{name: name in wanted for name in names})

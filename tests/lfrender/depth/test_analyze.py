@@ -220,20 +220,12 @@ def test_flats_of_another_simulator_agree_with_their_truth(shared):
         assert (depth.mode == mode)[single].mean() > 0.995, name
         assert np.nanmedian(error) < 0.02, name
         assert np.nanquantile(error, 0.95) < 0.35, name
-        if _is_one_plane(depth, lattice):
-            # All lenses share one depth and its error, so that no share of them lies within it.
+        if name in ("s2_sq", "s4b_tspc"):
+            # All lenses of a plane share its error, so that no share of them lies within it.
             assert np.nanquantile(error, 0.99) < 0.05, name
             assert np.nanmedian(error / depth.standard_error[single]) < 2, name
             continue
         assert 0.5 < (error < depth.standard_error[single]).mean() < 0.9, name
-
-
-def _is_one_plane(depth, lattice):
-    """Whether all lenses lie on one plane: there 1 / s is linear in scene coordinates."""
-    known = depth.mode != 0
-    places = np.column_stack([lattice.centres(), np.ones(len(lattice))])[known]
-    nearness = 1 / depth.patch_size[known]
-    return np.abs(places @ np.linalg.lstsq(places, nearness, rcond=None)[0] - nearness).max() < 1e-6
 
 
 def _order(lattice, points):

@@ -55,13 +55,6 @@ def test_depth_by_tiles_is_nearly_that_of_the_whole_flat(tmp_path, pitch, size, 
     assert np.mean(surfaces > 0.1) < 0.05
 
 
-def test_a_scene_of_one_plane_gets_one_plane(tmp_path):
-    one, many, _ = in_both_ways(tmp_path, capture("plane", ratio=0.32))
-    assert np.ptp(many.filled_patch_size) < 1e-4
-    assert many.filled_patch_size.mean() == pytest.approx(one.filled_patch_size.mean(), abs=0.02)
-    assert (one.mode == many.mode).mean() > 0.99
-
-
 def test_the_surface_of_every_place_comes_from_the_tile_it_lies_in(tmp_path):
     """A tile whose surface is pasted beside its place would be off by the slope of the scene."""
     shot = capture("slope")

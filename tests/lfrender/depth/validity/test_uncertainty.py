@@ -1,7 +1,6 @@
 """Confidence and standard errors of lenses and planes."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ import pytest
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.matching.ambiguity import measure_ambiguity
-from lfrender.depth.planes.plane_fit import fit_plane
 from lfrender.depth.validity.uncertainty import (
     combine_confidence,
     confirmed_by_neighbours,
@@ -123,15 +121,6 @@ def test_a_texture_that_repeats_along_the_lattice_yields_no_confident_wrong_dept
         depth = lfrender.analyze(shot.flat, shot.truth.calibration)
         wrong = np.abs(depth.patch_size - shot.truth.patch_size) > 0.5
         assert (wrong & (depth.confidence > 0.5)).mean() < 0.01
-
-
-def test_systematic_errors_of_lenses_raise_the_error_of_their_plane():
-    points = np.random.default_rng(1).uniform(0, 400, (200, 2))
-    sizes = 9.0 + 0.05 * np.random.default_rng(2).standard_normal(200)
-    plane = fit_plane(points, sizes, 25.0)
-    clear, doubtful = (replace(plane, systematic_error=m).standard_error(points).mean() for m in (0.0, 0.1))
-    assert clear < 0.01
-    assert 0.03 < doubtful < 0.05
 
 
 def test_planes_err_as_much_as_they_state():
