@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .lattice.lattice import Lattice
 from .lattice.lens_subset import select_whole_lenses
 from .lattice.residuals import Residuals
-from .lattice.robust_fit import LatticeFit, field_rms, fit_lattice_shifts, shift_standard_error
+from .lattice.robust_fit import LatticeFit, field_rms, fit_affine
 from .lattice.standard_errors import LatticeErrors, equal_weight_errors
 from .runtime.errors import CalibrationError
 from .settings import CALIBRATION
@@ -19,8 +19,8 @@ from .settings import CALIBRATION
 if TYPE_CHECKING:
     from .detection.first_lattice import FirstLattice
     from .lattice.lens_subset import StackedCrops
+    from .white_fit.cat_eye import CatEye
     from .white_fit.fit import WhiteFit
-    from .white_fit.model import CatEye
 
 __all__ = ["FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
 
@@ -123,18 +123,16 @@ def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) ->
             raise CalibrationError(f"only {lit.sum()} whole microimages have light; give a brighter white image")
         indices, centres, corner, light, total = (v[lit] for v in (indices, centres, corner, light, total))
         shifts = corner + np.column_stack([light @ x, light @ y]) / total[:, None] - centres
-        design, normal = np.column_stack([np.ones(len(indices)), indices]), np.tile(np.eye(2), (len(indices), 1, 1))
-        change, residuals, weight, variance = fit_lattice_shifts(design, normal, shifts)
+        design = np.column_stack([np.ones(len(indices)), indices])
+        change, weight = fit_affine(design, shifts, np.ones(len(indices)))
         lattice = Lattice(lattice.origin + change[0], lattice.basis + change[1:], start.image_size, start.radius)
-    first, second = (fit_lattice_shifts(design[k::2], normal[k::2], shifts[k::2])[0] for k in (0, 1))
-    return LatticeFit(
-        lattice.origin,
-        lattice.basis,
-        float(np.sqrt(np.average((residuals**2).sum(1), weights=weight))),
-        shift_standard_error(design, normal, weight, variance),
-        int((weight > 0).sum()),
-        field_rms(design, first - second),
-    )
+    first, second = (fit_affine(design[k::2], shifts[k::2], np.ones(len(shifts[k::2])))[0] for k in (0, 1))
+    scatter = float(np.sqrt(np.average(((shifts - design @ change) ** 2).sum(1), weights=weight)))
+    used = int((weight > 0).sum())
+    # Three parameters of each coordinate, from so many lenses.
+    uncertainty = scatter * np.sqrt(3 / used)
+    differ = field_rms(design, first - second)
+    return LatticeFit(lattice.origin, lattice.basis, scatter, uncertainty, used, differ)
 
 
 def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
@@ -143,7 +141,7 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
     The first lattice is straight and goes through the middles of the visible microimages; those of cut ones lie off
     the centre by up to half of the cut.
     """
-    from .white_fit.model import field_position
+    from .white_fit.cat_eye import field_position
 
     lattice = white.lattice
     centres = lattice.points(np.rint(lattice.to_index(places)))

@@ -22,7 +22,7 @@ from ..gain.gain_map import GainMap, count_terms, field_frame
 from ..lattice.cell import cell_inradius, cell_normals
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from ..white_fit.model import CatEye
+from ..white_fit.cat_eye import CatEye
 from .residuals import GainResiduals, ResidualOptions, collect_residuals
 from .rim_fit import fit_best_rim
 from .sample import Sample, draw_sample
@@ -75,7 +75,7 @@ def estimate_gain(
     rings = int(cell_normals(lattice)[1] / settings.step) + 3
     cut: tuple[float, ...] = ()
     if cat_eye is not None:
-        cut = (*cat_eye.shift, cat_eye.growth.sum(), cat_eye.radius, cat_eye.blur)
+        cut = (*cat_eye.shift, cat_eye.growth, cat_eye.radius, cat_eye.blur)
     gain = GainMap.round(np.ones(rings), settings.step, limit, cut)
     core = (settings.scene_core if scene else settings.white_core) * limit
     # A white image can be as even as if it were clipped.

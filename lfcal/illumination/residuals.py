@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
 from ..gain.kernel import RIM_START, evaluate_shape, relative_light
-from ..lattice.cell import is_outside_cell
+from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
 from ..runtime.kernels.jit import kernel
-from .sample import Cell, Sample
+from .sample import Sample
 from .settings import KERNEL
 
 __all__ = ["GainResiduals", "ResidualOptions", "collect_residuals"]

@@ -9,25 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lattice.cell import cell_inradius, cell_normals
+from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
 from .settings import SAMPLE, SampleSettings
 
-__all__ = ["Cell", "Sample", "draw_sample"]
-
-
-class Cell(NamedTuple):
-    """Cell of a lens: normals (k, 2) of its sides as in `lattice.cell`, inradius and circumradius [px]."""
-
-    normals: NDArray[np.float64]
-    inradius: float
-    circumradius: float
-
-    @classmethod
-    def of(cls, lattice: Lattice) -> Cell:
-        normals, circumradius = cell_normals(lattice)
-        return cls(normals, cell_inradius(normals), circumradius)
+__all__ = ["Sample", "draw_sample"]
 
 
 class Sample(NamedTuple):
@@ -68,7 +55,7 @@ def draw_sample(
     """Sample of the lenses of a flat, or of crops of it, with about so many pixels, but never too few lenses."""
     area = abs(float(np.linalg.det(lattice.basis)))
     stride = max(1, int(math.sqrt(area / settings.lens_pixels)))
-    margin = cell_normals(lattice)[1] + 1
+    margin = Cell.of(lattice).circumradius + 1
     wanted = max(pixels * stride**2 / area, settings.lenses)
     if crops is None or crops.size == lattice.image_size:
         centres = sample_lenses(lattice, margin, wanted)[1]

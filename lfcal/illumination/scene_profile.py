@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
 from ..gain.kernel import RIM_START, evaluate_shape, relative_light
-from ..lattice.cell import is_outside_cell
+from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..runtime.kernels.jit import kernel
-from .sample import Cell, Sample, draw_sample
+from .sample import Sample, draw_sample
 from .settings import KERNEL, SCENE_PROFILE, SceneProfileSettings
 
 __all__ = ["fit_scene_profile", "sum_light"]

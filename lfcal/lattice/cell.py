@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 from .lattice import Lattice
 
 __all__ = [
+    "Cell",
     "bin_offsets",
     "cell_circumradius",
     "cell_distances",
@@ -23,6 +26,20 @@ __all__ = [
 
 
 _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+
+
+class Cell(NamedTuple):
+    """Cell of a lens, for kernels: normals (k, 2) as of `cell_normals`, inradius and circumradius [px]."""
+
+    normals: NDArray[np.float64]
+    inradius: float
+    circumradius: float
+
+    @classmethod
+    def of(cls, lattice: Lattice) -> Cell:
+        """That of the lenses of a lattice."""
+        normals, circumradius = cell_normals(lattice)
+        return cls(normals, cell_inradius(normals), circumradius)
 
 
 def nearest_offsets(index: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,8 +20,6 @@ __all__ = [
     "LatticeFit",
     "field_rms",
     "fit_affine",
-    "fit_lattice_shifts",
-    "shift_standard_error",
     "tukey_weights",
 ]
 
@@ -92,59 +90,6 @@ def fit_affine(
     return change, weight
 
 
-def fit_lattice_shifts(
-    design: NDArray[np.float64], normal: NDArray[np.float64], right: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-    """Robust change of a lattice from the normal equations of the shift of each lens.
-
-    Parameters
-    ----------
-    design : (n, 3) float64
-        Lattice indices with a leading 1.
-    normal, right : (n, 2, 2), (n, 2) float64
-        Normal matrix and right side of each lens.
-
-    Returns
-    -------
-    change : (3, 2) float64 [px]
-        Of origin and basis.
-    residuals : (n, 2) float64 [px]
-        Shift of each lens by itself, less what the change makes of it.
-    weight : (n,) float64
-    variance : float
-        Of the residuals, over what the normal matrices say.
-    """
-    ridge = 1e-9 * np.trace(normal.sum(0)) / max(len(design), 1) * np.eye(2)
-    shifts = np.linalg.solve(normal + ridge, right[..., None])[..., 0]
-    change: NDArray[Any] = np.zeros((3, 2))
-    weight = np.ones(len(design))
-    for _ in range(8):
-        force = (design.T @ (weight[:, None] * right)).reshape(6)
-        change = np.linalg.lstsq(_information(design, normal, weight), force, rcond=1e-12)[0].reshape(3, 2)
-        residuals = shifts - design @ change
-        weight, variance = tukey_weights(((normal @ residuals[..., None])[..., 0] * residuals).sum(1))
-    return change, residuals, weight, variance
-
-
-def shift_standard_error(
-    design: NDArray[np.float64], normal: NDArray[np.float64], weight: NDArray[np.float64], variance: float
-) -> float:
-    """Standard error of a centre after `fit_lattice_shifts`, RMS over the lenses [px]."""
-    covariance = np.linalg.pinv(_information(design, normal, weight)).reshape(3, 2, 3, 2) * variance
-    moments = design.T @ design / len(design)
-    return float(np.sqrt(max(np.einsum("paqa,pq->", covariance, moments), 0.0)))
-
-
 def field_rms(design: NDArray[np.float64], change: NDArray[np.float64]) -> float:
     """RMS over the lenses of the shift that a change (3, 2) of the lattice makes [px]."""
     return float(np.sqrt(((design @ change) ** 2).sum(1).mean()))
-
-
-def _information(
-    design: NDArray[np.float64], normal: NDArray[np.float64], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """(6, 6) normal matrix of the lattice: x and y of the origin, then of `a1`, then of `a2`."""
-    blocks = np.empty((3, 2, 3, 2))
-    for a, b in ((0, 0), (0, 1), (1, 1)):
-        blocks[:, a, :, b] = blocks[:, b, :, a] = design.T @ (design * (weight * normal[:, a, b])[:, None])
-    return blocks.reshape(6, 6)

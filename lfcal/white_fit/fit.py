@@ -1,45 +1,38 @@
-"""Global fit of a white image: lattice, distortion and mechanical vignetting at once, by every pixel of many lenses.
+"""Fit of a white image: lattice and distortion, or two discs that cut each other, to the pixels of many lenses.
 
-All lenses share one lattice, one radial profile and one cutting disc; each has its own gain. A further parameter is
-kept only if it lowers the cost significantly and moves the centres. A few lenses find the cut, more of them select the
-parameters, and as many as are needed give the final values.
+All lenses share one lattice and one radial profile; each has its own gain. A distortion is kept only if it is
+significant and moves the centres. A few lenses find whether a disc cuts the microimages and, if so, give the lattice;
+else more of them select the distortion, and as many as are needed give the final values.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
+from ..lattice.lit_lenses import LitLenses
 from ..lattice.residuals import Residuals
+from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..lattice.standard_errors import LatticeErrors
-from ..runtime.checks import find_centroid_doubt
+from ..runtime.checks import LIMITS, find_centroid_doubt
 from ..runtime.errors import CalibrationError
-from .cutouts import cut_out_lenses
-from .gauss_newton import (
-    FitState,
-    StepResult,
-    compare_halves,
-    converge,
-    evaluate_cost,
-    finish,
-    measure_offsets,
-    predict_shift,
-)
-from .mechanical_vignetting import drop_needless_cut, fit_cutting_disc, measure_centroid_offset
-from .model import CatEye, WhiteModel
-from .settings import FIT, FitSettings
+from .cat_eye import CatEye
+from .gauss_newton import Fit, add_distortion, converge, distortion_orders, explains_better
+from .microimages import Microimages, cut_out
+from .two_discs import TwoDiscs, choose_lens, fit_two_discs
+from .vignetting import compare_pixels, measure_centroid_offset, measure_narrowing
 
 __all__ = ["WhiteFit", "fit_white", "refine_on_parts"]
 
-_RADIAL = ("k1", "centre", "k2")
-_CUT_PARAMETERS = ("shift", "growth", "growth2", "growth3", "radius", "correlation")
-# Coefficients of a general distortion.
-_GENERAL = 14
+# Pixels, and fewest lenses, that a cutting disc is searched for with, that it is fitted to, and that the distortion is
+# chosen with.
+_SEARCH = 1e5, 150
+_DISCS = 8e5, 250
+_CHOICE = 6e5, 400
 
 
 @dataclass(frozen=True)
@@ -52,13 +45,11 @@ class WhiteFit:
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     errors: LatticeErrors  # as the scatter of the microimages implies
     lenses_used: int
-    half_difference: float  # [px] RMS distance over the flat between the steps of two halves of the microimages
+    half_difference: float  # [px] RMS distance over the flat between the fits of two halves of the microimages
     residuals: Residuals  # [px] of the single microimages that took part
 
 
-def fit_white(
-    tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixels: float = 3.2e6, settings: FitSettings = FIT
-) -> WhiteFit:
+def fit_white(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixels: float = 3.2e6) -> WhiteFit:
     """Fit a white image.
 
     Parameters
@@ -69,143 +60,104 @@ def fit_white(
         Start, right to a fraction of the pitch over the whole flat. The orders of its distortion, if any, are kept.
     pixels : float
         Use at most as many lenses, evenly spread, as have so many pixels in all.
-    settings : FitSettings
 
     Raises
     ------
     CalibrationError
         If fewer than a dozen whole microimages are on the flat, or they keep to no lattice.
     """
-    tones, known = StackedCrops.of(tones), _distortion_orders(lattice)
-    state, lit = cut_out_lenses(tones, WhiteModel(lattice, None), settings.search_pixels, settings.search_lenses, None)
-    state, _ = converge(state, known, passes=settings.first_passes)
-    bent, bends = (state, known) if known else _try(state, (), _add_distortion(state), ("k1",), settings)
-    state = fit_cutting_disc(state, bent, known)
-    if state.model.cat_eye is None:
-        state, known = bent, bends
-        enough = min(settings.order_pixels, settings.most_order_lenses * abs(float(np.linalg.det(lattice.basis))))
-        fewest = settings.order_lenses
-    else:
-        known = known or _distortion_orders(state.model.lattice)
-        wanted = state.pixels * (state.uncertainty / settings.cut_target_error) ** 2
-        enough = float(np.clip(wanted, settings.cut_least_pixels, settings.cut_most_pixels))
-        fewest = settings.cut_lenses
-    state, lit = cut_out_lenses(tones, state.model, enough, fewest, state.lenses, lit)
-    state, step = converge(state, known, known=True)
-    first = state
-    state, orders = _select_orders(state, known, settings)
-    if state.model.cat_eye is None and orders != known:
-        state = fit_cutting_disc(state, state, orders)
-    if orders:
-        state, orders = drop_needless_cut(state, orders)
-    if state.model.cat_eye is None:
-        wanted = pixels
-        if np.prod(lattice.image_size) >= settings.all_pixels:
-            wanted = min(pixels, state.pixels * (state.uncertainty / settings.target_error) ** 2)
-        if wanted > state.pixels:
-            state, _ = cut_out_lenses(tones, state.model, wanted, settings.fewest_lenses, state.lenses, lit)
-        state, step = finish(state, orders)
-    elif state is not first:
-        state, step = converge(state, orders, known=True)
-    return _summarise(state, step, settings)
-
-
-def _summarise(state: FitState, step: StepResult, settings: FitSettings) -> WhiteFit:
-    own = [k for k, name in enumerate(step.names) if name not in _CUT_PARAMETERS]
-    covariance = step.covariance
-    if state.model.discs is not None:
-        # No model of the blur that both edges share is exact, and centres depend on it where the two discs are alike.
-        fault = np.hypot(state.model.discs.correlation_error, settings.correlation_error)
-        response = step.correlation_response * fault
-        covariance = covariance + np.outer(response, response)
-    errors = LatticeErrors(tuple(step.names[k] for k in own), covariance[np.ix_(own, own)])
-    residuals = Residuals(state.indices.astype(np.int32), measure_offsets(state, step).astype(np.float32))
-    doubt = None if state.model.discs is None else state.model.discs.doubt
-    error = float(np.sqrt((errors.of_centres(state.model.lattice) ** 2).mean()))
-    if state.model.discs is not None and error > settings.cut_promise and doubt is None:
-        doubt = (
-            f"microimages are the overlap of two discs with soft edges ({state.model.discs.blur[0]:.2f} px): their "
-            f"centres are known to {error:.2f} px only; close the aperture of the main lens for a white image without "
-            "vignetting"
-        )
-    doubt = doubt or find_centroid_doubt(measure_centroid_offset(state))
+    tones, known = StackedCrops.of(tones), distortion_orders(lattice)
+    lenses, lit = cut_out(tones, lattice, *_SEARCH, None, None)
+    plain = converge(lattice, lenses, known)
+    fit = _select_orders(plain)
+    discs = _find_cut(tones, plain, fit, lit)
+    if discs is not None:
+        return _summarise_discs(discs, plain.lenses)
+    for number, fewest in (_CHOICE, (pixels, 0)):
+        if number > fit.lenses.pixels:
+            lenses, lit = cut_out(tones, fit.lattice, number, fewest, fit.lenses, lit)
+            fit = converge(fit.lattice, lenses, fit.orders)
+        if number == _CHOICE[0]:
+            fit = _select_orders(fit)
+    residuals = Residuals(fit.lenses.indices.astype(np.int32), fit.step.offsets.astype(np.float32))
     return WhiteFit(
-        state.model.lattice, state.model.cat_eye, doubt, step.residual_rms, errors, step.used, compare_halves(step),
-        residuals,
+        fit.lattice, None, find_centroid_doubt(measure_centroid_offset(fit.lenses, fit.lattice)),
+        fit.step.residual_rms, LatticeErrors(tuple(fit.step.names), fit.step.covariance),
+        int((fit.step.weight > 0).sum()), fit.step.half_difference(), residuals,
     )  # fmt: skip
 
 
-def refine_on_parts(tones: StackedCrops, lattice: Lattice, settings: FitSettings = FIT) -> Lattice:
+def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
     """The lattice fitted to some lenses of parts of a flat, with a distortion if it is significant.
 
     `tones` are square roots of the light; the lattice is right to a fraction of the pitch in these parts. Raises
     `CalibrationError` as `fit_white`.
     """
-    known = _distortion_orders(lattice)
-    few = min(settings.search_pixels, settings.part_lenses * abs(float(np.linalg.det(lattice.basis))))
-    state, _ = cut_out_lenses(tones, WhiteModel(lattice, None), few, settings.search_lenses, None)
-    state, _ = converge(state, known)
-    if not known:
-        state, known = _try(state, (), _add_distortion(state), ("k1",), settings)
-    if "general" not in known:
-        state, known = _try(state, known, _add_distortion(state, general=True), ("general",), settings)
-    return state.model.lattice
+    fit = converge(lattice, cut_out(tones, lattice, *_SEARCH, None, None)[0], distortion_orders(lattice))
+    return _select_orders(fit).lattice
 
 
-def _distortion_orders(lattice: Lattice) -> tuple[str, ...]:
-    """Names of the parameters that a lattice is distorted by."""
-    bend = lattice.distortion
-    return () if bend is None else ("k1",) if bend.general is None else ("general",)
-
-
-def _select_orders(state: FitState, orders: tuple[str, ...], settings: FitSettings) -> tuple[FitState, tuple[str, ...]]:
-    """The state with the further parameters that are significant, and the names of all beyond the basis."""
-    if state.model.cat_eye is not None:
-        for name in ("growth2", "growth3"):
-            state, orders = _try(state, orders, state, (*orders, name), settings)
-    cut, straight = orders, state
-    for name in _RADIAL:
-        before = orders
-        if "general" in orders:
-            return state, orders
-        if name in orders:
-            continue
-        start = _add_distortion(state) if name == "k1" else state
-        state, orders = _try(state, orders, start, (*orders, name), settings)
-        if orders == before:
-            break
-    if state.model.cat_eye is not None:
-        # What the model of the cut leaves over looks like a general distortion.
-        return state, orders
-    # The radial part stays as it is: a general distortion could do the same.
-    general = (*(name for name in cut if name not in _RADIAL), "general")
-    return _try(state, orders, _add_distortion(straight, general=True), general, settings)
-
-
-def _add_distortion(state: FitState, general: bool = False) -> FitState:
-    """The state with a distortion of zero strength, or with a `general` one beside the one it has."""
-    lattice = state.model.lattice
-    bend = lattice.distortion or Distortion.zero(lattice.image_size)
-    if general and bend.general is None:
-        middle = (np.array(lattice.image_size) - 1) / 2
-        bend = replace(bend, general=np.zeros((2, _GENERAL // 2)), middle=middle)
-    return replace(state, model=replace(state.model, lattice=replace(lattice, distortion=bend)))
-
-
-def _try(
-    state: FitState, orders: tuple[str, ...], start: FitState, more: tuple[str, ...], settings: FitSettings
-) -> tuple[FitState, tuple[str, ...]]:
-    """`start` fitted with the parameters `more` if that is significantly better than `state` and moves centres."""
-    if predict_shift(start, more) < settings.promising * settings.least_shift:
-        return state, orders
+def _try(fit: Fit, orders: tuple[str, ...]) -> Fit:
+    """The fit with these distortion `orders` if they explain the microimages better, else as it is."""
+    if set(orders) <= set(fit.orders) or not explains_better(fit, orders):
+        return fit
     try:
-        trial, _ = converge(start, more, known=True)
-        cost = evaluate_cost(state, state)
-        gain = cost - evaluate_cost(trial, state)
+        return converge(add_distortion(fit.lattice, "general" in orders), fit.lenses, orders)
     except (CalibrationError, ValueError):
-        return state, orders
-    gain = gain * state.pixels / (_GENERAL if "general" in more else 1)
-    shift = trial.model.lattice.points(state.indices) - state.model.lattice.points(state.indices)
-    moves = np.sqrt((shift**2).sum(1).mean()) > settings.least_shift
-    significant = gain > max(settings.significance**2, settings.least_gain * cost * state.pixels)
-    return (trial, more) if significant and moves else (state, orders)
+        return fit
+
+
+def _select_orders(fit: Fit) -> Fit:
+    """The fit with a radial distortion, and a general one, as far as they are significant."""
+    return _try(_try(fit, ("k1",)) if not fit.orders else fit, ("general",))
+
+
+def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit, lit: LitLenses) -> TwoDiscs | None:
+    """The discs that cut each other, if the microimages are narrower along the field than across.
+
+    `plain` has no distortion that is not known, `bent` has one if it is significant, of any kind.
+    """
+    narrowing, error = measure_narrowing(bent.lenses, bent.lattice)
+    # A cut by one pixel narrows microimages by 0.2 px.
+    if narrowing < max(0.01, 6 * error):
+        return None
+    lenses, _ = cut_out(tones, plain.lattice, *_DISCS, plain.lenses, lit)
+    discs = fit_two_discs(lenses, plain.lattice)
+    if discs is None:
+        return None
+    discs = choose_lens(discs)
+    # Where nothing is cut, in the middle, centroids are those of the lenses.
+    beside = measure_centroid_offset(plain.lenses, discs.lens_lattice())
+    astray = beside > max(LIMITS.centroids, measure_centroid_offset(plain.lenses, plain.lattice))
+    # A disc that stays outside the microimages cuts nothing.
+    return None if astray or discs.depth < 0.3 or not _explains_more(discs, plain, bent) else discs
+
+
+def _explains_more(discs: TwoDiscs, plain: Fit, bent: Fit) -> bool:
+    """Whether the discs explain the pixels better than whole microimages of any profile, distorted or not, do."""
+    by_discs = discs.residuals(plain.lenses)
+    most = (TUKEY_CUTOFF * 1.4826) ** 2 * float(np.median(np.abs(by_discs))) ** 2
+    cost = [float(np.minimum(by_discs**2, most).mean())]
+    for fit in (plain, bent):
+        residual, inside, _ = compare_pixels(fit.lenses)
+        cost.append(float(np.minimum(residual[inside] ** 2, most).mean()))
+    return cost[0] < 0.995 * min(cost[1:])
+
+
+def _summarise_discs(discs: TwoDiscs, lenses: Microimages) -> WhiteFit:
+    lattice, errors, doubt = discs.lens_lattice(), discs.errors(), discs.doubt
+    error = float(np.sqrt((errors.of_centres(lattice) ** 2).mean()))
+    if error > 0.03 and doubt is None:
+        doubt = (
+            f"microimages are the overlap of two discs with soft edges ({discs.blur[0]:.2f} px): their "
+            f"centres are known to {error:.2f} px only; close the aperture of the main lens for a white image without "
+            "vignetting"
+        )
+    doubt = doubt or find_centroid_doubt(measure_centroid_offset(lenses, lattice))
+    distance = np.hypot(*discs.offsets.T)
+    near = distance[distance < 5 * np.median(distance)]
+    residuals = Residuals(discs.indices.astype(np.int32), discs.offsets.astype(np.float32))
+    return WhiteFit(
+        lattice, discs.cut, doubt, float(np.sqrt((near**2).mean())), errors, len(near), discs.half_difference(),
+        residuals,
+    )  # fmt: skip

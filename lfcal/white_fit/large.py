@@ -20,12 +20,8 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.errors import CalibrationError
 from .fit import refine_on_parts
-from .settings import LARGE, LargeSettings
 
-__all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_grid", "sample_parts", "window_reader"]
-
-# Rings of pieces around the first one, at most; each is farther out by `LargeSettings.spacing`.
-_MOST_RINGS = 64
+__all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_parts", "window_reader"]
 
 
 def window_reader(flat: NDArray[Any], filtered: bool) -> ReadCrop:
@@ -39,21 +35,20 @@ def window_reader(flat: NDArray[Any], filtered: bool) -> ReadCrop:
     return read
 
 
-def sample_parts(read: ReadCrop, lattice: Lattice, settings: LargeSettings = LARGE) -> tuple[StackedCrops, ReadCrop]:
-    """Parts of a flat, enough to calibrate on, and a reader of all of it, both scaled to a mean of 1 over the parts."""
-    parts = sample_grid(read, lattice.image_size, settings.sample_side, settings.sample_pixels)
+def sample_parts(
+    read: ReadCrop, lattice: Lattice, side: int = 768, pixels: float = 1.6e7
+) -> tuple[StackedCrops, ReadCrop]:
+    """Parts of a flat, enough to calibrate on, and a reader of all of it, both scaled to a mean of 1 over the parts.
+
+    They are of this `side` [px] and have about so many `pixels` in all.
+    """
+    parts = _sample_grid(read, lattice.image_size, side, pixels)
     scale = np.float32(1 / max(float(parts.picture.mean(dtype=np.float64)), 1e-30))
     np.multiply(parts.picture, scale, out=parts.picture)
-
-    def read_scaled(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
-        tones = read(x, y, width, height)
-        tones *= scale
-        return tones
-
-    return parts, read_scaled
+    return parts, lambda x, y, width, height: read(x, y, width, height) * scale
 
 
-def sample_grid(read: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
+def _sample_grid(read: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
     """Square parts of a flat of this `size`, evenly spread from border to border, of about so many pixels in all."""
     count = max(pixels / side**2, 1.0)
     columns = max(1, min(round(np.sqrt(count * size[0] / size[1])), size[0] // side))
@@ -67,46 +62,44 @@ def sample_grid(read: ReadCrop, size: tuple[int, int], side: int, pixels: float)
 
 
 def _stack(read: ReadCrop, corners: list[tuple[int, int]], side: int) -> StackedCrops:
-    picture = np.empty((len(corners) * side, side), np.float32)
-    for number, (x, y) in enumerate(corners):
-        picture[number * side : (number + 1) * side] = read(x, y, side, side)
+    picture = np.concatenate([read(x, y, side, side) for x, y in corners])
     return StackedCrops(picture, np.array(corners, dtype=np.int64), (side, side))
 
 
 def find_white_lattice_in_array(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
     """`find_white_lattice` in the square root (h, w) of the light of a whole flat."""
-
     size = tones.shape[1], tones.shape[0]
     return find_white_lattice(lambda x, y, w, h: np.ascontiguousarray(tones[y : y + h, x : x + w]), size, sure, 1)
 
 
 def find_white_lattice(
-    read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, settings: LargeSettings = LARGE
+    read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, first_side: int = 768, piece_side: int = 256
 ) -> FirstLattice | None:
     """First lattice of a white image, with its distortion; None if the flat is no white image, or no lattice is found.
 
     `read` gives the square root of the light in any scale, `size` is width and height of the flat [px]. `sure` if it is
-    known to be a white image. The lattice is searched for in at most `tries` places, from the middle outwards.
+    known to be a white image. The lattice is searched for in a piece of `first_side` px in at most `tries` places, from
+    the middle outwards, and extended on pieces of 14 pitches, `piece_side` px at least.
     """
-    found = _find_in_piece(read, size, sure, tries, settings)
+    found = _find_in_piece(read, size, sure, tries, min(first_side, *size))
     if found is None:
         return None
     start, corner, first_side = found
     lattice = start.lattice
-    side = max(int(settings.piece_pitches * lattice.pitch), settings.piece_side)
+    side = max(int(14 * lattice.pitch), piece_side)
     pieces: list[tuple[int, int]] = []
-    middle = np.array(corner) + first_side / 2
-    distance = float(first_side)
-    for _ in range(_MOST_RINGS):
+    middle, distance = np.array(corner) + first_side / 2, float(first_side)
+    while True:
         known = len(pieces)
         for dy in (-1, 0, 1):
             for dx in (-1, 0, 1):
-                corner_here = (middle + distance * np.array([dx, dy]) - side / 2).astype(int) // 2 * 2
-                x, y = np.clip(corner_here, 0, np.array(size) - side).tolist()
+                place = (middle + distance * np.array([dx, dy]) - side / 2).astype(int) // 2 * 2
+                x, y = np.clip(place, 0, np.array(size) - side).tolist()
                 apart = all(max(abs(x - u), abs(y - v)) >= side for u, v in pieces)
                 if apart and max(abs(x - corner[0]), abs(y - corner[1])) >= max(side, first_side):
                     pieces.append((x, y))
-        distance *= settings.spacing
+        # A cubic that moves centres by hardly 0.01 px up to the last pieces moves them by 0.16 px so far out.
+        distance *= 2.5
         if len(pieces) == known:
             break
         try:
@@ -114,16 +107,15 @@ def find_white_lattice(
         except CalibrationError:
             # Nothing is lit so near: the present lattice may reach farther.
             continue
-    if not sure and not _is_even(read, size, lattice, settings):
+    if not sure and not _is_even(read, size, lattice, piece_side):
         return None
     return replace(start, lattice=lattice)
 
 
 def _find_in_piece(
-    read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, settings: LargeSettings
+    read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, side: int
 ) -> tuple[FirstLattice, tuple[int, int], int] | None:
     """Lattice of the first piece that shows one, in px of the flat; corner and side of the piece [px]."""
-    side = min(settings.first_side, *size)
     places = [(x, y) for x in (0.5, 0.2, 0.8) for y in (0.5, 0.2, 0.8)]
     for place in sorted(places, key=lambda p: abs(p[0] - 0.5) + abs(p[1] - 0.5))[:tries]:
         x, y = (int(share * (length - side)) // 2 * 2 for share, length in zip(place, size, strict=True))
@@ -137,7 +129,8 @@ def _find_in_piece(
         except CalibrationError:
             continue
         own = start.lattice
-        if start.repeatability < settings.repeatability or own.pitch * settings.first_periods > side:
+        # The mean microimages of two halves must be alike, and ten pitches fit into the piece.
+        if start.repeatability < 0.8 or own.pitch * 10 > side:
             continue
         if not sure and not is_evenly_lit(start.brightness, picture**2, own):
             return None
@@ -146,11 +139,9 @@ def _find_in_piece(
     return None
 
 
-def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice, settings: LargeSettings) -> bool:
-    """Whether microimages are evenly lit all over the field."""
-    side = max(int(settings.even_pitches * lattice.pitch), settings.piece_side)
-    pixels = max(settings.even_parts * settings.piece_side**2, settings.fewest_even_parts * side**2)
-    parts = sample_grid(read, size, side, pixels)
-    window = settings.window * lattice.pitch
-    levelled = np.concatenate([normalise_locally(parts.crop(k), window) for k in range(len(parts))])
+def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice, piece_side: int) -> bool:
+    """Whether microimages are evenly lit all over the field, in parts of whole lenses and their neighbours."""
+    side = max(int(6 * lattice.pitch), piece_side)
+    parts = _sample_grid(read, size, side, max(25 * piece_side**2, 9 * side**2))
+    levelled = np.concatenate([normalise_locally(parts.crop(k), 2 * lattice.pitch) for k in range(len(parts))])
     return is_evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)

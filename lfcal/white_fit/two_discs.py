@@ -1,46 +1,54 @@
 """Two discs whose overlap is lit, fitted to pixels of some microimages in all of the field: a lens and what cuts it.
 
 Both discs are displaced in proportion to the position in the field, and by one radial distortion. Each has a radius, a
-blur of its edge and a shading about its centre; where their edges run alike they may be blurred together or one by one
-(`correlation`, as in `kernel`). Neighbours add their light. Levenberg-Marquardt (Marquardt 1963), with a free gain for
-each lens. The model is the same with the two discs interchanged: `choose_lens` decides which of them is the lens.
+blur of its edge and a shading about its centre. Where their edges run alike they may be blurred together or one by one
+(`disc_light`). Neighbours add their light, and each lens has a gain of its own. The model is the same with the two
+discs interchanged: `choose_lens` decides which of them is the lens.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF
-from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import kernel
-from .kernel import light_through_both
-from .model import TwoDiscs, WhiteModel, field_position
-from .normal_equations import Microimages
-from .settings import TWO_DISCS, TwoDiscSettings
+from ..lattice.standard_errors import LatticeErrors
+from .cat_eye import CatEye, field_position
+from .disc_light import (
+    BEND,
+    CORRELATION,
+    COUNT,
+    GAP,
+    GROWTH,
+    LOG_BLUR,
+    OFFSET,
+    RADIUS,
+    SHADING,
+    SHEAR,
+    TAIL,
+    evaluate,
+)  # fmt: skip
+from .microimages import Microimages
 from .shading import fit_gain_slope
 
-__all__ = ["choose_lens", "fit_two_discs", "remove_neighbours"]
+__all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
 
-# Places of the parameters in the vector that is fitted; those of the second disc follow those of the first.
-_OFFSET, _OTHER_OFFSET, _GROWTH, _BEND, _RADIUS, _LOG_BLUR, _SHADING = 0, 2, 4, 6, 7, 9, 11
-_GAP, _TAIL, _CORRELATION, _SHEAR, _COUNT = 13, 14, 15, 16, 19
-_ROOT_HALF = math.sqrt(0.5)
-_ROOT_TAU = math.sqrt(2 * math.pi)
-_TAU = 2 * math.pi
-# Depths [blur] beyond which an edge lets all or nothing through.
-_DEEPEST = 3.5
+# The same parameters with the two discs interchanged.
+_SWAPPED = np.array([2, 3, 0, 1, 5, 4, 6, 8, 7, 10, 9, 12, 11, 13, 14, 15, 16, 17, 18])
 _STEPS = np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Pixels of some lenses."""
+    """Pixels of some lenses, those of a lens side by side."""
 
+    rows: NDArray[np.int64]  # (lenses,) of `Microimages`: those that have pixels
     place: NDArray[np.float64]  # (n, 2) [px] relative to the centre on the lattice
     lens: NDArray[np.int64]  # (n,) number of the lens
     light: NDArray[np.float64]  # (n,) over the gain of the lens
@@ -49,199 +57,324 @@ class _Pixels:
     scale: float  # [px] about the radius of the discs
     reach: float  # [px] half the diagonal of the flat
 
+    def compare(
+        self, p: NDArray[np.float64], weight: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Residuals (n,), their negative derivatives (n, 19), and gains (lenses,), which are eliminated."""
+        model, table = np.empty(len(self.lens)), np.empty((len(self.lens), COUNT))
+        evaluate(self.place, self.lens, self.field, self.steps, p, self.scale, self.reach, model, table)
+        first = np.searchsorted(self.lens, np.arange(len(self.field)))
+        weighted = weight * model
+        square = np.add.reduceat(weighted * model, first) + 1e-12
+        gain = np.add.reduceat(weighted * self.light, first) / square
+        with_gain = np.add.reduceat(weighted[:, None] * table, first) / square[:, None]
+        table -= model[:, None] * with_gain[self.lens]
+        table *= gain[self.lens, None]
+        return self.light - gain[self.lens] * model, table, gain
 
-def fit_two_discs(lenses: Microimages, lattice: Lattice, settings: TwoDiscSettings = TWO_DISCS) -> TwoDiscs | None:
+
+@dataclass(frozen=True)
+class TwoDiscs:
+    """A lens (first) and the disc that cuts it (second), relative to the `lattice` that they were fitted on."""
+
+    lattice: Lattice
+    parameters: NDArray[np.float64]  # (19,) of `disc_light`
+    covariance: NDArray[np.float64]  # (19, 19)
+    scale: float  # [px] about the radius of both
+    indices: NDArray[np.int64]  # (n, 2) of the lenses
+    offsets: NDArray[np.float64]  # (n, 2) [px] of single lenses from the common fit
+    halves: NDArray[np.float64]  # (19,) difference between the fits of two halves of the lenses
+    doubt: str | None = None  # why the second disc may be the lens
+
+    @property
+    def radius(self) -> NDArray[np.float64]:
+        """(2,) radii [px]."""
+        return self.parameters[RADIUS]
+
+    @property
+    def blur(self) -> NDArray[np.float64]:
+        """(2,) standard deviation of the edges [px]."""
+        return np.exp(self.parameters[LOG_BLUR])
+
+    @property
+    def cut(self) -> CatEye:
+        """The second disc, relative to the first."""
+        own, other = self.parameters[OFFSET].reshape(2, 2)
+        growth = self.parameters[GROWTH]
+        return CatEye(other - own, float(growth[1] - growth[0]), float(self.radius[1]), float(self.blur[1]))
+
+    @property
+    def depth(self) -> float:
+        """How far the second disc reaches into the first one in the corners of the field [px]."""
+        return float(self.radius[0] + abs(self.cut.growth) - self.radius[1])
+
+    def interchanged(self) -> TwoDiscs:
+        """With the other disc as the lens."""
+        covariance = self.covariance[np.ix_(_SWAPPED, _SWAPPED)]
+        return replace(self, parameters=self.parameters[_SWAPPED], covariance=covariance, halves=self.halves[_SWAPPED])
+
+    def difference(self, pair: slice, fault: float) -> float:
+        """Second minus first value of a pair of parameters, in standard errors; `fault` is that of the model."""
+        one, two = range(COUNT)[pair]
+        variance = self.covariance[one, one] + self.covariance[two, two] - 2 * self.covariance[one, two]
+        return float(self.parameters[two] - self.parameters[one]) / math.hypot(math.sqrt(max(variance, 0.0)), fault)
+
+    def lens_lattice(self) -> Lattice:
+        """The lattice of the first disc."""
+        return _lattice_of(self.lattice, self.parameters)
+
+    def errors(self) -> LatticeErrors:
+        """Standard errors of `lens_lattice`; no model of the blur that both edges share is exact to two per cent."""
+        fault = 0.02 * self.covariance[:, CORRELATION] / max(float(self.covariance[CORRELATION, CORRELATION]), 1e-12)
+        response = self._response()
+        return LatticeErrors(self._names(), response @ (self.covariance + np.outer(fault, fault)) @ response.T)
+
+    def half_difference(self) -> float:
+        """RMS distance over the flat of the lattices of two halves of the lenses [px]."""
+        change = self._response() @ self.halves
+        as_errors = LatticeErrors(self._names(), np.outer(change, change))
+        return float(np.sqrt((as_errors.of_centres(self.lens_lattice()) ** 2).mean()))
+
+    def residuals(self, lenses: Microimages) -> NDArray[np.float64]:
+        """(m,) of the unclipped pixels in the cells of lenses on `lattice`, over their gains without a cut."""
+        slope = lenses.slope
+        for _ in range(2):
+            pixels = _choose_pixels(lenses, slope, self.lattice, lenses.light.size)
+            residual, _, gain = pixels.compare(self.parameters, np.ones(len(pixels.light)))
+            slope = fit_gain_slope(lenses.centres, lenses.gain * np.maximum(gain, 1e-3), self.lattice)
+        return residual * max(float(lenses.profile[0]), 1e-9)
+
+    def _names(self) -> tuple[str, ...]:
+        straight = ("origin", "origin", "a1", "a1", "a2", "a2")
+        return (*straight, "k1") if self.covariance[BEND, BEND] > 0 else straight
+
+    def _response(self) -> NDArray[np.float64]:
+        """(p, 19) derivative of the parameters of the lattice, which is linear in those of the first disc."""
+        names, moved = self._names(), []
+        for step in 1e-3 * np.eye(COUNT):
+            other, here = (_lattice_of(self.lattice, p) for p in (self.parameters + step, self.parameters))
+            change = [*(other.origin - here.origin), *(other.basis - here.basis).ravel()]
+            if other.distortion and here.distortion and "k1" in names:
+                change.append(other.distortion.k1 - here.distortion.k1)
+            moved.append(np.array(change) / 1e-3)
+        return np.array(moved).T
+
+
+def _lattice_of(lattice: Lattice, p: NDArray[np.float64]) -> Lattice:
+    """The lattice of the first of two discs, displaced from a lattice as the parameters tell."""
+    middle, reach = (np.array(lattice.image_size) - 1) / 2, float(np.hypot(*lattice.image_size) / 2)
+    bend, own = lattice.distortion, p[GROWTH][0]
+    if p[BEND]:
+        bend = bend or Distortion.zero(lattice.image_size)
+        bend = replace(bend, k1=bend.k1 + p[BEND] / reach)
+        # A `Distortion` leaves to the basis what a straight lattice can follow.
+        own = own + 0.5 * p[BEND]
+    stretched, sheared, turned = p[SHEAR]
+    scale = np.eye(2) + np.array([[own + stretched, sheared + turned], [sheared - turned, own - stretched]]) / reach
+    origin = middle + (lattice.origin - middle) @ scale + p[OFFSET][:2]
+    return replace(lattice, origin=origin, basis=lattice.basis @ scale, distortion=bend)
+
+
+def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
     """The two discs that explain the microimages best, in any order; None where there are none.
 
-    `lenses` have been fitted without a cut, on `lattice`.
+    `lenses` have been fitted without a cut, on `lattice`. First by `scipy.optimize.least_squares` on few pixels,
+    without what only matters near the end; then by Gauss-Newton steps on most of those near the edges.
     """
-    some = np.unique(np.linspace(0, len(lenses.centres) - 1, min(len(lenses.centres), settings.lenses)).astype(int))
-    slope = lenses.slope[some]
-    expected = _start(lenses, settings)
-    p = expected
-    spread = np.array(
-        [np.inf] * _RADIUS
-        + [settings.radius_spread * lenses.radius] * 2
-        + [settings.blur_spread] * 2
-        + [settings.shading_spread] * 2
-        + [settings.gap_spread, 0.0, 0.0, np.inf, np.inf, np.inf]
-    )
+    p, spread = _start(lenses)
+    expected, everything = p, spread
+    low, high = _bounds(lenses.radius)
+    slope = lenses.slope.copy()
     try:
-        # First without what only matters near the end, on few pixels.
-        for count, more in (
-            (settings.first_pixels, (0.0, 0.0)),
-            (settings.pixels, (settings.tail_spread, settings.correlation_spread)),
-        ):
-            spread[[_TAIL, _CORRELATION]] = more
-            pixels = _choose_pixels(lenses, some, slope, lattice, count)
-            p, gain, covariance = _fit(pixels, p, expected, spread, settings)
+        for number, held in ((10_000, [TAIL, CORRELATION]), (20_000, [])):
+            spread = everything.copy()
+            spread[held] = 0
+            pixels = _choose_pixels(lenses, slope, lattice, number)
+            p, gain, errors = _minimise(pixels, p, expected, spread, low, high)
             # The gains of cut microimages had been fitted without a cut, and the slope of the light with them.
-            slope = fit_gain_slope(lenses.centres[some], lenses.gain[some] * np.maximum(gain, 1e-3), lattice)
-    except np.linalg.LinAlgError:
+            gains = lenses.gain[pixels.rows] * np.maximum(gain, 1e-3)
+            slope[pixels.rows] = fit_gain_slope(lenses.centres[pixels.rows], gains, lattice)
+            if number != 10_000 and lattice.distortion is None and abs(p[BEND]) < max(0.15, 6 * errors[BEND]):
+                # It would move centres by less than 0.01 px, or by chance.
+                p[BEND] = spread[BEND] = 0
+        pixels = _choose_pixels(lenses, slope, lattice, 150_000, p)
+        parameters, covariance, offsets, halves = _finish(pixels, p, expected, spread, low, high)
+    except (np.linalg.LinAlgError, ValueError):
         return None
-
-    variances = np.diag(covariance) + 1e-30
-
-    def error_of_difference(k: int) -> float:
-        return float(np.sqrt(max(variances[k] + variances[k + 1] - 2 * covariance[k, k + 1], 0.0)))
-
-    return TwoDiscs(
-        offset=p[_OFFSET:_GROWTH].reshape(2, 2),
-        growth=p[_GROWTH:_BEND],
-        bend=float(p[_BEND]),
-        radius=p[_RADIUS:_LOG_BLUR],
-        blur=np.exp(p[_LOG_BLUR:_SHADING]),
-        shading=p[_SHADING:_GAP],
-        gap=float(p[_GAP]),
-        tail=float(p[_TAIL]),
-        correlation=float(p[_CORRELATION]),
-        shear=p[_SHEAR:],
-        scale=lenses.radius,
-        radius_error=error_of_difference(_RADIUS),
-        shading_error=error_of_difference(_SHADING),
-        bend_error=float(np.sqrt(variances[_BEND])),
-        correlation_error=float(np.sqrt(variances[_CORRELATION])),
-    )
+    return TwoDiscs(lattice, parameters, covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves)
 
 
-def _start(lenses: Microimages, settings: TwoDiscSettings) -> NDArray[np.float64]:
-    """Parameters to start from: two like discs, displaced to both sides of the lattice through their middles."""
-    radius, blur = lenses.radius, lenses.blur[0] if lenses.blur else 0.0
-    p = np.zeros(_COUNT)
-    p[_GROWTH : _GROWTH + 2] = settings.start_growth * radius * np.array([-0.5, 0.5])
-    p[_RADIUS : _RADIUS + 2] = radius * np.array(settings.start_radii)
-    p[_LOG_BLUR : _LOG_BLUR + 2] = math.log(max(blur, settings.start_blur))
-    p[_SHADING : _SHADING + 2] = settings.start_shading
-    p[_GAP] = min(max(lenses.gap / max(float(lenses.profile[0]), 1e-9), 0.0), 0.5)
-    p[_CORRELATION] = settings.start_correlation
-    return p
+def _start(lenses: Microimages) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Parameters to start from, two like discs displaced to both sides of the lattice through their middles, and the
+    standard deviations by which they are expected to differ from that."""
+    radius = lenses.radius
+    p, spread = np.zeros(COUNT), np.full(COUNT, np.inf)
+    p[GROWTH] = 0.15 * radius * np.array([-1, 1])
+    p[RADIUS] = radius * np.array([1.02, 1.08])
+    slope = np.abs(lenses.rings.table[:, 1]).max()
+    p[LOG_BLUR] = math.log(max(lenses.core / max(slope * math.sqrt(2 * math.pi), 1e-9), 0.4))
+    p[SHADING] = 0.02
+    p[GAP] = min(max(float(lenses.profile.min() / max(lenses.profile[0], 1e-9)), 0.0), 0.5)
+    p[CORRELATION] = 0.3
+    spread[RADIUS], spread[LOG_BLUR], spread[SHADING], spread[GAP] = 0.3 * radius, 0.5, 0.3, 0.1
+    spread[TAIL], spread[CORRELATION] = 0.03, 0.5
+    return p, spread
+
+
+def _bounds(scale: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Least and largest parameters; pixels of finite size blur every edge by 0.2 px at least."""
+    low, high = np.full(COUNT, -np.inf), np.full(COUNT, np.inf)
+    low[RADIUS], high[RADIUS] = 0.3 * scale, 2 * scale
+    low[LOG_BLUR], high[LOG_BLUR] = math.log(0.2), math.log(0.5 * scale)
+    # Uniform discs and squares have a tail of 0.05, normal blur 0, longer tails less.
+    low[TAIL], high[TAIL] = -0.03, 0.06
+    low[CORRELATION], high[CORRELATION] = 0, 0.98
+    return low, high
 
 
 def _choose_pixels(
     lenses: Microimages,
-    some: NDArray[np.int64],
     slope: NDArray[np.float64],
     lattice: Lattice,
-    count: int,
+    number: int,
+    known: NDArray[np.float64] | None = None,
 ) -> _Pixels:
-    """At most `count` of the unclipped pixels in the cells of `some` lenses with this slope of the light."""
-    light, side = lenses.light[some], np.arange(lenses.light.shape[1])
-    offset = (lenses.corners - lenses.centres)[some]
-    place = np.empty((*light.shape, 2))
-    place[..., 0] = side[None, None, :] + offset[:, 0, None, None]
-    place[..., 1] = side[None, :, None] + offset[:, 1, None, None]
-    keep = (np.abs(place @ lenses.normals.T).max(-1) <= 0.5) & (light < lenses.saturation)
-    number = np.broadcast_to(np.arange(len(some))[:, None, None], light.shape)[keep]
-    place, bright = place[keep], light[keep].astype(np.float64)
-    if len(bright) > count:
-        taken = np.sort(np.random.default_rng(0).permutation(len(bright))[:count])
-        number, place, bright = number[taken], place[taken], bright[taken]
-    bright /= lenses.gain[some][number] * (1 + (slope[number] * place).sum(1)) * max(float(lenses.profile[0]), 1e-9)
-    field = field_position(lenses.centres[some], lattice)
+    """At most `number` of the unclipped pixels in the cells of the lenses; with `known` discs most near their edges."""
+    xs, ys = lenses.places()
+    x, y = np.broadcast_arrays(xs, ys)
+    keep = lenses.light < lenses.saturation
+    for across, down in lenses.cell.normals:
+        keep &= across * x + down * y <= 0.5
+    lens = np.nonzero(keep)[0]
+    place, light = np.column_stack([x[keep], y[keep]]), lenses.light[keep].astype(np.float64)
+    field = field_position(lenses.centres, lattice)
+    chance = np.ones(len(light))
+    if known is not None:
+        depth = [
+            known[RADIUS][k] - np.hypot(*(place - known[OFFSET][2 * k : 2 * k + 2] - known[GROWTH][k] * field[lens]).T)
+            for k in (0, 1)
+        ]
+        near = np.min(np.abs(depth), axis=0) < 3 * math.exp(float(known[LOG_BLUR].max()))
+        chance[~near] = 0.1
+    chance *= number / chance.sum()
+    taken = np.random.default_rng(0).random(len(light)) < chance
+    lens, place, light = lens[taken], place[taken], light[taken]
+    light /= lenses.gain[lens] * (1 + (slope[lens] * place).sum(1)) * max(float(lenses.profile[0]), 1e-9)
     reach = float(np.hypot(*lattice.image_size) / 2)
-    return _Pixels(place, number, bright, field, _STEPS @ lattice.basis, lenses.radius, reach)
+    rows, lens = np.unique(lens, return_inverse=True)
+    return _Pixels(rows, place, lens, light, field[rows], _STEPS @ lattice.basis, lenses.radius, reach)
 
 
-def _fit(
+def _prior(
+    p: NDArray[np.float64], expected: NDArray[np.float64], spread: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Residuals of what is known before, and their negative derivatives: `spread`, and blurs of both edges that are
+    alike to a hundredth, or else differ (a tenth and more counts no further)."""
+    differ = float(p[LOG_BLUR][1] - p[LOG_BLUR][0])
+    root = math.sqrt(1 + (differ / 0.1) ** 2)
+    alike = np.zeros(COUNT)
+    alike[LOG_BLUR] = np.array([-1, 1]) / (0.01 * root**3)
+    stiff = np.diag(1 / np.where(spread > 0, spread, np.inf))
+    return np.append(stiff @ (expected - p), -differ / (0.01 * root)), np.vstack([stiff, alike])
+
+
+def _minimise(
     pixels: _Pixels,
     p: NDArray[np.float64],
     expected: NDArray[np.float64],
     spread: NDArray[np.float64],
-    settings: TwoDiscSettings,
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Parameters, from `p` on, gains of the lenses, and covariance of the parameters.
+    """Parameters, gains and standard errors by least squares with a robust loss; those without `spread` are held."""
+    from scipy.optimize import least_squares
 
-    `spread` are the standard deviations by which parameters differ from the `expected` ones; 0 holds them fixed.
-    """
-    free = np.flatnonzero(spread > 0)
-    weight, damping = np.ones(len(pixels.light)), settings.damping
-    variance = cost = np.inf
-    for turn in range(settings.passes):
-        residual, table, gain = _residuals(pixels, p, weight, free)
-        stiff = _prior(p, spread, settings)[np.ix_(free, free)]
-        if turn >= settings.plain_passes:
-            limit = TUKEY_CUTOFF * 1.4826 * float(np.median(np.abs(residual))) + 1e-12
-            weight = np.maximum(1 - (residual / limit) ** 2, 0) ** 2
-        variance, away = float((weight * residual**2).sum() / weight.sum()), (p - expected)[free]
-        before = float((weight * residual**2).sum() + variance * (away @ stiff @ away))
-        normal = (table * weight[:, None]).T @ table + variance * stiff
-        force = table.T @ (weight * residual) - variance * stiff @ away
-        for _ in range(settings.tries):
-            step = np.zeros(_COUNT)
-            step[free] = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), force)
-            trial = _bounded(p + step, pixels.scale, settings)
-            left = _residuals(pixels, trial, weight)[0]
-            off = (trial - expected)[free]
-            cost = float((weight * left**2).sum() + variance * (off @ stiff @ off))
-            if cost < before:
-                break
-            damping *= 8
-        else:
+    free, even = np.flatnonzero(spread > 0), np.ones(len(pixels.light))
+    noise = 1.4826 * float(np.median(np.abs(pixels.compare(p, even)[0]))) + 1e-9
+    last: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = {}
+
+    def compare(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        if values.tobytes() not in last:
+            whole = p.copy()
+            whole[free] = values
+            residual, table, gain = pixels.compare(whole, even)
+            away, stiff = _prior(whole, expected, spread)
+            found = np.append(residual / noise, away), -np.vstack([table / noise, stiff])[:, free], gain
+            last.clear()
+            last[values.tobytes()] = found
+        return last[values.tobytes()]
+
+    start = np.clip(p, low + 1e-6, high - 1e-6)[free]
+    solution: Any = least_squares(
+        lambda v: compare(v)[0], start, lambda v: compare(v)[1], (low[free], high[free]), "trf", ftol=1e-5,
+        x_scale="jac", loss="soft_l1", f_scale=3.0, tr_solver="exact", max_nfev=30,
+    )  # fmt: skip
+    best, errors = p.copy(), np.zeros(COUNT)
+    best[free] = solution.x
+    errors[free] = np.sqrt(np.diag(np.linalg.inv(solution.jac.T @ solution.jac)))
+    return best, compare(solution.x)[2], errors
+
+
+def _finish(
+    pixels: _Pixels,
+    p: NDArray[np.float64],
+    expected: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Gauss-Newton passes with Tukey's weights: parameters, covariance, offsets of single lenses, and `halves`."""
+    free, weight = np.flatnonzero(spread > 0), np.ones(len(pixels.light))
+    for _ in range(6):
+        residual, table, _ = pixels.compare(p, weight)
+        noise = 1.4826 * float(np.median(np.abs(residual))) + 1e-9
+        weight = np.maximum(1 - (residual / (TUKEY_CUTOFF * noise)) ** 2, 0) ** 2
+        away, stiff = _prior(p, expected, spread)
+        rows = table * (weight / noise**2)[:, None]
+        prior, pull = (stiff.T @ stiff)[np.ix_(free, free)], (stiff.T @ away)[free]
+        normal = (rows.T @ table)[np.ix_(free, free)] + prior
+        step = _bounded_step(normal, (rows.T @ residual)[free] + pull, low[free] - p[free], high[free] - p[free])
+        p = p.copy()
+        p[free] += step
+        if step @ normal @ step < 0.1:
             break
-        p, damping = trial, damping / 8
-        if before - cost < settings.converged * before and turn > settings.plain_passes:
-            break
-    residual, table, gain = _residuals(pixels, p, weight, free)
-    covariance = np.zeros((_COUNT, _COUNT))
-    covariance[np.ix_(free, free)] = variance * np.linalg.inv((table * weight[:, None]).T @ table + variance * stiff)
-    return p, gain, covariance
+    covariance, halves = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
+    covariance[np.ix_(free, free)] = np.linalg.inv(normal)
+    for side, sign in ((0, 1), (1, -1)):
+        own = pixels.lens % 2 == side
+        part = (rows[own].T @ table[own])[np.ix_(free, free)] + prior / 2
+        halves[free] += sign * np.linalg.solve(part, (rows[own].T @ residual[own])[free] + pull / 2)
+    shifts = table[:, :2] + table[:, 2:4]
+    first = np.searchsorted(pixels.lens, np.arange(len(pixels.field)))
+    weighted = shifts * (weight / noise**2)[:, None]
+    single = np.add.reduceat(weighted[:, :, None] * shifts[:, None, :], first)
+    force = np.add.reduceat(weighted * residual[:, None], first)
+    ridge = 1e-6 * np.trace(single.mean(0)) * np.eye(2)
+    return p, covariance, np.linalg.solve(single + ridge, force[..., None])[..., 0], halves
 
 
-def _prior(p: NDArray[np.float64], spread: NDArray[np.float64], settings: TwoDiscSettings) -> NDArray[np.float64]:
-    """(19, 19) information that is known before: `spread`, and blurs of both edges that are alike, or else differ."""
-    prior = np.diag(1 / np.where(spread > 0, spread, np.inf) ** 2)
-    both, differ = slice(_LOG_BLUR, _LOG_BLUR + 2), p[_LOG_BLUR + 1] - p[_LOG_BLUR]
-    # Weight of a Cauchy distribution: a clear difference is believed.
-    alike = 1 / (settings.blur_difference**2 * (1 + (differ / settings.blur_unlike) ** 2))
-    prior[both, both] += alike * np.array([[1, -1], [-1, 1]])
-    return prior
+def _bounded_step(
+    normal: NDArray[np.float64], force: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Solution of normal equations; what would leave its bounds stays at them, and the rest is solved for once more."""
+    step = np.clip(np.linalg.solve(normal, force), low, high)
+    inside = (step > low) & (step < high)
+    left = force - normal[:, ~inside] @ step[~inside]
+    step[inside] = np.linalg.solve(normal[np.ix_(inside, inside)], left[inside])
+    return np.clip(step, low, high)
 
 
-def _bounded(p: NDArray[np.float64], scale: float, settings: TwoDiscSettings) -> NDArray[np.float64]:
-    """The parameters within what is possible."""
-    p = p.copy()
-    for first, low, high in (
-        (_RADIUS, settings.least_radius * scale, settings.most_radius * scale),
-        (_LOG_BLUR, math.log(settings.least_blur), math.log(settings.most_blur * scale)),
-    ):
-        p[first : first + 2] = np.clip(p[first : first + 2], low, high)
-    p[_TAIL] = np.clip(p[_TAIL], settings.least_tail, settings.most_tail)
-    p[_CORRELATION] = np.clip(p[_CORRELATION], 0.0, settings.most_correlation)
-    return p
-
-
-def _residuals(
-    pixels: _Pixels, p: NDArray[np.float64], weight: NDArray[np.float64], free: NDArray[np.int64] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Residuals (n,), their negative derivatives (n, f) with the `free` parameters, and gains (lenses,) eliminated."""
-    count, lens = len(pixels.field), pixels.lens
-    model = np.empty(len(lens))
-    table = np.zeros((len(lens) if free is not None else 0, _COUNT))
-    _evaluate(pixels.place, lens, pixels.field, pixels.steps, p, pixels.scale, pixels.reach, True, model, table)
-    square = np.bincount(lens, weight * model * model, count) + 1e-12
-    gain = np.bincount(lens, weight * pixels.light * model, count) / square
-    residual = pixels.light - gain[lens] * model
-    if free is None:
-        return residual, table, gain
-    table = table[:, free]
-    for column in table.T:
-        column -= model * (np.bincount(lens, weight * model * column, count) / square)[lens]
-        column *= gain[lens]
-    return residual, table, gain
-
-
-def choose_lens(discs: TwoDiscs, settings: TwoDiscSettings = TWO_DISCS) -> TwoDiscs:
+def choose_lens(discs: TwoDiscs) -> TwoDiscs:
     """The discs with that one first which is the lens, and the doubt about it.
 
     The lens is whole in the middle of the field, where the other disc must not show: it is the smaller one. Shading is
-    centred on the lens. Radii are compared if they differ beyond their errors, else shadings; what is left of an error
-    of the model of the edges grows with their blur.
+    centred on the lens. Radii are compared if they differ beyond 2.5 standard errors, else shadings; what is left of
+    an error of the model of the edges grows with their blur.
     """
-    blur = float(discs.blur.mean())
-    smaller = (discs.radius[1] - discs.radius[0]) / math.hypot(discs.radius_error, settings.radius_fault * blur)
-    leaking = settings.shading_fault * (blur / discs.scale) ** 2
-    shaded = (discs.shading[0] - discs.shading[1]) / math.hypot(discs.shading_error, leaking)
-    sign, sure = smaller if abs(smaller) > settings.sure else smaller + shaded, settings.sure
+    blur, sure = float(discs.blur.mean()), 2.5
+    smaller = discs.difference(RADIUS, 0.05 * blur)
+    shaded = -discs.difference(SHADING, 0.3 * (blur / discs.scale) ** 2)
+    sign = smaller if abs(smaller) > sure else smaller + shaded
     chosen = discs if sign >= 0 else discs.interchanged()
     clash = abs(smaller) > sure and abs(shaded) > sure and smaller * shaded < 0
     if abs(sign) > sure and not clash:
@@ -250,119 +383,11 @@ def choose_lens(discs: TwoDiscs, settings: TwoDiscSettings = TWO_DISCS) -> TwoDi
 
 
 def _state_doubt(discs: TwoDiscs, clash: bool) -> str:
-    apart = abs(discs.growth[1] - discs.growth[0])
+    apart = abs(discs.cut.growth)
     why = "the smaller one is not the one that its shading is centred on" if clash else "they are alike"
     return (
         f"microimages are the overlap of two discs of {discs.radius[0]:.2f} and {discs.radius[1]:.2f} px radius, and "
         f"{why}: the first is taken for the lens; if the other is, centres lie up to {apart:.2f} px off in the corners "
-        "(a scale of the lattice, and a constant in the disparity); close the aperture of the main lens for a white "
-        "image without vignetting"
+        "(a scale of the lattice, and a constant in the disparity); close the aperture of the main lens "
+        "for a white image without vignetting"
     )
-
-
-def remove_neighbours(lenses: Microimages, model: WhiteModel) -> Microimages:
-    """The lenses, which are cut as in `model`, without the light that neighbours add to them."""
-    lattice, discs = model.lattice, model.discs
-    assert discs is not None
-    p = np.zeros(_COUNT)
-    field = field_position(lenses.centres, lattice)
-    # One displacement for all: that of each lens from what the field tells is far below a pixel.
-    design = np.column_stack([np.ones(len(field)), field])
-    shift = np.linalg.lstsq(design, lenses.cut_offset, rcond=None)[0]
-    p[_OTHER_OFFSET : _OTHER_OFFSET + 2], p[_GROWTH + 1] = shift[0], 0.5 * (shift[1, 0] + shift[2, 1])
-    p[_RADIUS : _RADIUS + 2], p[_LOG_BLUR : _LOG_BLUR + 2] = discs.radius, np.log(discs.blur)
-    p[_SHADING : _SHADING + 2], p[_GAP:_SHEAR] = discs.shading, (discs.gap, discs.tail, discs.correlation)
-    steps = _STEPS @ lattice.basis
-    nearest = float(np.hypot(*steps.T).min())
-    reach = nearest - float(discs.radius.min() + _DEEPEST * discs.blur.max()) - abs(p[_GROWTH + 1])
-    side = np.arange(lenses.light.shape[1])
-    offset = lenses.corners - lenses.centres
-    x, y = side[None, None, :] + offset[:, 0, None, None], side[None, :, None] + offset[:, 1, None, None]
-    near = np.hypot(x, y) > reach
-    number, row, column = np.nonzero(near)
-    place = np.column_stack([column + offset[number, 0], row + offset[number, 1]])
-    spilt, table = np.empty(len(place)), np.zeros((0, _COUNT))
-    half = float(np.hypot(*lattice.image_size) / 2)
-    _evaluate(place, number, field, steps, p, discs.scale, half, False, spilt, table)
-    peak = lenses.gain * float(lenses.profile[0])
-    light = lenses.light.copy()
-    light[near] -= (spilt - discs.gap) * peak[number]
-    return replace(lenses, light=light, gap=discs.gap * float(lenses.profile[0]))
-
-
-@kernel(error_model="numpy", share=lambda place, *_: len(place), fastmath=FAST)
-def _evaluate(begin, end, place, lens, field, steps, p, scale, reach, own, model, table):
-    """Light (n,) of pixels, with that of the lens itself only if `own`.
-
-    If `table` (n, 19) has rows, also its derivatives with all parameters.
-    """
-    learn, per_square, per_reach = len(table) > 0, 1 / (scale * scale), 1 / reach
-    gap, tail, correlation = p[_GAP], p[_TAIL], p[_CORRELATION]
-    height, sharp = 1 - gap, np.exp(-p[_LOG_BLUR : _LOG_BLUR + 2])
-    for k in range(begin, end):
-        row = np.zeros(_COUNT)
-        total = 0.0
-        x, y, far, alpha = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
-        depth, light, slope = np.empty(2), np.empty(2), np.empty(2)
-        for neighbour in range(0 if own else 1, len(steps) + 1):
-            px, py, fx, fy = place[k, 0], place[k, 1], field[lens[k], 0], field[lens[k], 1]
-            if neighbour:
-                sx, sy = steps[neighbour - 1, 0], steps[neighbour - 1, 1]
-                px, py, fx, fy = px - sx, py - sy, fx + sx * per_reach, fy + sy * per_reach
-            cubic = fx * fx + fy * fy
-            dark = False
-            for disc in range(2):
-                out = p[_GROWTH + disc] + p[_BEND] * cubic
-                x[disc] = px - p[2 * disc] - fx * (out + p[_SHEAR]) - fy * (p[_SHEAR + 1] - p[_SHEAR + 2])
-                y[disc] = py - p[2 * disc + 1] - fy * (out - p[_SHEAR]) - fx * (p[_SHEAR + 1] + p[_SHEAR + 2])
-                far[disc] = math.sqrt(x[disc] * x[disc] + y[disc] * y[disc]) + 1e-9
-                alpha[disc] = (p[_RADIUS + disc] - far[disc]) * sharp[disc]
-                if alpha[disc] < -_DEEPEST:
-                    dark = True
-                    break
-            if dark:
-                continue
-            for disc in range(2):
-                a = min(alpha[disc], _DEEPEST)
-                depth[disc] = a + tail * (a * a - 3) * a
-                light[disc], slope[disc] = 1.0, 0.0
-                if alpha[disc] < _DEEPEST:
-                    light[disc] = 0.5 * (1 + math.erf(depth[disc] * _ROOT_HALF))
-                    slope[disc] = math.exp(-0.5 * depth[disc] * depth[disc]) / _ROOT_TAU
-            joint, with_first, with_second, turning = light[0] * light[1], light[1], light[0], 0.0
-            if slope[0] > 0 and slope[1] > 0:
-                along = (x[0] * x[1] + y[0] * y[1]) / (far[0] * far[1])
-                alike = correlation * along
-                joint, with_first, with_second = light_through_both(depth[0], depth[1], light[0], light[1], alike)
-                apart = 1 / (1 - alike * alike)
-                cross = depth[0] * depth[0] - 2 * alike * depth[0] * depth[1] + depth[1] * depth[1]
-                turning = along * math.exp(-0.5 * cross * apart) * math.sqrt(apart) / _TAU
-            near, other = far[0] * far[0] * per_square, far[1] * far[1] * per_square
-            even = 1 - p[_SHADING] * near - p[_SHADING + 1] * other
-            total += even * joint
-            if not learn:
-                continue
-            for disc in range(2):
-                push = slope[disc] * (with_second if disc else with_first) * height * even
-                pull = push * (1 + 3 * tail * (alpha[disc] * alpha[disc] - 1)) * sharp[disc]
-                rest = pull / far[disc] + 2 * height * joint * p[_SHADING + disc] * per_square
-                gx, gy = rest * x[disc], rest * y[disc]
-                row[2 * disc] += gx
-                row[2 * disc + 1] += gy
-                grows = gx * fx + gy * fy
-                row[_GROWTH + disc] += grows
-                row[_BEND] += grows * cubic
-                row[_SHEAR] += gx * fx - gy * fy
-                row[_SHEAR + 1] += gx * fy + gy * fx
-                row[_SHEAR + 2] += gy * fx - gx * fy
-                row[_RADIUS + disc] += pull
-                row[_LOG_BLUR + disc] -= pull * (p[_RADIUS + disc] - far[disc])
-                row[_TAIL] += push * (alpha[disc] * alpha[disc] - 3) * alpha[disc]
-            row[_SHADING] -= height * joint * near
-            row[_SHADING + 1] -= height * joint * other
-            row[_CORRELATION] += turning * height * even
-        model[k] = gap + height * total
-        if learn:
-            row[_GAP] = 1 - total
-            for c in range(_COUNT):
-                table[k, c] = row[c]

@@ -218,16 +218,13 @@ def test_the_far_end_of_a_hundred_thousand_pixels_keeps_its_sub_pixels():
 def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
     from lfcal.images.preprocessing import sqrt_luminance
     from lfcal.lattice.lens_subset import StackedCrops
-    from lfcal.white_fit.cutouts import cut_out_lenses
-    from lfcal.white_fit.model import WhiteModel
+    from lfcal.white_fit.microimages import cut_out
 
     truth = WhiteImage(pitch=60.0, degrees=3.0, size=(500, 400))
     tones = StackedCrops.of(sqrt_luminance(truth.image()))
-    small, large = (
-        WhiteModel(lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0), None) for grown in (0.96, 1.0)
-    )
-    known = cut_out_lenses(tones, small, 1e6, 12, None)[0].lenses
-    lenses = cut_out_lenses(tones, large, 1e6, 12, known)[0].lenses
+    small, large = (lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0) for grown in (0.96, 1.0))
+    known = cut_out(tones, small, 1e6, 12, None, None)[0]
+    lenses = cut_out(tones, large, 1e6, 12, known, None)[0]
     # Pixels in the corner are shared out to the ring before and the one after them.
-    for values in (lenses.profile, lenses.ring_weight, lenses.harmonic, lenses.edge):
-        assert len(values) >= int(lenses.circumradius / lenses.step) + 2
+    for values in (lenses.profile, lenses.ring_weight, lenses.harmonic):
+        assert len(values) >= int(lenses.cell.circumradius / lenses.rings.step) + 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +9,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 import lfcal
-from benchmarks.calibration_speed import drawn as draw_white
-from benchmarks.white_images import WhiteImage
-from lfcal.white_fit import fit as white_fit
 
 CAPTURES = Path(__file__).resolve().parents[3].parent / "shared" / "captures"
 
@@ -106,54 +102,6 @@ def test_general_distortion_of_scanned_film_is_fitted(drawn):
     miss = back[inside] - truth.centres(truth.index_of(back[inside]))
     assert camera.lattice.distortion.general is not None
     assert np.sqrt((miss**2).sum(1).mean()) < 0.05
-
-
-def test_one_pixel_in_sixteen_is_used_inside_a_large_microimage(drawn):
-    from lfcal.images.preprocessing import sqrt_luminance
-    from lfcal.lattice.lens_subset import StackedCrops
-    from lfcal.white_fit.cutouts import cut_out_lenses
-    from lfcal.white_fit.model import WhiteModel
-    from lfcal.white_fit.normal_equations import build_normal_equations
-
-    truth = drawn("hexagonal", 60.3, 5.0, 26.0, size=(500, 450))
-    lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 25.0)
-    state, _ = cut_out_lenses(StackedCrops.of(sqrt_luminance(truth.image())), WhiteModel(lattice, None), 1e6, 12, None)
-    lenses = state.lenses
-    cost = build_normal_equations(lenses).cost
-    light = lenses.light.copy()
-    y, x = np.indices(light.shape[1:])
-    far = np.hypot(x + lenses.corners[0, 0] - lenses.centres[0, 0], y + lenses.corners[0, 1] - lenses.centres[0, 1])
-    inside = far < 22
-    seen = []
-    for v, u in np.argwhere(inside)[::7]:
-        other = dataclasses.replace(lenses, light=np.where((y == v) & (x == u), 0, light))
-        seen.append(build_normal_equations(other).cost != cost)
-    assert 0.03 < np.mean(seen) < 0.1
-
-
-def test_parameters_are_selected_on_8000_of_82000_lenses_and_a_missing_one_is_reported(monkeypatch):
-    truth = WhiteImage("hexagonal", 6.05, 3.0, 26.0, size=(1860, 1400))
-    image = draw_white(truth, 1)
-    index = np.rint(truth.index_of(np.array([[400.0, 1100.0]])))
-    x, y = np.rint(truth.centres(index)[0]).astype(int)
-    image[y - 3 : y + 4, x - 3 : x + 4] = 0
-    opened = []
-    original = white_fit.cut_out_lenses
-
-    def seen(*arguments):
-        state, lit = original(*arguments)
-        opened.append((len(state.indices), len(lit.indices)))
-        return state, lit
-
-    monkeypatch.setattr(white_fit, "cut_out_lenses", seen)
-    camera = lfcal.calibrate(image)
-    looked_at = [some for some, every in opened[:-1]]
-    assert opened[-1][1] > 80_000
-    assert max(looked_at) == pytest.approx(8000, rel=0.02)
-    found = camera.lattice.centres()
-    assert np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()) < 1e-3
-    missing = camera.lattice.points(camera.defects.lenses)
-    assert np.hypot(*(missing - truth.centres(index)).T).min(initial=np.inf) < 0.01
 
 
 @pytest.mark.parametrize("exposure", [1.3, 2.2])

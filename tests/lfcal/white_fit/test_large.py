@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,9 +11,7 @@ import lfcal
 from benchmarks import white_images
 from lfcal.detection import downscale
 from lfcal.runtime.errors import CalibrationError
-from lfcal.white_fit import fit as white_fit
 from lfcal.white_fit import large
-from lfcal.white_fit.settings import FIT, LARGE
 
 _SIZE = (1300, 1000)
 
@@ -23,12 +20,11 @@ _SIZE = (1300, 1000)
 def found_lattices(monkeypatch, set_downscale):
     """Small images count as large; collects the lattices that were found on them."""
     set_downscale(pieces=5e5)
-    settings = replace(LARGE, first_side=300, piece_side=100)
     found = []
     original = large.find_white_lattice
 
     def seen(*args, **options):
-        found.append(original(*args, **options, settings=settings))
+        found.append(original(*args, **options, first_side=300, piece_side=100))
         return found[-1]
 
     monkeypatch.setattr(large, "find_white_lattice", seen)
@@ -39,8 +35,7 @@ def found_lattices(monkeypatch, set_downscale):
 def in_parts(found_lattices, monkeypatch, set_downscale):
     """Small images count as too large to be held as a whole."""
     set_downscale(pieces=5e5, large=5e5, enough=2e5, part=400)
-    settings = replace(LARGE, sample_side=160, sample_pixels=6e5)
-    monkeypatch.setattr(large, "sample_parts", partial(large.sample_parts, settings=settings))
+    monkeypatch.setattr(large, "sample_parts", partial(large.sample_parts, side=160, pixels=6e5))
     return found_lattices
 
 
@@ -115,18 +110,6 @@ def test_scene_with_an_even_middle_is_no_white_image(found_lattices):
     camera = lfcal.calibrate((truth.image() * scene).astype(np.uint16))
     assert found_lattices == [None]
     assert camera.source == "scene"
-
-
-def test_large_image_is_fitted_with_as_many_lenses_as_are_needed(monkeypatch):
-    settings = replace(FIT, all_pixels=1e5, search_pixels=2e4, search_lenses=50, order_pixels=5e4, order_lenses=50)
-    monkeypatch.setattr(white_fit, "fit_white", partial(white_fit.fit_white, settings=settings))
-    truth = white_images.WhiteImage("hexagonal", 14.3, 3.0, 40.0, size=(900, 700))
-    image = truth.image()
-    camera = lfcal.calibrate(image)
-    assert 12 < camera.lenses_used < 0.5 * len(camera.lattice)
-    error = np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
-    assert error < FIT.target_error
-    assert _error(camera, truth) < 3 * error
 
 
 def test_very_large_flat_without_a_lattice_is_refused(in_parts):

@@ -12,9 +12,9 @@ from benchmarks.calibration_bound import centre_error
 from benchmarks.white_images import WhiteImage
 from lfcal.images.preprocessing import sqrt_luminance
 from lfcal.lattice.lens_subset import StackedCrops
-from lfcal.white_fit.cutouts import cut_out_lenses
+from lfcal.white_fit.disc_light import RADIUS, SHADING
 from lfcal.white_fit.gauss_newton import converge
-from lfcal.white_fit.model import WhiteModel
+from lfcal.white_fit.microimages import cut_out
 from lfcal.white_fit.two_discs import choose_lens, fit_two_discs
 
 SIZE = (1100, 800)
@@ -47,38 +47,55 @@ def test_two_equal_discs_without_shading_are_doubtful_and_said_so():
     assert "constant in the disparity" in doubt
 
 
+@pytest.mark.parametrize(
+    ("shape", "pitch", "strength", "soft", "most"),
+    [
+        ("hexagonal", 22.4, -0.25, 0.97, 0.0025),
+        ("hexagonal", 18.9, 0.3, 1.1, 0.004),
+        ("square", 14.9, 0.26, 0.88, 0.006),
+    ],
+)
+def test_centres_of_blurred_cut_microimages_are_within_a_few_thousandths_of_a_pixel(shape, pitch, strength, soft, most):
+    truth = WhiteImage(shape, pitch, 5.0, strength=strength, ratio=1.04, soft=soft, gap=0.03, size=(1200, 900))
+    camera = lfcal.calibrate(truth.image())
+    assert centre_error(camera, truth) < most
+    assert centre_error(camera, truth) < 5 * np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
+
+
 @pytest.fixture(scope="module")
 def found():
     truth = WhiteImage("square", 19.7, 3.0, 34.0, 16, strength=-0.3, ratio=1.05, inner=0.08, edges="product", size=SIZE)
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 9.0)
     crops = StackedCrops.of(sqrt_luminance(truth.image()))
-    state, _ = cut_out_lenses(crops, WhiteModel(lattice, None), 1e5, 150, None)
-    state, _ = converge(state, (), passes=5)
-    discs = fit_two_discs(state.lenses, state.model.lattice)
+    fit = converge(lattice, cut_out(crops, lattice, 1e5, 150, None, None)[0], ())
+    discs = fit_two_discs(fit.lenses, fit.lattice)
     assert discs is not None
     return truth, choose_lens(discs)
 
 
-def test_radii_blur_and_shading_of_both_discs_are_measured(found):
+def test_radii_and_blur_of_both_discs_are_measured(found):
     truth, discs = found
     radius = truth.fill * truth.pitch / 2
     np.testing.assert_allclose(discs.radius, [radius, 1.05 * radius], atol=0.03)
     np.testing.assert_allclose(discs.blur, 0.6, atol=0.02)
-    assert discs.growth[1] - discs.growth[0] == pytest.approx(-0.3 * radius, abs=0.03)
-    assert discs.shading[0] - discs.shading[1] > 0.05
+    assert discs.cut.growth == pytest.approx(-0.3 * radius, abs=0.03)
     assert discs.doubt is None
 
 
 def test_the_smaller_disc_is_the_lens_and_shading_decides_between_equal_ones(found):
     discs = found[1]
     assert choose_lens(discs.interchanged()).radius[0] == discs.radius[0]
-    equal = replace(discs, radius=np.full(2, discs.radius[0]))
-    assert choose_lens(equal.interchanged()).shading[0] == discs.shading[0]
-    assert choose_lens(equal).doubt is None
+    parameters = discs.parameters.copy()
+    parameters[RADIUS] = discs.radius[0]
+    equal = replace(discs, parameters=parameters)
+    chosen = choose_lens(equal.interchanged())
+    assert chosen.parameters[SHADING][0] > chosen.parameters[SHADING][1] and chosen.doubt is None
 
 
 def test_radii_and_shading_that_contradict_each_other_are_doubtful(found):
     discs = found[1]
-    other = replace(discs, shading=discs.shading[::-1])
+    parameters = discs.parameters.copy()
+    parameters[SHADING] = parameters[SHADING][::-1]
+    other = replace(discs, parameters=parameters)
     assert "shading is centred on" in choose_lens(other).doubt
     assert choose_lens(other).radius[0] == discs.radius[0]

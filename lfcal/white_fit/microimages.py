@@ -1,0 +1,227 @@
+"""Microimages of some lenses of a white image, and the model that they are compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..images.stack import clipping_level
+from ..lattice.cell import Cell
+from ..lattice.lattice import Lattice
+from ..lattice.lens_subset import StackedCrops, sample_mask
+from ..lattice.lit_lenses import LitLenses
+from ..runtime.errors import CalibrationError
+from .kernel import Rings, Sums, Windows, add_lenses, copy_squares
+from .shading import fit_gain_slope, fit_shade
+
+__all__ = ["FEWEST_LENSES", "Microimages", "cut_out", "cut_windows"]
+
+FEWEST_LENSES = 12
+# [px] between rings of the profile: edges of discs are about 1 px wide.
+_RING_STEP = 0.125
+# Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on that of the threads.
+_CHUNKS = 64
+
+
+@dataclass(frozen=True)
+class Microimages:
+    """Windows of the flat around `n` lenses, and the model that they are compared with: a profile of `r` rings."""
+
+    indices: NDArray[np.int64]  # (n, 2) of the lattice
+    light: NDArray[np.float32]  # (n, k, k) squares of the flat around the lenses
+    corners: NDArray[np.int64]  # (n, 2) [px] flat coordinates of the first pixel of each
+    centres: NDArray[np.float64]  # (n, 2) [px]
+    gain: NDArray[np.float64]  # (n,) light of each lens over that of the profile
+    slope: NDArray[np.float64]  # (n, 2) [1/px] relative change of the gain within the microimage
+    shade: NDArray[np.float64]  # (n, 2) [1/px] the same of its own light alone, without that of neighbours
+    cell: Cell
+    profile: NDArray[np.float64]  # (r,) light at radii `0, step, 2*step...`
+    harmonic: NDArray[np.float64]  # (r,) amplitude of `cos(4 * direction)`
+    ring_weight: NDArray[np.float64]  # (r,) inverse variance of a pixel
+    saturation: float  # light from which on pixels are clipped
+
+    @property
+    def pixels(self) -> float:
+        """Pixels in the cells of all lenses, about."""
+        return len(self.centres) * np.pi * self.cell.inradius * self.cell.circumradius
+
+    @property
+    def windows(self) -> Windows:
+        """What kernels read of each lens."""
+        return Windows(self.light, self.corners, self.centres, self.gain, self.slope, self.shade)
+
+    @property
+    def core(self) -> float:
+        """Light in the middle of a microimage."""
+        return float(np.median(self.profile[: max(2, len(self.profile) // 2)]))
+
+    @property
+    def radius(self) -> float:
+        """Distance from the centre [px] at which the profile falls to the mean of the light in the middle and gap."""
+        half = 0.5 * (self.core + max(float(self.profile[-3:].min()), 0.0))
+        return max(int(np.argmax(self.profile < half)), 1) * _RING_STEP
+
+    @property
+    def rings(self) -> Rings:
+        """What all lenses share, for kernels."""
+        # Half of the light at the border of the cell is that of a neighbour. Between the middle of a side of the cell,
+        # where nothing is left of the slope, and its corners, where something is.
+        border = self.cell.inradius + (self.cell.circumradius - self.cell.inradius) / 6
+        border = float(np.interp(border / _RING_STEP, np.arange(len(self.profile)), self.profile))
+        own = self.core * np.clip((self.profile - border) / max(self.core - border, 1e-9 * self.core), 0, None)
+        slope = np.gradient(self.profile, _RING_STEP)
+        table = np.column_stack([self.profile, slope, self.ring_weight, own, self.harmonic])
+        return Rings(_RING_STEP, table, self.saturation)
+
+    def at(self, lattice: Lattice) -> Microimages:
+        """The same with the centres of a lattice."""
+        return replace(self, centres=lattice.points(self.indices))
+
+    def thin(self, pixels: float) -> Microimages:
+        """An even part of the lenses, with at most so many pixels in their windows."""
+        few = slice(None, None, max(1, int(self.light.size / pixels) + 1))
+        of_lenses = ("indices", "light", "corners", "centres", "gain", "slope", "shade")
+        return replace(self, **{name: getattr(self, name)[few] for name in of_lenses})
+
+    def places(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(n, 1, k) `x` and (n, k, 1) `y` of the pixels relative to the centres [px]."""
+        offset = (self.corners - self.centres)[:, :, None] + np.arange(self.light.shape[1])
+        return offset[:, 0, None, :], offset[:, 1, :, None]
+
+    def sums(self) -> Sums:
+        """Normal equations about this model; `CalibrationError` if it is not finite or explains nothing."""
+        values = (self.centres, self.gain, self.slope, self.shade, self.profile, self.ring_weight)
+        if not all(np.isfinite(value).all() for value in values):
+            raise CalibrationError("the microimages show no edges; give a sharper flat or a white image")
+        count = len(self.centres)
+        band = np.zeros((_CHUNKS, len(self.profile), 6))
+        sums = Sums(np.zeros((count, 3, 3)), np.zeros((count, 3)), band)
+        add_lenses(self.windows, self.cell, self.rings, sums)
+        if not (sums.normal[:, 0, 0] > 0).any():
+            raise CalibrationError("the microimages show no edges; give a sharper flat or a white image")
+        return sums
+
+    def learn(self, sums: Sums, moved: NDArray[np.float64], lattice: Lattice) -> Microimages:
+        """Gains, profile, weights and slopes that fit the pixels better, after a step of the centres.
+
+        `sums` are those about this model, `moved` (n, 2) [px] is the step of the centres.
+        """
+        explained = (sums.normal[:, :2, 2] * moved).sum(1)
+        gain = (sums.right[:, 2] - explained) / np.maximum(sums.normal[:, 2, 2], 1e-30)
+        lenses = replace(self, gain=self.gain * (1 + np.clip(gain, -0.5, 1))).learn_profile(sums)
+        lenses = replace(lenses, slope=fit_gain_slope(lenses.centres, lenses.gain, lattice))
+        return replace(lenses, shade=lenses.measure_shade(lattice))
+
+    def learn_profile(self, sums: Sums) -> Microimages:
+        """The microimages with profile, harmonic and weights of rings that fit the pixels better."""
+        weight, force, turned, own, squares, number = sums.band.sum(0).T
+        # Rings that hardly a pixel fell into follow their neighbours. Where all lenses lie alike to the pixels, only
+        # the smoothness of the profile determines where between two pixels an edge is.
+        bend = np.diff(np.eye(len(weight)), 2, axis=0)
+        stiff = 0.3 * float(np.median(weight[weight > 0])) * bend.T @ bend
+        settled = np.diag(weight + 1e-9 * weight.max())
+        profile = self.profile + np.linalg.solve(settled + stiff, force - stiff @ self.profile)
+        # Gains and profile share one scale.
+        profile *= np.linalg.norm(self.profile) / np.linalg.norm(profile)
+        near = np.ones(5)
+        overall = 10 * squares.sum() / max(number.sum(), 1)
+        variance = (np.convolve(squares, near, "same") + overall) / (np.convolve(number, near, "same") + 10)
+        floor = 1e-6 * float(np.var(profile)) + 1e-12
+        return replace(
+            self,
+            profile=profile,
+            harmonic=self.harmonic + turned / (own + 0.01 * np.median(weight) + 1e-30),
+            ring_weight=1 / np.maximum(variance, floor),
+        )
+
+    def measure_shade(self, lattice: Lattice) -> NDArray[np.float64]:
+        """(n, 2) slope [1/px] of the own light of each microimage, from the middles of some of them."""
+        if np.isfinite(self.saturation):
+            return np.zeros_like(self.slope)
+        some = self.thin(2e5)
+        x, y = some.places()
+        # Edges are far, and cuts are rare in so small a disc.
+        inside = np.hypot(x, y) < 0.6 * self.cell.inradius
+        model = np.interp(np.hypot(x, y), np.arange(len(self.profile)) * _RING_STEP, self.profile) * inside
+        tilt = 1 + some.slope[:, 0, None, None] * x + some.slope[:, 1, None, None] * y
+        miss = (some.light / some.gain[:, None, None] - model * tilt) * model
+        square = 0.5 * (model**2 * (x**2 + y**2)).sum((1, 2))
+        slopes = np.column_stack([(miss * x).sum((1, 2)), (miss * y).sum((1, 2))]) / np.maximum(square, 1e-30)[:, None]
+        field = fit_shade(slopes, square, some.centres, lattice)
+        return field[0] + self.centres @ field[1:]
+
+
+def cut_out(
+    tones: StackedCrops, lattice: Lattice, pixels: float, fewest: int, known: Microimages | None, lit: LitLenses | None
+) -> tuple[Microimages, LitLenses]:
+    """Cut evenly spread lenses out of a flat, and find all lenses that could be chosen.
+
+    Chosen are about as many as have so many `pixels`, but not fewer than `fewest`. Profile and weights are those of
+    `known` lenses, or the mean profile. Lenses found `lit` before on nearly the same lattice save the search.
+    """
+    cell, dark = Cell.of(lattice), 0.03
+    margin = cell.circumradius + 2
+    lit = LitLenses.find(tones, lattice, margin, dark**0.5, lit)
+    share = max(pixels / abs(np.linalg.det(lattice.basis)), fewest) / max(len(lit.indices), 1)
+    taken = lit.select(tones, lattice, margin, sample_mask(len(lit.indices), share))
+    indices, offset = taken.indices, tones.offsets[taken.crop]
+    centres = lattice.points(indices)
+    light, corners = cut_windows(tones.picture, centres - offset, margin)
+    middle, core = light.shape[1] // 2, max(1, int(0.4 * cell.inradius))
+    gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)
+    bright = gain > dark * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
+    if bright.sum() < FEWEST_LENSES:
+        raise CalibrationError(
+            f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
+            f"at least {FEWEST_LENSES} are needed; give the whole sensor"
+        )
+    indices, centres, gain, light, corners = (v[bright] for v in (indices, centres, gain, light, corners + offset))
+    slope, rings = fit_gain_slope(centres, gain, lattice), int(cell.circumradius / _RING_STEP) + 3
+    saturation = clipping_level(light) if known is None else known.saturation
+    lenses = Microimages(
+        indices, light, corners, centres, gain, slope, np.zeros_like(slope), cell,
+        np.zeros(rings), np.zeros(rings), np.ones(rings), saturation,
+    )  # fmt: skip
+    if known is None:
+        profile = _mean_profile(lenses)
+        weight = np.full(rings, 1 / max(float(np.var(profile)), 1e-12))
+        lenses = replace(lenses, profile=profile, ring_weight=weight)
+        return lenses.learn_profile(lenses.sums()), lit
+    profile, harmonic, ring_weight = (
+        np.pad(values, (0, max(rings - len(values), 0)), mode="edge")[:rings]
+        for values in (known.profile, known.harmonic, known.ring_weight)
+    )
+    near = np.arange(-core, core + 1)
+    of_core = np.interp(np.hypot(*np.meshgrid(near, near)), np.arange(rings) * _RING_STEP, profile).mean()
+    lenses = replace(lenses, profile=profile, harmonic=harmonic, ring_weight=ring_weight, gain=gain / of_core)
+    return replace(lenses, shade=lenses.measure_shade(lattice)), lit
+
+
+def _mean_profile(lenses: Microimages) -> NDArray[np.float64]:
+    """(r,) mean radial profile of the lenses."""
+    some = lenses.thin(1e6)
+    x, y = some.places()
+    inside = np.ones(some.light.shape, dtype=bool)
+    for across, down in some.cell.normals:
+        inside &= across * x + down * y <= 0.5
+    ring = np.rint(np.hypot(x, y)[inside] / _RING_STEP).astype(int)
+    light = (some.light / some.gain[:, None, None])[inside]
+    total, number = (np.bincount(ring, of, len(lenses.profile)) for of in (light, None))
+    seen = np.flatnonzero(number)
+    return np.interp(np.arange(len(number)), seen, total[seen] / number[seen])
+
+
+def cut_windows(
+    tones: NDArray[np.float32], centres: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Squares of light (n, k, k) reaching at least `reach` px from `centres` (n, 2), and their first pixels (n, 2).
+
+    `tones` (h, w) is the square root of the light. Pixels beyond the flat repeat its border.
+    """
+    half = int(np.ceil(reach)) + 1
+    corners = np.rint(centres).astype(np.int64) - half
+    light = np.empty((len(centres), 2 * half + 1, 2 * half + 1), np.float32)
+    copy_squares(tones, corners, light)
+    return light, corners

@@ -1,0 +1,76 @@
+"""Signs of mechanical vignetting on white images, and of light that is unlike the model."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..lattice.lattice import Lattice
+from .cat_eye import field_position
+from .microimages import Microimages
+
+__all__ = ["compare_pixels", "measure_centroid_offset", "measure_narrowing"]
+
+
+def compare_pixels(lenses: Microimages) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Pixels of windows against the model.
+
+    Residuals (n, k, k) over the gains; which pixels lie in cells and are not clipped; and slope of the profile there
+    [1/px] and weight, (2, n, k, k).
+    """
+    x, y = lenses.places()
+    far = np.maximum(np.hypot(x, y), 1e-6)
+    step, table, saturation = lenses.rings
+    level, slope, weight, own, harmonic = (np.interp(far / step, np.arange(len(table)), c) for c in table.T)
+    (shade_x, shade_y), (slope_x, slope_y) = lenses.shade.T[..., None, None], lenses.slope.T[..., None, None]
+    model = level + own * (shade_x * x + shade_y * y) + harmonic * (1 - 8 * (x * y / far**2) ** 2)
+    inside = lenses.light < saturation
+    for across, down in lenses.cell.normals:
+        inside &= across * x + down * y <= 0.5
+    tilt = 1 + slope_x * x + slope_y * y
+    return lenses.light / (lenses.gain[:, None, None] * tilt) - model, inside, np.stack([slope, weight])
+
+
+def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, float]:
+    """By how much microimages in the corners of the field are narrower along the field than across, and its error [px].
+
+    Amplitude of `cos(2 * angle)` of the radius, angles from the direction of the field, growing with the field: neither
+    a lattice nor its distortion, neither blur nor the shape of pixels give whole discs any.
+    """
+    few = lenses.thin(1e6)
+    x, y = few.places()
+    far = np.maximum(np.hypot(x, y), 1e-6)
+    residual, inside, (slope, weight) = compare_pixels(few)
+    # Six standard deviations.
+    used = inside & (far < few.cell.inradius) & (residual**2 * weight < 36)
+    used &= np.abs(slope) > 0.1 * np.abs(few.rings.table[:, 1]).max()
+    field = field_position(few.centres, lattice)
+    reach = np.maximum(np.hypot(*field.T), 1e-6)[:, None, None]
+    along = (field[:, 0, None, None] * x + field[:, 1, None, None] * y) / (reach * far)
+    response = slope * reach * (2 * along**2 - 1)
+    information = float((used * weight * response**2).sum())
+    if information <= 0:
+        return 0.0, np.inf
+    return float((used * weight * response * residual).sum()) / information, information**-0.5
+
+
+def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
+    """Distance [px] of plain centroids of microimages in the middle of the field from their lattice; 0 for too few.
+
+    What grows with the field is left out: a disc that cuts microimages moves their centroids.
+    """
+    moved = lenses.at(lattice)
+    field = field_position(moved.centres, lattice)
+    near = np.flatnonzero(np.hypot(*field.T) < 0.25)
+    near = near[:: max(1, len(near) // 300)]
+    if len(near) < 12:
+        return 0.0
+    x, y = moved.places()
+    x, y, light, field = x[near], y[near], moved.light[near], field[near]
+    window = np.clip(moved.cell.inradius + 0.5 - np.hypot(x, y), 0, 1)
+    light = window * np.clip(light - np.quantile(light, 0.05, axis=(1, 2))[:, None, None], 0, None)
+    total = np.maximum(light.sum((1, 2)), 1e-30)
+    offset = np.column_stack([(light * way).sum((1, 2)) / total for way in (x, y)])
+    field = field - field.mean(0)
+    growth = ((offset - np.median(offset, axis=0)) * field).sum() / max(float((field**2).sum()), 1e-30)
+    return float(np.hypot(*np.median(offset - growth * field, axis=0)))
