@@ -16,8 +16,8 @@ from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.output_file import atomic_write, check_output
 
 from .depth_map import DepthMap, default_scale
-from .rendering import check_scale
-from .surface import sample_surface
+from .rendering import PictureGrid, check_scale
+from .surface import edge_step, sample_surface_at
 
 __all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "dense_distance", "write_dense"]
 
@@ -72,16 +72,14 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
     ((47, 62), 23.2)
     """
     pitch = depth.pitch
-    scale = check_scale(default_scale(depth) if scale is None else scale, pitch)
-    spacing = pitch / scale
-    width, height = depth.image_size
-    shape = (max(1, round(height / spacing)), max(1, round(width / spacing)))
-    first = 0.5 * spacing - 0.5
-    out = sample_surface(depth.surface, pitch, shape, spacing)
-    resolved = ~depth.unresolved_places(shape, (first, first), spacing)
+    grid = PictureGrid(depth.image_size, pitch, check_scale(default_scale(depth) if scale is None else scale, pitch))
+    shape = grid.size[::-1]
+    place = shape, (grid.first, grid.first), grid.spacing
+    out = sample_surface_at(depth.surface, edge_step(pitch), *place)
+    resolved = ~depth.unresolved_places(*place)
     if not fill:
         out[~resolved] = np.nan
-    return DenseDepth(out, np.array([[spacing, 0.0, first], [0.0, spacing, first]]), pitch, resolved)
+    return DenseDepth(out, grid.affine(), pitch, resolved)
 
 
 def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:

@@ -82,15 +82,10 @@ class Registry:
 def open_registry(
     base: str | os.PathLike[str], hashes: Mapping[str, str] | str | os.PathLike[str] | None = None
 ) -> Registry:
-    """The registry of a folder or of an address; FlatError if the list cannot be read.
+    """The registry of a folder or of an address (`https://...`); FlatError if its list cannot be read.
 
-    Parameters
-    ----------
-    base : path-like or str
-        A folder, or the address (`https://...`) of one.
-    hashes : mapping or path-like, optional
-        Hashes by name, or the list with them. By default `registry.txt` in the folder; for an address it must be given,
-        since a list from the same server would prove nothing.
+    `hashes` are those by name, or the list with them: by default `registry.txt` in the folder. For an address it must
+    be given, since a list from the same server would prove nothing.
 
     Examples
     --------

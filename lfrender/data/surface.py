@@ -14,7 +14,7 @@ from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.kernels.jit import kernel
 
 __all__ = [
-    "DepthGrid", "Surface", "constant_surface", "edge_step", "mark_changed_places", "patch_size_at", "sample_surface",
+    "DepthGrid", "Surface", "constant_surface", "edge_step", "mark_changed_places", "patch_size_at",
     "sample_surface_at",
 ]  # fmt: skip
 
@@ -100,16 +100,13 @@ def edge_step(pitch: float) -> float:
     return max(0.5, 0.03 * pitch)
 
 
-def sample_surface(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
-    """Patch size [px] at every pixel of a picture of this shape, whose pixels are `spacing` apart on the flat."""
-    first = 0.5 * spacing - 0.5
-    return sample_surface_at(surface, edge_step(pitch), shape, (first, first), spacing)
-
-
 def sample_surface_at(
     surface: Surface, edge: float, shape: tuple[int, int], first: ArrayLike, spacing: float
 ) -> NDArray[np.float32]:
-    """As `sample_surface`, of a picture whose pixel (0, 0) lies at `first` (2,), with an edge step of `edge` [px]."""
+    """Patch size [px] at every pixel of a picture of this shape.
+
+    Its pixels are `spacing` apart on the flat, (0, 0) lies at `first` (2,); `edge` [px] is as `edge_step`.
+    """
     out = np.empty(shape, np.float32)
     first_x, first_y = (float(n) for n in np.asarray(first))
     _sample(surface.patch_size, surface.grid(edge), first_x, first_y, spacing, out)

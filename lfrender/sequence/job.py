@@ -60,14 +60,8 @@ class FrameResult:
 
     Examples
     --------
-    >>> from tempfile import TemporaryDirectory
-    >>> import lfrender
-    >>> flat, camera, depth = lfrender.data.example()
-    >>> with TemporaryDirectory() as folder:
-    ...     lfrender.write_picture(f"{folder}/0.png", flat)
-    ...     (done,) = lfrender.render_frames(lfrender.open_frames([folder]), f"{folder}/out", camera, preset="fast")
-    >>> done.name, done.path.name, done.outcome
-    ('0', '0.tif', 'rendered')
+    >>> FrameResult("f1", Path("pictures/f1.tif"), "kept").outcome
+    'kept'
     """
 
     name: str

@@ -14,7 +14,7 @@ from lfcal import Calibration, Lattice
 from lfcal.runtime.eight_bit import to_eight_bits
 
 from ..data.depth_map import BINOCULAR, TELESCOPIC, DepthMap
-from ..data.rendering import Rendering
+from ..data.rendering import PictureGrid, Rendering
 from ..output.depth_picture import MODES, confidence_picture, magnification_picture, mode_picture
 from ..rendering.render import render
 from ..rendering.traditional import traditional
@@ -99,11 +99,9 @@ def map_grid(lattice: Lattice) -> tuple[NDArray[np.float64], tuple[int, int]]:
 
     They have at most 1100 columns and 12 pixels per pitch.
     """
-    width, height = lattice.image_size
-    spacing = max(width / 1100, lattice.pitch / 12)
-    first = 0.5 * spacing - 0.5
-    shape = max(1, round(height / spacing)), max(1, round(width / spacing))
-    return np.array([[spacing, 0.0, first], [0.0, spacing, first]]), shape
+    pitch = lattice.pitch
+    grid = PictureGrid(lattice.image_size, pitch, min(12.0, 1100 * pitch / lattice.image_size[0]))
+    return grid.affine(), grid.size[::-1]
 
 
 def maps(depth: DepthMap, lattice: Lattice) -> dict[str, NDArray[np.uint8]]:

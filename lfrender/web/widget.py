@@ -25,20 +25,8 @@ def light_field_widget(
     binocular ones [px]), `brightness` (-3 to 3 [EV]), `aperture` (0.05 to 1), `viewpoint` (x, y [px]), `overlay`
     (0 to 1).
 
-    Parameters
-    ----------
-    flat : (H, W) or (H, W, C) array
-    calibration : Calibration
-    depth : DepthMap
-        Of this flat.
-    title : str
-    height : int
-        Of the widget [CSS px].
-
-    Returns
-    -------
-    anywidget.AnyWidget
-        LightFieldError if that package is not installed.
+    `height` is that of the widget [CSS px]. LightFieldError if the package `anywidget` is not installed; other errors
+    as of `viewer_page`.
 
     Examples
     --------
