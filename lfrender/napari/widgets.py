@@ -25,9 +25,7 @@ __all__ = ["analyze", "calibrate", "render"]
 
 
 def calibrate(
-    flat: "napari.types.ImageData",
-    kind: Literal["auto", "white", "scene"] = "auto",
-    save_to: Path = Path(),
+    flat: "napari.types.ImageData", kind: Literal["auto", "white", "scene"] = "auto", save_to: Path = Path()
 ) -> list["napari.types.LayerDataTuple"]:
     """The centres of the microimages as points; `save_to` is a camera file to write."""
     camera = find_camera(_pixels(flat), kind=kind)

@@ -134,25 +134,21 @@ def _write_text(path: Path, text: str) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
+_NERFSTUDIO_FILES = {"file_path": "images", "depth_file_path": "depth", "mask_path": "masks"}
+
+
 def _write_nerfstudio(folder: Path, views: list[_Posed], unit: str) -> None:
     """`transforms.json`: axes x right, y up, z backwards, pixel (0, 0) from 0 to 1."""
     step = _write_files(folder, views, "{}.png")
     frames = []
     for view in views:
         camera, (x, y, z) = view.camera, view.camera.position.tolist()
-        frames.append({
-            "file_path": f"images/{view.stem}.png",
-            "depth_file_path": f"depth/{view.stem}.png",
-            "mask_path": f"masks/{view.stem}.png",
-            "fl_x": camera.focal[0],
-            "fl_y": camera.focal[1],
-            "cx": camera.principal_point[0] + 0.5,
-            "cy": camera.principal_point[1] + 0.5,
-            "w": camera.size[0],
-            "h": camera.size[1],
-            **dict(zip(("k1", "k2", "p1", "p2"), camera.distortion, strict=True)),
-            "transform_matrix": [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]],
-        })  # fmt: skip
+        x0, y0 = (at + 0.5 for at in camera.principal_point)
+        files = {kind: f"{place}/{view.stem}.png" for kind, place in _NERFSTUDIO_FILES.items()}
+        lens = {"fl_x": camera.focal[0], "fl_y": camera.focal[1], "cx": x0, "cy": y0}
+        lens |= dict(zip(("w", "h", "k1", "k2", "p1", "p2"), (*camera.size, *camera.distortion), strict=True))
+        pose = [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]]
+        frames.append({**files, **lens, "transform_matrix": pose})
     model = {"camera_model": "OPENCV", "unit": unit, "depth_unit_scale_factor": step, "frames": frames}
     _write_text(folder / "transforms.json", json.dumps(model, indent=1))
 
@@ -210,22 +206,12 @@ def _write_rvs(folder: Path, views: list[_Posed], unit: str) -> None:
         with atomic_write(folder / f"{name}_depth_{size}_yuv420p16le.yuv") as temporary:
             temporary.write_bytes(np.ascontiguousarray(whole).tobytes() + grey.tobytes())
         x, y, z = view.camera.position.tolist()
-        cameras.append({
-            "Name": name,
-            "Position": [z, -x, -y],
-            "Rotation": [0.0, 0.0, 0.0],
-            "Depthmap": 1,
-            "Background": 0,
-            "Depth_range": [near, far],
-            "Resolution": [layout.width, layout.height],
-            "Projection": "Perspective",
-            "Focal": list(view.camera.focal),
-            "Principle_point": [p + 0.5 for p in view.camera.principal_point],
-            "BitDepthColor": 10,
-            "BitDepthDepth": 16,
-            "ColorSpace": "YUV420",
-            "DepthColorSpace": "YUV420",
-        })  # fmt: skip
+        cameras.append(
+            {"Name": name, "Position": [z, -x, -y], "Rotation": [0.0, 0.0, 0.0], "Depthmap": 1, "Background": 0}
+            | {"Depth_range": [near, far], "Resolution": [layout.width, layout.height], "Projection": "Perspective"}
+            | {"Focal": list(view.camera.focal), "Principle_point": [p + 0.5 for p in view.camera.principal_point]}
+            | {"BitDepthColor": 10, "BitDepthDepth": 16, "ColorSpace": "YUV420", "DepthColorSpace": "YUV420"}
+        )
     about = {"Converted_by": "lfrender", "Unit": unit}
     model = {"Version": "2.0", "Content_name": folder.name, "Fps": 1, "Frames_number": 1, "Informative": about}
     _write_text(folder / "cameras.json", json.dumps(model | {"cameras": cameras}, indent=1))

@@ -101,19 +101,10 @@ class ViewRig:
     _slope: float = field(default=1.0, repr=False)
 
     def depth(self, view: int, patch_size: NDArray[Any], places: Array) -> NDArray[np.float32]:
-        """Distance along the axis, in the unit of the rig, of what view number `view` shows.
+        """(h, w) float32: distance along the axis, in the unit of the rig, of what view number `view` shows.
 
-        Parameters
-        ----------
-        view : int
-        patch_size : (h, w) array [px]
-        places : (h, w, 2) [px]
-            `Y`, where it is drawn on the microlens plane.
-
-        Returns
-        -------
-        (h, w) float32
-            inf at infinity, NaN where the optics can image nothing.
+        `patch_size` (h, w) [px] is drawn at `places` (h, w, 2) [px] on the microlens plane, `Y`. It is inf at infinity,
+        NaN where the optics can image nothing.
         """
         virtual = virtual_depth(np.asarray(patch_size, np.float32), self._pitch).astype(np.float64)
         if self._optics is None:

@@ -68,11 +68,7 @@ def _page(title: str, data: dict[str, str] | None = None) -> str:
 
 
 def write_viewer(
-    folder: str | os.PathLike[str],
-    flat: NDArray,
-    calibration: Calibration,
-    depth: DepthMap,
-    title: str = "Light field",
+    folder: str | os.PathLike[str], flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field"
 ) -> Path:
     """Write the viewer as one page that holds everything, or as static files; returns the path of its page.
 
