@@ -143,30 +143,29 @@ class CaptureInput:
         """The depth of the file, or of the flat in colour; `options` as for `lfrender.analyze`."""
         with self.report.stage("analyze"):
             if self.depth_file is not None:
-                depth = self.read_depth()
-                if depth.image_size == (pixels.shape[1], pixels.shape[0]) and not depth.is_of(pixels):
-                    self.warn_of_other_flat()
-                return depth
+                return self.read_depth(pixels)
             from .. import analyze
 
             return analyze(pixels, calibration, preset=self.preset or "balanced", **options)
 
-    def warn_of_other_flat(self) -> None:
-        """Warn that the depth file was made from other pixels."""
-        self.report.warn(
-            f"{self.depth_file} was made from another flat than {self.flat}: edges of the scene may be drawn at wrong "
-            "places; analyse this flat"
-        )
+    def read_depth(self, flat: NDArray[Any] | FlatSource | None) -> DepthMap:
+        """The depth of the file, with a warning if it was made from another flat of this size; None asks for no check.
 
-    def read_depth(self) -> DepthMap:
-        """The depth of the file."""
+        Flats of a colour filter mosaic are checked in colour.
+        """
         from ..data.depth_map import DepthFileError, DepthMap
 
         path = self.depth_file
         assert path is not None
         if path.suffix.lower() != ".npz" and path.exists():
             raise DepthFileError(f"{path}: is no depth map (.npz); make one with 'lfrender analyze'")
-        return DepthMap.load(path)
+        depth = DepthMap.load(path)
+        if flat is not None and depth.image_size == flat.shape[1::-1] and not depth.is_of(flat):
+            self.report.warn(
+                f"{path} was made from another flat than {self.flat}: edges of the scene may be drawn at wrong places; "
+                "analyse this flat"
+            )
+        return depth
 
 
 def is_large(flat: Path, least_bytes: float = 1e8) -> bool:

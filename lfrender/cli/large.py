@@ -54,9 +54,8 @@ def render_in_tiles(
         if patch_size is None:
             with report.stage("analyze"):
                 if capture.depth_file is not None:
-                    depth = capture.read_depth()
-                    if not _is_of(depth, source, calibration):
-                        capture.warn_of_other_flat()
+                    raw = calibration.mosaic is not None and len(source.shape) == 2
+                    depth = capture.read_depth(None if raw else source)
                 else:
                     key = fingerprint(_identity(capture), calibration.to_dict(), capture.preset)
                     depth = checkpoint.reuse(
@@ -79,16 +78,6 @@ def render_in_tiles(
         found, figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth),
         f"{output}: {width} x {height} px in {made.tiles} tiles{kept}, in {report.took}.",
     )  # fmt: skip
-
-
-def _is_of(depth: DepthMap, source: FlatSource, calibration: Calibration) -> bool:
-    """Whether a depth map was made from a flat, for all that is known."""
-    from ..data.flat_samples import is_same_flat, sample_source
-
-    raw = calibration.mosaic is not None and len(source.shape) == 2
-    if raw or depth.flat_samples is None or depth.image_size != source.shape[1::-1]:
-        return True
-    return is_same_flat(depth.flat_samples, sample_source(source))
 
 
 def _find_camera(capture: CaptureInput, source: FlatSource, checkpoint: Checkpoint | None = None) -> Calibration:

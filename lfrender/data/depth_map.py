@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Calibration, CalibrationError, LightFieldError, Optics
+from lfcal import Calibration, CalibrationError, FlatSource, LightFieldError, Optics
 from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.quantiles import quantile
-from .flat_samples import is_same_flat, sample_flat
+from .flat_samples import is_same_flat, sample_flat, sample_source
 from .frame_state import FrameState
 from .surface import Surface
 
@@ -165,14 +165,15 @@ class DepthMap(Frozen):
         places = np.asarray(first) + spacing * np.stack([u, v], -1).reshape(-1, 2)
         return self.filled[cKDTree(self.centres).query(places)[1]].reshape(shape)
 
-    def is_of(self, flat: NDArray) -> bool:
+    def is_of(self, flat: NDArray | FlatSource) -> bool:
         """Whether it was made from a flat (H, W) or (H, W, C), in any type or exposure; True where that is unknown.
 
         Flats of a colour filter mosaic are given in colour, as they were analysed.
         """
         if self.flat_samples is None:
             return True
-        return is_same_flat(self.flat_samples, sample_flat(flat))
+        samples = sample_source(flat) if isinstance(flat, FlatSource) else sample_flat(flat)
+        return is_same_flat(self.flat_samples, samples)
 
     def distance(self, camera: Optics | Calibration) -> NDArray[np.float64]:
         """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved.

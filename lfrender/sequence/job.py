@@ -114,6 +114,7 @@ class Job:
     dark: str | None = None  # file of the dark frame
     encoded: bool = False  # frames are encoded for display, whatever bits they have
     still: float | None = None  # patch size [px] of the places that all views have in common
+    stopped: bool = False  # nobody takes the results of further frames
     _output: ViewOutput | None = None
     _keys: dict[int, _Reference] = field(default_factory=dict)  # the last two, of neighbouring segments
     _lock: RLock = field(default_factory=RLock, compare=False)
@@ -336,6 +337,8 @@ def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
     """The outcomes of a group in the order of its frames, the missing ones rendered."""
     outcomes, first = list(group.outcomes), None
     for number, frame in group.missing:
+        if job.stopped:
+            break
         start = perf_counter()
         try:
             flat = job.read(frame)

@@ -51,13 +51,18 @@ class Workers:
         limit = numba.set_num_threads, (numba.get_num_threads(),)
         waiting: deque[Future[Any]] = deque()
         with ThreadPoolExecutor(self._at_once, initializer=limit[0], initargs=limit[1]) as pool:
-            for number, item in enumerate(items):
-                # The first one, in this thread, imports what all need.
-                waiting.append(pool.submit(task, shared, item, None) if number else _done(task(shared, item, None)))
-                while len(waiting) > self._at_once:
+            try:
+                for number, item in enumerate(items):
+                    # The first one, in this thread, imports what all need.
+                    waiting.append(pool.submit(task, shared, item, None) if number else _done(task(shared, item, None)))
+                    while len(waiting) > self._at_once:
+                        yield waiting.popleft().result()
+                while waiting:
                     yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
+            finally:
+                # Where not all results are taken, tasks end as soon as they look at this.
+                shared.stopped = True
+                pool.shutdown(cancel_futures=True)
 
     def _map_there(self, task: Any, shared: Any, items: Iterable[Any], load: Any) -> Iterator[Any]:
         assert self._client is not None

@@ -87,11 +87,10 @@ def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole,
     started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast", **SHORT)
     list(islice(started, 2))
     started.close()
-    # What was being worked on by then is there.
-    for name in ("f9", "f12"):
-        (tmp_path / f"{name}.tif").unlink(missing_ok=True)
+    (tmp_path / "f9.tif").unlink()
     results = _run(sequence, tmp_path, **SHORT)
-    assert [r.outcome for r in results] == ["kept", "rendered", "kept", "kept", "rendered"]
+    # Of the others some may be there.
+    assert [r.outcome for r in results[:2]] == ["kept", "rendered"]
     assert _pictures(tmp_path) == _pictures(whole[0])
 
 
