@@ -23,7 +23,6 @@ from ...runtime.buffers import allocate_scratch
 from ...runtime.cache import cached
 from ..same_surface import TOLERANCE, same_surface
 from .hypotheses import MAX_HYPOTHESES, hypothesis_constants, propose_hypotheses
-from .photoconsistency import view_constants
 from .scene_grid import grid_shape, scene_grid
 from .settings import SURFACE, SurfaceSettings
 
@@ -163,9 +162,7 @@ def densify(
     gap = np.float32(TOLERANCE * pitch)
     grid = scene_grid(lattice, start[0], spacing)
     # Pixels that differ by no more than twice their noise match.
-    constants = hypothesis_constants(
-        gap, pitch, settings.voting_reach * pitch, view_constants(gray.radius, 4 * noise * noise)
-    )
+    constants = hypothesis_constants(gap, pitch, settings.voting_reach * pitch, gray.radius, 4 * noise * noise)
     known = before is not None and before.patch_size.shape == shape and before.first == start
     old = before.patch_size if before is not None and known and unchanged is not None else _NOTHING
     table = np.empty((len(values), 6), np.float32)

@@ -12,13 +12,7 @@ from lfcal.runtime.kernels.jit import kernel
 from ...flat.distorted_lookup import nearest_index
 from ..depth_order import depth_order
 from ..same_surface import same_surface
-from .photoconsistency import (
-    MAX_VIEWS,
-    WORK,
-    ViewConstants,
-    sample_views,
-    view_mismatch,
-)
+from .photoconsistency import MAX_VIEWS, view_mismatch
 from .scene_grid import SceneGrid, lens_at
 from .settings import SURFACE, SurfaceSettings
 from .votes import cluster_votes, find_central, find_voters, gather_table, mean_around, sort_votes
@@ -28,24 +22,20 @@ __all__ = ["MAX_HYPOTHESES", "hypothesis_constants", "propose_hypotheses"]
 #: Hypotheses of one scene point, at most.
 MAX_HYPOTHESES = 5
 
-# Float32 values of `SurfaceSettings`, the tolerance of one surface, the pitch [px], the squared distance within
-# which lenses vote [px^2], and from the last but three on those of `ViewConstants`.
+# Float32 values of `SurfaceSettings`, the tolerance of one surface and the pitch [px], the squared distance within
+# which lenses vote [px^2], the radius of a microimage [px], and the mismatch `floor` that noise explains.
 HypothesisConstants = namedtuple(
     "HypothesisConstants",
-    "occluded_cost second_weight unvoted_cost gap pitch vote2 unknown occluded_views radius floor",
+    "occluded_cost second_weight unvoted_cost unknown occluded_views gap pitch vote2 radius floor",
 )  # fmt: skip
 
 
 def hypothesis_constants(
-    gap: np.float32,
-    pitch: float,
-    voting_reach: float,
-    views: ViewConstants,
-    settings: SurfaceSettings = SURFACE,
+    gap: float, pitch: float, voting_reach: float, radius: float, floor: float, settings: SurfaceSettings = SURFACE
 ) -> HypothesisConstants:
     """Values for `propose_hypotheses`: tolerance of one surface, pitch, and distance within which lenses vote [px]."""
-    named = [np.float32(getattr(settings, name)) for name in HypothesisConstants._fields[:3]]
-    return HypothesisConstants._make((*named, gap, np.float32(pitch), np.float32(voting_reach**2), *views))
+    named = [getattr(settings, name) for name in HypothesisConstants._fields[:5]]
+    return HypothesisConstants._make(map(np.float32, (*named, gap, pitch, voting_reach**2, radius, floor)))
 
 
 @njit(error_model="numpy")
@@ -79,20 +69,20 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
 
 
 @njit(error_model="numpy")
-def _measure_mismatch(image, near_x, near_y, work, c, central, x, y, everyone, depths, costs, seen):
+def _measure_mismatch(image, near_x, near_y, c, central, x, y, everyone, depths, costs, samples, views):
     """Turn the weights of hypotheses in `costs`, out of `everyone`, into their mismatch plus the price of few votes."""
-    # All pixels are fetched before the first comparison: what was just written in single values is slow to read as a
-    # vector.
     nearest = 0
     for k in range(len(depths)):
-        base = np.uint64(k) * np.uint64(WORK)
-        seen[k] = sample_views(image, near_x, near_y, work, c.radius, central, x, y, depths[k] / c.pitch, base)
         if depth_order(depths[k], c.pitch) > depth_order(depths[nearest], c.pitch):
             nearest = k
     for k in range(len(depths)):
-        base = np.uint64(k) * np.uint64(WORK)
-        unvoted = max(np.float32(0.0), 1 - costs[k] / everyone)
-        costs[k] = view_mismatch(work, c, k == nearest, seen[k], base) + c.unvoted_cost * unvoted
+        cost, seen = view_mismatch(
+            image, near_x, near_y, central, x, y, depths[k] / c.pitch, c.radius, c.floor, c.unknown, samples, views
+        )
+        if k != nearest and cost > c.unknown:
+            # Behind another depth, where views may be occluded, a mismatch tells less.
+            cost = c.unknown + (cost - c.unknown) * np.float32(seen) / (np.float32(seen) + c.occluded_views)
+        costs[k] = cost + c.unvoted_cost * max(np.float32(0.0), 1 - costs[k] / everyone)
 
 
 @kernel(error_model="numpy", share=lambda *given: given[9].shape[1])
@@ -134,8 +124,8 @@ def propose_hypotheses(
         sizes, weights = np.empty(known * most_near, np.float32), np.empty(known * most_near, np.float32)
         near_x, near_y = np.empty(MAX_VIEWS, np.float32), np.empty(MAX_VIEWS, np.float32)
         own, prices, matches = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
-        central, work = np.empty(MAX_VIEWS, np.int64), np.zeros(most * WORK, np.float32)
-        seen = np.empty(most, np.int64)
+        central, views = np.empty(MAX_VIEWS, np.int64), np.empty(MAX_VIEWS, np.float32)
+        samples = np.empty((MAX_VIEWS, 11), np.float32)
         count = 0
         around_i, around_j = 2**62, 0
         for u in range(columns):
@@ -163,9 +153,9 @@ def propose_hypotheses(
             if coarse.size > 0:
                 found = _keep_coarse(coarse, v, u, gap, own, prices, found)
             if found > 1:
-                views = find_central(nearby, count, distance, central, near_x, near_y)
+                shown = find_central(nearby, count, distance, central, near_x, near_y)
                 _measure_mismatch(
-                    image, near_x, near_y, work, c, views, px, py, everyone, own[:found], prices[:found], seen
+                    image, near_x, near_y, c, shown, px, py, everyone, own[:found], prices[:found], samples, views
                 )
                 _add_occlusion(own[:found], prices[:found], matches, c)
                 for k in range(1, found):
