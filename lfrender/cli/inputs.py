@@ -15,14 +15,20 @@ from lfcal.runtime import console
 from lfcal.runtime.image_formats import VIDEO_FORMATS, Mosaic
 from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
+from . import figures
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lfcal import Calibration, FlatSource
 
     from ..data.depth_map import DepthMap
+    from ..data.rendering import Rendering
 
-__all__ = ["CaptureInput", "is_large", "is_published"]
+__all__ = ["MOVING", "CaptureInput", "is_large", "is_published"]
+
+#: Suffixes of files that hold nothing but moving pictures.
+MOVING = (".gif", ".mkv", ".mp4")
 
 
 @dataclass(frozen=True)
@@ -166,6 +172,32 @@ class CaptureInput:
                 "analyse this flat"
             )
         return depth
+
+    def write(
+        self, output: Path, pictures: list[Rendering], settings: list[dict[str, Any]], eight_bits: bool, **options: Any
+    ) -> tuple[list[Path], list[str]]:
+        """Write a picture, with `options`, a stack or an animation; the files, and what is to be said about their bits.
+
+        Animations go there and back again.
+        """
+        from ..output.metadata import read_metadata
+        from ..output.picture import eight_bits as to_eight_bits
+        from ..output.picture import needs_eight_bits, write_picture, write_stack
+
+        first, stated, embedded = pictures[0], [], read_metadata(self.flat)
+        if first.image.dtype.name != "uint8" and (eight_bits or needs_eight_bits(output, first)):
+            stated = [figures.eight_bits_sentence(first.white, first.image.dtype)]
+            pictures = [to_eight_bits(picture) for picture in pictures]
+        with self.report.stage("write"):
+            if output.suffix.lower() in MOVING:
+                from ..sequence.film import write_moving
+
+                write_moving(output, [*pictures, *pictures[-2:0:-1]])
+            elif len(pictures) > 1:
+                return write_stack(output, pictures, settings=settings, embedded=embedded), stated
+            else:
+                write_picture(output, pictures[0], settings=settings[0], embedded=embedded, **options)
+        return [output], stated
 
 
 def is_large(flat: Path, least_bytes: float = 1e8) -> bool:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from lfcal import Calibration
 
     from ..data.depth_map import DepthMap
-    from ..data.rendering import Rendering
 
 __all__ = ["render"]
 
@@ -88,7 +87,7 @@ def render(capture: CaptureInput, given: Any) -> None:
             picture = run(pixels, calibration, depth, roi=roi, **options)
     drawn = None if traditional else depth
     settings = figures.rendering_settings(drawn, patch_size, given.detail)
-    stated = _write(capture, output, picture, settings, given.eight_bits, **stored)
+    _, stated = capture.write(output, [picture], [settings], given.eight_bits, **stored)
     what = "a pixel per microlens" if traditional else "sharp at every depth"
     if patch_size is not None:
         what = f"of one patch size, {patch_size:g} px{', mixed from all lenses' if given.blend else ''}"
@@ -114,20 +113,3 @@ def _find_depth(capture: CaptureInput, pixels: NDArray[Any], calibration: Calibr
         with option_errors(capture.roi):
             needed = expand_roi(capture.roi, calibration)
     return capture.analyze(pixels, calibration, roi=needed, edges=edges)
-
-
-def _write(
-    capture: CaptureInput, output: Path, picture: Rendering, settings: dict[str, Any], eight_bits: bool, **options: Any
-) -> list[str]:
-    """Write the picture; what is to be said about its bits."""
-    from ..output.metadata import read_metadata
-    from ..output.picture import eight_bits as to_eight_bits
-    from ..output.picture import needs_eight_bits, write_picture
-
-    stated = []
-    if (eight_bits and picture.image.dtype.name != "uint8") or needs_eight_bits(output, picture):
-        stated = [figures.eight_bits_sentence(picture.white, picture.image.dtype)]
-        picture = to_eight_bits(picture)
-    with capture.report.stage("write"):
-        write_picture(output, picture, settings=settings, embedded=read_metadata(capture.flat), **options)
-    return stated

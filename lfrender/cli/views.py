@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -12,7 +11,7 @@ import click
 from lfcal.runtime.output_file import check_folder
 
 from . import figures
-from .inputs import CaptureInput
+from .inputs import MOVING, CaptureInput
 from .options import at_most_one, capture_command, grid_size, option_errors
 
 if TYPE_CHECKING:
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["refocus", "views"]
 
 _View = TypeVar("_View")
-# As `lfrender.sequence.film` has them, which is not loaded before a command runs.
-_MOVING = (".gif", ".mkv", ".mp4")
 # Suffixes that no folder has, of files that are not written.
 _NO_FOLDERS = (".apng", ".avi", ".m4v", ".mov", ".mpeg", ".mpg", ".webm", ".wmv")
 # Pictures of an animation where no number is given: two seconds.
@@ -49,7 +46,7 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     """
     output, at, patch_sizes, stack = given.output, given.at, given.patch_sizes, given.stack
     at_most_one("--patch-size", patch_sizes or None, "--at", at, "--stack", stack)
-    moving = output.suffix.lower() in _MOVING
+    moving = output.suffix.lower() in MOVING
     if not (patch_sizes or at or stack):
         if not moving:
             raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
@@ -78,7 +75,7 @@ def refocus(capture: CaptureInput, given: Any) -> None:
             pictures = [run(pixels, calibration, one, position=at, depth=depth, **drawing)]
         pictures = [_cut(picture, capture, calibration) for picture in pictures]
     settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
-    paths, stated = _write_refocused(capture, output, pictures, settings, given.eight_bits)
+    paths, stated = capture.write(output, pictures, settings, given.eight_bits)
     written = {"picture": str(output)} if len(paths) == 1 else {"pictures": [str(path) for path in paths]}
     what = f"{len(pictures)} depths" if len(pictures) > 1 else "in focus at one depth"
     named = output if len(paths) == 1 else f"{paths[0]} to {paths[-1].name}"
@@ -95,30 +92,6 @@ def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) ->
     from ..output.views import crop_view
 
     return picture if capture.roi is None else crop_view(picture, capture.roi, calibration.lattice)
-
-
-def _write_refocused(
-    capture: CaptureInput, output: Path, pictures: list[Rendering], settings: list[dict[str, Any]], eight_bits: bool
-) -> tuple[list[Path], list[str]]:
-    """Write one picture, a stack or an animation; the files, and what is to be said about them."""
-    from ..output.metadata import read_metadata
-    from ..output.picture import eight_bits as to_eight_bits
-    from ..output.picture import needs_eight_bits, write_picture, write_stack
-    from ..sequence.film import write_moving
-
-    first, stated = pictures[0], []
-    if first.image.dtype.name != "uint8" and (eight_bits or needs_eight_bits(output, first)):
-        stated = [figures.eight_bits_sentence(first.white, first.image.dtype)]
-        pictures = [to_eight_bits(picture) for picture in pictures]
-    with capture.report.stage("write"):
-        embedded = read_metadata(capture.flat)
-        if output.suffix.lower() in _MOVING:
-            write_moving(output, [*pictures, *pictures[-2:0:-1]])
-        elif len(pictures) > 1:
-            return write_stack(output, pictures, settings=settings, embedded=embedded), stated
-        else:
-            write_picture(output, pictures[0], settings=settings[0], embedded=embedded)
-    return [output], stated
 
 
 @capture_command(
@@ -144,7 +117,7 @@ def views(capture: CaptureInput, given: Any) -> None:
     for option, value in (("--resize", given.resize), ("--roi", capture.roi)):
         at_most_one(option, value, "--poses", given.poses)
     output, still = given.output, given.grid or given.stereo or given.quilt or given.poses
-    if given.animation is None and output.suffix.lower() in _MOVING and not still:
+    if given.animation is None and output.suffix.lower() in MOVING and not still:
         given.animation = _PICTURES
     given.grid = grid_size("--grid", given.grid or "5x5")
     given.quilt = None if given.quilt is None else grid_size("--quilt", given.quilt)
@@ -203,7 +176,7 @@ def _check_views(given: Any, dtype: Any = None, inputs: Any = ()) -> None:
     elif given.stereo or given.quilt:
         check_format(output, "picture", dtype=dtype, inputs=inputs)
     elif suffix in _NO_FOLDERS:
-        raise click.UsageError(f"{output}: films and animations are written as {', '.join(_MOVING)}")
+        raise click.UsageError(f"{output}: films and animations are written as {', '.join(MOVING)}")
     elif suffix in FORMATS:
         raise click.UsageError(
             f"{output} is one file: say what it shows with --stereo, --animation N or --quilt 8x6, or give a folder"
