@@ -27,7 +27,7 @@ def test_recipe_for_conda_needs_what_the_project_needs():
     run = recipe.partition("  run:\n")[2].partition("\n\n")[0]
     for need in PROJECT["dependencies"]:
         name, bound = need.split(">=")
-        name = {"opencv-contrib-python-headless": "opencv"}.get(name, name)
+        name = {"opencv-contrib-python-headless": "opencv", "matplotlib": "matplotlib-base"}.get(name, name)
         assert f"    - {name} >={bound}" in run, need
 
 
