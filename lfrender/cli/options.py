@@ -171,18 +171,10 @@ def options(
 ) -> Callable[[Any], Any]:
     """Give a command options of the table, and those of reports.
 
-    It is called with a `CaptureInput`, and a namespace of the values of its own options.
-
-    Parameters
-    ----------
-    output : decorator, optional
-        As from `output_option`.
-    own : mapping of str to str
-        Titles in the help, and the names of options under each.
-    refused : mapping of str to str, or str
-        Options of the capture that make no sense here, with the reason to say; a text is that of all of them.
-    inputs : str
-        What the camera is calibrated from, in the help.
+    It is called with a `CaptureInput`, and a namespace of the values of its own options: of `output`, as from
+    `output_option`, and of `own`, titles in the help with the names of options under each. `refused` are options of the
+    capture that make no sense, with the reason to say, or one reason for all of them. `inputs` is what the camera is
+    calibrated from, in the help.
     """
     reasons = dict(refused) if not isinstance(refused, str) else dict.fromkeys(_FIELDS, refused) if refused else {}
 

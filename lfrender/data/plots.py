@@ -101,19 +101,8 @@ def napari_layers(
 
     Add them by `for layer in napari_layers(...): viewer.add_layer(napari.layers.Layer.create(*layer))`.
 
-    Parameters
-    ----------
-    flat : (H, W) or (H, W, 3) array_like, optional
-    calibration : Calibration, optional
-        Its centres become points.
-    depth : DepthMap, optional
-        Its magnification over the scene becomes an image.
-    rendering : Rendering, optional
-
-    Returns
-    -------
-    list of (data, keywords, type)
-        napari's layer data tuples; napari itself need not be installed.
+    `flat` is (H, W) or (H, W, 3); the centres of `calibration` become points, the magnification of `depth` over the
+    scene an image. Returns layer data tuples, (data, keywords, type); napari itself need not be installed.
 
     Examples
     --------

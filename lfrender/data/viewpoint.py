@@ -41,23 +41,10 @@ class Viewpoint:
         return float(np.hypot(*self.offset) * np.abs(virtual_depth(surface.patch_size, lattice.pitch)).max())
 
     def warp_surface(self, surface: Surface, lattice: Lattice, edge: float) -> tuple[Surface, NDArray[np.float64]]:
-        """The surface as seen from here, and the shift of the picture's frame.
+        """The surface as seen from here, and the shift (2,) [px], order `x, y`, of the picture's frame.
 
-        Where it uncovers what the middle view hides, the farther of the surfaces beside it is continued.
-
-        Parameters
-        ----------
-        surface : Surface
-            As seen from the middle of the aperture.
-        lattice : Lattice
-        edge : float [px]
-            As `edge_step`.
-
-        Returns
-        -------
-        surface : Surface
-        moved : (2,) float64 [px]
-            Order `x, y`.
+        `surface` is that seen from the middle of the aperture, `edge` [px] is as `edge_step`. Where the surface
+        uncovers what the middle view hides, the farther of the surfaces beside it is continued.
         """
         moved = self.still * np.array(self.offset, dtype=float)
         if not any(self.offset):

@@ -52,14 +52,8 @@ def raw_format_of(shape: tuple[int, ...], pixel_format: str) -> RawFormat:
 def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = None) -> bytes:
     """The bytes of a frame: BT.601 of limited range, as FFmpeg takes raw video to be.
 
-    Parameters
-    ----------
-    pixels : (h, w) or (h, w, 3) array, uint8, uint16 or float
-        A last column or row that has no partner is left out where the format shares colours.
-    pixel_format : str
-        Such as `"yuv420p10"`.
-    white : float, optional
-        White level of integers, if it is less than the largest value of the type.
+    `pixels` are (h, w) or (h, w, 3), uint8, uint16 or float; `white` is the white level of integers, if it is less than
+    the largest value of the type. A last column or row without a partner is left out where the format shares colours.
     """
     from av import VideoFrame
 

@@ -56,21 +56,10 @@ def run_demo(
 ) -> dict[str, Any]:
     """Simulate the scene `house`, calibrate, analyse and render it, and write pictures and an HTML page.
 
-    Only the flat is used; the white image is calibrated as well, for comparison.
-
-    Parameters
-    ----------
-    folder : path-like
-        Made if it does not exist. Files of the same names in it are replaced. OutputError if it cannot be written.
-    report : Report, optional
-        Gets the stages and their seconds.
-    flat_size, samples, seed
-        Width and height [px] of the simulated flat, rays per pixel and microlens, and seed of the simulation.
-
-    Returns
-    -------
-    dict
-        The figures on the page, as plain numbers.
+    Only the flat is used; the white image is calibrated as well, for comparison. The folder is made if it does not
+    exist, files of the same names in it are replaced; OutputError if it cannot be written. `report` gets the stages and
+    their seconds; `flat_size` is width and height [px], `samples` are rays per pixel and microlens. Returns the figures
+    on the page, as plain numbers.
     """
     target = make_folder(folder, parents=True)
     report = report or Report(quiet=True)

@@ -75,13 +75,8 @@ def write_viewer(
     OutputError if it cannot be written; FlatError and CalibrationError as `render`. The page works where it is served,
     and from a disk. To put it on a web page, use an `iframe`.
 
-    Parameters
-    ----------
-    folder : path-like
-        One page, if it ends with `.html` or `.htm`; else the folder of the files, made if it does not exist, where
-        files of the same names are replaced.
-    flat, calibration, depth, title
-        As for `viewer_files`.
+    `folder` is one page, if it ends with `.html` or `.htm`; else the folder of the files, made if it does not exist,
+    where files of the same names are replaced. The other arguments are those of `viewer_files`.
 
     Examples
     --------
