@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -150,13 +151,16 @@ def render_large(
     missing = {number: part for number, part in parts.items() if str(number) not in done}
     # A copy, without the tables that are cached in it: workers compute their own.
     drawn = workers.map(_draw_tile, _Drawing(replace(drawing), reader), missing.values(), _read_part)
-    for (number, part), (image, valid) in zip(missing.items(), drawn, strict=True):
-        pixels = image if reader.channels > 1 else image[:, :, 0]
-        writer.write(part, with_alpha(pixels, valid) if alpha else pixels)
+
+    def store(number: int, pixels: NDArray[Any], valid: NDArray[np.bool_]) -> None:
+        pixels = pixels if reader.channels > 1 else pixels[:, :, 0]
+        writer.write(parts[number], with_alpha(pixels, valid) if alpha else pixels)
         done[str(number)] = int(np.count_nonzero(valid))
         checkpoint.keep("picture", key, done)
+
+    for count, _ in enumerate(_store_beside(missing, drawn, store), kept + 1):
         if progress is not None:
-            progress(len(done), len(parts))
+            progress(count, len(parts))
     if direct:
         writer.finish(output)
     else:
@@ -164,6 +168,19 @@ def render_large(
     checkpoint.remove()
     valid_share = sum(done.values()) / (shape[0] * shape[1])
     return LargePicture(output, grid.size, grid.affine(), grid.scale, valid_share, len(parts), kept)
+
+
+def _store_beside(numbers: Iterable[int], drawn: Iterable[Any], store: Callable[..., None]) -> Iterator[None]:
+    """Store each tile in a thread while the next one is drawn."""
+    waiting: Future[None] | None = None
+    with ThreadPoolExecutor(1) as pool:
+        for number, (image, valid) in zip(numbers, drawn, strict=True):
+            if waiting is not None:
+                waiting.result()
+            waiting = pool.submit(store, number, image, valid)
+            yield
+        if waiting is not None:
+            waiting.result()
 
 
 def _finished_tiles(checkpoint: Checkpoint, key: str, writer: TileWriter) -> tuple[dict[str, int], int]:
