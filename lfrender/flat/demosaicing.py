@@ -17,13 +17,16 @@ from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import kernel
 
 from .distorted_lookup import displacement_at, lens_displacements, nearest_index
-from .settings import COLOUR, DemosaicSettings
 
 __all__ = ["SUPPORT", "demosaic"]
 
 #: A colour depends on pixels up to so far away [px]: two, times three steps of interpolation.
 SUPPORT = 6
 _COLOURS = {"R": 0, "G": 1, "B": 2}
+# Smaller differences do not show the direction of an edge: noise and rounding [white].
+_EVEN = 0.01
+# A guide that differs by more belongs to another surface, more likely than not [white].
+_SIMILAR = 0.08
 
 
 class _Mosaic(NamedTuple):
@@ -160,9 +163,7 @@ def _refill_rim(begin, end, mosaic, out):
                 out[y, x, 1] = _interpolate_difference(flat, lens, colours, near, similar, 1, colour, y, x, out)
 
 
-def demosaic(
-    flat: NDArray, calibration: Calibration, corner: tuple[int, int] = (0, 0), settings: DemosaicSettings = COLOUR
-) -> NDArray:
+def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = (0, 0)) -> NDArray:
     """Colour flat from one behind a colour filter mosaic; any other flat is returned as it is.
 
     Parameters
@@ -174,7 +175,6 @@ def demosaic(
     corner : (int, int) [px]
         Flat coordinates x, y of the first pixel of a part, both even. Its outermost pixels, up to `SUPPORT`, differ
         from those of the whole.
-    settings : DemosaicSettings
 
     Returns
     -------
@@ -202,10 +202,10 @@ def demosaic(
         _lens_of_pixels(calibration.lattice, corner, pixels.shape),
         np.array([_COLOURS[letter] for letter in calibration.mosaic], np.int8).reshape(2, 2),
         np.exp(-0.5 * np.arange(3.0) ** 2).astype(np.float32),
-        np.float32(settings.similar * white),
+        np.float32(_SIMILAR * white),
     )
     out = np.empty((*pixels.shape, 3), np.float32)
-    _fill_green(mosaic, np.float32(settings.even * white), out)
+    _fill_green(mosaic, np.float32(_EVEN * white), out)
     for colour in (0, 2):
         _fill_colour(mosaic, colour, out)
     _refill_rim(mosaic, out)

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
-from typing import TypeVar
-
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.cache import cached
-from .settings import GRAPH, LensGraphSettings
 
 __all__ = [
     "count_connected", "count_neighbours", "count_similar", "dilate_mask", "distant_rings", "join_opposite",
     "lens_grid", "lens_offsets", "nearest_chosen", "nearest_lens", "neighbour_rows", "opposite_neighbours",
     "restrict_neighbours", "two_rings",
 ]  # fmt: skip
-
-_Value = TypeVar("_Value")
-
-
-def _cache_if_small(lattice: Lattice, key: Hashable, make: Callable[[], _Value]) -> _Value:
-    return cached(lattice, key, make) if len(lattice) <= GRAPH.most_cached else make()
 
 
 def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -47,7 +36,7 @@ def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         grid[ij[:, 1] - low[1], ij[:, 0] - low[0]] = np.arange(len(ij), dtype=np.int32)
         return grid, low
 
-    return _cache_if_small(lattice, "grid", make)
+    return cached(lattice, "grid", make)
 
 
 def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -64,7 +53,7 @@ def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int
         here = ((ij[:, 1] + border) * width + ij[:, 0] + border).astype(np.int64)
         return grid.ravel()[here[:, None] + (steps[:, 1] * width + steps[:, 0])]
 
-    return _cache_if_small(lattice, ("neighbours", steps.tobytes()), make)
+    return cached(lattice, ("neighbours", steps.tobytes()), make)
 
 
 def opposite_neighbours(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -75,7 +64,7 @@ def opposite_neighbours(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np
         half = neighbours.shape[1] // 2
         return np.ascontiguousarray(neighbours[:, :half]), np.ascontiguousarray(neighbours[:, half:])
 
-    return _cache_if_small(lattice, "opposite neighbours", make)
+    return cached(lattice, "opposite neighbours", make)
 
 
 def join_opposite(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -157,76 +146,25 @@ def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:
     return np.asarray(cKDTree(lattice.centres()).query(np.asarray(points, dtype=float))[1], dtype=np.int64)
 
 
-@njit
-def _find_rings_of(neighbours, lens, paths, out):
-    """Write the neighbours of a lens and their neighbours into `out` (m,), each once, then -1; returns their number.
-
-    `paths` (m, 2) holds for each of the second ring by which neighbour of which neighbour it is reached.
-    """
-    count = 0
-    for k in range(neighbours.shape[1]):
-        if neighbours[lens, k] >= 0:
-            out[count] = neighbours[lens, k]
-            count += 1
-    for k in range(neighbours.shape[1]):
-        near = neighbours[lens, k]
-        if near < 0:
-            continue
-        for m in range(neighbours.shape[1]):
-            other = neighbours[near, m]
-            new = other >= 0 and other != lens
-            for seen in range(count):
-                new &= out[seen] != other
-            if new and count < len(out):
-                out[count], paths[count, 0], paths[count, 1] = other, k, m
-                count += 1
-    out[count:] = -1
-    return count
-
-
-@njit
-def _is_complete(neighbours, lens):
-    least = 0
-    for k in range(neighbours.shape[1]):
-        least = min(least, neighbours[lens, k])
-    return least == 0
-
-
 @kernel(error_model="numpy", share=lambda neighbours, out: len(out))
 def _find_two_rings(begin, end, neighbours, out):
-    """As `_find_rings_of`, for each lens. The paths of one lens with complete rings serve all that have all neighbours;
-    lenses of the second ring to which such a path is broken are left out."""
-    most, first = out.shape[1], neighbours.shape[1]
-    paths, found, known = np.empty((most, 2), np.int64), np.empty(most, out.dtype), False
-    for lens in range(len(out)):
-        if _is_complete(neighbours, lens) and _find_rings_of(neighbours, lens, paths, found) == most:
-            known = True
-            break
-    unused = np.empty((most, 2), np.int64)
+    """Write the neighbours of each lens and their neighbours into `out` (n, m), each once, then -1."""
     for lens in range(begin, end):
-        if not known or not _is_complete(neighbours, lens):
-            _find_rings_of(neighbours, lens, unused, out[lens])
-            continue
-        for k in range(first):
-            out[lens, k] = neighbours[lens, k]
-        count = first
-        for n in range(first, most):
-            other = neighbours[neighbours[lens, paths[n, 0]], paths[n, 1]]
-            if other >= 0:
-                out[lens, count] = other
-                count += 1
-        out[lens, count:] = -1
-
-
-@kernel(share=lambda neighbours, steps, out: len(out))
-def _walk(begin, end, neighbours, steps, out):
-    """The lenses `steps` steps from each in the directions of its neighbours, -1 if the way leaves the flat."""
-    for lens in range(begin, end):
+        count = 0
         for k in range(neighbours.shape[1]):
-            at = np.int32(lens)
-            for _ in range(steps):
-                at = neighbours[at, k] if at >= 0 else at
-            out[lens, k] = at
+            if neighbours[lens, k] >= 0:
+                out[lens, count] = neighbours[lens, k]
+                count += 1
+        for n in range(count):
+            for k in range(neighbours.shape[1]):
+                other = neighbours[out[lens, n], k]
+                new = other >= 0 and other != lens and count < out.shape[1]
+                for seen in range(count):
+                    new &= out[lens, seen] != other
+                if new:
+                    out[lens, count] = other
+                    count += 1
+        out[lens, count:] = -1
 
 
 def two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -243,18 +181,21 @@ def two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
     return cached(neighbours, "two rings", make)
 
 
-def distant_rings(neighbours: NDArray[np.int32], settings: LensGraphSettings = GRAPH) -> NDArray[np.int32]:
+def distant_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
     """`two_rings` of every third lens: those three and six steps from each lens.
 
     Their two rings share hardly any lens with its own, so their estimates are nearly independent.
     """
 
     def make() -> NDArray[np.int32]:
-        far = np.empty_like(neighbours)
-        _walk(neighbours, settings.distant_steps, far)
-        return two_rings(far)
+        # -1 leads to the last row, which leads nowhere.
+        beyond = np.vstack([neighbours, np.full((1, neighbours.shape[1]), -1, np.int32)])
+        each, far = np.arange(neighbours.shape[1]), neighbours
+        for _ in range(2):
+            far = beyond[far, each]
+        return two_rings(np.ascontiguousarray(far))
 
-    return cached(neighbours, ("distant rings", settings.distant_steps), make)
+    return cached(neighbours, "distant rings", make)
 
 
 def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

@@ -7,26 +7,24 @@ from numpy.typing import NDArray
 
 from lfcal import LensTypes
 
-from .settings import FOCUS, FocusSettings
-
 __all__ = ["WEIGHT_STEPS", "focus_weights"]
 
 #: Samples of the weights over s / D from -1 to 1.
 WEIGHT_STEPS = 401
+# Distance from its focus within which a lens type is practically sharp [s / D].
+_SHARP = 0.1
 
 
-def focus_weights(
-    types: LensTypes | None, settings: FocusSettings = FOCUS
-) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+def focus_weights(types: LensTypes | None) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Weights of the lens types over depth.
 
     The blur of a microlens grows with the distance of `s / D` from its focus (docs/geometry.md: `s / D` is nearly
-    `b / a`, an inverse distance). The weight of a type falls with that distance, relative to the type nearest to focus.
+    `b / a`, an inverse distance). The weight of a type falls with the square of that distance, relative to
+    the type nearest to focus.
 
     Parameters
     ----------
     types : LensTypes or None
-    settings : FocusSettings
 
     Returns
     -------
@@ -37,6 +35,6 @@ def focus_weights(
     """
     if types is None or types.focus is None or types.count < 2 or not np.isfinite(types.focus).all():
         return np.zeros((0, 0), np.int8), np.ones((1, WEIGHT_STEPS), np.float32)
-    distance = np.abs(np.linspace(-1, 1, WEIGHT_STEPS) - types.focus[:, None]) + settings.sharp
+    distance = np.abs(np.linspace(-1, 1, WEIGHT_STEPS) - types.focus[:, None]) + _SHARP
     # Writable as above: for read-only arrays, kernels are compiled anew.
-    return types.cell.copy(), ((distance.min(0) / distance) ** settings.steepness).astype(np.float32)
+    return types.cell.copy(), ((distance.min(0) / distance) ** 2).astype(np.float32)

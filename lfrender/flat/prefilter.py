@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import kernel
 
-from ..runtime.buffers import allocate_scratch
+from ..runtime.buffers import allocate_pooled
 
 __all__ = ["prefilter_flat", "prefilter_packed"]
 
@@ -31,138 +31,94 @@ def prefilter_flat(pixels: NDArray) -> NDArray:
         Integers are rounded, and clipped to their range.
     """
     rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
-    out = np.empty_like(rows)
-    if rows.dtype.kind == "f":
-        _filter_floats(rows, pixels.shape[2], out)
-    elif rows.dtype == np.uint8:
-        _filter_bytes(rows, pixels.shape[2], out)
-    else:
-        _filter_shorts(rows, pixels.shape[2], np.float32(np.iinfo(rows.dtype).max), out)
-    return out.reshape(pixels.shape)
+    out = np.empty(rows.shape, np.float32)
+    _filter_floats(rows, pixels.shape[2], np.float32(1 / 12), out)
+    if pixels.dtype.kind in "ui":
+        out = np.clip(out + np.float32(0.5), 0, np.iinfo(pixels.dtype).max)
+    return out.astype(pixels.dtype, copy=False).reshape(pixels.shape)
 
 
 # Without fastmath: a part of a flat gets the same bits as the whole, whatever pixels a vector loop handles together.
-@kernel(error_model="numpy", share=lambda flat, *_: len(flat))
-def _filter_floats(begin, end, flat, channels, out):
-    height, width = flat.shape
-    middle, side = np.float32(1 + 4 * (1 / 12)), np.float32(1 / 12)
-    for y in range(begin, end):
-        above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
-        into = out[y]
-        n = width - 2 * channels
-        before, own, after = here[: max(n, 0)], here[channels:], here[2 * channels :]
-        up, down, target = above[channels:], below[channels:], into[channels:]
-        for k in range(n):
-            target[k] = middle * own[k] - side * ((before[k] + after[k]) + (up[k] + down[k]))
-        for edge in range(min(2 * channels, width)):
-            k = edge if edge < channels else width - 2 * channels + edge
-            left, right = here[k - channels if k >= channels else k], here[k + channels if k < width - channels else k]
-            into[k] = middle * here[k] - side * ((left + right) + (above[k] + below[k]))
+@njit(error_model="numpy")
+def _filter_row(flat, y, channels, into):
+    """Sixteen times the pixels of a row less their four neighbours: twelve times what is wanted, in the type of `into`.
 
-
-@njit
-def _filter_row_of_shorts(flat, y, channels, highest, into):
-    """One row, rounded: sixteen twelfths of a pixel minus one twelfth of each neighbour, plus a half.
-
-    Twelve times the result is a whole number that single precision holds exactly, and the constant 1/12 is rounded up
-    there, so that truncating the product is integer division; a vector holds more of these than of integers.
+    Whole numbers of 16 bits in bytes, and of single precision in others, are exact.
     """
-    height, width = flat.shape
-    sixteen, six, zero, twelfth = np.float32(16), np.float32(6), np.float32(0), np.float32(1 / 12)
-    above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
-    n = width - 2 * channels
-    before, own, after = here[: max(n, 0)], here[channels:], here[2 * channels :]
-    up, down, target = above[channels:], below[channels:], into[channels:]
-    for k in range(n):
-        sides = (np.float32(before[k]) + np.float32(after[k])) + (np.float32(up[k]) + np.float32(down[k]))
-        target[k] = min(max(np.float32(own[k]) * sixteen - sides + six, zero) * twelfth, highest)
-    for end in range(min(2 * channels, width)):
-        k = end if end < channels else width - 2 * channels + end
-        left, right = here[k - channels if k >= channels else k], here[k + channels if k < width - channels else k]
-        sides = (np.float32(left) + np.float32(right)) + (np.float32(above[k]) + np.float32(below[k]))
-        into[k] = min(max(np.float32(here[k]) * sixteen - sides + six, zero) * twelfth, highest)
-
-
-@kernel(share=lambda flat, *_: len(flat))
-def _filter_shorts(begin, end, flat, channels, highest, out):
-    for y in range(begin, end):
-        _filter_row_of_shorts(flat, y, channels, highest, out[y])
-
-
-@njit
-def _filter_row_of_bytes(flat, y, channels, line, into):
-    """`_filter_row_of_shorts` for bytes; a line between two loops keeps them to 16 bits, of which a vector holds
-    more."""
+    kind = into.dtype.type
     height, width = flat.shape
     above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
     n = max(width - 2 * channels, 0)
     before, own, after = here[:n], here[channels:], here[2 * channels :]
-    up, down = above[channels:], below[channels:]
-    middle = line[channels:]
+    up, down, middle = above[channels:], below[channels:], into[channels:]
     for k in range(n):
-        middle[k] = np.int16(own[k]) * 16 + 6 - before[k] - after[k] - up[k] - down[k]
+        middle[k] = kind(own[k]) * kind(16) - (kind(before[k]) + kind(after[k])) - (kind(up[k]) + kind(down[k]))
     for end in range(min(2 * channels, width)):
         k = end if end < channels else width - 2 * channels + end
         left, right = here[k - channels if k >= channels else k], here[k + channels if k < width - channels else k]
-        line[k] = np.int16(here[k]) * 16 + 6 - left - right - above[k] - below[k]
-    for k in range(width):
-        # 5462 / 65536 is a twelfth, rounded up by less than counts below 4096.
-        value = min(max(line[k], np.int16(0)), np.int16(12 * 255 + 11))
-        into[k] = np.uint8((np.uint32(value) * np.uint32(5462)) >> np.uint32(16))
+        into[k] = kind(here[k]) * kind(16) - (kind(left) + kind(right)) - (kind(above[k]) + kind(below[k]))
 
 
-@kernel(share=lambda flat, *_: len(flat))
-def _filter_bytes(begin, end, flat, channels, out):
+@kernel(error_model="numpy", share=lambda flat, *_: len(flat))
+def _filter_floats(begin, end, flat, channels, twelfth, out):
     for y in range(begin, end):
-        _filter_row_of_bytes(flat, y, channels, np.empty(flat.shape[1], np.int16), out[y])
+        _filter_row(flat, y, channels, out[y])
+        for k in range(flat.shape[1]):
+            out[y, k] *= twelfth
 
 
 @njit
 def _pack_row(row, channels, into):
     """Put the channels of each pixel of a row into one number, the first lowest."""
     kind = into.dtype.type
+    bits = 8 * row.itemsize
     if channels == 3:
+        # The compiler uses vector instructions for strides it knows.
         for x in range(len(into)):
             at = np.uint64(3) * np.uint64(x)
-            pixel = kind(row[at]) | (kind(row[at + np.uint64(1)]) << kind(8 * row.itemsize))
-            into[x] = pixel | (kind(row[at + np.uint64(2)]) << kind(16 * row.itemsize))
+            pixel = kind(row[at]) | (kind(row[at + np.uint64(1)]) << kind(bits))
+            into[x] = pixel | (kind(row[at + np.uint64(2)]) << kind(2 * bits))
     else:
         for x in range(len(into)):
             pixel = kind(0)
             for c in range(channels):
-                pixel |= kind(row[x * channels + c]) << kind(8 * row.itemsize * c)
+                pixel |= kind(row[x * channels + c]) << kind(bits * c)
             into[x] = pixel
 
 
 @kernel(share=lambda flat, *_: len(flat))
-def _filter_and_pack_bytes(begin, end, flat, channels, out):
+def _pack_bytes(begin, end, flat, channels, out):
+    line, row = np.empty(flat.shape[1], np.int16), np.empty(flat.shape[1], np.uint8)
     for y in range(begin, end):
-        row = np.empty(flat.shape[1], np.uint8)
-        _filter_row_of_bytes(flat, y, channels, np.empty(flat.shape[1], np.int16), row)
+        _filter_row(flat, y, channels, line)
+        for k in range(len(row)):
+            # 5462 / 65536 is a twelfth, rounded up by less than counts below 4096.
+            value = min(max(np.int16(line[k] + np.int16(6)), np.int16(0)), np.int16(12 * 255 + 11))
+            row[k] = np.uint8((np.uint32(value) * np.uint32(5462)) >> np.uint32(16))
         _pack_row(row, channels, out[y])
 
 
 @kernel(share=lambda flat, *_: len(flat))
-def _filter_and_pack_shorts(begin, end, flat, channels, highest, out):
+def _pack_shorts(begin, end, flat, channels, out):
+    line, row = np.empty(flat.shape[1], np.float32), np.empty(flat.shape[1], np.uint16)
+    # The constant 1/12 is rounded up, so that truncating the product is integer division.
+    six, twelfth, highest = np.float32(6), np.float32(1 / 12), np.float32(65535)
     for y in range(begin, end):
-        row = np.empty(flat.shape[1], np.uint16)
-        _filter_row_of_shorts(flat, y, channels, highest, row)
+        _filter_row(flat, y, channels, line)
+        for k in range(len(row)):
+            row[k] = np.int32(min(max(line[k] + six, np.float32(0)) * twelfth, highest))
         _pack_row(row, channels, out[y])
 
 
 def prefilter_packed(pixels: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint32 | np.uint64]:
-    """`prefilter_flat` with the channels of each pixel in one number, the first lowest: one read gets them all.
+    """`prefilter_flat` with the channels of each pixel, at most four, in one number, the first lowest.
 
     Returns
     -------
     (H, W) uint32 for bytes, uint64 for shorts
-        Scratch memory, which the next call overwrites; at most four channels.
     """
     rows, channels = np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2]
-    if pixels.dtype == np.uint8:
-        out = allocate_scratch("packed", pixels.shape[:2], np.uint32)
-        _filter_and_pack_bytes(rows, channels, out)
-    else:
-        out = allocate_scratch("packed shorts", pixels.shape[:2], np.uint64)
-        _filter_and_pack_shorts(rows, channels, np.float32(np.iinfo(pixels.dtype).max), out)
+    of_bytes = pixels.dtype == np.uint8
+    out = allocate_pooled(pixels.shape[:2], np.uint32 if of_bytes else np.uint64)
+    (_pack_bytes if of_bytes else _pack_shorts)(rows, channels, out)
     return out

@@ -17,10 +17,11 @@ from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import kernel
 
 from ..runtime.cache import cached
+from ..runtime.quantiles import quantile
 from .gray_flat import GrayFlat
 from .lens_graph import dilate_mask, neighbour_rows
 from .microimages import copy_box
-from .settings import KERNEL, TEXTURE, TextureSettings
+from .settings import BUNCH, TEXTURE, TextureSettings
 from .shading import remove_shading
 
 __all__ = [
@@ -133,7 +134,7 @@ def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
     # A copy holds the rows that are read one after the other, and then those above, and below, if they are others: so
     # one long loop handles them all.
     wide, tall = 2 * int(np.ceil(radius)) + 3, (2 * int(np.ceil(radius)) + 1 + row_step) // row_step
-    size = (tall * wide + KERNEL.bunch - 1) // KERNEL.bunch * KERNEL.bunch
+    size = (tall * wide + BUNCH - 1) // BUNCH * BUNCH
     start = wide + 1 if row_step == 1 else 1
     above, below = (-wide, wide) if row_step == 1 else (tall * wide, (tall + 1) * wide)
     if row_step > 2:
@@ -141,7 +142,7 @@ def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
     columns, lines = np.full(size, np.inf, np.float32), np.full(size, np.inf, np.float32)
     for k in range(tall * wide):
         columns[k], lines[k] = k % wide, k // wide * row_step
-    box = np.zeros(min(row_step, 3) * (tall + 1) * wide + 3 * wide + 2 * KERNEL.bunch, np.float32)
+    box = np.zeros(min(row_step, 3) * (tall + 1) * wide + 3 * wide + 2 * BUNCH, np.float32)
     for lens in range(begin, end):
         if not wanted[lens]:
             continue
@@ -156,7 +157,7 @@ def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
             copy_box(pixels, width, left - 1, top - 1, count + 1, wide, box, tall * wide, row_step)
             if row_step > 2:
                 copy_box(pixels, width, left - 1, top + 1, count, wide, box, 2 * tall * wide, row_step)
-        count = max((count * wide + KERNEL.bunch - 1) // KERNEL.bunch * KERNEL.bunch, 0)
+        count = max((count * wide + BUNCH - 1) // BUNCH * BUNCH, 0)
         near = pixels[min(max(int(cy), 0), height - 1) * width + min(max(int(cx), 0), width - 1)]
         number, total, squares, rough, inner, inner_total, inner_squares = _sum_pixels(
             box, columns, lines, start, above, below, count, cx - np.float32(left), cy - np.float32(top),
@@ -190,10 +191,11 @@ def measure_statistics(
     return LensStatistics(*out)
 
 
-def sample_statistics(gray: GrayFlat, settings: TextureSettings = TEXTURE) -> LensStatistics:
+def sample_statistics(gray: GrayFlat) -> LensStatistics:
     """`measure_statistics` from every second row, or fewer, of large enough microimages."""
-    step = int(np.clip(np.pi * gray.radius**2 / settings.sampled_pixels, 2, settings.widest_step))
-    return measure_statistics(gray, row_step=step if gray.radius >= settings.least_radius else 1)
+    # 260 pixels are enough to tell whether a lens has texture.
+    step = int(np.clip(np.pi * gray.radius**2 / 260, 2, 4))
+    return measure_statistics(gray, row_step=step if gray.radius >= 6 else 1)
 
 
 def find_noise_only(plain: LensStatistics, noise: float, settings: TextureSettings = TEXTURE) -> NDArray[np.bool_]:
@@ -252,17 +254,10 @@ def classify_texture(
     return Texture(gray, plain, noise, clear, _has_any(plain, noise, settings) & ~clear)
 
 
-def estimate_noise(roughness: NDArray[np.float32], settings: TextureSettings = TEXTURE) -> float:
-    """Noise of a flat [white] from the roughness (n,) of its lenses: that of the smoothest ones."""
-
-    def make() -> float:
-        at = settings.smoothest * (len(roughness) - 1)
-        # As `np.quantile`, which takes six times as long.
-        ends = [int(at), int(np.ceil(at))]
-        low, high = np.partition(roughness, ends)[ends].astype(float)
-        return max(low + (at - int(at)) * (high - low), settings.grey_level)
-
-    return cached(roughness, ("noise", settings), make)
+def estimate_noise(roughness: NDArray[np.float32]) -> float:
+    """Noise of a flat [white] from the roughness (n,) of its lenses: that of the smoothest fiftieth, a grey level of 8
+    bits at least, for rounding and compression."""
+    return cached(roughness, "noise", lambda: max(quantile(roughness, 0.02), 1 / 255))
 
 
 def _least_central(found: LensStatistics, noise: float, settings: TextureSettings) -> NDArray[np.float32]:

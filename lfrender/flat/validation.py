@@ -12,7 +12,6 @@ from lfcal import Calibration, CalibrationError, FlatError
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 
 from ..runtime.cache import cached
-from .settings import GRAY, GrayFlatSettings
 
 __all__ = ["check_flat", "exposure_rows", "match_exposure"]
 
@@ -69,18 +68,17 @@ def _check_floats(array: NDArray) -> None:
         )
 
 
-def exposure_rows(height: int, settings: GrayFlatSettings = GRAY) -> NDArray[np.int64]:
-    """Rows (n,) of a flat from which its exposure is measured."""
-    count = settings.exposure_rows
-    return np.unique((np.arange(count) + 0.5) / count * height).astype(np.int64)
+def exposure_rows(height: int) -> NDArray[np.int64]:
+    """Sixteen rows (n,) of a flat from which its exposure is measured."""
+    return np.unique((np.arange(16) + 0.5) / 16 * height).astype(np.int64)
 
 
-def match_exposure(rows: NDArray, calibration: Calibration, settings: GrayFlatSettings = GRAY) -> Calibration:
+def match_exposure(rows: NDArray, calibration: Calibration) -> Calibration:
     """The camera with a white level that a dim flat comes near to; the camera as it is for others.
 
     Noise, texture and tolerances are then measured against the light of the flat, not against that of the type. The
-    white level is lowered in steps, so that the frames of a sequence have the same. Flats of 8 bits are never
-    dim: their steps are what limits them.
+    white level is lowered in steps, four for each factor of two, so that the frames of a sequence have the same; it
+    exceeds nearly all pixels by a tenth. Flats of 8 bits are never dim: their steps are what limits them.
 
     Parameters
     ----------
@@ -93,9 +91,9 @@ def match_exposure(rows: NDArray, calibration: Calibration, settings: GrayFlatSe
     highest = 1.0 if rows.dtype.kind == "f" else float(np.iinfo(rows.dtype).max)
     white = min(highest, calibration.white_level or highest)
     gray = rows if rows.ndim == 2 else rows.mean(-1)
-    top = max(float(np.quantile(gray, settings.bright)), 1e-6 * white)
-    power = np.floor(settings.octave * np.log2(max(white / (settings.headroom * top), 1.0))) / settings.octave
-    if power < settings.dim:
+    top = max(1.1 * float(np.quantile(gray, 0.99)), 1e-6 * white)
+    power = np.floor(4 * np.log2(max(white / top, 1.0))) / 4
+    if power < 1:
         return calibration
     level = float(white / 2**power)
     return cached(calibration, ("white level", level), lambda: replace(calibration, white_level=level))

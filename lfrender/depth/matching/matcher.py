@@ -85,7 +85,7 @@ class Matcher:
         self.settings = settings
         self.factor = max(1, round(texture.flat.pitch / preset.search_pitch))
         wanted = None if lenses is None else dilate_mask(lenses, join_opposite(forward, backward))
-        self.gray: GrayFlat = downsample(texture.flat, self.factor, wanted)
+        self.gray: GrayFlat = downsample(texture.flat, self.factor)
         self.statistics: LensStatistics = texture.statistics
         if self.factor > 1:
             self.statistics = measure_statistics(self.gray, wanted=wanted)
