@@ -78,22 +78,15 @@ def _scene(name: str, about: str) -> Callable[..., Capture]:
         Width and height of the flat.
     pitch : float [px]
         Distance between neighbouring microimages.
-    samples : int
-        Rays per pixel and microlens.
-    seed : int
-        Of the scene, of sampling and noise.
+    samples, seed : int
+        Rays per pixel and microlens; seed of the scene, of sampling and noise.
     **camera
         Further arguments of `data_synth.Camera.design`, such as `lattice="square"` or `rotation=3`.
 
     Returns
     -------
     data_synth.Capture
-        With `flat`, `white`, `camera`, and the `truth`.
-
-    Raises
-    ------
-    OutputError
-        If the cache cannot be written.
+        With `flat`, `white`, `camera`, and the `truth`. OutputError if the cache cannot be written.
 
     Examples
     --------

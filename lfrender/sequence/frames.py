@@ -251,43 +251,38 @@ def _least_length(container: Any) -> int:
 
 def _decode(container: Any) -> Iterator[Any]:
     """The pictures of a video, and an error in place of each that cannot be decoded."""
+    from av import logging
+
     stream = container.streams.video[0]
     # This decoder reports wrong checksums only in its log; with slice threads, the log is about one frame.
     logged = stream.codec_context.name == "ffv1"
     stream.thread_type = "SLICE" if logged else "AUTO"
+    before = logging.get_level()
     for packet in container.demux(stream):
         try:
             if not logged:
                 yield from packet.decode()
                 continue
-            pictures, wrong = _decode_with_log(packet)
-            yield from [FlatError(wrong) for _ in pictures] if wrong else pictures
+            logging.set_level(logging.ERROR)
+            try:
+                with logging.Capture(local=False) as log:
+                    pictures = packet.decode()
+            finally:
+                logging.set_level(before)
+            wrong = [text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR]
+            yield from [FlatError(wrong[0]) for _ in pictures] if wrong else pictures
         except Exception as error:
             yield error
 
 
-def _decode_with_log(packet: Any) -> tuple[list[Any], str]:
-    """The pictures of a packet, and the first error that the decoder has logged."""
-    from av import logging
-
-    before = logging.get_level()
-    logging.set_level(logging.ERROR)
-    try:
-        with logging.Capture(local=False) as log:
-            pictures = packet.decode()
-    finally:
-        logging.set_level(before)
-    return pictures, next((text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR), "")
-
-
 def _read_picture(path: Path, number: int, picture: Any) -> Callable[[], NDArray[Any]]:
     """A function that returns the pixels of a decoded picture, or raises an error if it is damaged."""
-    # Decoders fill in what is missing; such a flat must not be rendered.
-    if not isinstance(picture, Exception) and picture.is_corrupt:
-        return partial(_raise, f"{path}: frame {number} is damaged")
     try:
         if isinstance(picture, Exception):
             raise picture
+        # Decoders fill in what is missing; such a flat must not be rendered.
+        if picture.is_corrupt:
+            return partial(_raise, f"{path}: frame {number} is damaged")
         return partial(np.asarray, rgb_pixels(picture))
     except Exception as error:
         return partial(_raise, f"{path}: frame {number}: {_one_line(error)}")
