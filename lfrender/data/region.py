@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,10 @@ from ..runtime.cache import cached_latest
 from .depth_map import DepthMap
 from .surface import Surface
 
-__all__ = ["check_region", "crop_flat", "crop_lattice", "embed_region", "rescale_depth", "rows_of", "select_lenses"]
+__all__ = [
+    "check_region", "crop_flat", "crop_lattice", "embed_region", "empty_lenses", "rescale_depth", "rows_of",
+    "select_lenses",
+]  # fmt: skip
 
 # Code in `DepthMap.reason`.
 _NOT_ANALYSED = 4
@@ -77,25 +81,27 @@ def embed_region(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArra
 
     The surface stays that of the part: beyond its border it is read at the nearest value.
     """
-    n, rows = len(lattice), rows_of(sub, lattice)
-    patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
-    confidence, reason = np.zeros(n, np.float32), np.full(n, _NOT_ANALYSED, np.int8)
+    rows = rows_of(sub, lattice)
     chosen = inside[rows]
-    filled = np.full(n, np.median(depth.filled_patch_size[chosen]), np.float32)
-    for whole, part in (
-        (patch_size, depth.patch_size),
-        (error, depth.standard_error),
-        (confidence, depth.confidence),
-        (reason, depth.reason),
-        (filled, depth.filled_patch_size),
-    ):
-        whole[rows[chosen]] = part[chosen]
-    corner = lattice.origin - sub.origin
-    first = (depth.surface.first[0] + float(corner[0]), depth.surface.first[1] + float(corner[1]))
+    values = empty_lenses(len(lattice), float(np.median(depth.filled_patch_size[chosen])), _NOT_ANALYSED)
+    for name, whole in values.items():
+        whole[rows[chosen]] = getattr(depth, name)[chosen]
+    (first_x, first_y), (x, y) = depth.surface.first, (lattice.origin - sub.origin).tolist()
+    surface = replace(depth.surface, first=(first_x + x, first_y + y))
+    saved = {**depth.saved, "roi": 1 - float(inside.mean())}
     return DepthMap(
-        patch_size, error, confidence, filled, Surface(depth.surface.patch_size, first, depth.surface.spacing),
-        lattice.pitch, lattice.image_size, depth.preset, reason, {**depth.saved, "roi": 1 - float(inside.mean())},
-    )  # fmt: skip
+        **values, surface=surface, pitch=lattice.pitch, image_size=lattice.image_size, preset=depth.preset, saved=saved
+    )
+
+
+def empty_lenses(count: int, filled: float = 0.0, reason: int = 1) -> dict[str, Any]:
+    """The arrays of a depth map of so many lenses without a depth, by their names."""
+    nothing = np.zeros(count, np.float32)
+    return {
+        "patch_size": nothing + np.float32(np.nan), "standard_error": nothing + np.float32(np.inf),
+        "confidence": nothing, "filled_patch_size": nothing + np.float32(filled),
+        "reason": np.full(count, reason, np.int8),
+    }  # fmt: skip
 
 
 def rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
@@ -114,14 +120,12 @@ def rescale_depth(
 ) -> DepthMap:
     """The same depth in pixels `factor` times as small, those of `lattice`; what else is given replaces that of it."""
     first_x, first_y = ((x + 0.5) * factor - 0.5 for x in depth.surface.first)
-    surface = Surface(
-        (depth.surface.patch_size * np.float32(factor)), (first_x, first_y), depth.surface.spacing * factor
-    )
+    scale = np.float32(factor)
+    surface = Surface(depth.surface.patch_size * scale, (first_x, first_y), depth.surface.spacing * factor)
     return replace(
-        depth, patch_size=depth.patch_size * np.float32(factor),
-        standard_error=depth.standard_error * np.float32(factor),
-        filled_patch_size=depth.filled_patch_size * np.float32(factor),
-        surface=surface, pitch=lattice.pitch, image_size=lattice.image_size,
-        centres=lattice.centres().astype(np.float32), saved=depth.saved if saved is None else saved,
+        depth, patch_size=depth.patch_size * scale, standard_error=depth.standard_error * scale,
+        filled_patch_size=depth.filled_patch_size * scale, surface=surface, pitch=lattice.pitch,
+        image_size=lattice.image_size, centres=lattice.centres().astype(np.float32),
+        saved=depth.saved if saved is None else saved,
         flat_samples=depth.flat_samples if flat_samples is None else flat_samples,
     )  # fmt: skip

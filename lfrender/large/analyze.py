@@ -19,7 +19,7 @@ from lfcal import Calibration, FlatSource, Lattice
 
 from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_source
-from ..data.region import rescale_depth, rows_of
+from ..data.region import empty_lenses, rescale_depth, rows_of
 from ..data.surface import Surface
 from ..depth.edges.locate_edges import locate_edges, refine_grid
 from ..depth.edges.settings import DEFAULT as EDGES
@@ -187,31 +187,25 @@ def _analyze_tiles(
     """Analyse all tiles and put their results together."""
     lattice, preset = flat.lattice, flat.preset
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
-    n = len(lattice)
-    patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
-    confidence, reason, filled = np.zeros(n, np.float32), np.ones(n, np.int8), np.zeros(n, np.float32)
+    values = empty_lenses(len(lattice))
     finer = EDGES.finer if PRESETS[preset].edges else 1
     surface = np.empty((shape[0] * finer, shape[1] * finer), np.float32)
     saved: dict[str, float] = {}
     found = workers.map(_analyze_tile, flat, tiles, FlatContext.read)
     for number, (part, depth) in enumerate(zip(tiles, found, strict=True)):
         rows = flat.rows(part)
-        for into, some in (
-            (patch_size, depth.patch_size), (error, depth.standard_error), (confidence, depth.confidence),
-            (reason, depth.reason), (filled, depth.filled_patch_size),
-        ):  # fmt: skip
-            into[rows] = some[part.inside]
+        for name, whole in values.items():
+            whole[rows] = getattr(depth, name)[part.inside]
         _paste(surface, depth.surface, part, spacing, finer)
         for name, share in depth.saved.items():
-            saved[name] = saved.get(name, 0.0) + share * len(rows) / n
+            saved[name] = saved.get(name, 0.0) + share * len(rows) / len(lattice)
         if progress is not None:
             progress(number + 1, len(tiles))
     corner = first[0] - 0.5 * (1 - 1 / finer) * spacing
     fine = Surface(surface, (corner, corner), spacing / finer)
     return DepthMap(
-        patch_size, error, confidence, filled, fine, lattice.pitch, lattice.image_size,
-        preset, reason, saved,
-    )  # fmt: skip
+        **values, surface=fine, pitch=lattice.pitch, image_size=lattice.image_size, preset=preset, saved=saved
+    )
 
 
 def _paste(target: NDArray[np.float32], surface: Surface, part: LensTile, spacing: float, finer: int) -> None:
