@@ -92,7 +92,9 @@ def batch(capture: CaptureInput, given: Any) -> int:
 
         with suppress(CameraFileError):
             calibration = load_camera(output)
-    return _finish(report, output, film, results, perf_counter() - start, calibration)
+    warnings = [] if calibration is None else list(calibration.warnings)
+    written = {"film" if film else "pictures": str(output)}
+    return _finish(report, written, results, perf_counter() - start, warnings)
 
 
 def _film_options(output: Path, given: Any) -> dict[str, Any]:
@@ -131,33 +133,22 @@ def _check_view_options(given: Any) -> None:
 
 
 def _finish(
-    report: console.Report,
-    output: Path,
-    film: bool,
-    results: list[FrameResult],
-    seconds: float,
-    calibration: Calibration | None,
+    report: console.Report, output: dict[str, str], results: list[FrameResult], seconds: float, warnings: list[str]
 ) -> int:
     """Print what was done; the exit code."""
     rendered = [result for result in results if result.outcome == "rendered"]
     failures = [result.message for result in results if result.outcome == "failed"]
-    figures: dict[str, Any] = {
-        "film" if film else "pictures": str(output),
-        "rendered": len(rendered),
-        "kept": len(results) - len(rendered) - len(failures),
-        "failed": len(failures),
-        "seconds_per_frame": seconds / max(len(rendered), 1),
-        "still": sum(result.still for result in rendered) / max(len(rendered), 1),
-    }
-    counts = [f"{figures['rendered']:,} frames rendered, {figures['seconds_per_frame']:.2f} s each"]
-    counts += [f"{figures['kept']:,} kept from before"] if figures["kept"] else []
-    counts += [f"{len(failures):,} failed"] if failures else []
-    still = f" {percent(figures['still'])} of their lenses had not moved." if figures["still"] > 0.005 else ""
-    doubts = [] if calibration is None else list(calibration.warnings)
+    kept, each = len(results) - len(rendered) - len(failures), seconds / max(len(rendered), 1)
+    still = sum(result.still for result in rendered) / max(len(rendered), 1)
+    counts = {"rendered": len(rendered), "kept": kept, "failed": len(failures)}
+    told = [f"{len(rendered):,} frames rendered, {each:.2f} s each"]
+    told += [f"{kept:,} kept from before"] if kept else []
+    told += [f"{len(failures):,} failed"] if failures else []
     report.finish(
-        {**figures, "warnings": [*doubts, *failures] if report.as_json else doubts},
-        f"{', '.join(counts)}.{still}",
-        f"{output} is written.",
+        {**output, **counts, "seconds_per_frame": each, "still": still}
+        | {"warnings": [*warnings, *failures] if report.as_json else warnings},
+        f"{', '.join(told)}.{f' {percent(still)} of their lenses had not moved.' if still > 0.005 else ''}",
+        *(f"{path} is written." for path in output.values()),
     )
     return 1 if failures else 0
 
