@@ -82,17 +82,14 @@ class DetailRenderer:
         return np.ascontiguousarray(image[inside]), np.ascontiguousarray(valid[inside])
 
     def _places(self, part: Part) -> Places:
-        """Which filter each pixel of a part takes, and how much of it."""
+        """Which filter each pixel of a part takes."""
         surface, grid, kinds = self.plain.surface, self.grid, self._filters[1]
-        nearest, inner = [], []
+        nearest = []
         for k in (0, 1):
             at = np.arange(part[k], part[k + 2])
             node = np.rint((grid.first + grid.spacing * at - surface.first[k]) / surface.spacing).astype(np.int64)
             nearest.append(np.clip(node, 0, kinds.shape[1 - k] - 1))
-            # 0 at the border of the whole, where few lenses are averaged.
-            inside = np.minimum(at + 0.5, grid.size[k] - 0.5 - at) / (RESTORE.border * grid.scale) - 1
-            inner.append(np.clip(inside, 0, 1).astype(np.float32))
-        return Places(kinds, nearest[1], nearest[0], inner[1], inner[0])
+        return Places(kinds, nearest[1], nearest[0])
 
     @cached_property
     def _filters(self) -> tuple[DetailFilters, NDArray[np.uint16]]:

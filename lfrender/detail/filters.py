@@ -1,9 +1,9 @@
 """Filters that undo the blur of the microlenses, as a table over patch size and power of the detail.
 
-A Wiener filter makes the mean square error least: `T H S / (H^2 S (1 + e) + A + N)`, with the transfer function `H` of
-the picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, noise `N` (N. Wiener 1949), and the
-power `e` by which lenses contradict each other. It is fitted as a sum of four bands, the differences of
-smoothings (1, 2, 1) / 4 with growing distances, as a wavelet transform "a trous" (M. Holschneider et al. 1989).
+A Wiener filter makes the mean square error least: `T H S / (H^2 S + A + N)`, with the transfer function `H` of the
+picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, and noise `N` (N. Wiener 1949). It is fitted
+as a sum of four bands, the differences of smoothings (1, 2, 1) / 4 with growing distances, as a wavelet transform
+"a trous" (M. Holschneider et al. 1989).
 """
 
 from __future__ import annotations
@@ -86,15 +86,15 @@ def make_filters(
     depths : (float, float) [px]
         Least and largest signed patch size of the picture; there are no filters for others.
     """
-    powers = np.geomspace(settings.weakest, settings.strongest, settings.powers)
-    levels = np.geomspace(settings.least_ratio, settings.largest_ratio, settings.levels)
-    step = levels[1] / levels[0]
+    # Filters are computed for 14 powers of detail [white^2] and 16 |s / D| of either sign, and tabulated more finely.
+    powers, levels = np.geomspace(1e-8, 0.015, 14), np.geomspace(0.06, 0.8, 16)
+    step, per_ratio, per_octave = levels[1] / levels[0], 60.0, 2.0
     of_level = np.concatenate([-levels, levels])
     some = _is_near(of_level, step, np.array(depths) / calibration.lattice.pitch)
-    known, wanted, grain, seen = _Levels.of(of_level[some], noise, calibration, scale, reach, blur, settings).sums()
-    fine = np.arange(round(settings.largest_ratio * settings.per_ratio) + 1) / settings.per_ratio
-    at = np.log(np.maximum(fine, settings.least_ratio) / settings.least_ratio) / np.log(step)
-    near = np.concatenate([at, at + settings.levels])
+    known, wanted, grain = _Levels.of(of_level[some], noise, calibration, scale, reach, blur, settings).sums()
+    fine = np.arange(round(levels[-1] * per_ratio) + 1) / per_ratio
+    at = np.log(np.maximum(fine, levels[0]) / levels[0]) / np.log(step)
+    near = np.concatenate([at, at + len(levels)])
 
     def spread(found: _Table) -> _Table:
         """From the levels that the picture needs to all entries, along the second axis."""
@@ -103,20 +103,19 @@ def make_filters(
         return _between(table, near, 1)
 
     first, last = (int(np.float32(p).view(np.int32)) / 2**23 for p in powers[[0, -1]])
-    logs = np.arange(int((last - first) * settings.per_octave) + 1) / settings.per_octave + first
+    logs = np.arange(int((last - first) * per_octave) + 1) / per_octave + first
     strengths = (logs * 2**23).astype(np.int32).view(np.float32)
     rows = np.log10(np.maximum(strengths, powers[0]) / powers[0]) / np.log10(powers[1] / powers[0])
     trusted = _trusted_share(np.abs(of_level[some]), calibration, reach, settings)
-    gains = _between(spread(trusted[:, None] * _fit(powers, known, wanted, grain, settings)), rows, 0)
+    gains = _between(spread(trusted[:, None] * _fit(powers, known, wanted, grain)), rows, 0)
     # Of the second band, and of the coarser ones.
-    power, noises = (spread(np.stack([one[:, -3], one[:, -2] + one[:, -1]])) for one in (seen, grain))
+    power, noises = (spread(np.stack([one[:, -3], one[:, -2] + one[:, -1]])) for one in (known, grain))
     per_power = np.divide(1, power, out=np.zeros_like(power), where=power > 0)
     # The last restores nothing.
     tables = [
         np.pad(one, ((0, 0), (0, 1), (0, 0))[: one.ndim]).astype(np.float32) for one in (gains, noises, per_power)
     ]
-    octaves = settings.per_octave
-    return DetailFilters(tables[0], tables[1], tables[2], settings.per_ratio, first * octaves, octaves)
+    return DetailFilters(tables[0], tables[1], tables[2], per_ratio, first * per_octave, per_octave)
 
 
 def _averaged_views(ratio: _Table, calibration: Calibration, reach: float) -> _Table:
@@ -169,11 +168,6 @@ class _Levels:
         even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)
         return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None], settings)
 
-    def pixel(self, fx: _Table, fy: _Table) -> _Table:
-        """(n, f) transfer function of a pixel of the flat."""
-        side = np.minimum(self.grown, 1.0)
-        return np.asarray(np.sinc(fx * side) * np.sinc(fy * side))
-
     def _read(self, fx: _Table, fy: _Table) -> _Table:
         read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
         return read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart) if self.apart.any() else read
@@ -189,24 +183,19 @@ class _Levels:
         return disc * pixel * self._read(fx, fy), np.maximum(frequency, 0.01) ** -self.settings.slope
 
     def sums(self) -> _Table:
-        """(4, n, 23) of what follows, weighted by `_basis`: what fits need to know of powers over frequencies.
+        """(3, n, 23) of what follows, weighted by `_basis`: what fits need to know of powers over frequencies.
 
-        What noise is compared with; what is wanted of it; noise; power of detail.
+        Power of detail, which noise is compared with; what is wanted of it; noise.
         """
-        fx, fy, basis = _basis(self.settings.frequencies)
+        fx, fy, basis = _basis()
         (left, scene), *folded = (self.left(fx + x, fy + y) for x, y in _FOLDS)
         seen = left**2 * scene
         alias = sum((one**2 * there for one, there in folded), np.zeros_like(seen))
-        pixel = np.sinc(fx) * np.sinc(fy) * self.pixel(fx, fy) ** self.settings.kept
-        known = seen * (1 + self.contradiction(fx, fy)) + alias
+        known = seen + alias
         # Never blurrier than it is but by noise.
-        wanted = np.maximum(np.maximum(pixel, left) * left * scene, known)
+        wanted = np.maximum(np.maximum(np.sinc(fx) * np.sinc(fy), left) * left * scene, known)
         grain = self.variance * self.grown**2 * self._read(fx, fy) ** 2
-        return np.stack([known, wanted, grain, seen + alias]) @ basis.T
-
-    def contradiction(self, fx: _Table, fy: _Table) -> _Table:
-        """(n, f) share of the power in which lenses differ."""
-        return np.asarray((self.settings.contradiction * self.grown * np.hypot(fx, fy)) ** 4)
+        return np.stack([known, wanted, grain]) @ basis.T
 
 
 @lru_cache(1)
@@ -231,22 +220,23 @@ def _bands(fx: _Table, fy: _Table) -> _Table:
     return -np.diff(np.stack(smooth), axis=0)
 
 
-@lru_cache(2)
-def _basis(frequencies: int) -> tuple[_Table, _Table, _Table]:
+@lru_cache(1)
+def _basis() -> tuple[_Table, _Table, _Table]:
     """Frequencies (f,) in a quarter of the spectrum, and (23, f): products of bands, bands, powers but the first."""
-    across = (np.arange(frequencies) + 0.5) / (2 * frequencies)
+    across = (np.arange(8) + 0.5) / 16
     fx, fy = (axis.ravel() for axis in np.meshgrid(across, across))
     bands = _bands(fx, fy)
     pairs = (bands[:, None] * bands).reshape(-1, bands.shape[1])
     return fx, fy, np.concatenate([pairs, bands, bands[1:] ** 2]) / len(fx)
 
 
-def _fit(powers: _Table, known: _Table, wanted: _Table, grain: _Table, settings: RestoreSettings) -> _Table:
+def _fit(powers: _Table, known: _Table, wanted: _Table, grain: _Table) -> _Table:
     """(p, n, bands): gains beyond the band's own of least mean square error, of `wanted / (known + grain / power)`."""
     weight = powers[:, None, None] * known + grain
     count = len(SMOOTHING)
     normal = weight[..., : count**2].reshape(*weight.shape[:2], count, count)
     right = (powers[:, None, None] * wanted - weight)[..., count**2 : -(count - 1)]
     size = np.trace(normal, axis1=2, axis2=3)
-    normal = normal + np.eye(count) * (settings.ridge * size)[..., None, None]
+    # A ridge keeps the fit well-conditioned.
+    normal = normal + np.eye(count) * (1.5e-3 * size)[..., None, None]
     return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])

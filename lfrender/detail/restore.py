@@ -24,13 +24,11 @@ _STRIP = 128
 
 
 class Places(NamedTuple):
-    """Which filter each pixel of a picture takes, and how much of it."""
+    """Which filter each pixel of a picture takes."""
 
     kinds: NDArray[np.uint16]  # (r, c) index of the filter on a grid; the last of all restores nothing
     rows: NDArray[np.int64]  # (h,) row of the grid of each row of the picture
     columns: NDArray[np.int64]  # (w,) likewise
-    beside: NDArray[np.float32]  # (h,) 1 where detail is restored, 0 at the border
-    along: NDArray[np.float32]  # (w,) likewise; of both the least counts
 
 
 class _Lookup(NamedTuple):
@@ -96,7 +94,7 @@ def restore_detail(
     half, top = (0.5, float(np.iinfo(kind).max)) if kind.kind in "ui" else (0.0, np.inf)
     lookup = _Lookup(
         filters.gains, filters.noise, filters.per_power, np.float32(filters.weakest), np.float32(filters.per_octave),
-        np.float32(settings.overshoot), np.float32(settings.darkest), np.float32(1 / white), encoded,
+        np.float32(settings.overshoot), np.float32(0.01), np.float32(1 / white), encoded,
         np.float32(half), np.float32(top),
     )  # fmt: skip
     out = np.empty(image.shape, dtype)
@@ -198,11 +196,11 @@ def _find_power(layers, at, out):
 @njit
 def _look_up(places, seen, y, nothing, kinds, share):
     """Index of the filter of each pixel of row `y`, and how much of it is taken."""
-    row, columns, along, beside = places.kinds[places.rows[y]], places.columns, places.along, places.beside[y]
+    row, columns = places.kinds[places.rows[y]], places.columns
     for x in range(len(kinds)):
         kinds[x] = row[columns[x]]
     for x in range(len(kinds)):
-        share[x] = min(beside, along[x]) if kinds[x] < nothing else np.float32(0)
+        share[x] = np.float32(1) if kinds[x] < nothing else np.float32(0)
     if len(seen):
         line = seen[y]
         for x in range(len(kinds)):

@@ -219,7 +219,8 @@ def downsample_lattice(lattice: Lattice, factor: int) -> Lattice:
 def _own_radius(lattice: Lattice, radius: float) -> np.float32:
     """A trusted radius and three pixels, which interpolation and smoothing read, as far as no lenses share a pixel."""
     apart = float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min()) / 2
-    return np.float32(min(radius + 3.0, 0.98 * apart))
+    # A distortion changes that distance.
+    return np.float32(min(radius + 3.0, apart if lattice.distortion is None else 0.98 * apart))
 
 
 def _correction_image(calibration: Calibration, lattice: Lattice, factor: int) -> NDArray[np.float32]:

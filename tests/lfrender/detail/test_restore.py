@@ -29,9 +29,8 @@ def restored(image, dtype=np.float32):
     filters = make_filters(calibration, 0.001, -SIZE, 1.7, 0.0, (SIZE, SIZE))
     kinds = np.full((1, 1), round(-SIZE / PITCH * filters.per_ratio), np.uint16)
     rows, columns = (np.zeros(n, np.int64) for n in image.shape[:2])
-    beside, along = (np.ones(n, np.float32) for n in image.shape[:2])
     settings = replace(RESTORE, overshoot=100.0)
-    places = Places(kinds, rows, columns, beside, along)
+    places = Places(kinds, rows, columns)
     seen = np.ones(image.shape[:2], bool)
     return restore_detail(np.float32(image), seen, places, filters, 1.0, False, dtype, settings)
 
