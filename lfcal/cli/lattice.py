@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..lattice.settings import ARRANGEMENTS
+from ..lattice.stated import ARRANGEMENTS
 from ..runtime import console
 from ..runtime.output_file import check_output
 

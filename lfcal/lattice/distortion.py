@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.frozen import Frozen
-from .settings import DEFAULT
 
 __all__ = ["Distortion"]
 
+# Beyond this share of the distance to the middle neighbouring lenses change places.
+_LARGEST = 0.3
 # Powers of x and y of the general part: fixed by the file format.
 _POWERS = ((2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 
@@ -62,7 +63,7 @@ class Distortion(Frozen):
             raise ValueError(f"distortion centre must be two finite numbers, got {self.centre!r}")
         if not (np.isfinite([self.k1, self.k2, self.reach]).all() and self.reach > 0):
             raise ValueError(f"distortion must be finite with reach > 0, got {self.k1!r}, {self.k2!r}, {self.reach!r}")
-        if abs(self.k1) + abs(self.k2) > DEFAULT.largest_distortion:
+        if abs(self.k1) + abs(self.k2) > _LARGEST:
             raise ValueError(f"distortion must stay below 0.3 in the corners, got {self.k1!r} and {self.k2!r}")
         self._set(centre=centre, k1=float(self.k1), k2=float(self.k2), reach=float(self.reach))
         if self.general is None:
@@ -71,7 +72,7 @@ class Distortion(Frozen):
         general, middle = np.array(self.general, dtype=np.float64), np.array(self.middle, dtype=np.float64)
         if general.shape != (2, len(_POWERS)) or not np.isfinite(general).all():
             raise ValueError(f"general distortion must be (2, {len(_POWERS)}) finite numbers, got {self.general!r}")
-        if np.abs(general).sum(1).max() > DEFAULT.largest_distortion * self.reach:
+        if np.abs(general).sum(1).max() > _LARGEST * self.reach:
             raise ValueError("general distortion must stay below 0.3 of half the diagonal")
         if middle.shape != (2,) or not np.isfinite(middle).all():
             raise ValueError(f"middle of a general distortion must be two finite numbers, got {self.middle!r}")
@@ -91,7 +92,8 @@ class Distortion(Frozen):
         """(n, 2) straight positions of `points` (n, 2) on the flat [px]."""
         bent = np.asarray(points, dtype=np.float64)
         straight = bent
-        for _ in range(DEFAULT.inverse_iterations):
+        # Each turn gains two digits at the distortions of real lenses.
+        for _ in range(12):
             # Dividing by the radial scale converges in fewer iterations than subtracting the displacement.
             offset = straight - self.centre
             straight = self.centre + (bent - self._general(straight) - self.centre) / (1 + self._radial_scale(offset))
@@ -127,7 +129,7 @@ class Distortion(Frozen):
 
     def updated(self, change: Mapping[str, NDArray[np.float64]]) -> Distortion:
         """The distortion after a least-squares step `change` of the parameters named in `derivatives`."""
-        most = DEFAULT.largest_centre_step * self.reach
+        most = 0.1 * self.reach
         general = self.general
         if general is not None and "general" in change:
             general = general + np.reshape(change["general"], general.shape)

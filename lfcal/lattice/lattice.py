@@ -10,7 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.frozen import Frozen
 from .distortion import Distortion
-from .settings import DEFAULT
+
+# [squared length] nearer is equal: measured hexagons get the basis of exact ones.
+_EQUAL = 5e-3
+# [lenses] handled at once, so that hardly more memory is needed than for the result, and centres kept at most.
+_CHUNK = 1 << 20
 
 __all__ = ["Lattice", "reduce_basis"]
 
@@ -38,7 +42,7 @@ def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
         b = b - np.round((a @ b) / (a @ a)) * a
         if b @ b >= (a @ a) * (1 - 1e-12):
             break
-    candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + DEFAULT.equal_length)]
+    candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + _EQUAL)]
     candidates += [-v for v in candidates]
     best: tuple[tuple[float, ...], NDArray[np.float64], NDArray[np.float64]] | None = None
     for first in candidates:
@@ -48,7 +52,7 @@ def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
                 continue
             # Lengths decide before directions, and directions only where they differ by more than rounding.
             size = (first @ first + second @ second) / (b @ b)
-            rank = (-round(size / DEFAULT.equal_length), round(first[0] / np.hypot(*first), 6), first[1], dot)
+            rank = (-round(size / _EQUAL), round(first[0] / np.hypot(*first), 6), first[1], dot)
             if best is None or rank > best[0]:
                 best = (rank, first, second)
     assert best is not None
@@ -100,10 +104,10 @@ class Lattice(Frozen):
         width, height = (int(v) for v in self.image_size)
         if width < 1 or height < 1:
             raise ValueError(f"image_size must be positive (width, height), got {self.image_size!r}")
-        if width * height > DEFAULT.most_pixels or np.abs(origin).max() > DEFAULT.farthest_origin:
+        if width * height > 1 << 31 or np.abs(origin).max() > 1e9:
             raise ValueError(f"no camera has {width} x {height} px or a microimage at {self.origin!r}")
         across = np.abs(np.linalg.inv(basis)).max() * (width + height)
-        if across > DEFAULT.most_rows or width * height > DEFAULT.most_lenses * abs(np.linalg.det(basis)):
+        if across > 1e7 or width * height > (1 << 27) * abs(np.linalg.det(basis)):
             raise ValueError(f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart")
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise ValueError(f"radius must be a positive number of px, got {self.radius!r}")
@@ -123,7 +127,8 @@ class Lattice(Frozen):
         half = [(1, 0), (0, 1)]
         typical = np.sqrt(np.hypot(*a1) * np.hypot(*a2))
         diagonal = min((a1 + a2, (1, 1)), (a1 - a2, (1, -1)), key=lambda d: np.hypot(*d[0]))
-        if np.hypot(*diagonal[0]) <= DEFAULT.neighbour_length * typical:
+        # 1 in hexagons, 1.41 in squares.
+        if np.hypot(*diagonal[0]) <= 1.2 * typical:
             half.append(diagonal[1])
         return np.array(half + [(-i, -j) for i, j in half], dtype=np.int64)
 
@@ -152,9 +157,9 @@ class Lattice(Frozen):
         rows = np.arange(low[1], high[1] + 1)
         first, last = self._row_ends(rows, low[0], high[0])
         across, down = np.abs(self.basis[0])
-        steep = down > DEFAULT.steep_slope * across
+        steep = down > 0.25 * across
         found, order = [], []
-        block = max(1, DEFAULT.chunk // (high[0] - low[0] + 1))
+        block = max(1, _CHUNK // (high[0] - low[0] + 1))
         for start in range(0, len(rows), block):
             few = slice(start, start + block)
             count = np.maximum(last[few] - first[few] + 1, 0)
@@ -192,11 +197,11 @@ class Lattice(Frozen):
 
     def centres(self) -> NDArray[np.float64]:
         """(n, 2) float64 centres `x, y` [px], in the order of `indices()`."""
-        if len(self) <= DEFAULT.most_cached:
+        if len(self) <= _CHUNK:
             return self._centres.copy()
         centres = np.empty((len(self), 2))
-        for start in range(0, len(self), DEFAULT.chunk):
-            centres[start : start + DEFAULT.chunk] = self.points(self._indices[start : start + DEFAULT.chunk])
+        for start in range(0, len(self), _CHUNK):
+            centres[start : start + _CHUNK] = self.points(self._indices[start : start + _CHUNK])
         return centres
 
     @cached_property

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .lattice import Lattice
-from .settings import DEFAULT
 
 __all__ = ["ReadCrop", "StackedCrops", "sample_lenses", "sample_mask", "select_whole_lenses"]
 
@@ -28,16 +27,10 @@ def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int
 
 
 def sample_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """About `wanted` of `select_whole_lenses`, evenly spread; in very large flats fewer by those at the border."""
-    if len(lattice) <= DEFAULT.sample_first:
-        indices, centres = select_whole_lenses(lattice, margin)
-        rows = _sample_rows(len(indices), wanted)
-        return indices[rows], centres[rows]
-    indices = lattice.indices()
-    indices = indices[_sample_rows(len(indices), wanted)]
-    centres = lattice.points(indices)
-    keep = ((centres >= margin) & (centres <= np.array(lattice.image_size) - 1 - margin)).all(1)
-    return indices[keep], centres[keep]
+    """About `wanted` of `select_whole_lenses`, evenly spread."""
+    indices, centres = select_whole_lenses(lattice, margin)
+    rows = np.flatnonzero(sample_mask(len(indices), wanted / max(len(indices), 1)))
+    return indices.take(rows, 0), centres.take(rows, 0)
 
 
 def sample_mask(number: int, share: float) -> NDArray[np.bool_]:
@@ -47,11 +40,6 @@ def sample_mask(number: int, share: float) -> NDArray[np.bool_]:
     # Twenty times as fast as a remainder.
     fraction -= np.floor(fraction)
     return fraction < share
-
-
-def _sample_rows(number: int, wanted: float) -> NDArray[np.int64]:
-    """About `wanted` row numbers below `number`, evenly spread."""
-    return np.flatnonzero(sample_mask(number, wanted / max(number, 1)))
 
 
 @dataclass(frozen=True)

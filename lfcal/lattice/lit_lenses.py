@@ -9,61 +9,31 @@ from numpy.typing import NDArray
 
 from ..runtime.kernels.jit import kernel
 from .lattice import Lattice, reduce_basis
-from .lens_subset import StackedCrops, sample_lenses
-from .settings import LIT_LENSES
+from .lens_subset import StackedCrops
 
 __all__ = ["LitLenses", "find_lit_lenses"]
 
 
 @dataclass(frozen=True)
 class LitLenses:
-    """Lenses of a flat, or of crops of it, that are lit.
+    """Lenses `indices` (n, 2) of a flat, or of crops of it, that are lit, each in the crop with number `crop` (n,)."""
 
-    They are lenses `indices` (n, 2) of `lattice`, each in the crop with number `crop` (n,).
-    """
-
-    lattice: Lattice
     indices: NDArray[np.int64]
     crop: NDArray[np.int64]
 
     @classmethod
-    def find(
-        cls, tones: StackedCrops, lattice: Lattice, margin: float, dark: float, before: LitLenses | None
-    ) -> LitLenses:
-        """Lit lenses at least `margin` px inside a crop; `before` if its lattice has the same centres.
-
-        `dark` is as in `find_lit_lenses`. Where an even sample of the lenses is lit, all others are taken as lit too.
-        """
-        if before is not None and before._is_for(lattice):
-            return before
-        sample = LIT_LENSES.check_sample
-        if len(tones) == 1 and len(lattice) > 2 * sample:
-            indices, centres = sample_lenses(lattice, margin, sample)
-            if find_lit_lenses(tones.picture, lattice, indices, centres - tones.offsets, dark).all():
-                # Lenses at the border are left out where some are chosen.
-                return cls(lattice, lattice.indices(), np.zeros(len(lattice), np.int64))
+    def find(cls, tones: StackedCrops, lattice: Lattice, margin: float, dark: float) -> LitLenses:
+        """Lit lenses at least `margin` px inside a crop; `dark` is as in `find_lit_lenses`."""
         indices, centres, crop = tones.lenses(lattice, margin)
-        positions = centres - (tones.offsets[crop] if len(tones) > 1 else tones.offsets)
-        if len(tones) > 1 and len(positions) > 2 * sample:
-            few = slice(None, None, len(positions) // sample)
-            if find_lit_lenses(tones.picture, lattice, indices[few], positions[few], dark).all():
-                return cls(lattice, indices, crop)
-        lit = find_lit_lenses(tones.picture, lattice, indices, positions, dark)
-        return cls(lattice, indices, crop) if lit.all() else cls(lattice, indices[lit], crop[lit])
-
-    def _is_for(self, lattice: Lattice) -> bool:
-        """Whether the centres of another lattice are those of this one, within a small share of the pitch."""
-        along = (np.linspace(0, length - 1, LIT_LENSES.positions_per_side) for length in lattice.image_size)
-        index = self.lattice.to_index(np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 2))
-        shift = lattice.points(index) - self.lattice.points(index)
-        return bool((np.hypot(*shift.T) < LIT_LENSES.same_lattice * lattice.pitch).all())
+        lit = find_lit_lenses(tones.picture, lattice, indices, centres - tones.offsets[crop], dark)
+        return cls(indices[lit], crop[lit])
 
     def select(self, tones: StackedCrops, lattice: Lattice, margin: float, chosen: NDArray[np.bool_]) -> LitLenses:
         """The lenses chosen by a mask (n,) that are at least `margin` px inside their crop."""
         indices, crop = self.indices[chosen], self.crop[chosen]
         position = lattice.points(indices) - tones.corners[crop]
         inside = ((position >= margin) & (position <= np.array(tones.size) - 1 - margin)).all(1)
-        return LitLenses(lattice, indices[inside], crop[inside])
+        return LitLenses(indices[inside], crop[inside])
 
 
 @kernel(share=lambda picture, centres, *_: len(centres))
@@ -106,9 +76,9 @@ def find_lit_lenses(
     core, gaps = np.empty(len(centres)), np.empty(len(centres))
     _measure_core_and_gaps(picture, centres, _cell_corners(lattice), core, gaps)
     step = core - gaps
-    few = slice(None, None, max(1, len(core) // LIT_LENSES.quantile_sample))
-    bright = LIT_LENSES.bright_quantile
-    has_gaps = np.quantile(step[few], bright) > LIT_LENSES.gap_step * np.quantile(core[few], bright)
+    # Bright, without being dust or a hot pixel.
+    few, bright = slice(None, None, max(1, len(core) // 20_000)), 0.95
+    has_gaps = np.quantile(step[few], bright) > 0.3 * np.quantile(core[few], bright)
     value = step if has_gaps else core
     unlit = value < dark * np.quantile(value[few], bright)
     if not unlit.any():

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from .lattice import Lattice
-from .settings import DEFAULT
+
+# Share of a side, and cosine, up to which a cell counts as square.
+_TOLERANCE = 0.03
 
 __all__ = ["describe_orientation"]
 
@@ -17,10 +19,10 @@ def describe_orientation(lattice: Lattice) -> tuple[str, str, float]:
     hexagonal = len(lattice.steps) == 6
     if hexagonal:
         shape = "hexagonal"
-    elif abs(a1 @ a2) > DEFAULT.square_tolerance * lengths[0] * lengths[1]:
+    elif abs(a1 @ a2) > _TOLERANCE * lengths[0] * lengths[1]:
         shape = "oblique"
     else:
-        shape = "square" if min(lengths) > (1 - DEFAULT.square_tolerance) * max(lengths) else "rectangular"
+        shape = "square" if min(lengths) > (1 - _TOLERANCE) * max(lengths) else "rectangular"
     period = 60.0 if hexagonal else 90.0
     turned = (float(np.degrees(np.arctan2(a1[1], a1[0]))) + period / 2) % period - period / 2
     if hexagonal and abs(turned) > 15:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from ..runtime.frozen import Frozen
 from ..runtime.text_arrays import decode_array, encode_array
 from .lattice import Lattice
-from .settings import DEFAULT
 
 __all__ = ["Residuals"]
 
@@ -50,7 +49,7 @@ class Residuals(Frozen):
         self._set(indices=indices, offset=offset)
 
     def mean_over_grid(
-        self, lattice: Lattice, across: int = DEFAULT.residual_grid[0], down: int = DEFAULT.residual_grid[1]
+        self, lattice: Lattice, across: int = 12, down: int = 9
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Mean residuals in a grid of rectangles of the flat, without outliers.
 
@@ -66,7 +65,7 @@ class Residuals(Frozen):
         share = (centres + 0.5) / np.array(lattice.image_size) * [across, down]
         column, row = np.clip(share.astype(int), 0, [across - 1, down - 1]).T
         length = np.hypot(*self.offset.T)
-        inlier = length <= DEFAULT.residual_outlier * np.median(length) if len(length) else np.zeros(0, dtype=bool)
+        inlier = length <= 4 * np.median(length) if len(length) else np.zeros(0, dtype=bool)
         rows = []
         for cell in range(across * down):
             inside = inlier & (row * across + column == cell)

@@ -8,9 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .lattice import Lattice, reduce_basis
-from .settings import ARRANGEMENTS
 
 __all__ = ["ARRANGEMENTS", "LatticeHint", "state_lattice"]
+
+_ROOT = 0.75**0.5
+#: Bases of pitch 1 by the name of their arrangement; rows of hexagonal arrays are those of nearest neighbours.
+ARRANGEMENTS = {
+    "hexagonal": ((1.0, 0.0), (0.5, _ROOT)),
+    "hexagonal-vertical": ((0.0, 1.0), (-_ROOT, 0.5)),
+    "square": ((1.0, 0.0), (0.0, 1.0)),
+}
 
 
 @dataclass(frozen=True)

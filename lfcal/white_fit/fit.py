@@ -21,7 +21,7 @@ from ..lattice.standard_errors import LatticeErrors
 from ..runtime.checks import LIMITS, find_centroid_doubt
 from ..runtime.errors import CalibrationError
 from .cat_eye import CatEye
-from .gauss_newton import Fit, add_distortion, converge, distortion_orders, explains_better
+from .gauss_newton import Fit, add_distortion, converge, distortion_orders, explains_better, locate_lenses
 from .microimages import Microimages, cut_out
 from .two_discs import TwoDiscs, choose_lens, fit_two_discs
 from .vignetting import compare_pixels, measure_centroid_offset, measure_narrowing
@@ -79,7 +79,7 @@ def fit_white(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixel
             fit = converge(fit.lattice, lenses, fit.orders)
         if number == _CHOICE[0]:
             fit = _select_orders(fit)
-    residuals = Residuals(fit.lenses.indices.astype(np.int32), fit.step.offsets.astype(np.float32))
+    residuals = Residuals(fit.lenses.indices.astype(np.int32), locate_lenses(fit).astype(np.float32))
     return WhiteFit(
         fit.lattice, None, find_centroid_doubt(measure_centroid_offset(fit.lenses, fit.lattice)),
         fit.step.residual_rms, LatticeErrors(tuple(fit.step.names), fit.step.covariance),

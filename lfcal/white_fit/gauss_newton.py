@@ -18,7 +18,7 @@ from ..runtime.errors import CalibrationError
 from .kernel import Sums
 from .microimages import Microimages
 
-__all__ = ["Fit", "Step", "add_distortion", "converge", "distortion_orders", "explains_better"]
+__all__ = ["Fit", "Step", "add_distortion", "converge", "distortion_orders", "explains_better", "locate_lenses"]
 
 # Damping of a step by robust weights: for Tukey's biweight and normal residuals the ratio of the means of second and
 # first derivative is 0.76 / 0.91, a little more as pixels of several lenses have one variance.
@@ -149,16 +149,37 @@ def _moved(lattice: Lattice, step: Step) -> Lattice:
 def _solve_step(lattice: Lattice, lenses: Microimages, sums: Sums, orders: tuple[str, ...]) -> Step:
     """The next step of all global parameters; the gains are eliminated (Schur complement)."""
     jacobian, names = _jacobian(lattice, lenses.indices, orders)
+    normal, right = _position_equations(sums)
+    try:
+        return Step(names, jacobian, normal, right, *_solve(jacobian, normal, right))
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(_NO_LATTICE) from error
+
+
+def _position_equations(sums: Sums) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Normal matrices (n, 2, 2) and right sides (n, 2) of the positions, without the gains."""
     share = sums.normal[:, :2, 2] / np.maximum(sums.normal[:, 2, 2], 1e-30)[:, None]
     normal = np.triu(sums.normal[:, :2, :2]) + np.triu(sums.normal[:, :2, :2], 1).transpose(0, 2, 1)
     normal = normal - share[:, :, None] * sums.normal[:, None, :2, 2]
     # So that those of blank lenses can be inverted.
     normal += 1e-9 * np.trace(normal.sum(0)) / len(normal) * np.eye(2)
-    right = sums.right[:, :2] - share * sums.right[:, [2]]
-    try:
-        return Step(names, jacobian, normal, right, *_solve(jacobian, normal, right))
-    except np.linalg.LinAlgError as error:
-        raise CalibrationError(_NO_LATTICE) from error
+    return normal, sums.right[:, :2] - share * sums.right[:, [2]]
+
+
+def locate_lenses(fit: Fit) -> NDArray[np.float64]:
+    """(n, 2) [px] from the centres on the lattice to those that the pixels of single microimages show."""
+    offsets = fit.step.offsets
+    far = np.flatnonzero(np.hypot(*offsets.T) > 2.5 * fit.step.residual_rms)
+    if len(far):
+        # Pixels on their edges are outliers of the common fit: here the weights are so low that each one counts.
+        lenses = fit.lenses.select(far)
+        lenses, start = replace(lenses, ring_weight=1e-9 * lenses.ring_weight), lenses.centres
+        for _ in range(5):
+            normal, right = _position_equations(lenses.sums())
+            shift = np.linalg.solve(normal, right[..., None])[..., 0]
+            lenses = replace(lenses, centres=lenses.centres + np.clip(shift, -0.5, 0.5))
+        offsets[far] = lenses.centres - start
+    return offsets
 
 
 def _solve(

@@ -81,9 +81,12 @@ class Microimages:
 
     def thin(self, pixels: float) -> Microimages:
         """An even part of the lenses, with at most so many pixels in their windows."""
-        few = slice(None, None, max(1, int(self.light.size / pixels) + 1))
+        return self.select(slice(None, None, max(1, int(self.light.size / pixels) + 1)))
+
+    def select(self, rows: slice | NDArray[np.int64]) -> Microimages:
+        """Some of the lenses."""
         of_lenses = ("indices", "light", "corners", "centres", "gain", "slope", "shade")
-        return replace(self, **{name: getattr(self, name)[few] for name in of_lenses})
+        return replace(self, **{name: getattr(self, name)[rows] for name in of_lenses})
 
     def places(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(n, 1, k) `x` and (n, k, 1) `y` of the pixels relative to the centres [px]."""
@@ -163,7 +166,7 @@ def cut_out(
     """
     cell, dark = Cell.of(lattice), 0.03
     margin = cell.circumradius + 2
-    lit = LitLenses.find(tones, lattice, margin, dark**0.5, lit)
+    lit = lit or LitLenses.find(tones, lattice, margin, dark**0.5)
     share = max(pixels / abs(np.linalg.det(lattice.basis)), fewest) / max(len(lit.indices), 1)
     taken = lit.select(tones, lattice, margin, sample_mask(len(lit.indices), share))
     indices, offset = taken.indices, tones.offsets[taken.crop]

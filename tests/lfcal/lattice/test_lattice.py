@@ -112,7 +112,7 @@ def test_lenses_of_a_large_lattice_are_gathered_piece_by_piece(basis, monkeypatc
     straight = Lattice([400.3, 300.2], basis, (800, 600), 4.0)
     points = straight.points(np.column_stack([x, y]))
     on = ((points >= -0.5) & (points < [799.5, 599.5])).all(1)
-    monkeypatch.setattr(lattice, "DEFAULT", replace(lattice.DEFAULT, chunk=500))
+    monkeypatch.setattr(lattice, "_CHUNK", 500)
     pieces = replace(straight)
     assert {tuple(ij) for ij in pieces.indices().tolist()} == set(zip(x[on].tolist(), y[on].tolist(), strict=True))
     assert len(pieces) == on.sum()
