@@ -13,18 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.cell import cell_normals
-from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_mask, select_whole_lenses
 from ..lattice.robust_fit import LatticeFit, field_rms
 from ..runtime.errors import CalibrationError
 from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
-from .radial_distortion import DecentredEstimate, RadialEstimate, estimate_decentred, estimate_radial
-from .settings import SCENE
+from .radial_distortion import RadialEstimate, estimate_radial
 from .template import build_lens_equations
 
 __all__ = ["fit_scene", "measure_shifts", "select_lenses", "standard_error"]
 
+_FEWEST_LENSES = 12
+# Lenses for the first steps, and passes of these.
+_SKETCH_LENSES, _SKETCH_PASSES = 700, 4
+_PASSES = 10
+# [standard errors] shorter steps end a fit.
+_SETTLED = 0.2
+# Parts of the flat whose errors are independent of each other.
+_TILES = 36
 _NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat or a white image"
 _TOO_LITTLE = "the microimages show too little; give a brighter flat or a white image"
 
@@ -46,31 +52,32 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     CalibrationError
         If fewer than a dozen whole microimages are on the flat, or they keep to no lattice.
     """
-    stride = max(1, round(lattice.pitch / SCENE.fine_pitch))
+    # Of larger microimages fewer pixels are used, as many as of these.
+    stride = max(1, round(lattice.pitch / 24))
     area = abs(np.linalg.det(lattice.basis))
-    most = min(max(int(pixels * stride**2 / area), SCENE.sketch_lenses), SCENE.most_lenses)
-    if min(most, len(lattice)) > 2 * SCENE.sketch_lenses:
-        sketch = _Fitter(picture, select_lenses(lattice, SCENE.sketch_lenses), stride)
-        lattice = sketch.converge(lattice, SCENE.sketch_passes).lattice
+    # More lenses do not make the lattice of a scene more accurate.
+    most = min(max(int(pixels * stride**2 / area), _SKETCH_LENSES), 8000)
+    if min(most, len(lattice)) > 2 * _SKETCH_LENSES:
+        sketch = _Fitter(picture, select_lenses(lattice, _SKETCH_LENSES), stride)
+        lattice = sketch.converge(lattice, _SKETCH_PASSES).lattice
     indices = select_lenses(lattice, most)
     measured = measure_shifts(picture, lattice, indices, stride)
     certain = _select_certain(measured.variance)
     fitter, measured = _Fitter(picture, indices[certain], stride), measured.select(certain)
-    fit = fitter.add_distortion(fitter.converge(lattice, SCENE.passes, measured=measured))
+    fit = fitter.add_distortion(fitter.converge(lattice, _PASSES, measured=measured))
     regular = find_regular_ratio(fit.before.basis, fit.shifts)
     if regular is not None:
         fitter = replace(fitter, regular=regular)
-        fit = fitter.converge(fit.before, SCENE.passes, measured=fit.measured)
-        fit = fit if fit.lattice.distortion is None else fitter.add_distortion(fit)
+        fit = fitter.converge(fit.before, _PASSES, measured=fit.measured)
     return _summarise(fit)
 
 
 def _summarise(fit: _Converged) -> LatticeFit:
     lattice, shifts, weight = fit.lattice, fit.shifts, fit.weight
     error = standard_error(shifts, fit.change, weight) * error_inflation(shifts, weight)
-    tile, parity = _tiles(shifts, max(SCENE.tiles, len(weight) // SCENE.lenses_per_tile))
+    tile, parity = _tiles(shifts, max(_TILES, len(weight) // 16))
     sides = [parity[tile] == side for side in (0, 1)]
-    if min(side.sum() for side in sides) < SCENE.fewest_in_half:
+    if min(side.sum() for side in sides) < 3:
         raise CalibrationError(_TOO_LITTLE)
     one, two = (solve_irls(shifts.select(side))[0] for side in sides)
     miss = ((shifts.shift - shifts.design @ fit.change) ** 2).sum(1)
@@ -131,7 +138,7 @@ class _Fitter:
         # The lenses that agree best are selected at first, and once more when the fit has converged on them: selected
         # at every step, they would alternate between parts of the flat that do not agree.
         weights: NDArray[np.float64] | None = None
-        restarts = SCENE.restarts
+        restarts = 1
         for turn in range(passes):
             if measured is None or turn > 0:
                 measured = measure_shifts(self.picture, lattice, self.indices, self.stride)
@@ -139,7 +146,7 @@ class _Fitter:
             shifts, shown = measured.shifts, np.isfinite(measured.variance)
             before = None if weights is None else weights[shown]
             change, weight = solve_irls(shifts, before if before is not None and before.any() else None)
-            short = SCENE.settled * standard_error(shifts, change, weight)
+            short = _SETTLED * standard_error(shifts, change, weight)
             leap = path.leap(lattice, change, shifts.design)
             settled = max(field_rms(shifts.design, change), field_rms(shifts.design, leap)) < short
             if settled and restarts and before is not None:
@@ -151,7 +158,7 @@ class _Fitter:
             weights = np.zeros(len(self.indices))
             weights[shown] = weight
             from_here, lattice = lattice, move_lattice(lattice, change if settled or turn == passes - 1 else leap)
-            if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < SCENE.runaway:
+            if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < 0.05:
                 raise CalibrationError(_NO_LATTICE)
             if settled:
                 break
@@ -160,43 +167,24 @@ class _Fitter:
         return _Converged(lattice, from_here, measured, change, weight, remaining)
 
     def add_distortion(self, fit: _Converged) -> _Converged:
-        """The fit with a radial distortion if that is significant, else as it is."""
-        before, lattice, estimate = fit, fit.lattice, _estimate_radial(fit)
-        if lattice.distortion is None and not estimate.is_significant(lattice.pitch):
-            return self._add_decentred(fit)
-        bend = lattice.distortion or Distortion.zero(lattice.image_size)
-        for _ in range(SCENE.passes):
-            bend = replace(bend, k1=bend.k1 + estimate.k1)
-            fit = self.converge(replace(lattice, distortion=bend), SCENE.sketch_passes)
-            lattice, estimate = fit.lattice, _estimate_radial(fit)
-            if abs(estimate.k1) < SCENE.settled * estimate.error:
-                break
-        return fit if replace(estimate, k1=bend.k1).is_significant(lattice.pitch) else before
-
-    def _add_decentred(self, fit: _Converged) -> _Converged:
-        """The fit with a radial distortion about any place if that is significant, else as it is."""
-        whole = _estimate_decentred(fit)
-        if not whole.is_significant(fit.lattice.pitch):
-            return fit
-        for _ in range(SCENE.sketch_passes):
-            bend = whole.distortion(fit.lattice.image_size)
-            fit = self.converge(replace(fit.lattice, distortion=bend), SCENE.sketch_passes)
-            more = _estimate_decentred(fit)
-            if more.significance < SCENE.settled:
-                break
-            whole = whole + more
+        """The fit with a radial distortion, about the middle or any place, if that is significant, else as it is."""
+        for tilted in (False, True):
+            whole = _estimate_radial(fit, tilted)
+            if fit.lattice.distortion is None and whole.is_significant(fit.lattice.pitch):
+                for _ in range(_SKETCH_PASSES):
+                    bend = whole.distortion(fit.lattice.image_size)
+                    fit = self.converge(replace(fit.lattice, distortion=bend), _SKETCH_PASSES)
+                    more = _estimate_radial(fit, tilted)
+                    if more.significance < _SETTLED**2:
+                        break
+                    whole = whole + more
         return fit
 
 
-def _estimate_decentred(fit: _Converged) -> DecentredEstimate:
-    tile = _tiles(fit.shifts, SCENE.tiles)[0]
-    return estimate_decentred(fit.before, fit.shifts.design, fit.shifts.shift, fit.weight, tile)
-
-
-def _estimate_radial(fit: _Converged) -> RadialEstimate:
+def _estimate_radial(fit: _Converged, tilted: bool) -> RadialEstimate:
     """The distortion that the lenses of a fit show beyond the one it has."""
-    tile = _tiles(fit.shifts, SCENE.tiles)[0]
-    return estimate_radial(fit.before, fit.shifts.design, fit.shifts.shift, fit.weight, tile)
+    tile = _tiles(fit.shifts, _TILES)[0]
+    return estimate_radial(fit.before, fit.shifts.design, fit.shifts.shift, fit.weight, tile, tilted)
 
 
 @dataclass
@@ -212,14 +200,14 @@ class Acceleration:
         self.changes.append(change.ravel())
         if len(self.changes) == 1:
             return change
-        recent = slice(-SCENE.depth - 1, None)
+        recent = slice(-5, None)
         moves, turns = np.diff(self.lattices[recent], axis=0).T, np.diff(self.changes[recent], axis=0).T
         # In the metric of the movement of the centres.
         root = np.kron(np.linalg.cholesky(design.T @ design / len(design)).T, np.eye(2))
-        part = np.linalg.lstsq(root @ turns, root @ self.changes[-1], rcond=SCENE.alike)[0]
+        part = np.linalg.lstsq(root @ turns, root @ self.changes[-1], rcond=0.05)[0]
         further = self.changes[-1] - (moves + turns) @ part
         length, plain = (float(np.linalg.norm(root @ v)) for v in (further, self.changes[-1]))
-        return (further * min(1.0, SCENE.most_leap * plain / max(length, 1e-300))).reshape(3, 2)
+        return (further * min(1.0, 10 * plain / max(length, 1e-300))).reshape(3, 2)
 
 
 def move_lattice(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
@@ -232,18 +220,18 @@ def select_lenses(lattice: Lattice, most: int) -> NDArray[np.int64]:
     _, reach = cell_normals(lattice)
     indices, _ = select_whole_lenses(lattice, reach + 1)
     indices = indices[sample_mask(len(indices), most / max(len(indices), 1))]
-    if len(indices) < SCENE.fewest_lenses:
+    if len(indices) < _FEWEST_LENSES:
         raise CalibrationError(
             f"only {len(indices)} whole microimages of {lattice.pitch:.1f} px pitch fit on the flat, "
-            f"at least {SCENE.fewest_lenses} are needed; give the whole sensor"
+            f"at least {_FEWEST_LENSES} are needed; give the whole sensor"
         )
     return indices
 
 
 def _select_certain(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(n,) lenses whose variance (n,) is not so large that they have next to no weight: the rest only takes time."""
-    enough = np.sort(variance)[min(SCENE.enough_lenses, len(variance)) - 1]
-    return np.asarray(variance <= max(SCENE.doubtful * np.quantile(variance, SCENE.most_certain), enough))
+    enough = np.sort(variance)[min(2000, len(variance)) - 1]
+    return np.asarray(variance <= max(4 * np.quantile(variance, 0.02), enough))
 
 
 def measure_shifts(
@@ -254,13 +242,13 @@ def measure_shifts(
     centres = lattice.points(indices)
     # A lattice that has moved may have moved lenses over the edge of the flat.
     whole = ((centres >= reach) & (centres <= np.array(picture.shape[::-1]) - 1 - reach)).all(1)
-    if whole.sum() < SCENE.fewest_lenses:
+    if whole.sum() < _FEWEST_LENSES:
         raise CalibrationError(_NO_LATTICE)
     found = build_lens_equations(picture, lattice, np.ascontiguousarray(centres[whole]), normals, stride)
     # Dark and blank lenses fit any lattice.
     information = np.trace(found.normal, axis1=1, axis2=2)
-    clear = information > SCENE.least_information * np.quantile(information, SCENE.good)
-    if clear.sum() < SCENE.fewest_lenses:
+    clear = information > 0.001 * np.quantile(information, 0.9)
+    if clear.sum() < _FEWEST_LENSES:
         raise CalibrationError(_TOO_LITTLE)
     (xx, xy), (_, yy) = found.normal[clear].transpose(1, 2, 0)
     bx, by = found.right[clear].T
@@ -280,7 +268,7 @@ def standard_error(shifts: LensShifts, change: NDArray[np.float64], weight: NDAr
 
     A cluster-robust ("sandwich") covariance: Huber, Robust Statistics (1981), section 7.6.
     """
-    tile, parity = _tiles(shifts, SCENE.tiles)
+    tile, parity = _tiles(shifts, _TILES)
     pull = (weight[:, None] * (shifts.shift - shifts.design @ change))[:, :, None] * shifts.design[:, None, :]
     tiles = len(parity)
     total = np.zeros((tiles, 2, 3))
@@ -294,7 +282,7 @@ def standard_error(shifts: LensShifts, change: NDArray[np.float64], weight: NDAr
 def _tiles(shifts: LensShifts, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Tile (n,) of each lens, at most about `number` squares, and the colour (t,) 0 or 1 of each as on a chessboard."""
     places = shifts.design[:, 1:] @ shifts.basis
-    number = min(number, max(len(places) // SCENE.fewest_in_tile, 1))
+    number = min(number, max(len(places) // 3, 1))
     extent = np.ptp(places, axis=0) + 1e-6
     side = float(np.sqrt(extent.prod() / number))
     grid = np.maximum(1, np.rint(extent / side)).astype(int)

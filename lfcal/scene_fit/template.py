@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
 from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
+from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.fastmath import FAST
 from ..runtime.kernels.jit import kernel
-from .settings import SCENE
 
 __all__ = ["LensEquations", "build_lens_equations"]
 
@@ -168,19 +168,20 @@ def build_lens_equations(
     Each lens has its own contrast and offset: blank or dark ones carry no information. `normals` are those of
     `cell_normals`. Of large microimages every `stride`-th pixel each way is enough, as neighbouring ones are alike.
     """
-    bins = int(min(SCENE.bins_per_pixel * lattice.pitch, SCENE.most_bins))
+    # More bins are not worth their memory.
+    bins = int(min(3 * lattice.pitch, 210))
     # Space for the pixels of a cell, and for whole vectors beyond them.
     room = (int(2 * cell_circumradius(normals)) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
     sides, inverse = cell_row_bounds(normals), np.linalg.inv(lattice.basis)
-    few = np.ascontiguousarray(centres[:: max(1, len(centres) // SCENE.template_lenses)])
+    few = np.ascontiguousarray(centres[:: max(1, len(centres) // 1500)])
     sums = np.zeros((_CHUNKS, bins * bins, 4), np.float32)
     _fold(picture, few, sides, room, inverse, stride, bins, _CHUNKS, sums)
-    maps = _average(sums.sum(0, dtype=np.float64), np.asarray(inverse, np.float64), SCENE.blur * bins / lattice.pitch)
+    maps = _average(sums.sum(0, dtype=np.float64), np.asarray(inverse, np.float64), 0.5 * bins / lattice.pitch)
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
     noise = np.zeros(len(centres))
     _accumulate(
-        picture, centres, sides, room, inverse, stride, bins, _CHUNKS, maps, np.float32(1 / SCENE.pixel_outlier**2),
-        SCENE.most_contrast, normal, right, noise,
+        picture, centres, sides, room, inverse, stride, bins, _CHUNKS, maps, np.float32(1 / TUKEY_CUTOFF**2),
+        2.0, normal, right, noise,
     )  # fmt: skip
     return LensEquations(normal, right, noise)
 

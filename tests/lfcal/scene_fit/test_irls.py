@@ -7,7 +7,7 @@ import pytest
 
 from lfcal.lattice.robust_fit import field_rms
 from lfcal.scene_fit.fit import standard_error
-from lfcal.scene_fit.irls import LensShifts, _weighted_quantile, error_inflation, solve_irls
+from lfcal.scene_fit.irls import LensShifts, error_inflation, solve_irls
 
 
 def test_one_lens_far_more_certain_than_the_others_moves_the_origin_only():
@@ -35,20 +35,6 @@ def test_standard_error_with_inflation_is_the_spread_of_the_fits():
         stated.append(standard_error(steps, change, share) * error_inflation(steps, share))
         found.append(field_rms(steps.design, change))
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(np.sqrt(np.mean(np.square(stated))), rel=0.15)
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 10, 500])
-def test_weighted_quantile_is_that_of_the_sorted_values(count):
-    rng = np.random.default_rng(count)
-    for values in (rng.random(count), rng.integers(0, 4, count).astype(float)):
-        weight = rng.random(count) * (rng.random(count) < 0.7) + 1e-9
-        order = np.argsort(values)
-        below = np.cumsum(weight[order])
-        for share in (0.05, 0.5, 0.95):
-            wanted = share * weight.sum()
-            value = values[order][np.searchsorted(below, wanted)]
-            for about in (0.0, 0.9 * value, value, 2.0):
-                assert _weighted_quantile(values, weight, wanted, about, np.empty(count), np.empty(count)) == value
 
 
 def test_given_weights_select_the_solution_they_lead_to():
