@@ -17,11 +17,15 @@ from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from .coarse_disparity import estimate_coarse_disparity
-from .focus_order import find_focus_order
+from .focus_order import MIN_SPREAD, find_focus_order
 from .lens_sample import LensFeatures, LensSample, measure_lens_features, outlier_limit, sample_lenses
-from .settings import DEFAULT, LensTypeSettings, PatternSettings
 
-__all__ = ["find_lens_types", "is_in_step"]
+# [px] smaller microimages hold too few pixels to tell sharp from soft.
+MIN_RADIUS = 5.0
+# With all neighbours on the flat.
+_FEWEST_LENSES = 100
+
+__all__ = ["MIN_RADIUS", "find_lens_types", "is_in_step"]
 
 # Period n and steps p, q of mosaics in which lens (i, j) is of type (p * i + q * j) mod n.
 _MOSAICS: tuple[tuple[int, ...], ...] = ((3, 1, -1), (3, 1, 1), (3, 1, 0), (3, 0, 1), (2, 1, 1), (2, 1, 0), (2, 0, 1))
@@ -32,7 +36,6 @@ def find_lens_types(
     picture: NDArray[np.float32] | StackedCrops,
     lattice: Lattice,
     white: bool,
-    settings: LensTypeSettings = DEFAULT,
 ) -> LensTypes | None:
     """Classify the lenses of an array by type, where there are several.
 
@@ -53,21 +56,20 @@ def find_lens_types(
     LensTypes or None
         None where the flat shows no difference between lenses: one type, or too little to see.
     """
-    pattern = settings.pattern
-    if lattice.radius < pattern.min_radius:
+    if lattice.radius < MIN_RADIUS:
         return None
     crops = StackedCrops.of(picture)
-    sample = sample_lenses(lattice, crops, settings.sample)
-    features = measure_lens_features(crops.picture, sample, settings.sample)
+    sample = sample_lenses(lattice, crops)
+    features = measure_lens_features(crops.picture, sample)
     sharpness = sample.subtract_neighbours(features.sharpness)
-    if np.isfinite(sharpness).sum() < pattern.fewest_lenses:
+    if np.isfinite(sharpness).sum() < _FEWEST_LENSES:
         return None
     disparity = np.full(len(sharpness), np.nan)
     if not white:
-        disparity = estimate_coarse_disparity(crops.picture, sample, settings.disparity)
-    if len(_other_patterns(lattice, pattern)) < pattern.fewest_patterns:
+        disparity = estimate_coarse_disparity(crops.picture, sample)
+    if len(_other_patterns(lattice)) < 24:
         return None
-    spectrum = _PatternSpectrum.measure(sample, features, disparity, white, pattern)
+    spectrum = _PatternSpectrum.measure(sample, features, disparity, white)
     strength = np.array([spectrum.strength(k) for k in range(len(_MOSAICS))])
     if not strength.any():
         return None
@@ -75,12 +77,10 @@ def find_lens_types(
     period = _MOSAICS[strongest][0]
     found = [m[1:] for m, power in zip(_MOSAICS, strength, strict=True) if power > 0 and m[0] == period]
     cell = _cell(period, found if period == 2 else [_MOSAICS[strongest][1:]])
-    beats = _beats(_VECTORS[[strongest]], lattice, 1.0, pattern.beat_cycles, pattern)[0]
+    beats = _beats(_VECTORS[[strongest]], lattice)[0]
     inner_loss = sample.subtract_neighbours(features.inner_loss)
     outer_light = inner_loss if beats else sample.subtract_neighbours(features.outer_light)
-    order = find_focus_order(
-        sample, cell, sharpness, disparity, outer_light, inner_loss, features.rim_ratio, settings.focus
-    )
+    order = find_focus_order(sample, cell, sharpness, disparity, outer_light, inner_loss, features.rim_ratio)
     types = np.argsort(order.sequence)[cell]
     return LensTypes(types.astype(np.int8), order.known, order.focus[order.sequence], 1 - 1 / float(strength.max()))
 
@@ -97,7 +97,6 @@ class _PatternSpectrum:
     # (mosaics,) power in the gradients, which do not depend on types: the scene repeats
     scene_power: NDArray[np.float64]
     white: bool  # the flat is a white image
-    settings: PatternSettings
 
     @classmethod
     def measure(
@@ -106,14 +105,13 @@ class _PatternSpectrum:
         features: LensFeatures,
         disparity: NDArray[np.float64],
         white: bool,
-        settings: PatternSettings,
     ) -> _PatternSpectrum:
         lattice = sample.lattice
-        vectors = np.vstack([_VECTORS, _other_patterns(lattice, settings)])
+        vectors = np.vstack([_VECTORS, _other_patterns(lattice)])
         waves = _waves(sample.inner, vectors) / _gain(vectors, lattice)
-        beats = _beats(_VECTORS, lattice, 1.0, settings.beat_cycles, settings)
+        beats = _beats(_VECTORS, lattice)
         # Two colours of a mosaic, or pixels that fall on edges in two ways, look like two types.
-        regular = np.any([_beats(_VECTORS, lattice, step, 2.0, settings) for step in (1.0, 0.5)], axis=0)
+        regular = np.any([_beats(_VECTORS, lattice, step, 2.0) for step in (1.0, 0.5)], axis=0)
         sound = ~(regular & [period == 2 for period, _, _ in _MOSAICS])
 
         def differences(feature: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -125,16 +123,16 @@ class _PatternSpectrum:
         # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side can be used; on
         # white images it can in any case, where it shows radii that differ, and no scene.
         found = [
-            (differences(features.outer_light), threshold(*settings.min_outer_light), sound),
-            (differences(features.inner_loss), np.full(len(beats), settings.min_inner_loss), (beats | white) & sound),
+            (differences(features.outer_light), threshold(0.012, 0.07), sound),
+            (differences(features.inner_loss), np.full(len(beats), 0.015), (beats | white) & sound),
         ]
         if white:
-            found.append((differences(features.level), np.full(len(beats), settings.min_level), sound))
+            found.append((differences(features.level), np.full(len(beats), 0.004), sound))
         else:
-            sharpness, least = differences(features.sharpness), threshold(*settings.min_contrast)
+            sharpness, least = differences(features.sharpness), threshold(0.04, 0.07)
             found.append((sharpness, least, sound))
-            spread = np.nanstd(disparity) if np.isfinite(disparity).sum() >= settings.fewest_lenses else 0.0
-            if spread > settings.min_spread:
+            spread = np.nanstd(disparity) if np.isfinite(disparity).sum() >= _FEWEST_LENSES else 0.0
+            if spread > MIN_SPREAD:
                 # Which type is sharper changes with depth, and may cancel over a whole flat.
                 depth = np.clip(np.nan_to_num((disparity - np.nanmean(disparity)) / spread), -2, 2)
                 found.append((sharpness * depth, least, sound))
@@ -142,19 +140,18 @@ class _PatternSpectrum:
         gradient = np.array([differences(one) for one in features.gradient])
         count = len(_MOSAICS)
         scene_power = np.zeros(count) if white else _power(gradient, waves[:, :count]).max(0)
-        return cls(values, waves, _power(values, waves), least, usable, scene_power, white, settings)
+        return cls(values, waves, _power(values, waves), least, usable, scene_power, white)
 
     def strength(self, mosaic: int) -> float:
         """Power of a mosaic over that of the strongest other pattern, 0 where it is not significant."""
-        settings = self.settings
         sound = [int(k) for k in np.flatnonzero(self.usable[:, mosaic]) if self._repeats(int(k), mosaic)]
         found = []
         # Each feature by itself, and all together: on a small flat one alone may be too weak.
         for chosen in [[k] for k in sound] + ([sound] if len(sound) > 1 else []):
             power = self.power[chosen].sum(0)
             here, elsewhere = float(power[mosaic]), float(power[len(_MOSAICS) :].max())
-            limit = max(settings.above_noise, settings.above_others * elsewhere)
-            if here > limit and self.scene_power[mosaic] < settings.scene_repeats * here:
+            # Noise reaches twelve times its mean power by exp(-12); detail of scenes is no noise.
+            if here > max(12, 3 * elsewhere) and self.scene_power[mosaic] < 0.3 * here:
                 found.append(here / elsewhere)
         # Detail of a scene makes pairs more easily than threes: they must show in two features.
         needed = 2 if _MOSAICS[mosaic][0] == 2 and not self.white else 1
@@ -163,12 +160,12 @@ class _PatternSpectrum:
     def _repeats(self, feature: int, mosaic: int) -> bool:
         """Whether a mosaic is strong enough in a feature to matter, and the same in two halves of the sample."""
         values, wave = self.values[feature], self.waves[:, mosaic]
-        half = np.arange(len(values)) * self.settings.stripes // len(values) % 2 == 0
+        half = np.arange(len(values)) * 16 // len(values) % 2 == 0
         first, second = complex(values[half] @ wave[half]), complex(values[~half] @ wave[~half])
         # Twice the amplitude of a wave is about the spread of the types.
         if 2 * abs(first + second) < self.least[feature, mosaic] * int((values != 0).sum()):
             return False
-        return (first * second.conjugate()).real > self.settings.min_cosine * abs(first) * abs(second)
+        return (first * second.conjugate()).real > 0.7 * abs(first) * abs(second)
 
 
 def _clip_outliers(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -196,18 +193,16 @@ def _gain(vectors: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]
     return 1 - np.cos(2 * np.pi * vectors @ lattice.steps.T).mean(1)
 
 
-def _other_patterns(lattice: Lattice, settings: PatternSettings) -> NDArray[np.float64]:
+def _other_patterns(lattice: Lattice) -> NDArray[np.float64]:
     """(v, 2) wave vectors [periods per lens], as fine as those of mosaics but far from them and from beats."""
     # Multiples of powers of the plastic number are evenly spread over the square.
     drawn = (np.arange(1, 500)[:, None] * [0.7548776662466927, 0.5698402909980532]) % 1
-    far = _apart(drawn[:, None] - np.vstack([_VECTORS, -_VECTORS])).max(-1).min(1) > settings.pattern_distance
+    far = _apart(drawn[:, None] - np.vstack([_VECTORS, -_VECTORS])).max(-1).min(1) > 0.05
     fine = _gain(drawn, lattice) > 1
-    return drawn[far & fine & ~_beats(drawn, lattice, 1.0, settings.beat_cycles, settings)][: settings.patterns]
+    return drawn[far & fine & ~_beats(drawn, lattice)][:64]
 
 
-def _beats(
-    vectors: NDArray[np.float64], lattice: Lattice, step: float, cycles: float, settings: PatternSettings
-) -> NDArray[np.bool_]:
+def _beats(vectors: NDArray[np.float64], lattice: Lattice, step: float = 1.0, cycles: float = 1.2) -> NDArray[np.bool_]:
     """(v,) whether a pattern (v, 2) is a beat of the lattice with the pixels.
 
     `step` is 1 period per pixel, or 1/2 for a 2 x 2 colour mosaic; `cycles` is how many times
@@ -215,12 +210,12 @@ def _beats(
     """
     m, n = np.mgrid[-2:3, -2:3].reshape(2, -1) * step
     grid = np.column_stack([m, n])[(m != 0) | (n != 0)]
-    limit = min(settings.beat_frequency, cycles / (min(lattice.image_size) / lattice.pitch))
+    limit = min(0.08, cycles / (min(lattice.image_size) / lattice.pitch))
     near = _apart(vectors[:, None] - grid @ lattice.basis.T).max(-1) < limit
     return near.any(1)
 
 
-def is_in_step(cell: NDArray[np.int8], lattice: Lattice, settings: PatternSettings = DEFAULT.pattern) -> bool:
+def is_in_step(cell: NDArray[np.int8], lattice: Lattice) -> bool:
     """Whether beats of the lattice with the pixels repeat like the types of a `cell` (m, m)."""
     period = len(cell)
     i, j = np.mgrid[0:period, 0:period]
@@ -228,7 +223,7 @@ def is_in_step(cell: NDArray[np.int8], lattice: Lattice, settings: PatternSettin
         n == period and len(set(zip(((p * i + q * j) % n).ravel().tolist(), cell.ravel().tolist(), strict=True))) == n
         for n, p, q in _MOSAICS
     ]
-    return bool(_beats(_VECTORS[alike], lattice, 1.0, settings.beat_cycles, settings).any())
+    return bool(_beats(_VECTORS[alike], lattice).any())
 
 
 def _apart(difference: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,9 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .lens_sample import LensSample, outlier_limit
-from .settings import DEFAULT, FocusSettings
 
-__all__ = ["FocusOrder", "TypeMeans", "find_focus_order"]
+# Lenses of a type, at least.
+_FEWEST_LENSES = 40
+# Light beyond rims over that before them, from which on they are those of a white image.
+FLATTENED = 0.95
+# Spread of `s / D` from which on a scene has depth.
+MIN_SPREAD = 0.02
+
+__all__ = ["FLATTENED", "MIN_SPREAD", "FocusOrder", "TypeMeans", "find_focus_order"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +36,6 @@ def find_focus_order(
     outer_light: NDArray[np.float64],
     inner_loss: NDArray[np.float64],
     rim_ratio: float,
-    settings: FocusSettings = DEFAULT.focus,
 ) -> FocusOrder:
     """Sort provisional lens types by their focus.
 
@@ -47,9 +52,9 @@ def find_focus_order(
         `LensFeatures.rim_ratio`.
     """
     count = int(cell.max()) + 1
-    types = TypeMeans.from_sample(sample, cell, settings)
+    types = TypeMeans.from_sample(sample, cell)
     trend = _order_over_depth(sharpness, disparity, types)
-    rim = _rim_softness(outer_light, inner_loss, types) if rim_ratio < settings.flattened else None
+    rim = _rim_softness(outer_light, inner_loss, types) if rim_ratio < FLATTENED else None
     if trend is not None:
         slope, focus, sign = trend
         if rim is not None:
@@ -81,12 +86,11 @@ class TypeMeans:
 
     of: NDArray[np.int64]
     unmixing: NDArray[np.float64]
-    settings: FocusSettings
 
     @classmethod
-    def from_sample(cls, sample: LensSample, cell: NDArray[np.int64], settings: FocusSettings) -> TypeMeans:
+    def from_sample(cls, sample: LensSample, cell: NDArray[np.int64]) -> TypeMeans:
         """For the lenses of a sample whose types repeat after a `cell` (m, m)."""
-        return cls(cell[tuple((sample.inner % len(cell)).T)], _unmixing(sample, cell), settings)
+        return cls(cell[tuple((sample.inner % len(cell)).T)], _unmixing(sample, cell))
 
     def fit_lines(
         self, values: NDArray[np.float64], places: NDArray[np.float64]
@@ -97,7 +101,7 @@ class TypeMeans:
         """
         known = np.isfinite(values) & np.isfinite(places)
         count = len(self.unmixing)
-        if np.bincount(self.of[known], minlength=count).min() < self.settings.fewest_lenses:
+        if np.bincount(self.of[known], minlength=count).min() < _FEWEST_LENSES:
             return None
         limit = outlier_limit(values[known]) + 1e-9
         lines, errors = np.zeros((count, 2)), np.zeros((count, 2))
@@ -121,20 +125,22 @@ def _rim_softness(
     outer_light: NDArray[np.float64], inner_loss: NDArray[np.float64], types: TypeMeans
 ) -> NDArray[np.float64] | None:
     """(count,) softness of the rims of each type, mean 0; None where that is not clear."""
-    settings = types.settings
     beyond, before = types.fit_means(outer_light), types.fit_means(inner_loss)
     if beyond is None or before is None:
         return None
-    if not _are_distinct(*beyond, settings.clear) or np.ptp(beyond[0]) < settings.min_light:
+    # 1.5 % of the light may be due to how pixels fall on the rims.
+    if not _are_distinct(*beyond) or np.ptp(beyond[0]) < 0.015:
         return None
     soft = beyond[0] - beyond[0].mean()
     # Light beyond a soft edge is missing before it; a brighter neighbour adds light beyond the rim too, but takes none.
     loss = float(before[0] @ soft) / float(soft @ soft)
     error = 2 * before[1] / float(np.linalg.norm(soft))
-    return soft if loss + error > settings.min_loss else None
+    # 0.3 to 1 for real rims.
+    return soft if loss + error > 0.1 else None
 
 
-def _are_distinct(values: NDArray[np.float64], error: float, clear: float) -> bool:
+def _are_distinct(values: NDArray[np.float64], error: float, clear: float = 4.0) -> bool:
+    """Whether neighbours in the order are so many standard errors apart; with four it is wrong once in 10,000."""
     return bool(np.diff(np.sort(values)).min() > clear * error)
 
 
@@ -148,9 +154,8 @@ def _order_over_depth(
     The logarithm of sharpness falls with the square of the defocus, `-k (x - f)^2` at `x = s / D`, so that differences
     between types are straight lines in `x`: slope `2 k f`, height `-k f^2`, less the mean of all types.
     """
-    settings = types.settings
     known = np.isfinite(sharpness) & np.isfinite(disparity)
-    if known.sum() < settings.fewest_lenses or disparity[known].std() < settings.min_spread:
+    if known.sum() < _FEWEST_LENSES or disparity[known].std() < MIN_SPREAD:
         return None
     fit = types.fit_lines(sharpness, disparity)
     if fit is None:
@@ -160,7 +165,8 @@ def _order_over_depth(
     if (np.diff(focus[np.argsort(slope)]) < 0).any():
         focus[:] = np.nan
     seen = bool(np.isfinite(focus).all())
-    if not _are_distinct(slope, error, settings.clear_with_foci if seen else settings.clear):
+    # Three foci confirm the order, which happens by chance in one of six cases.
+    if not _are_distinct(slope, error, 3.5 if seen else 4.0):
         return None
     # Types change places at the mean of the foci; lines are bent by lenses far from all foci.
     middle = float(focus.mean()) if seen else -float(height @ slope) / float(slope @ slope)
@@ -177,7 +183,7 @@ def _find_foci(sharpness: NDArray[np.float64], disparity: NDArray[np.float64], t
 
     Two types are equally sharp half-way between their foci, whatever the law by which sharpness falls with defocus.
     """
-    near, count = types.settings.near, len(types.unmixing)
+    near, count = 0.12, len(types.unmixing)
     unknown = np.full(count, np.nan)
     if count != 3:
         return unknown
@@ -185,7 +191,7 @@ def _find_foci(sharpness: NDArray[np.float64], disparity: NDArray[np.float64], t
     sums = np.zeros(3)
     for pair, other in (((0, 1), 2), ((1, 2), 0), ((2, 0), 1)):
         meet, error = float(np.nanmedian(disparity)), np.inf
-        for _ in range(types.settings.turns):
+        for _ in range(5):
             fit = types.fit_lines(sharpness, np.where(np.abs(disparity - meet) < near, disparity - meet, np.nan))
             if fit is None:
                 return unknown
@@ -194,7 +200,7 @@ def _find_foci(sharpness: NDArray[np.float64], disparity: NDArray[np.float64], t
                 return unknown
             meet += float(np.clip(-height / slope, -near / 2, near / 2))
             error = float(fit[1][0] / abs(slope))
-        if not (low < meet < high and error < types.settings.max_error):
+        if not (low < meet < high and error < 0.03):
             return unknown
         sums[[*pair, other]] += meet, meet, -meet
     return sums

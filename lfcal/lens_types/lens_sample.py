@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..runtime.kernels.jit import kernel
-from .settings import DEFAULT, SampleSettings
 
 __all__ = ["LensFeatures", "LensSample", "measure_lens_features", "outlier_limit", "sample_lenses"]
 
@@ -24,6 +23,12 @@ __all__ = ["LensFeatures", "LensSample", "measure_lens_features", "outlier_limit
 _SIDE = 12
 # Steps of the distance to the centre in which light is summed.
 _RINGS = 40
+# Blocks of 144 lenses: patterns of a tenth of the scatter stand out by six standard errors.
+_BLOCKS = 48
+# Zones, as shares of the usable radius. The last two are for a rim whose outer side cannot be used.
+_CORE, _BEFORE_RIM, _BEYOND_RIM, _MIDDLE, _EDGE = (0.0, 0.5), (0.75, 0.95), (1.03, 1.12), (0.5, 0.75), (0.8, 0.97)
+# Smallest squared contrast of an 8-bit picture of mean 1.
+_NOISE = (1 / 256) ** 2
 
 
 @dataclass(frozen=True)
@@ -69,19 +74,17 @@ def outlier_limit(values: NDArray[np.float64]) -> float:
     return 3.0 * 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
-def sample_lenses(
-    lattice: Lattice, crops: StackedCrops | None = None, settings: SampleSettings = DEFAULT.sample
-) -> LensSample:
+def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSample:
     """Blocks of 12 x 12 lenses, evenly spread over the flat or its crops; all lenses of a small flat."""
     if crops is not None and len(crops) > 1:
-        return _sample_crops(lattice, crops, settings)
+        return _sample_crops(lattice, crops)
     blocks, count = _blocks(lattice.indices())
-    if len(blocks) > settings.blocks:
-        full = count >= settings.full_block * _SIDE**2
-        blocks = blocks[full] if full.sum() >= settings.blocks else blocks
-        blocks = blocks[np.unique(np.linspace(0, len(blocks) - 1, settings.blocks).round().astype(int))]
+    if len(blocks) > _BLOCKS:
+        full = 4 * count >= _SIDE**2
+        blocks = blocks[full] if full.sum() >= _BLOCKS else blocks
+        blocks = blocks[np.unique(np.linspace(0, len(blocks) - 1, _BLOCKS).round().astype(int))]
     index, centre = _block_lenses(lattice, blocks)
-    return LensSample(lattice, index, centre, _lie_inside(centre, lattice.image_size, lattice, settings), centre)
+    return LensSample(lattice, index, centre, _lie_inside(centre, lattice.image_size, lattice), centre)
 
 
 def _block_lenses(lattice: Lattice, blocks: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -92,11 +95,9 @@ def _block_lenses(lattice: Lattice, blocks: NDArray[np.int64]) -> tuple[NDArray[
     return index, lattice.points(index.reshape(-1, 2)).reshape(index.shape)
 
 
-def _lie_inside(
-    places: NDArray[np.float64], size: tuple[int, int], lattice: Lattice, settings: SampleSettings
-) -> NDArray[np.bool_]:
+def _lie_inside(places: NDArray[np.float64], size: tuple[int, int], lattice: Lattice) -> NDArray[np.bool_]:
     """Whether microimages at places (..., 2) lie inside a picture of `size` (width, height) as a whole."""
-    reach = settings.beyond_rim[1] * lattice.radius
+    reach = _BEYOND_RIM[1] * lattice.radius
     return np.asarray(((places >= reach) & (places <= np.array(size) - 1 - reach)).all(-1))
 
 
@@ -109,17 +110,17 @@ def _blocks(indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.i
     return np.column_stack(np.divmod(key, columns)) + low, count
 
 
-def _sample_crops(lattice: Lattice, crops: StackedCrops, settings: SampleSettings) -> LensSample:
+def _sample_crops(lattice: Lattice, crops: StackedCrops) -> LensSample:
     """The fullest blocks of each crop."""
-    indices, _, crop = crops.lenses(lattice, settings.beyond_rim[1] * lattice.radius)
-    each = -(-settings.blocks // len(crops))
+    indices, _, crop = crops.lenses(lattice, _BEYOND_RIM[1] * lattice.radius)
+    each = -(-_BLOCKS // len(crops))
     blocks, home = [], []
     for number in np.unique(crop):
         found, count = _blocks(indices[crop == number])
         blocks.append(found[np.argsort(-count, kind="stable")[:each]])
         home += [number] * len(blocks[-1])
     index, centre = _block_lenses(lattice, np.concatenate(blocks))
-    whole = _lie_inside(centre - crops.corners[home][:, None, None], crops.size, lattice, settings)
+    whole = _lie_inside(centre - crops.corners[home][:, None, None], crops.size, lattice)
     return LensSample(lattice, index, centre, whole, centre - crops.offsets[home][:, None, None])
 
 
@@ -155,9 +156,7 @@ def _accumulate(begin, end, picture, centres, radius, inside, lag, rows, energy,
         gradient[0, lens], gradient[1, lens] = across / max(pairs, 1), down / max(pairs, 1)
 
 
-def measure_lens_features(
-    picture: NDArray[np.float32], sample: LensSample, settings: SampleSettings = DEFAULT.sample
-) -> LensFeatures:
+def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> LensFeatures:
     """Measure the lenses of a sample.
 
     Parameters
@@ -169,21 +168,19 @@ def measure_lens_features(
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
     centres = sample.place.reshape(-1, 2)[chosen]
-    lag, rows = (max(1, round(share * radius)) for share in (settings.lag, settings.row_step))
+    # The finest detail of a microlens.
+    lag = rows = max(1, round(radius / 14))
     energy, gradient = np.zeros(len(chosen)), np.zeros((2, len(chosen)))
     light, count = np.zeros((2, len(chosen), _RINGS))
-    reach = settings.beyond_rim[1]
-    _accumulate(
-        picture, centres, reach * radius, settings.sharpness_radius * radius, lag, rows, energy, gradient, light, count
-    )
-    noise = settings.quantum**2
-    rings = _Rings(light, count, reach, noise)
-    level = rings.mean(settings.core)
-    lit = level > settings.dark_lens * np.median(level) if len(level) else np.zeros(0, bool)
-    rings = _Rings(light[lit], count[lit], reach, noise)
+    _accumulate(picture, centres, _BEYOND_RIM[1] * radius, 0.7 * radius, lag, rows, energy, gradient, light, count)
+    rings = _Rings(light, count)
+    level = rings.mean(_CORE)
+    # Darker lenses show noise.
+    lit = level > 0.03 * np.median(level) if len(level) else np.zeros(0, bool)
+    rings = _Rings(light[lit], count[lit])
     chosen, level, energy, gradient = chosen[lit], level[lit], energy[lit], gradient[:, lit]
-    outer, rim_ratio = rings.ratio(settings.beyond_rim, settings.before_rim)
-    inner, _ = rings.ratio(settings.edge, settings.middle)
+    outer, rim_ratio = rings.ratio(_BEYOND_RIM, _BEFORE_RIM)
+    inner, _ = rings.ratio(_EDGE, _MIDDLE)
 
     def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
         full = np.full((*values.shape[:-1], sample.whole.size), np.nan)
@@ -191,7 +188,7 @@ def measure_lens_features(
         return full.reshape(values.shape[:-1] + sample.whole.shape)
 
     return LensFeatures(
-        sharpness=spread(np.log(energy + noise)),
+        sharpness=spread(np.log(energy + _NOISE)),
         outer_light=spread(outer),
         inner_loss=spread(-inner),
         level=spread(np.log(level) / 2),
@@ -202,20 +199,18 @@ def measure_lens_features(
 
 @dataclass(frozen=True)
 class _Rings:
-    """Light and number of pixels (n, rings) of lenses, up to `reach` times the usable radius."""
+    """Light and number of pixels (n, rings) of lenses, up to beyond their rims."""
 
     light: NDArray[np.float64]
     count: NDArray[np.float64]
-    reach: float
-    noise: float
 
     def _zone(self, zone: tuple[float, float]) -> slice:
-        return slice(*(round(share / self.reach * _RINGS) for share in zone))
+        return slice(*(round(share / _BEYOND_RIM[1] * _RINGS) for share in zone))
 
     def mean(self, zone: tuple[float, float]) -> NDArray[np.float64]:
         """(n,) mean light of each lens in a zone."""
         rings = self._zone(zone)
-        return self.light[:, rings].sum(1) / np.maximum(self.count[:, rings].sum(1), 1) + self.noise
+        return self.light[:, rings].sum(1) / np.maximum(self.count[:, rings].sum(1), 1) + _NOISE
 
     def ratio(self, zone: tuple[float, float], other: tuple[float, float]) -> tuple[NDArray[np.float64], float]:
         """(n,) light in a zone over that in another, less that of the mean profile, and its mean over all lenses."""

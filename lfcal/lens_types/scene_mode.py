@@ -12,14 +12,11 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from .coarse_disparity import estimate_coarse_disparity
 from .lens_sample import sample_lenses
-from .settings import DEFAULT, LensTypeSettings
 
 __all__ = ["find_scene_mode"]
 
 
-def find_scene_mode(
-    flat: NDArray, lattice: Lattice, settings: LensTypeSettings = DEFAULT
-) -> Literal["telescopic", "binocular"] | None:
+def find_scene_mode(flat: NDArray, lattice: Lattice) -> Literal["telescopic", "binocular"] | None:
     """The sign of the coarse disparity of a sample of lenses.
 
     Parameters
@@ -27,7 +24,6 @@ def find_scene_mode(
     flat : (h, w) or (h, w, 3) array
     lattice : Lattice
         Of the same image size.
-    settings : LensTypeSettings
 
     Returns
     -------
@@ -35,12 +31,13 @@ def find_scene_mode(
         None where too few lenses show a disparity, or a part of them the other mode.
     """
     crops = StackedCrops.of(sqrt_luminance(flat))
-    sample = sample_lenses(lattice, crops, settings.sample)
-    ratio = estimate_coarse_disparity(crops.picture, sample, settings.disparity)
+    sample = sample_lenses(lattice, crops)
+    ratio = estimate_coarse_disparity(crops.picture, sample)
     known = ratio[np.isfinite(ratio) & (ratio != 0)]
-    if len(known) < settings.pattern.fewest_lenses:
+    if len(known) < 100:
         return None
     telescopic = float((known > 0).mean())
-    if min(telescopic, 1 - telescopic) > settings.other_mode:
+    # Of a scene in one mode, 1 to 9 % of the lenses show the other.
+    if min(telescopic, 1 - telescopic) > 0.2:
         return None
     return "telescopic" if telescopic > 0.5 else "binocular"

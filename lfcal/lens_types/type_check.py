@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from ..camera.lens_types import LensTypes
 from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
-from .classify import find_lens_types, is_in_step
-from .focus_order import TypeMeans
+from .classify import MIN_RADIUS, find_lens_types, is_in_step
+from .focus_order import FLATTENED, TypeMeans
 from .lens_sample import measure_lens_features, sample_lenses
-from .settings import DEFAULT, LensTypeSettings
 
 __all__ = ["find_rim_conflict", "find_type_conflict"]
 
@@ -27,7 +26,6 @@ def find_type_conflict(
     lattice: Lattice,
     types: LensTypes,
     rims_known: bool = False,
-    settings: LensTypeSettings = DEFAULT,
 ) -> str | None:
     """What contradicts the lens types of a camera, None where nothing does.
 
@@ -41,22 +39,20 @@ def find_type_conflict(
     rims_known : bool
         The gain map of the camera has the light at the rims of each type: those of a scene tell less.
     """
-    found = find_lens_types(picture, lattice, False, settings)
+    found = find_lens_types(picture, lattice, False)
     if found is not None and found.count == types.count:
         seen = found.focus is not None and bool(np.isfinite(found.focus).all())
         if found.ordered and types.ordered and (seen or not rims_known):
             same = np.array_equal(_numbers(found, types), _numbers(types, found))
             return None if same else "the lens types of the camera are in another order than on the flat"
-        if found.confidence > settings.check.certain_pattern and not _is_same_partition(found, types):
+        if found.confidence > 0.9 and not _is_same_partition(found, types):
             return "the lens types of the camera lie at other lenses than on the flat"
-    if types.ordered and types.count == 3 and _is_refuted(picture, lattice, types, rims_known, settings):
+    if types.ordered and types.count == 3 and _is_refuted(picture, lattice, types, rims_known):
         return "the lens types of the camera are in another order than on the flat"
     return None
 
 
-def find_rim_conflict(
-    types: LensTypes, gain: GainMap, radius: float, settings: LensTypeSettings = DEFAULT
-) -> str | None:
+def find_rim_conflict(types: LensTypes, gain: GainMap, radius: float) -> str | None:
     """What in the gain map (`radius` [px]: usable) contradicts the lens types of a camera, None where nothing does."""
     if not (types.ordered and gain.type_light.size):
         return None
@@ -67,7 +63,7 @@ def find_rim_conflict(
     rims = np.array([light[own == kind].mean() for kind in range(types.count)])
     mixed = max(float(np.ptp(light[own == kind])) for kind in range(types.count))
     falls = float((np.maximum.accumulate(rims) - rims).max())
-    if max(falls, mixed) <= settings.check.rim_light:
+    if max(falls, mixed) <= 0.015:
         return None
     return "the lens types of the camera are in another order than the light at the rims of its microimages"
 
@@ -93,21 +89,20 @@ def _order_ratio(softness: NDArray[np.float64], error: float) -> float:
     return (float(np.ptp(softness)) ** 2 - given**2) / max(error, 1e-12) ** 2
 
 
-def _is_refuted(
-    picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, rims_known: bool, settings: LensTypeSettings
-) -> bool:
-    if lattice.radius < settings.pattern.min_radius:
+def _is_refuted(picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, rims_known: bool) -> bool:
+    if lattice.radius < MIN_RADIUS:
         return False
-    sample = sample_lenses(lattice, settings=settings.sample)
-    features = measure_lens_features(picture, sample, settings.sample)
-    means = TypeMeans.from_sample(sample, types.cell.astype(np.int64), settings.focus)
-    rim = features.inner_loss if is_in_step(types.cell, lattice, settings.pattern) else features.outer_light
-    if features.rim_ratio < settings.focus.flattened and not rims_known:
+    sample = sample_lenses(lattice)
+    features = measure_lens_features(picture, sample)
+    means = TypeMeans.from_sample(sample, types.cell.astype(np.int64))
+    rim = features.inner_loss if is_in_step(types.cell, lattice) else features.outer_light
+    if features.rim_ratio < FLATTENED and not rims_known:
         softness = means.fit_means(sample.subtract_neighbours(rim))
-        if softness is not None and _order_ratio(*softness) > settings.check.rim_ratio:
+        # 24 right cameras had 13 at most.
+        if softness is not None and _order_ratio(*softness) > 20:
             return True
     sharpness = means.fit_means(sample.subtract_neighbours(features.sharpness))
     if sharpness is None:
         return False
     valley = min(sharpness[0][0], sharpness[0][2]) - sharpness[0][1]
-    return bool(valley > settings.check.sharpness_significance * sharpness[1])
+    return bool(valley > 5 * sharpness[1])
