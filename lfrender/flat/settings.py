@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["BUNCH", "SHADING", "TEXTURE", "ShadingSettings", "TextureSettings"]
-
-#: Values that a vector loop takes at a time.
-BUNCH = 32
+__all__ = ["SHADING", "TEXTURE", "ShadingSettings", "TextureSettings"]
 
 
 @dataclass(frozen=True)

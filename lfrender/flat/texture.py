@@ -20,8 +20,7 @@ from ..runtime.cache import cached
 from ..runtime.quantiles import quantile
 from .gray_flat import GrayFlat
 from .lens_graph import dilate_mask, neighbour_rows
-from .microimages import copy_box
-from .settings import BUNCH, TEXTURE, TextureSettings
+from .settings import TEXTURE, TextureSettings
 from .shading import remove_shading
 
 __all__ = [
@@ -83,42 +82,6 @@ class Texture:
         return Texture(flat, self.statistics.select(rows), self.noise, self.clear[rows], self.faint[rows])
 
 
-# Inlined before any optimisation: else sums would be in another order when compiled than when loaded from the cache.
-# Positions are unsigned: signed ones are checked for counting from the end.
-@njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _sum_pixels(box, columns, lines, start, above, below, count, ex, ey, low, high, last, r2, middle2, near):
-    """Number, sum and sum of squares of the pixels in a circle, minus `near`; sum of squares of a checkerboard filter;
-    number, sum and sum of squares in the smaller circle.
-
-    The filter does not respond to planes and straight edges (Immerkaer 1996). `box` holds the row above and that below
-    each row of pixels `above` and `below` values farther; circles are about (ex, ey) in `columns` and `lines`.
-    """
-    zero, unit, two, four = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(4.0)
-    a, b, c, one = np.uint64(start), np.uint64(start + above), np.uint64(start + below), np.uint64(1)
-    number = total = squares = rough = inner_number = inner_total = inner_squares = zero
-    for k in range(np.uint64(count)):
-        x, y = columns[k] - ex, lines[k] - ey
-        away = x * x + y * y
-        inside = (away <= r2) & (columns[k] >= low) & (columns[k] <= high) & (lines[k] <= last)
-        value = box[a + k] - near if inside else zero
-        bend = (
-            box[b + k - one] + box[b + k + one] + box[c + k - one] + box[c + k + one]
-            - two * (box[b + k] + box[c + k] + box[a + k - one] + box[a + k + one]) + four * box[a + k]
-        )  # fmt: skip
-        bend = bend if inside else zero
-        counts = unit if inside else zero
-        number += counts
-        total += value
-        squares += value * value
-        rough += bend * bend
-        within = away <= middle2
-        value, counts = value if within else zero, counts if within else zero
-        inner_number += counts
-        inner_total += value
-        inner_squares += value * value
-    return number, total, squares, rough, inner_number, inner_total, inner_squares
-
-
 @njit(error_model="numpy")
 def _mean_and_deviation(number, total, squares):
     inverse = np.float32(1.0) / max(number, np.float32(1.0))
@@ -126,48 +89,49 @@ def _mean_and_deviation(number, total, squares):
     return mean, np.sqrt(max(squares * inverse - mean * mean, np.float32(0.0)))
 
 
-@kernel(error_model="numpy", share=lambda _, centres, *__: len(centres))
+@kernel(fastmath=FAST, error_model="numpy", share=lambda _, centres, *__: len(centres))
 def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
-    """Mean, contrast, contrast of the middle and roughness of the `wanted` lenses, into `out` (4, n)."""
+    """Mean, contrast, contrast of the middle and roughness of the `wanted` lenses, into `out` (4, n).
+
+    Roughness is the response to a checkerboard filter, which is none to planes and straight edges (Immerkaer 1996).
+    """
     height, width = image.shape
-    pixels = image.reshape(-1)
-    # A copy holds the rows that are read one after the other, and then those above, and below, if they are others: so
-    # one long loop handles them all.
-    wide, tall = 2 * int(np.ceil(radius)) + 3, (2 * int(np.ceil(radius)) + 1 + row_step) // row_step
-    size = (tall * wide + BUNCH - 1) // BUNCH * BUNCH
-    start = wide + 1 if row_step == 1 else 1
-    above, below = (-wide, wide) if row_step == 1 else (tall * wide, (tall + 1) * wide)
-    if row_step > 2:
-        below = 2 * tall * wide
-    columns, lines = np.full(size, np.inf, np.float32), np.full(size, np.inf, np.float32)
-    for k in range(tall * wide):
-        columns[k], lines[k] = k % wide, k // wide * row_step
-    box = np.zeros(min(row_step, 3) * (tall + 1) * wide + 3 * wide + 2 * BUNCH, np.float32)
+    line, across, one = image.reshape(-1), np.uint64(width), np.uint64(1)
+    zero, unit, two, four, middle2 = np.float32(0), np.float32(1), np.float32(2), np.float32(4), middle * middle
     for lens in range(begin, end):
         if not wanted[lens]:
             continue
         cx, cy = centres[lens, 0], centres[lens, 1]
-        top, bottom = max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius)))
-        left = int(np.ceil(cx - radius))
-        count = (bottom - top) // row_step + 1
-        if row_step == 1:
-            copy_box(pixels, width, left - 1, top - 1, count + 2, wide, box, 0, 1)
-        else:
-            copy_box(pixels, width, left - 1, top, count, wide, box, 0, row_step)
-            copy_box(pixels, width, left - 1, top - 1, count + 1, wide, box, tall * wide, row_step)
-            if row_step > 2:
-                copy_box(pixels, width, left - 1, top + 1, count, wide, box, 2 * tall * wide, row_step)
-        count = max((count * wide + BUNCH - 1) // BUNCH * BUNCH, 0)
-        near = pixels[min(max(int(cy), 0), height - 1) * width + min(max(int(cx), 0), width - 1)]
-        number, total, squares, rough, inner, inner_total, inner_squares = _sum_pixels(
-            box, columns, lines, start, above, below, count, cx - np.float32(left), cy - np.float32(top),
-            np.float32(1 - left), np.float32(width - 2 - left), np.float32(bottom - top), radius * radius,
-            middle * middle, near,
-        )  # fmt: skip
+        # Squares of differences from a value of the lens lose no digits.
+        near = image[min(max(int(cy), 0), height - 1), min(max(int(cx), 0), width - 1)]
+        number = total = squares = rough = inner = inner_total = inner_squares = zero
+        for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1, row_step):
+            dy = np.float32(y) - cy
+            half = np.sqrt(max(radius * radius - dy * dy, zero))
+            left, right = max(1, int(np.ceil(cx - half))), min(width - 2, int(np.floor(cx + half)))
+            at, first = np.uint64(y * width + left), np.float32(left) - cx
+            for k in range(np.uint64(max(right - left + 1, 0))):
+                here = at + k
+                above, below = here - across, here + across
+                value = line[here] - near
+                bend = (
+                    four * line[here]
+                    - two * (line[here - one] + line[here + one] + line[above] + line[below])
+                    + (line[above - one] + line[above + one] + line[below - one] + line[below + one])
+                )
+                total += value
+                squares += value * value
+                rough += bend * bend
+                dx = first + np.float32(np.int32(k))
+                within = unit if dx * dx + dy * dy <= middle2 else zero
+                inner += within
+                inner_total += within * value
+                inner_squares += within * value * value
+            number += np.float32(max(right - left + 1, 0))
         mean, out[1, lens] = _mean_and_deviation(number, total, squares)
         out[0, lens] = near + mean
         out[2, lens] = _mean_and_deviation(inner, inner_total, inner_squares)[1]
-        out[3, lens] = np.sqrt(rough / (np.float32(36) * max(number, np.float32(1.0))))
+        out[3, lens] = np.sqrt(rough / (np.float32(36) * max(number, unit)))
 
 
 def measure_statistics(
