@@ -176,7 +176,7 @@ class Job:
         """The frames in groups, all but the last with some to be rendered; key frames are analysed on the way."""
         earlier: _Numbered | None = None
         key: _Numbered | None = None
-        made = Group()
+        made, alone = Group(), True
         for number, frame in enumerate(frames):
             if number % segment == 0:
                 earlier, key = key or earlier, None
@@ -201,6 +201,10 @@ class Job:
             made.outcomes.append(None)
             made.missing.append((number, frame))
             made.key = key
+            if alone and key[0] == number:
+                # The first picture, in one thread, imports what all need.
+                yield made
+                made, alone = Group(first=key), False
         yield made
 
     def path_of(self, frame: Frame) -> Path:
