@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..data.depth_map import DepthMap
-from ..flat.lens_graph import join_opposite, restrict_neighbours
+from ..flat.lens_graph import join_opposite
 from ..flat.texture import Texture
 from .matching.matcher import Matcher, MatchResult, match_lenses
 from .presets import Preset
@@ -30,12 +30,12 @@ from .validity.periodicity import find_periodic_texture, sees_little_of_scene
 from .validity.settings import CLASSIFY
 from .validity.uncertainty import correlates_poorly, inflate_errors, signal_share
 
-__all__ = ["LensEstimates", "LensSet", "PreviousEstimates", "estimate_lenses"]
+__all__ = ["LensEstimates", "LensSet", "estimate_lenses"]
 
 
 @dataclass(frozen=True)
 class LensSet:
-    """Lenses to estimate: all of a flat, or some with their neighbours."""
+    """The lenses of a flat, and which of them to estimate."""
 
     texture: Texture
     # (n, d) int32: Neighbour rows in `d` directions and in their opposites, -1 where there is none
@@ -65,44 +65,6 @@ class LensSet:
         """(n,) float32 difference of brightness beyond which two pixels hardly show the same point."""
         return np.maximum(3 * self.texture.noise, 0.5 * self.texture.statistics.contrast).astype(np.float32)
 
-    def select(self, rows: NDArray[np.int64]) -> LensSet:
-        """Some of them, as if there were no others."""
-        forward, backward = (restrict_neighbours(rows, half) for half in (self.forward, self.backward))
-        sample = None if self.sample is None else self.sample[rows]
-        masks = self.updated[rows], self.active[rows], sample
-        return LensSet(self.texture.select(rows), forward, backward, self.indices[rows], *masks)
-
-
-@dataclass(frozen=True)
-class PreviousEstimates:
-    """Estimates that some lenses keep."""
-
-    kept: NDArray[np.bool_]  # (n,)
-    filled_patch_size: NDArray[np.float32]  # (n,) this and the rest as in `DepthMap`
-    standard_error: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    reason: NDArray[np.int8]
-
-    @classmethod
-    def of_depth(cls, depth: DepthMap, kept: NDArray[np.bool_]) -> PreviousEstimates:
-        """Those of a depth map."""
-        return cls(kept, depth.filled_patch_size, depth.standard_error, depth.confidence, depth.reason)
-
-    def select(self, rows: NDArray[np.int64]) -> PreviousEstimates:
-        """Those of some lenses."""
-        return PreviousEstimates(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-    def periodicity(self, resolved: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool] | None:
-        """As `find_periodic_texture` of lenses that are `resolved` (n,) now, where that is known from before.
-
-        It is if most of them have kept their depth, and none of these was periodic.
-        """
-        known = self.kept & (self.reason == 0)
-        if known.sum() <= (resolved & ~self.kept).sum() or (self.reason[self.kept] == 2).any():
-            return None
-        # Where the scene may be periodic, the confidence of all lenses has been limited to this.
-        return np.zeros(len(resolved), bool), bool(self.confidence[known].max() <= CLASSIFY.sure)
-
 
 @dataclass(frozen=True)
 class LensEstimates:
@@ -129,9 +91,9 @@ class LensEstimates:
         """(n,) float32 [px]: patch sizes of resolved lenses, and guesses of the others."""
         return np.where(self.resolved, self.patch_size, self.guess).astype(np.float32)
 
-    def smooth(self, lenses: LensSet, kept: NDArray[np.bool_] | None) -> LensEstimates:
-        """Smooth over the lenses on the same surface; those that are `kept` (n,) stay."""
-        wanted = self.resolved if kept is None else self.resolved & ~kept
+    def smooth(self, lenses: LensSet) -> LensEstimates:
+        """Smooth over the lenses on the same surface; those that keep their depth stay."""
+        wanted = self.resolved & lenses.updated
         flat, neighbours = lenses.texture.flat, lenses.neighbours
         near = smooth_fits(flat, neighbours, self.own_fits, wanted)
         fits = smooth_fits_far(flat, neighbours, *near, wanted)
@@ -142,38 +104,21 @@ class LensEstimates:
             standard_error=np.where(known, fits.standard_error, self.standard_error),
         )
 
-    def embed(self, count: int, rows: NDArray[np.int64], previous: PreviousEstimates | None) -> LensEstimates:
-        """As the lenses at `rows` of `count`; the others have too little texture, or keep what they had."""
-        blank = {
-            "patch_size": np.nan, "standard_error": np.inf, "confidence": 0, "reason": 1,
-            "guess": np.nan, "second": np.nan,
-        }  # fmt: skip
-        old = {}
-        if previous is not None:
-            old = {name: getattr(previous, name) for name in ("standard_error", "confidence", "reason")}
-            old["patch_size"] = old["guess"] = previous.filled_patch_size
-        whole = {}
-        for name, value in blank.items():
-            some = getattr(self, name)
-            whole[name] = np.full(count, value, some.dtype)
-            whole[name][:] = old.get(name, value)
-            whole[name][rows] = some
-        return LensEstimates(**whole, match=self.match, own_fits=self.own_fits)
-
-    def keep(self, previous: PreviousEstimates) -> LensEstimates:
-        """With what kept lenses had before."""
-        kept, error = previous.kept, np.where(previous.reason == 0, previous.standard_error, np.inf)
+    def keep(self, kept: NDArray[np.bool_], before: DepthMap) -> LensEstimates:
+        """With what the lenses that are `kept` (n,) had before."""
+        error = np.where(before.reason == 0, before.standard_error, np.inf)
         own = replace(
             self.own_fits,
-            patch_size=np.where(kept, previous.filled_patch_size, self.own_fits.patch_size),
+            patch_size=np.where(kept, before.filled_patch_size, self.own_fits.patch_size),
             standard_error=np.where(kept, error, self.own_fits.standard_error),
         )
         return replace(
             self,
-            patch_size=np.where(kept, previous.filled_patch_size, self.patch_size),
-            standard_error=np.where(kept, previous.standard_error, self.standard_error),
-            confidence=np.where(kept, previous.confidence, self.confidence),
-            reason=np.where(kept, previous.reason, self.reason),
+            patch_size=np.where(kept, before.filled_patch_size, self.patch_size),
+            standard_error=np.where(kept, before.standard_error, self.standard_error),
+            confidence=np.where(kept, before.confidence, self.confidence),
+            reason=np.where(kept, before.reason, self.reason),
+            guess=np.where(kept, before.filled_patch_size, self.guess),
             own_fits=own,
         )
 
@@ -191,16 +136,17 @@ class LensEstimates:
 def estimate_lenses(
     lenses: LensSet,
     preset: Preset,
-    previous: PreviousEstimates | None = None,
+    before: DepthMap | None = None,
     sizes: NDArray[np.float32] | None = None,
     settings: EstimateSettings = ESTIMATE,
 ) -> LensEstimates:
     """Search the patch size of lenses, refine it on the pixels of every pair, and classify the result.
 
-    `sizes` (m,) [px] are patch sizes that occur, as found elsewhere, see `match_lenses`.
+    Lenses that are not `updated` keep what they had `before`. `sizes` (m,) [px] are patch sizes that occur, as found
+    elsewhere, see `match_lenses`.
     """
     texture, updated, pitch = lenses.texture, lenses.updated, lenses.pitch
-    known = None if previous is None else np.where(updated, np.nan, previous.filled_patch_size).astype(np.float32)
+    known = None if before is None else np.where(updated, np.nan, before.filled_patch_size).astype(np.float32)
     matcher = Matcher(texture, lenses.forward, lenses.backward, preset)
     match = match_lenses(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
     like_shading = looks_like_shading(texture.clear & updated, match, texture.statistics.contrast, pitch)
@@ -216,10 +162,9 @@ def estimate_lenses(
     error = np.where(measured, own.standard_error, np.inf)
     textured |= perhaps & shift_exceeds_shading(refined, error, lenses.neighbours, pitch)
     textured &= ~(like_shading & shift_may_be_zero(refined, error))
-    estimates = _classify(lenses, match, textured, own, refined, error, previous)
-    if previous is not None and known is not None:
-        estimates = estimates.keep(previous)
-        estimates = replace(estimates, guess=np.where(np.isfinite(known), known, estimates.guess))
+    estimates = _classify(lenses, match, textured, own, refined, error, before)
+    if before is not None:
+        estimates = estimates.keep(~updated, before)
     return estimates.limit_guesses(pitch, settings)
 
 
@@ -268,7 +213,7 @@ def _classify(
     own: LensFits,
     refined: NDArray,
     error: NDArray,
-    previous: PreviousEstimates | None,
+    before: DepthMap | None,
 ) -> LensEstimates:
     """Decide which lenses are resolved, with errors and confidence, from their match and refined patch sizes (n,)."""
     texture, pitch, centres = lenses.texture, lenses.pitch, lenses.texture.flat.centres
@@ -276,11 +221,12 @@ def _classify(
     explained = match.normalised_correlation / signal
     reason, error, sure = classify_lenses(textured, match, refined, error, signal, centres, lenses.neighbours, pitch)
     depths, shown, known = refined, reason == 0, None
-    if previous is not None:
+    if before is not None:
         # Kept lenses show the same scene.
-        known = previous.periodicity(shown)
-        depths = np.where(previous.kept, previous.filled_patch_size, refined)
-        shown = shown | (previous.kept & (previous.reason == 0))
+        kept = ~lenses.updated
+        known = _known_periodicity(kept, before, shown)
+        depths = np.where(kept, before.filled_patch_size, refined)
+        shown = shown | (kept & (before.reason == 0))
     periodic, perhaps = known or find_periodic_texture(texture.flat, lenses.indices, depths, shown)
     little = sees_little_of_scene(centres, depths, shown, pitch)
     perhaps = perhaps or correlates_poorly(explained, signal, reason == 0, little)
@@ -290,3 +236,17 @@ def _classify(
     second = np.where(textured, match.second, np.nan).astype(np.float32)
     own = replace(own, standard_error=own_error)
     return LensEstimates(refined, error, sure, reason, match.patch_size, second, match, own)
+
+
+def _known_periodicity(
+    kept: NDArray[np.bool_], before: DepthMap, resolved: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], bool] | None:
+    """As `find_periodic_texture` of lenses that are `resolved` (n,) now, where that is known from `before`.
+
+    It is if most of them have `kept` their depth, and none of these was periodic.
+    """
+    known = kept & (before.reason == 0)
+    if known.sum() <= (resolved & ~kept).sum() or (before.reason[kept] == 2).any():
+        return None
+    # Where the scene may be periodic, the confidence of all lenses has been limited to this.
+    return np.zeros(len(resolved), bool), bool(before.confidence[known].max() <= CLASSIFY.sure)

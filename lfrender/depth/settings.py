@@ -23,7 +23,6 @@ class PipelineSettings:
     """Tuned values of `pipeline`."""
 
     sample: int = 150  # lenses that show which depths occur; twice as many must have a clear texture
-    few_lenses: float = 0.5  # share of the lenses below which the others are left out of all stages
     unresolved_weight: float = 0.05  # of an unresolved lens beside the confidence of others
 
 

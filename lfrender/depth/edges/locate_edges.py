@@ -76,20 +76,36 @@ def locate_edges(
     )  # fmt: skip
     finer = settings.finer
     before = refine_grid(values, finer, gap)
-    size = _locate(gray.image, lenses, values, grid, several, wanted, costs, settings, before.copy())
+    shown, size = _locate(gray.image, lenses, values, grid, several, wanted, costs, settings, before.copy())
     corner = surface.first[0] - 0.5 * (1 - 1 / finer) * spacing
     found = Surface(size, (corner, corner), spacing / finer)
-    return replace(
-        depth, surface=replace(found, patch_size=keep_proven(found, before, gray, lattice, agreement, gap, settings))
-    )
+    proven = keep_proven(found, before, gray, lattice, agreement, gap, settings)
+    sure = np.minimum(depth.confidence, _share_of_pixels(shown, lenses, depth.filled_patch_size))
+    return replace(depth, surface=replace(found, patch_size=proven), confidence=sure)
+
+
+def _share_of_pixels(shown: NDArray[np.float32], lenses: LensArray, sizes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(n,) float32: share of the pixels of each lens that show the patch size that it has, `sizes` (n,) [px]; 1 where
+    none is known.
+
+    `shown` (H, W) is the patch size of each pixel, NaN where it is not known; some pixels of each lens are looked at.
+    """
+    along = np.linspace(-0.6, 0.6, 9) * lenses.radius
+    x, y = (np.rint(lenses.centres[:, k, None] + along).astype(int) for k in (0, 1))
+    x, y = np.clip(x, 0, shown.shape[1] - 1), np.clip(y, 0, shown.shape[0] - 1)
+    some = shown[y[:, :, None], x[:, None]].reshape(len(sizes), -1)
+    known = np.isfinite(some).sum(1)
+    same = (np.abs(some - sizes[:, None]) < lenses.gap).sum(1)
+    return np.where(known > 0, same / np.maximum(known, 1), 1).astype(np.float32)
 
 
 def _locate(
     image: NDArray[np.float32], lenses: LensArray, values: NDArray[np.float32], grid: PointGrid,
     several: NDArray[np.bool_], wanted: NDArray[np.bool_], costs: PixelCosts, settings: EdgeSettings,
     fused: NDArray[np.float32],
-) -> NDArray[np.float32]:  # fmt: skip
-    """`fused` (rows * finer, columns * finer) [px], with what the pixels of the lenses `wanted` (n,) show."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
+    """Patch size that each pixel of the lenses `wanted` (n,) shows (H, W), NaN for others, and `fused`
+    (rows * finer, columns * finer) [px] with them."""
     finer, reach = settings.finer, int(costs.reach / grid.spacing)
     levels = mark_levels(values, lenses.pitch, reach)
     first, moved = np.full(image.shape, np.nan, np.float32), np.zeros(len(wanted), np.float32)
@@ -99,7 +115,7 @@ def _locate(
     fuse_pixel_depths(second, lenses, values, grid, several, reach, settings.voters, fused)
     usual = cv2.medianBlur(fused, settings.speck)
     np.copyto(fused, usual, where=np.repeat(np.repeat(several, finer, 0), finer, 1))
-    return fused
+    return second, fused
 
 
 def refine_grid(values: NDArray[np.float32], finer: int, gap: float) -> NDArray[np.float32]:

@@ -20,16 +20,7 @@ from lfcal.runtime.kernels.jit import kernel
 
 from ...flat.gray_flat import GrayFlat, downsample
 from ..same_surface import TOLERANCE, same_surface
-from .pair_pixels import (
-    SPLINE_MARGIN,
-    cut_smoothed,
-    first_pixel,
-    flat_pixels,
-    new_buffers,
-    new_cutout,
-    pixel_raster,
-    resample_shifted,
-)
+from .pair_pixels import NO_STEP, SPLINE_MARGIN, cut_smoothed, first_pixel, pixel_raster, resample_shifted
 from .settings import REFINEMENT, RefinementSettings
 
 __all__ = ["PairFits", "fit_pairs", "usable_radius"]
@@ -216,13 +207,12 @@ def _fit_pairs(
 
     All lenses blur alike if `kinds` is None.
     """
-    raster, flat = pixel_raster(radius), flat_pixels(image)
-    side, stride, columns, raster_rows = raster.side, raster.stride, raster.columns, raster.rows
-    pixels, height, width = flat.pixels, flat.height, flat.width
-    buffers, cutout = new_buffers(raster.size), new_cutout(raster.size)
-    light, slope_x, slope_y = cutout.light, cutout.slope_x, cutout.slope_y
-    laplacian = None if kinds is None else cutout.laplacian
-    box, lines, shifted, whole = buffers.box, buffers.lines, buffers.shifted, buffers.step
+    side, stride, size, columns, raster_rows = pixel_raster(radius)
+    pixels, (height, width) = image.reshape(-1), image.shape
+    # Vector loops read values that have not been set: these must be numbers.
+    light, slope_x, slope_y = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
+    box, lines, shifted = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
+    laplacian, whole = None if kinds is None else np.zeros(size, np.float32), np.full(2, NO_STEP)
     for lens in range(begin, end):
         ax, ay = centres[lens, 0], centres[lens, 1]
         left, top = first_pixel(ax, radius, side, width), first_pixel(ay, radius, side, height)
@@ -236,8 +226,10 @@ def _fit_pairs(
             if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
                 continue
             if not ready:
-                cut_smoothed(flat, raster, left, top, buffers, cutout, kinds is not None)
-                ready = True
+                cut_smoothed(
+                    pixels, height, width, side, stride, left, top, box, lines, light, slope_x, slope_y, laplacian
+                )
+                ready, whole[:] = True, NO_STEP
             first, second, together = _start_values(start[lens], start[other], np.float32(TOLERANCE) * pitch)
             for k in range(1 if together else 2):
                 s, variance, x, y = _fit_pair(

@@ -15,9 +15,14 @@ from lfcal.runtime.fastmath import FAST
 from ...flat.microimages import copy_box
 
 __all__ = [
-    "SPLINE_MARGIN", "Buffers", "Cutout", "Flat", "Overlap", "Raster", "bspline_weights", "cut_smoothed", "first_pixel",
-    "flat_pixels", "new_buffers", "new_cutout", "pixel_raster", "resample_shifted",
-]  # fmt: skip
+    "NO_STEP",
+    "SPLINE_MARGIN",
+    "bspline_weights",
+    "cut_smoothed",
+    "first_pixel",
+    "pixel_raster",
+    "resample_shifted",
+]
 
 # Vector loops run over whole multiples of this many pixels. Array places are unsigned integers: signed ones are checked
 # for being negative, which prevents vector loops.
@@ -26,32 +31,17 @@ _WHOLE = 64
 SPLINE_MARGIN = 3
 # Slopes read a pixel to either side, and smoothing one further [px].
 _BEYOND = 2
-# Marks buffers that hold no microimage yet: no shift is this long [px].
-_NO_STEP = 2**40
-
-# A flat for kernels: its pixels in one line, (height * width,) float32.
-Flat = namedtuple("Flat", "pixels height width")
+#: Step of a box that holds no microimage yet: no shift is this long [px].
+NO_STEP = 2**40
 
 # Pixels of a cut-out microimage, row after row: `side` of `stride` pixels in each row are used. `size` is the length of
 # arrays that vector loops may overrun; `columns` and `rows` (size,) are float32.
 Raster = namedtuple("Raster", "side stride size columns rows")
 
-# A smoothed microimage with its slopes and its Laplacian, (size,) float32 each.
-Cutout = namedtuple("Cutout", "light slope_x slope_y laplacian")
-
-# Work memory of one thread: the second microimage, its rows interpolated, then its columns too, and the whole step (2,)
-# between both microimages for which the first was copied.
-Buffers = namedtuple("Buffers", "box lines shifted step")
-
 # Where both microimages show the scene: `number` places from `start` on, with some that only one shows. Relative to the
 # first pixel of the cutout: both centres, the middle between them, and the first and last column and row that both
 # show; besides the direction of the step between the lenses, in pitches, and the squared radius.
 Overlap = namedtuple("Overlap", "start number ux uy ax ay qx qy mx my r2 low_x high_x low_y high_y")
-
-
-@njit(inline="always")
-def flat_pixels(image):
-    return Flat(image.reshape(-1), image.shape[0], image.shape[1])
 
 
 @njit(fastmath=FAST, inline="always")
@@ -72,12 +62,6 @@ def bspline_weights(f):
     )
 
 
-@njit(inline="always")
-def _whole(count):
-    """The next whole multiple of what vector loops take at a time."""
-    return (count + _WHOLE - 1) // _WHOLE * _WHOLE
-
-
 @njit
 def pixel_raster(radius):
     side = int(2 * radius) + 1
@@ -89,21 +73,6 @@ def pixel_raster(radius):
     return Raster(side, stride, size, columns, rows)
 
 
-# Vector loops read values that have not been set: these must be numbers.
-@njit
-def new_cutout(size):
-    return Cutout(
-        np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
-    )
-
-
-@njit
-def new_buffers(size):
-    return Buffers(
-        np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32), np.full(2, _NO_STEP)
-    )
-
-
 @njit(inline="always")
 def first_pixel(centre, radius, side, size):
     """First of `side` pixels that hold a microimage, so that these and those beside them lie on the flat."""
@@ -113,20 +82,18 @@ def first_pixel(centre, radius, side, size):
 # Without fast math: sums whose order it is free to choose would have other bits where the kernel is compiled than where
 # it is loaded.
 @njit(error_model="numpy", forceinline=True)
-def cut_smoothed(flat, raster, left, top, buffers, out, bent):
-    """Fill the cutout `out` from pixel (left, top) on: smoothed by (1, 4, 1) / 6 in both directions, with slopes.
+def cut_smoothed(pixels, height, width, side, stride, left, top, box, smooth, light, slope_x, slope_y, laplacian):
+    """Cut out a microimage from pixel (left, top) on, smoothed by (1, 4, 1) / 6 in both directions, with slopes.
 
-    The Laplacian is computed if that is wanted, `bent`. Afterwards `buffers` hold no second microimage.
+    The Laplacian is computed unless it is None; `box` and `smooth` are work memory.
     """
-    across, half, one, two = raster.side + 2 * _BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
-    pixels, box, smooth = flat.pixels, buffers.box, buffers.lines
-    buffers.step[0] = buffers.step[1] = _NO_STEP
+    across, half, one, two = side + 2 * _BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
     first = left - _BEYOND
     for row in range(across):
-        at, into = min(max(top - _BEYOND + row, 0), flat.height - 1) * flat.width, np.uint64(row * across)
-        if first < 0 or first + across > flat.width:
+        at, into = min(max(top - _BEYOND + row, 0), height - 1) * width, np.uint64(row * across)
+        if first < 0 or first + across > width:
             for k in range(across):
-                box[into + np.uint64(k)] = pixels[np.uint64(at + min(max(first + k, 0), flat.width - 1))]
+                box[into + np.uint64(k)] = pixels[np.uint64(at + min(max(first + k, 0), width - 1))]
         else:
             for k in range(np.uint64(across)):
                 box[into + k] = pixels[np.uint64(at + first) + k]
@@ -136,15 +103,14 @@ def cut_smoothed(flat, raster, left, top, buffers, out, bent):
     # Values between the end of one row and the beginning of the next are not used.
     for k in range(np.uint64(across * (across - 2) - 2)):
         box[k] = weight * (smooth[k] + four * smooth[k + one] + smooth[k + two])
-    light, slope_x, slope_y, laplacian = out.light, out.slope_x, out.slope_y, out.laplacian
-    for row in range(raster.side):
-        middle, into = np.uint64((row + 1) * across + 1), np.uint64(row * raster.stride)
-        for k in range(np.uint64(raster.side)):
+    for row in range(side):
+        middle, into = np.uint64((row + 1) * across + 1), np.uint64(row * stride)
+        for k in range(np.uint64(side)):
             light[into + k] = box[middle + k]
             slope_x[into + k] = half * (box[middle + one + k] - box[middle - one + k])
             slope_y[into + k] = half * (box[middle + line + k] - box[middle - line + k])
-        if bent:
-            for k in range(np.uint64(raster.side)):
+        if laplacian is not None:
+            for k in range(np.uint64(side)):
                 beside = (box[middle + one + k] + box[middle - one + k]) + (
                     box[middle + line + k] + box[middle - line + k]
                 )
@@ -168,8 +134,8 @@ def resample_shifted(pixels, size, shape, corner, centres, radius, s, pitch, box
 
     The lenses have their `centres` at (ax, ay, bx, by), and the scene between them has the patch size `s`; the first
     microimage is cut out from pixel `corner` (left, top) on, with the `shape` (side, stride) of its raster. `pixels`
-    and `size` (height, width) are those of a `Flat`, the last arguments those of `Buffers`, taken out of them: in a
-    loop each access to an array in a tuple would count references.
+    are those of the flat in one line, `size` its height and width. Work memory: the other microimage in a `box`, its
+    rows interpolated in `lines`, and the whole `step` (2,) for which the box was copied.
     """
     (height, width), (side, stride), (left, top), (ax, ay, bx, by) = size, shape, corner, centres
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
@@ -186,8 +152,8 @@ def resample_shifted(pixels, size, shape, corner, centres, radius, s, pitch, box
         if step[0] != x0 or step[1] != y0:
             copy_box(pixels, width, left + x0 - 1, top + y0 - 1, side + SPLINE_MARGIN, stride, box)
             step[0], step[1] = x0, y0
-        count = _whole((end + 1 - begin) * stride)
-        _mean_of_four(box, start, 1, _whole((end + 4 - begin) * stride), cx0, cx1, cx2, cx3, lines)
+        count = ((end + 1 - begin) * stride + _WHOLE - 1) // _WHOLE * _WHOLE
+        _mean_of_four(box, start, 1, count + (3 * stride + _WHOLE - 1) // _WHOLE * _WHOLE, cx0, cx1, cx2, cx3, lines)
         _mean_of_four(lines, start, stride, count, cy0, cy1, cy2, cy3, shifted)
     x, y = np.float32(left), np.float32(top)
     return Overlap(

@@ -25,7 +25,6 @@ from ..matching.peaks import fit_parabola
 from ..matching.settings import SEARCH
 from ..matching.sgm import aggregate_costs
 from ..presets import Preset
-from ..refinement.pair_pixels import flat_pixels
 from ..same_surface import TOLERANCE, same_surface
 from .settings import SURFACE, SurfaceSettings
 
@@ -102,7 +101,7 @@ def _row_of(y, x, radius, low, high):
 def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step, floor, out):
     """Gather the pixels of a lens that fewer than half of the neighbours that show them confirm at patch size `s`;
     returns their number. A window of 3 x 3 pixels confirms if it differs by less than its variance and a `floor`."""
-    pixels, height, width = flat.pixels, flat.height, flat.width
+    pixels, (height, width) = flat.reshape(-1), flat.shape
     stride, light, other, squares, sums = box.stride, box.light, box.other, box.squares, box.sums
     limits, showing, confirming = box.limits, box.showing, box.confirming
     ax, ay, size, ninth = centres[lens, 0], centres[lens, 1], stride * stride, np.float32(1 / 9)
@@ -160,7 +159,7 @@ def _moments(flat, own, number, bx, by, radius, tx, ty, mean):
     """Number of those of some pixels of one lens whose partner, `(tx, ty)` away, lies in the other lens, and sums of
     their brightness less the `mean`, of its squares, and of squares of differences."""
     xs, ys, places, values = own.x, own.y, own.places, own.light
-    pixels, height, width = flat.pixels, flat.height, flat.width
+    pixels, (height, width) = flat.reshape(-1), flat.shape
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
     fx, fy = np.float32(tx - x0), np.float32(ty - y0)
     w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
@@ -194,7 +193,7 @@ def _match_unexplained(
     """Mismatch of the unexplained pixels of each `wanted` lens with the better half of its neighbours, at every shift;
     those with too few are not wanted afterwards. A match over `half` pixels counts half."""
     most, none = square(2 * int(radius) + 3), np.float32(0.0)
-    flat, box, costs = flat_pixels(image), _new_box(radius - _BORDER), np.empty(rows.shape[1], np.float32)
+    flat, box, costs = image, _new_box(radius - _BORDER), np.empty(rows.shape[1], np.float32)
     own = _Pixels(
         np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.int64), np.empty(most, np.float32)
     )

@@ -13,7 +13,6 @@ import lfrender
 from data_synth import SCENES, simulate
 from lfcal import Calibration, FlatError, Lattice, OutputError
 from lfrender.data.frame_state import LocalMatch
-from lfrender.depth.estimate import PreviousEstimates
 from lfrender.depth.incremental import changed_since, find_moved, load_reference_match
 from lfrender.flat.lens_graph import neighbour_rows
 from lfrender.runtime.cache import cached
@@ -219,18 +218,6 @@ def test_a_damaged_reference_file_raises_one_clear_error(first, tmp_path, conten
     path.write_bytes(content)
     with pytest.raises(OutputError, match=r"comparison_000000\.npz: damaged .*--overwrite"):
         load_reference_match(first[1], path)
-
-
-def test_periodicity_is_known_from_before_if_most_lenses_keep_their_depth():
-    kept = np.arange(20) < 14
-    size, sure, none = np.full(20, 5.0, np.float32), np.full(20, 0.9, np.float32), np.zeros(20, np.int8)
-    before = PreviousEstimates(kept, size, size, sure, none)
-    again, perhaps = before.periodicity(np.ones(20, bool))
-    assert not again.any() and not perhaps
-    # A halved confidence of all lenses means that the scene may be periodic.
-    assert replace(before, confidence=np.float32(0.5) * sure).periodicity(np.ones(20, bool))[1]
-    assert replace(before, kept=~kept).periodicity(np.ones(20, bool)) is None
-    assert replace(before, reason=np.where(np.arange(20) == 3, 2, none)).periodicity(np.ones(20, bool)) is None
 
 
 def with_noise(flat, seed):

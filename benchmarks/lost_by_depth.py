@@ -1,0 +1,72 @@
+"""PSNR that pictures lose by the depth they are drawn with: `python -m benchmarks.lost_by_depth FIRST LAST`.
+
+Random houses and clutter (scenes with depth edges) of `benchmarks.random_scenes`, with 256 rays a pixel, are drawn with
+the depth of `balanced` and with the true depth of every scene point, at 0.15 and 0.3 pitches a pixel; both are compared
+with the ray-traced picture where it is not drawn from beyond the resolvable depths.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+import lfcal
+import lfrender
+from data_synth import Capture
+from data_synth.metrics import compare_pictures, resample
+from lfrender.data.surface import Surface
+
+from .random_scenes import draw
+
+__all__ = ["main"]
+
+_SCALES = (0.15, 0.3)  # [pitch] per pixel
+_RESOLVABLE = 0.75  # [pitch]
+
+
+def with_true_surface(depth: lfrender.DepthMap, capture: Capture) -> lfrender.DepthMap:
+    """The depth map with the traced patch size of every scene point."""
+    truth = capture.truth
+    size, affine = truth.reference_patch_size, truth.reference_affine
+    nearest = distance_transform_edt(~np.isfinite(size), return_distances=False, return_indices=True)
+    first = float(affine[0, 2]), float(affine[1, 2])
+    return replace(depth, surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), first, float(affine[0, 0])))
+
+
+def psnr(depth: lfrender.DepthMap, capture: Capture, camera: lfcal.Calibration, scale: float) -> float:
+    """Of the picture drawn with this depth, in dB."""
+    truth, pitch = capture.truth, camera.lattice.pitch
+    picture = lfrender.render(capture.flat, camera, depth, scale=scale * pitch, detail="off")
+    shape = picture.image.shape[:2]
+    wanted, inside = resample(truth.reference, truth.reference_affine, shape, picture.affine)
+    beyond = ~(np.abs(truth.reference_patch_size) < _RESOLVABLE * pitch)
+    lost, _ = resample(beyond * 1.0, truth.reference_affine, shape, picture.affine)
+    border = int(np.ceil(picture.scale))
+    inner = np.zeros(shape, bool)
+    inner[border:-border, border:-border] = True
+    found = picture.image / np.float64(np.iinfo(picture.image.dtype).max)
+    return compare_pictures(found, wanted, inside & inner & picture.valid & (lost == 0)).psnr
+
+
+def main(arguments: list[str]) -> None:
+    """Print a row for each scene, the mean and the worst."""
+    first, last = map(int, arguments)
+    rows = []
+    for seed in range(first, last + 1):
+        name, capture = draw(seed, 256)
+        if not name.startswith(("house", "clutter")):
+            continue
+        camera = lfcal.calibrate(capture.flat)
+        depth = lfrender.analyze(capture.flat, camera)
+        true = with_true_surface(depth, capture)
+        rows.append([psnr(true, capture, camera, s) - psnr(depth, capture, camera, s) for s in _SCALES])
+        print(f"{seed} {name}: {rows[-1][0]:.2f} / {rows[-1][1]:.2f} dB", flush=True)
+    mean, worst = np.mean(rows, 0), np.max(rows, 0)
+    print(f"mean {mean[0]:.2f} / {mean[1]:.2f} dB, worst {worst[0]:.2f} / {worst[1]:.2f} dB")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
