@@ -153,7 +153,9 @@ export class Renderer {
     const plane = sharp ? 0 : settings.plane, q = settings.q, aside = Math.hypot(...q) > 0, scale = pitch / spacing;
     const still = pitch / settings.plane, moved = q.map(n => n * still);
     const warped = aside && this.canWarp && (sharp || range || settings.overlay > 0) && this.warpSurface(q, still);
-    const full = sharp ? scene.scale : Math.abs(plane);
+    // Beyond a range places are drawn as at its nearer end, at the full resolution of that depth.
+    const end = range ? settings.range[1] - (settings.range[1] < pitch ? 0 : 2 * pitch) : plane;
+    const full = sharp ? scene.scale : Math.abs(end);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.viewport(x, y, width, height);
     if (mask) gl.colorMask(...mask);
