@@ -1,7 +1,8 @@
 """Robust bundle adjustment of the camera, the poses of the boards and their shape, with the covariance of both.
 
-`scipy.optimize.least_squares` with a Cauchy loss, then without the outliers. The Jacobian is solved exactly: iterative
-solvers stop short along the weak directions that focal length and distances have.
+`scipy.optimize.minimize` in a trust region, on the normal equations, with a Cauchy loss, then without the outliers.
+These are a dense matrix of a hundred unknowns, solved exactly: iterative solvers stop short along the weak directions
+that focal length and distances have, and `least_squares` takes a singular value decomposition of all observations.
 """
 
 from __future__ import annotations
@@ -195,30 +196,57 @@ class _Problem:
         return (o.position - seen) / o.error[:, None]
 
     def solve(self, values: Array, weight: Array, scale: float | None) -> Array:
-        """The values that minimise the weighted residuals, or their Cauchy loss of this `scale`."""
-        from scipy.optimize import least_squares
+        """The values that minimise the weighted squares of residuals, or their Cauchy loss of this `scale`."""
+        from scipy.optimize import minimize
+
+        start = self._rows(values)
+        # Unknowns of very different size: in units in which each changes the residuals as much.
+        unit = 1 / np.maximum(np.linalg.norm(start.reshape(-1, start.shape[2]), axis=0), 1e-150)
+        last = [np.inf]
 
         def full(x: Array) -> Array:
             changed = values.copy()
-            changed[self.chosen] = x
+            changed[self.chosen] += x * unit
             return changed
 
-        def residual(x: Array) -> Array:
-            return (self.residual(full(x)) * weight[:, None]).ravel()
+        def loss(x: Array) -> float:
+            square = (self.residual(full(x)) ** 2).sum(1)
+            if scale is not None:
+                square = scale**2 * np.log1p(square / scale**2)
+            return float(weight @ square) / 2
 
-        def jacobian(x: Array) -> Array:
-            changed = full(x)
-            camera, poses, board = self.state(changed)
-            turns = changed[_OWN:-_LAST].reshape(-1, 6)[:, :3]
-            rows = linearise(camera, self.pixel, poses, board, self.observations, turns) * -weight[:, None, None]
-            return rows.reshape(-1, rows.shape[2])[:, self.chosen]
+        def derivatives(x: Array) -> tuple[Array, Array]:
+            """Gradient, and the Hessian of Gauss and Newton."""
+            found = self.residual(full(x))
+            share = weight if scale is None else weight / (1 + (found**2).sum(1) / scale**2)
+            rows = (self._rows(full(x)) * (np.sqrt(share)[:, None, None] * unit)).reshape(-1, len(unit))
+            return -rows.T @ (found * np.sqrt(share)[:, None]).ravel(), rows.T @ rows
 
-        loss = {"loss": "cauchy", "f_scale": scale, "ftol": 1e-4} if scale is not None else {"ftol": 1e-10}
-        found = least_squares(
-            residual, values[self.chosen], jacobian, x_scale="jac", tr_solver="exact", xtol=None, gtol=None,
-            max_nfev=60, **loss,
+        def stop(intermediate_result: Any) -> None:
+            before, last[0] = last[0], float(intermediate_result.fun)
+            if 0 < before - last[0] <= (1e-9 if scale is None else 1e-4) * last[0]:
+                raise StopIteration
+
+        known: dict[bytes, tuple[Array, Array]] = {}
+
+        def remembered(x: Array) -> tuple[Array, Array]:
+            if x.tobytes() not in known:
+                known.clear()
+                known[x.tobytes()] = derivatives(x)
+            return known[x.tobytes()]
+
+        found = minimize(
+            loss, np.zeros(len(unit)), jac=lambda x: remembered(x)[0], hess=lambda x: remembered(x)[1],
+            method="trust-exact", callback=stop,
+            options={"initial_trust_radius": 1e4, "max_trust_radius": 1e9, "gtol": 1e-6, "maxiter": 60},
         )  # fmt: skip
         return full(found.x)
+
+    def _rows(self, values: Array) -> Array:
+        """(n, 2, k) derivatives of predicted positions over their errors by what is fitted."""
+        camera, poses, board = self.state(values)
+        turns = values[_OWN:-_LAST].reshape(-1, 6)[:, :3]
+        return linearise(camera, self.pixel, poses, board, self.observations, turns)[:, :, self.chosen]
 
 
 def _robust_noise(residual: Array) -> float:

@@ -27,7 +27,7 @@ def planar_poses(scene: Array, board: Array, focal: float, principal: Array) -> 
     matrix = np.array([[focal, 0, principal[0]], [0, focal, principal[1]], [0, 0, 1.0]])
     try:
         _, turns, shifts, _ = cv2.solvePnPGeneric(
-            board.reshape(-1, 1, 3), scene.reshape(-1, 1, 2), matrix, None, flags=cv2.SOLVEPNP_IPPE
+            np.ascontiguousarray(board), np.ascontiguousarray(scene), matrix, None, flags=cv2.SOLVEPNP_IPPE
         )
     except cv2.error:
         return []
@@ -62,8 +62,8 @@ def _with_focal(
         return 1 / (points[boards[m].corner] @ turn.T + shift)[:, 2]
 
     measured = np.concatenate([board.inverse_ratio for board in boards])
-    # `D / s` is as uncertain as `s / D` is, about the same everywhere.
-    error = 0.02 * measured**2
+    # `s / D` is right to 0.02 about the same everywhere; of single corners the error of `D / s` is not known better.
+    error = np.concatenate([np.full(len(b.corner), 0.02 * np.median(b.inverse_ratio) ** 2) for b in boards])
     chosen = [0] * len(boards)
     for _ in range(4):
         line = _line(np.concatenate([inverse_depth(m, k) for m, k in enumerate(chosen)]), measured, error)
