@@ -99,15 +99,22 @@ def unknowns(free: Sequence[str], poses: int) -> NDArray[np.int64]:
 
 
 def linearise(
-    camera: Array, pixel: float, poses: Poses, board: Array, observations: Observations, turns: Array | None = None
+    camera: Array,
+    pixel: float,
+    poses: Poses,
+    board: Array,
+    observations: Observations,
+    turns: Array | None = None,
+    free: Sequence[int] = range(_OWN),
 ) -> Array:
     """(n, 2, 14 + 6 m + 5) derivatives of the predicted positions over their errors by all unknowns.
 
-    `turns` (m, 3) [rad] are the turns that led to `poses`, where derivatives are taken by those; by default none.
+    `turns` (m, 3) [rad] are the turns that led to `poses`, where derivatives are taken by those; by default none. Those
+    by parameters of the camera that are not in places `free` are left 0.
     """
     o, count = observations, len(poses.rotation)
     turned = np.einsum("nij,nj->ni", poses.rotation[o.pose], board[o.corner])
-    seen = project(camera, pixel, turned + poses.translation[o.pose], o.centre)
+    seen = project(camera, pixel, turned + poses.translation[o.pose], o.centre, free)
     turns = np.zeros((count, 3)) if turns is None else turns
     # d(exp(w) y) / dw of y = exp(-w) turned.
     bend = [
@@ -246,7 +253,8 @@ class _Problem:
         """(n, 2, k) derivatives of predicted positions over their errors by what is fitted."""
         camera, poses, board = self.state(values)
         turns = values[_OWN:-_LAST].reshape(-1, 6)[:, :3]
-        return linearise(camera, self.pixel, poses, board, self.observations, turns)[:, :, self.chosen]
+        free = self.chosen[self.chosen < _OWN].tolist()
+        return linearise(camera, self.pixel, poses, board, self.observations, turns, free)[:, :, self.chosen]
 
 
 def _robust_noise(residual: Array) -> float:

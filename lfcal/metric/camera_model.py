@@ -15,6 +15,7 @@ imaginary step of each parameter (complex-step derivatives, Squire and Trapp 199
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,17 +65,22 @@ def from_internal(values: Array, pixel: float) -> Array:
     return np.array([mla / (1 + values[1] * sensor / whole), mla, sensor])
 
 
-def project(camera: Array, pixel: float, points: Array, centres: Array) -> Projection:
+def project(
+    camera: Array, pixel: float, points: Array, centres: Array, free: Sequence[int] = range(len(INTERNAL))
+) -> Projection:
     """Where the microimages with centres (n, 2) [px] show points (n, 3) [mm], one point each.
 
-    `camera` (14,) are the parameters `INTERNAL`.
+    `camera` (14,) are the parameters `INTERNAL`; derivatives by those that are not `free` are left 0.
     """
     step = 1e-20
-    by_camera = [project_positions(camera + 1j * step * k, pixel, points, centres) for k in np.eye(len(INTERNAL))]
+    by_camera = np.zeros((len(points), 2, len(INTERNAL)))
+    for k in free:
+        moved = camera + 1j * step * np.eye(len(INTERNAL))[k]
+        by_camera[:, :, k] = project_positions(moved, pixel, points, centres).imag / step
     by_point = [project_positions(camera, pixel, points + 1j * step * k, centres) for k in np.eye(3)]
     return Projection(
         project_positions(camera, pixel, points, centres),
-        np.stack(by_camera, axis=2).imag / step,
+        by_camera,
         np.stack(by_point, axis=2).imag / step,
     )
 
