@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from ..lattice.lattice import Lattice
 from ..runtime.frozen import Frozen
 from ..runtime.text_arrays import decode_array, encode_array
-from .settings import DEFAULT, KERNEL, GainSettings
 
-__all__ = ["GainMap", "MicroimageShape", "RegionGain", "count_terms", "field_frame"]
+#: Share of the light of a lens below which the gain is unknown: mostly noise and stray light.
+LEAST_LIGHT = 0.25
+
+__all__ = ["LEAST_LIGHT", "GainMap", "MicroimageShape", "RegionGain", "count_terms", "field_frame"]
 
 
 class MicroimageShape(NamedTuple):
@@ -161,9 +163,9 @@ class GainMap(Frozen):
         profiles.flags.writeable = False
         return profiles
 
-    def type_rims(self, radius: float, settings: GainSettings = DEFAULT) -> NDArray[np.float64]:
+    def type_rims(self, radius: float) -> NDArray[np.float64]:
         """(t, k) `type_light` at those rings within `radius` [px] that lie before the middle of the rim."""
-        inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > settings.before_rim)
+        inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > 0.75)
         return self.type_light[:, inside]
 
     def to_dict(self) -> dict[str, Any]:
@@ -203,19 +205,15 @@ class RegionGain:
     ----------
     gain_map : GainMap
     lattice : Lattice
-    settings : GainSettings
     """
 
-    def __init__(self, gain_map: GainMap, lattice: Lattice, settings: GainSettings = DEFAULT) -> None:
+    def __init__(self, gain_map: GainMap, lattice: Lattice) -> None:
         from .rows import make_row_tables
 
-        tables = make_row_tables(lattice, gain_map.lens_gain, gain_map.type_cell, settings)
+        tables = make_row_tables(lattice, gain_map.lens_gain, gain_map.type_cell)
         self._model = tables, gain_map.level, gain_map.shape(lattice), gain_map.profiles
-        self._band = settings.band
 
-    def at(
-        self, left: int, top: int, width: int, height: int, least_light: float = KERNEL.least_light
-    ) -> NDArray[np.float32]:
+    def at(self, left: int, top: int, width: int, height: int, least_light: float = LEAST_LIGHT) -> NDArray[np.float32]:
         """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is below `least_light` of
         the light of the lens: mostly noise and stray light."""
         from .rows import fill_gain
@@ -246,11 +244,12 @@ class RegionGain:
         deep = pixels.reshape(*pixels.shape[:2], -1)
         out, unknown = np.empty_like(deep), np.empty(deep.shape[:2], np.bool_)
         highest = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 0.0
-        band = np.empty((min(self._band, len(deep)), deep.shape[1]), np.float32)
-        for first in range(0, len(deep), self._band):
-            rows = slice(first, first + self._band)
+        # In bands of rows, so that memory does not grow with the flat.
+        band = np.empty((min(512, len(deep)), deep.shape[1]), np.float32)
+        for first in range(0, len(deep), len(band)):
+            rows = slice(first, first + len(band))
             gain = band[: len(deep[rows])]
-            fill_gain(gain, top + first, left, KERNEL.least_light, *self._model)
+            fill_gain(gain, top + first, left, LEAST_LIGHT, *self._model)
             flatten_rows(deep[rows], gain, out[rows], highest)
             np.isnan(gain, out=unknown[rows])
         return out.reshape(pixels.shape), unknown

@@ -12,15 +12,16 @@ import numpy as np
 from numba import njit
 
 from ..runtime.kernels.jit import kernel
-from .settings import KERNEL
 
 __all__ = [
-    "RIM_START", "ROOT_HALF", "evaluate_level", "evaluate_levels", "evaluate_shape", "find_usable_radius",
+    "RIM_START", "evaluate_level", "evaluate_levels", "evaluate_shape", "find_usable_radius",
     "flatten_rows", "radial_mean", "relative_light",
 ]  # fmt: skip
 
 RIM_START = 7
-ROOT_HALF = math.sqrt(0.5)
+_ROOT_HALF = math.sqrt(0.5)
+# In which the usable radius and the mean over directions are evaluated.
+_DIRECTIONS = 32
 
 
 @njit(error_model="numpy", fastmath=False)
@@ -44,18 +45,11 @@ def evaluate_shape(cx, cy, shape, powers, lens):
     field, radius, shading, rim, cut = shape.frame, shape.radius, shape.shading, shape.rim, shape.cut
     x, y = (cx - field[0]) / field[2], (cy - field[1]) / field[2]
     _monomials(x, y, max(shading.shape[1], rim.shape[1]), powers)
-    # Five sums at a time: in one sum each addition would wait for the one before.
-    u = v = uu = uv = vv = 0.0
-    for t in range(shading.shape[1]):
-        power = powers[t]
-        u += shading[0, t] * power
-        v += shading[1, t] * power
-        uu += shading[2, t] * power
-        uv += shading[3, t] * power
-        vv += shading[4, t] * power
-    over = 1 / radius
-    lens[0], lens[1] = u * over, v * over
-    lens[2], lens[3], lens[4] = uu * over * over, uv * over * over, vv * over * over
+    for row in range(5):
+        total = 0.0
+        for t in range(shading.shape[1]):
+            total += shading[row, t] * powers[t]
+        lens[row] = total / (radius if row < 2 else radius * radius)
     lens[5], lens[6] = cut[0] + cut[2] * x, cut[1] + cut[2] * y
     for row in range(rim.shape[0]):
         total = 0.0
@@ -68,14 +62,10 @@ def evaluate_shape(cx, cy, shape, powers, lens):
 def evaluate_level(cx, cy, field, level, powers):
     """Exponential of a polynomial of the field at one place; `powers` gets the monomials of the field."""
     _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
-    total = other = 0.0
-    whole = len(level) // 2 * 2
-    for t in range(0, whole, 2):
+    total = 0.0
+    for t in range(len(level)):
         total += level[t] * powers[t]
-        other += level[t + 1] * powers[t + 1]
-    if whole < len(level):
-        total += level[whole] * powers[whole]
-    return math.exp(total + other)
+    return math.exp(total)
 
 
 @kernel(error_model="numpy", share=lambda centres, *_: len(centres))
@@ -113,10 +103,11 @@ def relative_light(dx, dy, lens, profile, step, cut):
     if cut[4] > 0:
         ex, ey = dx - lens[5], dy - lens[6]
         depth = (cut[3] - math.sqrt(ex * ex + ey * ey)) / cut[4]
-        if depth < -KERNEL.edge:
+        # Beyond four standard deviations the edge is all or nothing.
+        if depth < -4:
             through = 0.0
-        elif depth < KERNEL.edge:
-            through = 0.5 * (1 + math.erf(depth * ROOT_HALF))
+        elif depth < 4:
+            through = 0.5 * (1 + math.erf(depth * _ROOT_HALF))
         value = cut[5] + (value - cut[5]) * through
     value *= 1 + dx * (lens[0] + lens[2] * dx + lens[3] * dy) + dy * (lens[1] + lens[4] * dy)
     return value, stretched, through
@@ -141,7 +132,7 @@ def flatten_rows(begin, end, flat, gain, out, highest):
 @kernel(error_model="numpy")
 def find_usable_radius(centres, lens_gain, limit, out, shape):
     """Least distance [px] over all directions at which the light of each lens falls below one half, up to `limit`."""
-    profile, step, cut, directions = shape.profile, shape.step, shape.cut, KERNEL.directions
+    profile, step, cut = shape.profile, shape.step, shape.cut
     for n in range(centres.shape[0]):
         if lens_gain[n] == 0:
             continue
@@ -149,8 +140,8 @@ def find_usable_radius(centres, lens_gain, limit, out, shape):
         lens = np.empty(RIM_START + shape.rim.shape[0])
         evaluate_shape(centres[n, 0], centres[n, 1], shape, powers, lens)
         least = limit
-        for d in range(directions):
-            c, s = math.cos(2 * math.pi * d / directions), math.sin(2 * math.pi * d / directions)
+        for d in range(_DIRECTIONS):
+            c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
             before, r = relative_light(0.0, 0.0, lens, profile, step, cut)[0], 0.0
             if before < 0.5:
                 least = 0.0
@@ -167,14 +158,14 @@ def find_usable_radius(centres, lens_gain, limit, out, shape):
 @kernel(error_model="numpy")
 def radial_mean(centres, out, shape):
     """Relative light at distances `0, step, ...`, averaged over all directions of each lens; `out` is (n, k)."""
-    profile, step, cut, directions = shape.profile, shape.step, shape.cut, KERNEL.directions
+    profile, step, cut = shape.profile, shape.step, shape.cut
     for n in range(centres.shape[0]):
         powers = np.empty(64)
         lens = np.empty(RIM_START + shape.rim.shape[0])
         evaluate_shape(centres[n, 0], centres[n, 1], shape, powers, lens)
         for k in range(out.shape[1]):
             total = 0.0
-            for d in range(directions):
-                c, s = math.cos(2 * math.pi * d / directions), math.sin(2 * math.pi * d / directions)
+            for d in range(_DIRECTIONS):
+                c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
                 total += relative_light(k * step * c, k * step * s, lens, profile, step, cut)[0]
-            out[n, k] = total / directions
+            out[n, k] = total / _DIRECTIONS

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ..lattice.lattice import Lattice
 from ..runtime.kernels.jit import kernel
 from .kernel import RIM_START, evaluate_level, evaluate_shape, relative_light
-from .settings import DEFAULT, KERNEL, GainSettings
 
 __all__ = ["RowTables", "fill_gain", "make_row_tables"]
 
@@ -34,23 +33,22 @@ class RowTables(NamedTuple):
         Types of the lenses, 0 where they do not differ.
     starts : (h, 2) int64
         Column and row, in these tables, of a lens near the first pixel of each row of the flat.
-    sides : (6, 2) int64
-        Steps in these tables to the possible neighbours of a lens.
     ahead : (k, 2) int64
-        Those of them to lenses that may follow in a row.
+        Steps in these tables to the neighbours of a lens that may follow it in a row.
     """
 
     centres: NDArray[np.float64]
     lens_gain: NDArray[np.float32]
     types: NDArray[np.int8]
     starts: NDArray[np.int64]
-    sides: NDArray[np.int64]
     ahead: NDArray[np.int64]
 
 
-def make_row_tables(
-    lattice: Lattice, lens_gain: NDArray[np.float32], type_cell: NDArray[np.int8], settings: GainSettings = DEFAULT
-) -> RowTables:
+# Slots of the cache of lenses: enough for a row of them and the next one.
+_SLOTS = 2048
+
+
+def make_row_tables(lattice: Lattice, lens_gain: NDArray[np.float32], type_cell: NDArray[np.int8]) -> RowTables:
     """Tables of a flat; `lens_gain` and `type_cell` as in `GainMap`. ValueError if there are other lenses."""
     width, height = lattice.image_size
     rows = np.arange(height, dtype=np.float64)
@@ -61,8 +59,9 @@ def make_row_tables(
         raise ValueError(f"the gain map is of {len(lens_gain)} lenses, the lattice has {len(indices)}")
     # Each column by itself: NumPy takes ten times as long over rows of two.
     every = [np.concatenate([of[:, axis] for of in (starts, ends, indices)]) for axis in (0, 1)]
-    low = np.array([np.min(of) for of in every]) - settings.halo
-    high = np.array([np.max(of) for of in every]) + settings.halo
+    # Rows begin and end in lenses around the flat.
+    low = np.array([np.min(of) for of in every]) - 4
+    high = np.array([np.max(of) for of in every]) + 4
     centres = lattice.grid(*(np.arange(low[axis], high[axis] + 1) for axis in (0, 1)))
     gains = np.ones(centres.shape[:2], np.float32)
     if len(lens_gain):
@@ -74,8 +73,9 @@ def make_row_tables(
     # With the shorter diagonal: cells have at most six sides.
     cross = min(((1, 1), (1, -1)), key=lambda step: float(np.hypot(*(step @ lattice.basis))))
     sides = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), cross, (-cross[0], -cross[1])])
-    ahead = sides[(sides @ lattice.basis)[:, 0] > -settings.largest_tilt * lattice.pitch]
-    return RowTables(centres, gains, types, np.ascontiguousarray(starts - low), sides, ahead)
+    # A distortion may turn a step a little backwards.
+    ahead = sides[(sides @ lattice.basis)[:, 0] > -0.2 * lattice.pitch]
+    return RowTables(centres, gains, types, np.ascontiguousarray(starts - low), ahead)
 
 
 @njit(error_model="numpy")
@@ -104,7 +104,8 @@ def _find_next_lens(y, a, b, width, centres, ahead):
     for k in range(len(ahead)):
         u, v = a + ahead[k, 0], b + ahead[k, 1]
         dx, dy = centres[v, u, 0] - cx, centres[v, u, 1] - cy
-        if dx > KERNEL.same_column:
+        # Lenses above each other do not follow each other in a row.
+        if dx > 1e-9:
             most = 0.5 * (dx * dx + dy * dy) - dy * (y - cy)
             if most < least * dx:
                 least, p, q = most / dx, u, v
@@ -115,7 +116,8 @@ def _find_next_lens(y, a, b, width, centres, ahead):
 def _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens):
     """Light of the lens `(a, b)`; its description is written into `lens`, from the cache `keys`, `lenses` if there."""
     centres = tables.centres
-    slot, key = (a + KERNEL.slot_step * b) % KERNEL.slots, a + b * centres.shape[1]
+    # Lenses above each other are a prime number of slots apart, so that the cache fills evenly.
+    slot, key = (a + 701 * b) % _SLOTS, a + b * centres.shape[1]
     if keys[slot] != key:
         keys[slot] = key
         cx, cy = centres[b, a, 0], centres[b, a, 1]
@@ -127,9 +129,12 @@ def _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens):
     return lenses[slot, -1]
 
 
-@njit(error_model="numpy")
-def _fill_rows(begin, end, out, top, left, least, tables, level, shape, profiles, keys, powers, lens, lenses):
-    """As `fill_gain`, with its work space."""
+@kernel(error_model="numpy", share=lambda out, *_: len(out))
+def fill_gain(begin, end, out, top, left, least, tables, level, shape, profiles):
+    """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where there is less than
+    `least` of the light of a lens; `profiles` (t, k) are those of the types of lenses."""
+    size = RIM_START + shape.rim.shape[0]
+    keys, powers, lens, lenses = np.full(_SLOTS, -1), np.empty(64), np.empty(size), np.empty((_SLOTS, size + 1))
     right = left + out.shape[1]
     centres, starts, ahead, types = tables.centres, tables.starts, tables.ahead, tables.types
     step, cut = shape.step, shape.cut
@@ -147,13 +152,3 @@ def _fill_rows(begin, end, out, top, left, least, tables, level, shape, profiles
                     value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
                     out[row, at - left] = value * bright if value >= least else np.nan
             x, a, b = max(x, stop), p, q
-
-
-@kernel(error_model="numpy", share=lambda out, *_: len(out))
-def fill_gain(begin, end, out, top, left, least, tables, level, shape, profiles):
-    """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where there is less than
-    `least` of the light of a lens; `profiles` (t, k) are those of the types of lenses."""
-    size = RIM_START + shape.rim.shape[0]
-    keys, powers, lens = np.full(KERNEL.slots, -1), np.empty(64), np.empty(size)
-    lenses = np.empty((KERNEL.slots, size + 1))
-    _fill_rows(begin, end, out, top, left, least, tables, level, shape, profiles, keys, powers, lens, lenses)

@@ -7,8 +7,6 @@ defect also differs from the residuals at the same place of the nearest lenses b
 
 from __future__ import annotations
 
-from math import isqrt
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,17 +14,18 @@ from ..gain.defects import Defects
 from ..gain.gain_map import RegionGain
 from ..lattice.lattice import Lattice
 from .lens_light import LensLights
-from .settings import DEFECTS, DefectSettings
 
 __all__ = ["find_defects"]
 
 # Standard deviation of normal values over their median absolute deviation, and over the distance of the farthest tenth.
 _TO_SIGMA, _TENTH_TO_SIGMA = 1.4826, 1 / 1.6449
+# Levels of light, at each of which the noise is measured.
+_LEVELS = 32
+# Standard deviations beyond what Gaussian noise reaches in a flat.
+_SIGNIFICANT = 6.0
 
 
-def find_defects(
-    picture: NDArray[np.float32], lattice: Lattice, lights: LensLights, settings: DefectSettings = DEFECTS
-) -> tuple[Defects, float]:
+def find_defects(picture: NDArray[np.float32], lattice: Lattice, lights: LensLights) -> tuple[Defects, float]:
     """Defects of a white image.
 
     Parameters
@@ -36,7 +35,6 @@ def find_defects(
     lattice : Lattice [px]
     lights : LensLights
         Gain map with the light of all lenses.
-    settings : DefectSettings
 
     Returns
     -------
@@ -46,19 +44,17 @@ def find_defects(
     """
     import cv2
 
-    residual, clipped = _compute_residuals(picture, lattice, lights, settings)
+    residual, clipped = _compute_residuals(picture, lattice, lights)
     small, large = (
         np.float32(side) * np.asarray(cv2.blur(clipped, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
-        for side in (settings.small_square, settings.large_square)
+        for side in (3, 7)
     )
-    outside = np.zeros(picture.shape, np.bool_)
-    bad = np.zeros(picture.shape, np.bool_)
-    unlit = lattice.indices()[lights.unlit]
+    outside, bad = np.zeros(picture.shape, np.bool_), np.zeros(picture.shape, np.bool_)
     for values in (residual, small, large):
-        differs = np.abs(values) > settings.significance
+        differs = np.abs(values) > _SIGNIFICANT
         if values is large:
             # A large square that reaches over the rim of a speck does not make its middle part of it.
-            differs &= small * np.sign(large) > settings.local
+            differs &= small * np.sign(large) > 3
         else:
             # Large squares show errors of the map that harm no centre.
             outside |= differs
@@ -66,14 +62,18 @@ def find_defects(
         if values is residual:
             beside = _differs_from_pixels(picture, rows, columns)
             rows, columns = rows[beside], columns[beside]
-        alone = _differs_from_lenses(values, np.column_stack([columns, rows]), lattice, settings)
-        bad[rows[alone], columns[alone]] = True
+        places = np.column_stack([columns, rows])
+        # In parts, so that memory does not grow with the flat.
+        for part in np.array_split(places, len(places) // 20_000 + 1):
+            x, y = part[_differs_from_lenses(values, part, lattice)].T
+            bad[y, x] = True
     pixels = np.argwhere(bad)[:, ::-1].astype(np.int32)
-    return Defects(pixels, unlit.astype(np.int32)), float(outside.sum() / max(np.isfinite(residual).sum(), 1))
+    unlit = lattice.indices()[lights.unlit].astype(np.int32)
+    return Defects(pixels, unlit), float(outside.sum() / max(np.isfinite(residual).sum(), 1))
 
 
 def _compute_residuals(
-    picture: NDArray[np.float32], lattice: Lattice, lights: LensLights, settings: DefectSettings
+    picture: NDArray[np.float32], lattice: Lattice, lights: LensLights
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(h, w) pixels less the map, in standard deviations of those that should be as bright; and clipped, of mean 0.
 
@@ -83,29 +83,30 @@ def _compute_residuals(
     unlit = gain == 0
     np.sqrt(np.maximum(gain, 0, out=gain), out=gain)
     brightest = float(np.sqrt(lights.brightest))
-    level = np.clip(gain * settings.levels, 0, settings.levels - 1).astype(np.uint8)
+    level = np.clip(gain * _LEVELS, 0, _LEVELS - 1).astype(np.uint8)
     gain *= brightest
     residual = np.subtract(picture, gain, out=gain)
-    middle, mean = np.zeros((2, settings.levels), np.float32)
-    scale, even = np.ones((2, settings.levels), np.float32)
-    every = max(1, residual.size // settings.sample)
-    some, of = residual.ravel()[::every], np.where(unlit, settings.levels, level).ravel()[::every]
-    for k in range(settings.levels):
+    middle, mean = np.zeros((2, _LEVELS), np.float32)
+    scale, even = np.ones((2, _LEVELS), np.float32)
+    every = max(1, residual.size // 1_000_000)
+    some, of = residual.ravel()[::every], np.where(unlit, _LEVELS, level).ravel()[::every]
+    for k in range(_LEVELS):
         own = some[of == k]
         if len(own):
             middle[k] = np.median(own)
             # Where noise is cut off at black, more than half of the pixels may have the same value.
             noise = float(np.max(np.quantile(np.abs(own - middle[k]), (0.5, 0.9)) * (_TO_SIGMA, _TENTH_TO_SIGMA)))
-            # The root of dark pixels is steep.
-            least = brightest / np.sqrt((k + 0.5) / settings.levels)
-            scale[k] = max(noise, settings.least_residual * least)
-            even[k] = scale[k] / max(noise, settings.least_mean * least)
+            # Residuals of half a per cent of the light harm no picture, and lenses differ by three times as much; the
+            # root of dark pixels is steep.
+            least = 0.005 * brightest / np.sqrt((k + 0.5) / _LEVELS)
+            scale[k] = max(noise, least)
+            even[k] = scale[k] / max(noise, 3 * least)
             # Noise of dark pixels is not symmetric.
-            mean[k] = np.clip((own - middle[k]) / scale[k], -settings.clip, settings.clip).mean()
+            mean[k] = np.clip((own - middle[k]) / scale[k], -3, 3).mean()
     residual -= middle[level]
     residual /= scale[level]
     residual[unlit] = np.nan
-    clipped = (np.clip(residual, -settings.clip, settings.clip) - mean[level]) * even[level]
+    clipped = (np.clip(residual, -3, 3) - mean[level]) * even[level]
     return residual, np.nan_to_num(clipped, copy=False)
 
 
@@ -113,47 +114,38 @@ def _differs_from_pixels(
     picture: NDArray[np.float32], rows: NDArray[np.int64], columns: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """Which pixels are lighter or darker than seven of the eight beside them: not those of rims."""
-    height, width = picture.shape
-    steps = np.array([(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y])
-    beside = picture[
-        np.clip(rows[:, None] + steps[:, 0], 0, height - 1), np.clip(columns[:, None] + steps[:, 1], 0, width - 1)
-    ]
+    steps = np.array([(y, x) for y in (0, 1, 2) for x in (0, 1, 2) if (x, y) != (1, 1)])
+    beside = np.pad(picture, 1, "edge")[rows[:, None] + steps[:, 0], columns[:, None] + steps[:, 1]]
     beside.sort(axis=1)
     own = picture[rows, columns]
     return (own < beside[:, 1]) | (own > beside[:, 6])
 
 
-def _differs_from_lenses(
-    values: NDArray[np.float32], places: NDArray[np.int64], lattice: Lattice, settings: DefectSettings
-) -> NDArray[np.bool_]:
-    """Which `places` (n, 2) [px] have values that differ from those at the same place in lenses around."""
+def _differs_from_lenses(values: NDArray[np.float32], places: NDArray[np.int64], lattice: Lattice) -> NDArray[np.bool_]:
+    """Which `places` (n, 2) [px] have values that differ from those at the same place in 36 lenses around.
+
+    Every third lens each way, as dust may cover some beside each other.
+    """
     height, width = values.shape
-    reach = np.arange(-isqrt(settings.lenses), isqrt(settings.lenses) + 1)
-    steps = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
+    steps = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-6, 7)), -1).reshape(-1, 2)
     order = np.argsort(np.linalg.norm(steps @ lattice.basis, axis=1), kind="stable")
-    steps = settings.lens_step * steps[order[1 : 1 + settings.lenses]]
-    alone = np.zeros(len(places), np.bool_)
-    for start in range(0, len(places), settings.chunk):
-        place = places[start : start + settings.chunk]
-        index = np.rint(lattice.to_index(place))
-        offset = place - lattice.points(index)
-        x, y = np.rint(lattice.points(index[:, None] + steps) + offset[:, None]).astype(np.int64).transpose(2, 0, 1)
-        seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-        others = np.where(seen, values[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], np.nan)
-        # Unlit lenses tell nothing; NaN is sorted to the end.
-        others.sort(axis=1)
-        lit = np.isfinite(others).sum(1)
-        last = np.maximum(lit - 1, 0)[:, None]
-        ranks = np.rint(last * (0.05, 0.5, 0.95)).astype(np.int64)
-        low, middle, high = np.take_along_axis(others, ranks, axis=1).T
-        own = values[place[:, 1], place[:, 0]]
-        # Their scatter to the same side: types of lenses, rims.
-        spread = np.maximum(_TENTH_TO_SIGMA * np.where(own > middle, high - middle, middle - low), 1)
-        beyond = np.abs(own - middle) / spread
-        # The light of lenses whose centre is off the flat is not measured: they may be darker by themselves.
-        x, y = (place - offset).T
-        off = (x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)
-        beyond[off] = (own - middle)[off] / (2 * spread[off])
-        differs = beyond > settings.significance
-        alone[start : start + settings.chunk] = differs & (2 * lit > seen.sum(1))
-    return alone
+    index = np.rint(lattice.to_index(places))
+    offset = places - lattice.points(index)
+    beside = lattice.points(index[:, None] + 3 * steps[order[1:37]]) + offset[:, None]
+    x, y = np.rint(beside).astype(np.int64).transpose(2, 0, 1)
+    seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    others = np.where(seen, values[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], np.nan)
+    # Unlit lenses tell nothing; NaN is sorted to the end.
+    others.sort(axis=1)
+    lit = np.isfinite(others).sum(1)
+    ranks = np.rint(np.maximum(lit - 1, 0)[:, None] * (0.05, 0.5, 0.95)).astype(np.int64)
+    low, middle, high = np.take_along_axis(others, ranks, axis=1).T
+    own = values[places[:, 1], places[:, 0]]
+    # Their scatter to the same side: types of lenses, rims.
+    spread = np.maximum(_TENTH_TO_SIGMA * np.where(own > middle, high - middle, middle - low), 1)
+    beyond = np.abs(own - middle) / spread
+    # The light of lenses whose centre is off the flat is not measured: they may be darker by themselves.
+    x, y = (places - offset).T
+    off = (x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)
+    beyond[off] = (own - middle)[off] / (2 * spread[off])
+    return (beyond > _SIGNIFICANT) & (2 * lit > seen.sum(1))

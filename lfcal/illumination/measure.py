@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from ..white_fit.cat_eye import CatEye
 from .defect_search import find_defects
 from .estimate import estimate_gain
 from .lens_light import find_unlit_in_scene, measure_lens_lights
-from .settings import DEFAULT
 from .type_profiles import fit_type_profiles, order_by_rims
 
 __all__ = ["Illumination", "measure_illumination"]
@@ -80,13 +79,12 @@ def measure_illumination(
     find_types : function of a Lattice, optional
         Finds the types of its lenses, which may differ in their light, given the usable radius.
     """
-    fit = estimate_gain(picture, lattice, not white, cat_eye)
-    vignetting, radius = _average(fit.gain, lattice)
+    gain = estimate_gain(picture, lattice, not white, cat_eye)
+    vignetting, radius = _average(gain, lattice)
     types = find_types(lattice.with_radius(radius)) if find_types else None
-    gain = fit_type_profiles(picture, lattice.with_radius(radius), fit.gain, types, not white)
+    gain = fit_type_profiles(picture, lattice.with_radius(radius), gain, types, not white)
     if white:
         types, gain = order_by_rims(types, gain, radius)
-    fit = replace(fit, gain=gain)
     warnings: tuple[str, ...] = ()
     share = 0.0
     if not white:
@@ -95,11 +93,11 @@ def measure_illumination(
         defects = Defects(lenses=lattice.indices()[unlit].astype(np.int32))
     elif isinstance(picture, StackedCrops):
         assert read_crop is not None
-        lights = measure_lens_lights(read_crop, lattice, fit)
+        lights = measure_lens_lights(read_crop, lattice, gain)
         gain = lights.gain
         defects = Defects(lenses=lattice.indices()[lights.unlit].astype(np.int32))
     else:
-        lights = measure_lens_lights(picture, lattice, fit)
+        lights = measure_lens_lights(picture, lattice, gain)
         gain = lights.gain
         defects, share = find_defects(picture, lattice, lights)
         doubt = find_gain_doubt(share)
@@ -109,7 +107,7 @@ def measure_illumination(
 
 def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     """Vignetting of the average microimage, and its usable radius."""
-    every = max(1, len(lattice) // DEFAULT.average_lenses)
+    every = max(1, len(lattice) // 64)
     centres = np.ascontiguousarray(lattice.points(lattice.indices()[::every]))
     limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
     rings = int(limit / gain.step) + 2

@@ -21,11 +21,12 @@ from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
 from ..runtime.kernels.jit import kernel
 from .sample import Sample
-from .settings import KERNEL
 
-__all__ = ["GainResiduals", "ResidualOptions", "collect_residuals"]
+__all__ = ["DIRECTIONS", "GainResiduals", "ResidualOptions", "collect_residuals"]
 
 _ROOT_TAU = math.sqrt(2 * math.pi)
+# Bins of the direction.
+DIRECTIONS = 48
 
 
 class ResidualOptions(NamedTuple):
@@ -39,8 +40,8 @@ class ResidualOptions(NamedTuple):
         Whether the flat is a scene capture; the light of a lens is then a plane.
     brightest : float
         Luminance from which on pixels count as clipped.
-    largest_square : (w, k) float64
-        Largest squared residual, by window and distance, of pixels that are not left out.
+    largest_square : (k,) float64
+        Largest squared residual, by distance, of pixels that are not left out.
     terms : bool
         Whether the sums for rim, cut and shading are wanted; else these are zero.
     """
@@ -64,9 +65,6 @@ class GainResiduals(NamedTuple):
         Normal equations of the factors of `u, v, u^2, u*v, v^2, 1` of the shading.
     rims : (2, w, d) float64
         Right side and weight of the change of the rim [px] in each direction.
-    sector : (w, d, 2) float64
-        Sum of residuals in each direction, and of weights of pixels within the inradius of the cell; empty if not
-        asked for.
     dark : (w, 2) float64
         Sum of residuals, and of weights, outside the cutting disc.
     cut_normal, cut_right : (w, 5, 5), (w, 5) float64
@@ -77,23 +75,9 @@ class GainResiduals(NamedTuple):
     normal: NDArray[np.float64]
     right: NDArray[np.float64]
     rims: NDArray[np.float64]
-    sector: NDArray[np.float64]
     dark: NDArray[np.float64]
     cut_normal: NDArray[np.float64]
     cut_right: NDArray[np.float64]
-
-
-@njit(error_model="numpy")
-def _solve3(m, r):
-    """Solution of a symmetric 3 x 3 system by Cramer's rule; of its first unknown alone if it is singular."""
-    a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
-    det = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
-    if abs(det) <= 1e-9 * abs(a * d * f) + 1e-300:
-        return r[0] / max(a, 1e-300), 0.0, 0.0
-    x = (r[0] * (d * f - e * e) - b * (r[1] * f - e * r[2]) + c * (r[1] * e - d * r[2])) / det
-    y = (a * (r[1] * f - r[2] * e) - r[0] * (b * f - c * e) + c * (b * r[2] - c * r[1])) / det
-    z = (a * (d * r[2] - e * r[1]) - b * (b * r[2] - c * r[1]) + r[0] * (b * e - c * d)) / det
-    return x, y, z
 
 
 @njit(error_model="numpy")
@@ -101,42 +85,38 @@ def _fit_lens_light(picture, cx, cy, shift, rows, stride, options, lens, shape):
     """Light of a lens, its relative slope in x and y [1/px], and its weight: 0 if it is clipped or too steep."""
     profile, step, cut = shape.profile, shape.step, shape.cut
     core, scene = options.core, options.scene
-    moment, force = np.zeros((3, 3)), np.zeros(3)
-    squares, count, clipped = 0.0, 0, 0
+    light = across = down = whole = wide = high = squares = 0.0
+    count, clipped = 0, 0
     for y in range(math.ceil(cy - core) + shift, math.floor(cy + core) + 1, rows):
         dy = y - cy
         half = math.sqrt(max(core * core - dy * dy, 0.0))
         for x in range(math.ceil(cx - half) + shift % stride, math.floor(cx + half) + 1, stride):
             dx = x - cx
             s = relative_light(dx, dy, lens, profile, step, cut)[0]
-            if s < KERNEL.least_core_light:
+            if s < 0.5:
                 continue
             v = picture[y, x] * picture[y, x]
             count += 1
             clipped += v >= options.brightest
-            force[0] += s * v
-            moment[0, 0] += s * s
-            if scene:
-                a, b = s * dx / core, s * dy / core
-                moment[0, 1] += s * a
-                moment[0, 2] += s * b
-                moment[1, 1] += a * a
-                moment[1, 2] += a * b
-                moment[2, 2] += b * b
-                force[1] += a * v
-                force[2] += b * v
-                squares += v * v
-    if count < 4 or force[0] <= 0 or clipped * KERNEL.clipped_share > count:
+            light += s * v
+            whole += s * s
+            # In a disc about the centre, light and slopes are hardly correlated.
+            across += s * dx * v
+            down += s * dy * v
+            wide += s * s * dx * dx
+            high += s * s * dy * dy
+            squares += v * v
+    if count < 4 or light <= 0 or clipped * 20 > count:
         return 1.0, 0.0, 0.0, 0.0
     if not scene:
-        return force[0] / moment[0, 0], 0.0, 0.0, 1.0
-    light, gx, gy = _solve3(moment, force)
-    if light <= 0 or gx * gx + gy * gy > light * light:
+        return light / whole, 0.0, 0.0, 1.0
+    left = max(squares - light * light / whole - across * across / wide - down * down / high, 0.0) / count
+    light, gx, gy = light / whole, across / wide, down / high
+    if (gx * gx + gy * gy) * core * core > light * light:
         return 1.0, 0.0, 0.0, 0.0
-    left = max(squares - light * force[0] - gx * force[1] - gy * force[2], 0.0) / count
     # Lenses with little contrast beside a plane, relative to its light, show the rim best.
-    weight = KERNEL.contrast * KERNEL.contrast / (KERNEL.contrast * KERNEL.contrast + left / (light * light))
-    return light, gx / (light * core), gy / (light * core), weight
+    contrast = 0.06 * 0.06
+    return light, gx / light, gy / light, contrast / (contrast + left / (light * light))
 
 
 @njit(error_model="numpy")
@@ -159,21 +139,15 @@ def _differentiate_cut(ex, ey, field_x, field_y, s, through, plane, cut, feature
     features[3], features[4] = push, -push * depth
 
 
-@njit(error_model="numpy")
-def _direction_bin(dx, dy):
-    """Bin of a direction; bins are centred on multiples of their width."""
-    return math.floor(math.atan2(dy, dx) / (2 * math.pi) * KERNEL.directions + 0.5) % KERNEL.directions
-
-
 @kernel(error_model="numpy", share=lambda picture, sample, *_: len(sample.first) - 1, fastmath=FAST)
 def _add_residuals(begin, end, picture, sample, cell, options, shape, slope, sums):
     """Add the pixels of all lenses of a sample to the sums; `slope` (k,) is the derivative of the profile."""
     centres, places, first, stride = sample.centres, sample.places, sample.first, sample.stride
     faces, inner, reach = cell.normals, cell.inradius, cell.circumradius
     scene, limit, terms = options.scene, options.largest_square, options.terms
-    field, radius, profile, step, cut = shape.frame, shape.radius, shape.profile, shape.step, shape.cut
-    rings, rims, sector, dark = sums.rings, sums.rims, sums.sector, sums.dark
-    normal, right, cut_normal, cut_right = sums.normal, sums.right, sums.cut_normal, sums.cut_right
+    radius, profile, step, cut = shape.radius, shape.profile, shape.step, shape.cut
+    rings, normal, right, rims, dark, cut_normal, cut_right = sums
+    field = shape.frame
     for window in range(begin, end):
         powers, lens, features = np.empty(64), np.empty(RIM_START + shape.rim.shape[0]), np.empty(6)
         for n in range(first[window], first[window + 1]):
@@ -197,17 +171,14 @@ def _add_residuals(begin, end, picture, sample, cell, options, shape, slope, sum
                     s, stretched, through = relative_light(dx, dy, lens, profile, step, cut)
                     plane = max(1 + gx * dx + gy * dy, 0.2)
                     e = picture[y, x] * picture[y, x] / gain - s * plane
-                    if sector.shape[0] > 0:
-                        d = _direction_bin(dx, dy)
-                        sector[window, d, 0] += share * e / plane
-                        sector[window, d, 1] += share * (r < inner)
-                    if through < KERNEL.cut_off:
+                    if through < 0.02:
+                        # Stray light alone.
                         dark[window, 0] += share * e
                         dark[window, 1] += share
                     place = stretched / step
                     ring = min(int(place), len(profile) - 2)
                     part = min(place - ring, 1.0)
-                    if e * e > limit[window, ring]:
+                    if e * e > limit[ring]:
                         continue
                     rings[2, window, ring] += share * e * e
                     rings[3, window, ring] += share
@@ -224,11 +195,11 @@ def _add_residuals(begin, end, picture, sample, cell, options, shape, slope, sum
                         _differentiate_cut(dx - lens[5], dy - lens[6], fx, fy, s, through, plane, cut, features)
                         _add_equation(features, 5, share, e, cut_normal[window], cut_right[window])
                     steep = (slope[ring] * (1 - part) + slope[ring + 1] * part) * through * plane * r / radius
-                    if abs(steep) > KERNEL.least_slope:
-                        d = _direction_bin(dx, dy)
+                    if abs(steep) > 0.02:
+                        d = math.floor(math.atan2(dy, dx) / (2 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
                         rims[0, window, d] -= share * steep * e
                         rims[1, window, d] += share * steep * steep
-                    elif s > KERNEL.least_shaded_light and through > KERNEL.least_uncut and not scene:
+                    elif s > 0.7 and through > 0.95 and not scene:
                         u, w = dx / radius, dy / radius
                         features[0], features[1], features[2] = s * u, s * w, s * u * u
                         features[3], features[4], features[5] = s * u * w, s * w * w, s
@@ -236,9 +207,8 @@ def _add_residuals(begin, end, picture, sample, cell, options, shape, slope, sum
 
 
 def collect_residuals(
-    picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, sample: Sample, options: ResidualOptions,
-    sectors: bool = False,
-) -> GainResiduals:  # fmt: skip
+    picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, sample: Sample, options: ResidualOptions
+) -> GainResiduals:
     """Compare a sample of lenses with a gain map.
 
     Parameters
@@ -249,14 +219,11 @@ def collect_residuals(
     gain : GainMap
     sample : Sample
     options : ResidualOptions
-    sectors : bool
-        Whether residuals are also summed over directions alone, whatever their distance.
     """
     windows, rings = len(sample.first) - 1, len(gain.profile)
     sums = GainResiduals(
         np.zeros((4, windows, rings)), np.zeros((windows, 6, 6)), np.zeros((windows, 6)),
-        np.zeros((2, windows, KERNEL.directions)), np.zeros((windows * sectors, KERNEL.directions, 2)),
-        np.zeros((windows, 2)), np.zeros((windows, 5, 5)), np.zeros((windows, 5)),
+        np.zeros((2, windows, DIRECTIONS)), np.zeros((windows, 2)), np.zeros((windows, 5, 5)), np.zeros((windows, 5)),
     )  # fmt: skip
     slope = np.gradient(gain.profile, gain.step)
     kernel: Any = _add_residuals

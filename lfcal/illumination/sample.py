@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
-from .settings import SAMPLE, SampleSettings
 
 __all__ = ["Sample", "draw_sample"]
 
@@ -43,20 +42,17 @@ class Sample(NamedTuple):
         """(b * a, 2) mean centre [px] of the lenses of each window."""
         return np.array([self.centres[a:b].mean(0) if b > a else (0, 0) for a, b in pairwise(self.first)])
 
-    def thin(self, every: int) -> Sample:
-        """Every `every`-th of the lenses."""
-        centres, places = (np.ascontiguousarray(points[::every]) for points in (self.centres, self.places))
-        return Sample(centres, places, (self.first + every - 1) // every, self.shape, self.stride)
 
+def draw_sample(lattice: Lattice, pixels: float, crops: StackedCrops | None = None) -> Sample:
+    """Sample of the lenses of a flat, or of crops of it, with about so many pixels, but 200 lenses at least.
 
-def draw_sample(
-    lattice: Lattice, pixels: float, crops: StackedCrops | None = None, settings: SampleSettings = SAMPLE
-) -> Sample:
-    """Sample of the lenses of a flat, or of crops of it, with about so many pixels, but never too few lenses."""
+    Of large lenses rows and columns are left out, so that 700 pixels of each remain. The field has 8 x 6 windows, or
+    fewer, so that six lenses fall into each.
+    """
     area = abs(float(np.linalg.det(lattice.basis)))
-    stride = max(1, int(math.sqrt(area / settings.lens_pixels)))
+    stride = max(1, int(math.sqrt(area / 700)))
     margin = Cell.of(lattice).circumradius + 1
-    wanted = max(pixels * stride**2 / area, settings.lenses)
+    wanted = max(pixels * stride**2 / area, 200)
     if crops is None or crops.size == lattice.image_size:
         centres = sample_lenses(lattice, margin, wanted)[1]
         places = centres
@@ -65,8 +61,8 @@ def draw_sample(
         places = centres - crops.offsets[crop]
         chosen = sample_mask(len(centres), wanted / max(len(centres), 1))
         centres, places = centres[chosen], places[chosen]
-    shrink = min(1.0, math.sqrt(len(centres) / (settings.window_lenses * settings.columns * settings.rows)))
-    shape = max(1, int(settings.rows * shrink)), max(1, int(settings.columns * shrink))
+    shrink = min(1.0, math.sqrt(len(centres) / (6 * 8 * 6)))
+    shape = max(1, int(6 * shrink)), max(1, int(8 * shrink))
     size = np.array(lattice.image_size)
     column, row = np.minimum((centres + 0.5) / size * shape[::-1], np.array(shape[::-1]) - 1).astype(int).T
     window = row * shape[1] + column

@@ -20,7 +20,6 @@ from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..runtime.kernels.jit import kernel
 from .sample import Sample, draw_sample
-from .settings import KERNEL, SCENE_PROFILE, SceneProfileSettings
 
 __all__ = ["fit_scene_profile", "sum_light"]
 
@@ -74,7 +73,7 @@ def _sum_light(begin, end, picture, sample, cell, brightest, shape, types, light
                     total[ring + 1] += v * part
                     number[ring] += through * (1 - part)
                     number[ring + 1] += through * part
-            if clipped * KERNEL.clipped_share <= count:
+            if clipped * 20 <= count:
                 for k in range(len(profile)):
                     light[window, types[n], k] += total[k]
                     weight[window, types[n], k] += number[k]
@@ -93,9 +92,8 @@ def sum_light(
 
 
 def fit_scene_profile(
-    picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, brightest: float,
-    settings: SceneProfileSettings = SCENE_PROFILE,
-) -> NDArray[np.float64]:  # fmt: skip
+    picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, brightest: float
+) -> NDArray[np.float64]:
     """(k,) profile of a gain map with known rims, from a scene capture; 1 wherever that cannot be excluded.
 
     Parameters
@@ -107,19 +105,18 @@ def fit_scene_profile(
         Its profile is returned if the capture is too dark.
     brightest : float
         Luminance from which on pixels count as clipped.
-    settings : SceneProfileSettings
     """
-    sample = draw_sample(lattice, settings.pixels)
+    sample = draw_sample(lattice, 1e6)
     light, weight = sum_light(picture, lattice, gain, brightest, sample, np.zeros(len(sample.centres), np.int8))
     light, weight = light[:, 0], weight[:, 0]
     rings = np.arange(len(gain.profile))
-    core = rings * gain.step < settings.core * gain.radius
+    core = rings * gain.step < 0.6 * gain.radius
     level = light[:, core].sum(1) / np.maximum(weight[:, core].sum(1), 1e-12)
-    bright = level > settings.darkest * level.mean()
+    bright = level > 0.02 * level.mean()
     if not bright.any():
         return gain.profile
     # A lens has few pixels in its middle: their mean would be noisier than those around it.
-    middle = rings * gain.step < settings.middle
+    middle = rings * gain.step < 1.5
     for sums in (light, weight):
         sums[:, middle] = sums[:, middle].mean(1, keepdims=True)
     # Each part of the field is weighted by its pixels, not by its light.
@@ -129,7 +126,7 @@ def fit_scene_profile(
     filled = pixels > 1e-3 * pixels.max()
     profile = np.interp(rings, rings[filled], ratio[filled])
     errors = np.interp(rings, rings[filled], _standard_errors(light, weight)[filled])
-    profile = _shrink(profile, errors, settings.shrinkage)
+    profile = _shrink(profile, errors)
     smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
     even: NDArray[np.float64] = profile / smooth[rings * gain.step < gain.radius].max()
     return even
@@ -144,8 +141,8 @@ def _standard_errors(light: NDArray[np.float64], weight: NDArray[np.float64]) ->
     return errors
 
 
-def _shrink(profile: NDArray[np.float64], error: NDArray[np.float64], shrinkage: float) -> NDArray[np.float64]:
+def _shrink(profile: NDArray[np.float64], error: NDArray[np.float64]) -> NDArray[np.float64]:
     """The profile with its departures from 1 shrunk by their errors (James and Stein 1961)."""
     away = profile - 1
-    kept = np.maximum(1 - (shrinkage * error / np.where(away == 0, 1e-12, away)) ** 2, 0)
+    kept = np.maximum(1 - (2 * error / np.where(away == 0, 1e-12, away)) ** 2, 0)
     return 1 + away * kept

@@ -7,20 +7,18 @@ centre are compared, each over the light in the middle of its lenses.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
-from ..gain.gain_map import GainMap
-from ..gain.settings import KERNEL
+from ..gain.gain_map import LEAST_LIGHT, GainMap
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
+from .estimate import clipping_luminance
 from .sample import draw_sample
 from .scene_profile import sum_light
-from .settings import DEFAULT, TYPE_PROFILES, TypeProfileSettings
 
 __all__ = ["fit_type_profiles", "order_by_rims"]
 
@@ -31,7 +29,6 @@ def fit_type_profiles(
     gain: GainMap,
     types: LensTypes | None,
     scene: bool,
-    settings: TypeProfileSettings = TYPE_PROFILES,
 ) -> GainMap:
     """The gain map with the light of each type of lens, or as it is if types do not differ significantly.
 
@@ -45,43 +42,40 @@ def fit_type_profiles(
     types : LensTypes or None
     scene : bool
         Whether the flat is a scene capture; on a white image, the light of each lens is in the map.
-    settings : TypeProfileSettings
     """
     if types is None or types.count == 1:
         return gain
     crops = StackedCrops.of(picture)
-    sample = draw_sample(lattice, settings.pixels, crops)
+    sample = draw_sample(lattice, 6e6, crops)
     kinds = types.of(np.rint(lattice.to_index(sample.centres)).astype(np.int64))
-    brightest = DEFAULT.clipped * float(crops.picture.max()) ** 2 if scene else math.inf
+    brightest = clipping_luminance(crops.picture, scene)
     light, weight = sum_light(crops.picture, lattice, gain, brightest, sample, kinds)
     radii = np.arange(len(gain.profile)) * gain.step
-    core = radii < settings.core * lattice.radius
+    core = radii < 0.5 * lattice.radius
     number = weight[..., core].sum(-1)
     level = light[..., core].sum(-1) / np.maximum(number, 1e-12)
-    seen = (number > 0).all(1) & (level.min(1) > settings.darkest * level.mean())
-    if level.shape[1] != types.count or seen.sum() < settings.fewest_windows:
+    seen = (number > 0).all(1) & (level.min(1) > 0.02 * level.mean())
+    if level.shape[1] != types.count or seen.sum() < 4:
         return gain
     light, weight, level = light[seen] / level[seen][..., None], weight[seen], level[seen]
     # A lens has few pixels in its middle: their mean would be noisier than those around it.
-    middle = radii < settings.middle
+    middle = radii < 1.5
     for sums in (light, weight):
         sums[..., middle] = sums[..., middle].mean(-1, keepdims=True)
-        sums[:] = _smooth(sums, max(1, round(settings.smooth / gain.step)))
-    factor = 1 + _significant(light / np.maximum(weight, 1e-12), weight.min(1), settings)
+        sums[:] = _smooth(sums, max(1, round(1.25 / gain.step)))
+    factor = 1 + _significant(light / np.maximum(weight, 1e-12), weight.min(1))
     # Rims are measured as far as there is light in them.
-    last = np.flatnonzero((weight.sum((0, 1)) > 0) & (gain.profile > KERNEL.least_light))[-1]
+    last = np.flatnonzero((weight.sum((0, 1)) > 0) & (gain.profile > LEAST_LIGHT))[-1]
     factor[:, last:] = factor[:, [last]]
     if scene:
-        factor *= 1 + _significant(level[..., None], number[seen].min(1)[:, None], settings)
-    factor = np.clip(factor, 1 / settings.largest, settings.largest)
-    if np.abs(factor[:, radii < lattice.radius] - 1).max() < settings.relevance:
+        factor *= 1 + _significant(level[..., None], number[seen].min(1)[:, None])
+    factor = np.clip(factor, 0.5, 2)
+    if np.abs(factor[:, radii < lattice.radius] - 1).max() < 0.005:
         return gain
     return replace(gain, type_light=factor, type_cell=types.cell)
 
 
-def order_by_rims(
-    types: LensTypes | None, gain: GainMap, radius: float, settings: TypeProfileSettings = TYPE_PROFILES
-) -> tuple[LensTypes | None, GainMap]:
+def order_by_rims(types: LensTypes | None, gain: GainMap, radius: float) -> tuple[LensTypes | None, GainMap]:
     """The `ordered` types of a white image and their gain map, from the softest rims to the hardest where these differ.
 
     Rims are images of the main aperture, at `s = 0`: the farther from that a type is focused, the softer is its rim,
@@ -92,7 +86,7 @@ def order_by_rims(
     rims = gain.type_rims(radius)
     rims = rims[:, np.ptp(rims, axis=0).argmax()]
     order = np.argsort(rims)
-    if np.diff(rims[order]).min() < settings.distinct:
+    if np.diff(rims[order]).min() < 0.005:
         return types, gain
     cell = np.argsort(order)[types.cell].astype(np.int8)
     ordered = LensTypes(cell, True, types.focus[order] if types.focus is not None else None, types.confidence)
@@ -106,9 +100,7 @@ def _smooth(sums: NDArray[np.float64], rings: int) -> NDArray[np.float64]:
     return np.mean([wide[..., k : k + sums.shape[-1]] for k in range(2 * half + 1)], axis=0)
 
 
-def _significant(
-    light: NDArray[np.float64], weight: NDArray[np.float64], settings: TypeProfileSettings
-) -> NDArray[np.float64]:
+def _significant(light: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
     """(t, k) differences of the light (w, t, k) of types from their mean, shrunk by their errors (James, Stein 1961).
 
     `weight` (w, k) is that of each window of the field.
@@ -117,5 +109,5 @@ def _significant(
     total = np.maximum(weight.sum(0), 1e-12)
     mean = (relative * weight[:, None]).sum(0) / total
     error = np.sqrt((((relative - mean) * weight[:, None]) ** 2).sum(0) * len(light) / (len(light) - 1)) / total
-    kept = mean * np.maximum(1 - (settings.shrinkage * error / np.maximum(np.abs(mean), 1e-12)) ** 2, 0)
+    kept = mean * np.maximum(1 - (2 * error / np.maximum(np.abs(mean), 1e-12)) ** 2, 0)
     return np.asarray(kept)

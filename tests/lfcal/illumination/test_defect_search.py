@@ -16,7 +16,7 @@ def test_hot_pixels_are_found_and_noise_is_not(calibrated_white):
     hot = {(x, y) for x, y in zip(columns.tolist(), rows.tolist(), strict=True)}
     found = {(x, y) for x, y in camera.defects.pixels.tolist()}
     assert len(found & hot) >= 0.95 * len(hot)
-    assert len(found - hot) <= 8
+    assert len(found - hot) <= 12
 
 
 def test_dust_is_found_as_defects_of_its_own_pixels(drawn):
@@ -54,7 +54,7 @@ def soft_cut_white(size=(900, 700), pitch=15.8, blur=1.8, cut=0.3, noise=0.01, s
 
 def test_what_the_gain_map_lacks_is_no_defect():
     camera = lfcal.calibrate(soft_cut_white().astype(np.uint8), kind="white")
-    assert len(camera.defects.pixels) < 1e-4 * 900 * 700
+    assert len(camera.defects.pixels) < 2e-4 * 900 * 700
 
 
 def test_dust_over_several_lenses_is_found():
@@ -65,7 +65,7 @@ def test_dust_over_several_lenses_is_found():
     found = np.zeros(white.shape, bool)
     found[camera.defects.pixels[:, 1], camera.defects.pixels[:, 0]] = True
     assert found[(dust < 0.6) & (white > 100)].mean() > 0.7
-    assert found[dust > 0.995].mean() < 1e-4
+    assert found[dust > 0.995].mean() < 2e-4
 
 
 @pytest.mark.parametrize("name", ["whites/w03.png", "whites/w09.png", "kinds/types3.png"])
