@@ -71,13 +71,19 @@ def compile_ahead(
     count = max(1, min(processes or cores, len(kernels)))
     finished = compiled = 0
     # A process that ends in another way takes the rest with it: those kernels are compiled when they are called.
-    with suppress(BrokenProcessPool), ProcessPoolExecutor(count, get_context("spawn"), _prepare_process) as pool:
+    pool = ProcessPoolExecutor(count, get_context("spawn"), _prepare_process)
+    try:
         for job in as_completed([pool.submit(_compile, same) for same in kernels.values()]):
             for fine in job.result():
                 finished += 1
                 compiled += fine
                 if progress is not None:
                     progress(finished, len(signatures))
+    except BrokenProcessPool:
+        pass
+    finally:
+        # Whoever interrupts this does not wait for kernels that are not begun.
+        pool.shutdown(cancel_futures=True)
     return len(signatures) - compiled
 
 
