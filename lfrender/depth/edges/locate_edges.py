@@ -76,11 +76,11 @@ def locate_edges(
     )  # fmt: skip
     finer = settings.finer
     before = refine_grid(values, finer, gap)
-    shown, size = _locate(gray.image, lenses, values, grid, several, wanted, costs, settings, before.copy())
+    pixels, size = _locate(gray.image, lenses, values, grid, several, wanted, costs, settings, before.copy())
     corner = surface.first[0] - 0.5 * (1 - 1 / finer) * spacing
     found = Surface(size, (corner, corner), spacing / finer)
     proven = keep_proven(found, before, gray, lattice, agreement, gap, settings)
-    sure = np.minimum(depth.confidence, _share_of_pixels(shown, lenses, depth.filled_patch_size))
+    sure = np.minimum(depth.confidence, _share_of_pixels(pixels, lenses, depth.filled_patch_size))
     return replace(depth, surface=replace(found, patch_size=proven), confidence=sure)
 
 

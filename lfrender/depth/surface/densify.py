@@ -162,7 +162,7 @@ def densify(
     gap = np.float32(TOLERANCE * pitch)
     grid = scene_grid(lattice, start[0], spacing)
     # Pixels that differ by no more than twice their noise match.
-    constants = hypothesis_constants(gap, pitch, settings.voting_reach * pitch, gray.radius, 4 * noise * noise)
+    constants = hypothesis_constants(float(gap), pitch, settings.voting_reach * pitch, gray.radius, 4 * noise * noise)
     known = before is not None and before.patch_size.shape == shape and before.first == start
     old = before.patch_size if before is not None and known and unchanged is not None else _NOTHING
     table = np.empty((len(values), 6), np.float32)
