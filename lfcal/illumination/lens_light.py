@@ -47,18 +47,21 @@ class LensLights:
 
 
 class _LensMeasurements(NamedTuple):
-    """Of every lens (n,): light, number of pixels it comes from, their standard deviation, mean and maximum of all."""
+    """Of every lens (n,): light, number of pixels it comes from, their standard deviation, mean and maximum of all; how
+    they correlate with the shape of microimages, and the contrast of that shape."""
 
     light: NDArray[np.float32]
     number: NDArray[np.float32]
     scatter: NDArray[np.float32]
     mean: NDArray[np.float32]
     largest: NDArray[np.float32]
+    correlation: NDArray[np.float32]
+    contrast: NDArray[np.float32]
 
 
 @kernel(error_model="numpy", share=lambda picture, top, chosen, *_: len(chosen))
 def _measure_lenses(begin, end, picture, top, chosen, centres, cell, stride, shape, profile, out):
-    """Write `_LensMeasurements` of the `chosen` lenses into `out` (5, n); `picture` begins at row `top` of the flat."""
+    """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n); `picture` begins at row `top` of the flat."""
     height, width = picture.shape
     powers, lens = np.empty(64), np.empty(RIM_START + shape.rim.shape[0])
     step, cut, reach = shape.step, shape.cut, cell.circumradius
@@ -67,7 +70,7 @@ def _measure_lenses(begin, end, picture, top, chosen, centres, cell, stride, sha
         cx, cy = centres[n, 0], centres[n, 1]
         evaluate_shape(cx, cy, shape, powers, lens)
         cy -= top
-        total = squares = inside = every = light = largest = 0.0
+        total = squares = inside = every = light = largest = shapes = shapes2 = product = light2 = 0.0
         for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
             dy = y - cy
             half = math.sqrt(max(reach * reach - dy * dy, 0.0))
@@ -80,6 +83,10 @@ def _measure_lenses(begin, end, picture, top, chosen, centres, cell, stride, sha
                 light += v
                 largest = max(largest, v)
                 s = relative_light(dx, dy, lens, profile, step, cut)[0]
+                shapes += s
+                shapes2 += s * s
+                product += s * v
+                light2 += v * v
                 # The rim depends more on the place of the lens than on its light.
                 if s > 0.8:
                     inside += 1
@@ -87,6 +94,11 @@ def _measure_lenses(begin, end, picture, top, chosen, centres, cell, stride, sha
                     squares += (v / s) * (v / s)
         if every > 0:
             out[3, n], out[4, n] = light / every, largest
+            # Nothing correlates with what hardly varies.
+            spread, own = shapes2 / every - (shapes / every) ** 2, light2 / every - (light / every) ** 2
+            if spread > 1e-6 * (shapes / every) ** 2 and own > 1e-6 * (light / every) ** 2:
+                out[5, n] = (product / every - shapes * light / (every * every)) / math.sqrt(spread * own)
+            out[6, n] = math.sqrt(max(spread, 0.0)) / max(shapes / every, 1e-9)
         if inside > 0:
             mean = total / inside
             out[0, n], out[1, n], out[2, n] = mean, inside, math.sqrt(max(squares / inside - mean * mean, 0.0))
@@ -96,7 +108,7 @@ def _measure(
     picture: NDArray[np.float32] | ReadCrop, lattice: Lattice, gain: GainMap, centres: NDArray[np.float64]
 ) -> _LensMeasurements:
     """Measure all lenses in about 48 pixels of each, or 12 where there are very many."""
-    cell, out = Cell.of(lattice), np.zeros((5, len(centres)), np.float32)
+    cell, out = Cell.of(lattice), np.zeros((7, len(centres)), np.float32)
     stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / (48 if len(centres) < 1e6 else 12))))
     shape, kinds = gain.shape(lattice), _types_of(gain, lattice)
 
@@ -144,6 +156,11 @@ def measure_lens_lights(picture: NDArray[np.float32] | ReadCrop, lattice: Lattic
     few = slice(None, None, max(1, len(centres) // 20_000))
     top = float(np.percentile(light[few][seen[few]], 95)) if seen[few].any() else 1.0
     lit = seen & (light > 0.03 * top)
+    # Stray light has not the shape of microimages.
+    shaped = found.contrast > 0.1
+    typical = float(np.median(found.correlation[few][(lit & shaped)[few]])) if (lit & shaped)[few].any() else 0.0
+    lit &= ~(shaped & (found.correlation < min(0.25, 0.4 * typical)))
+    lit &= ~(shaped & (found.correlation < min(0.5, 0.6 * typical)) & (light < 0.25 * top))
     if not lit[few].any():
         return LensLights(gain, 1.0, np.zeros(0, np.int64))
     level = _fit_level(light, lit & (found.number > 0.3 * np.median(found.number[few][seen[few]])), centres, lattice)
