@@ -129,10 +129,21 @@ def _whiten(log_power: NDArray[np.float32], side: int, reduction: int) -> Spectr
 
 def _log_power(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Log power (n, n // 2 + 1) of a picture (n, n) of even size."""
-    from scipy.fft import rfft2
+    import cv2
 
-    spectrum = rfft2(picture)
-    return np.asarray(np.log(spectrum.real**2 + spectrum.imag**2 + np.float32(1e-6)))
+    size = len(picture)
+    # OpenCV's transform of real values, several times as fast as NumPy's: real and imaginary parts alternate along
+    # rows; first and last column are transforms of real values themselves, and alternate downwards.
+    squares = np.square(cv2.dft(picture))
+    power = np.empty((size, size // 2 + 1), np.float32)
+    np.add(squares[:, 1:-1:2], squares[:, 2::2], out=power[:, 1:-1])
+    for column in (0, -1):
+        ends = squares[:, column]
+        power[0, column], power[size // 2, column] = ends[0], ends[-1]
+        power[1 : size // 2, column] = ends[1:-1:2] + ends[2::2]
+        power[size // 2 + 1 :, column] = power[size // 2 - 1 : 0 : -1, column]
+    power += np.float32(1e-6)
+    return np.asarray(np.log(power, out=power))
 
 
 def _find_peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -115,22 +115,24 @@ def _maximise_coherence(
     stack: NDArray[np.complex64], index: NDArray[np.float64], offset: NDArray[np.float64], start: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
     """Change (2, 2) of the reciprocal basis at which the fields (m, t) of tiles at `offset` (t, 2) agree best."""
-    from scipy.optimize import minimize
+    import nlopt
 
     reach = np.abs(offset).max() + 1.0
     norm = float((np.abs(stack) ** 2).sum() * stack.shape[1])
 
-    def loss(parameters: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """1 - coherence, and its gradient."""
+    def energy(parameters: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         phase = (index @ (parameters.reshape(2, 2) / reach)) @ offset.T
-        turned = stack * np.exp(-2j * np.pi * phase)
-        sums = turned.sum(1)
-        pull = (np.conj(sums)[:, None] * (turned @ offset)).imag
-        return 1 - float((np.abs(sums) ** 2).sum() / norm), (-4 * np.pi / reach / norm * index.T @ pull).ravel()
+        sums = (stack * np.exp(-2j * np.pi * phase)).sum(1)
+        return float((np.abs(sums) ** 2).sum() / norm)
 
     guesses = [guess.ravel() * reach for guess in (start, np.zeros((2, 2)))]
-    found = minimize(loss, min(guesses, key=lambda guess: loss(guess)[0]), jac=True, method="BFGS")
-    return found.x.reshape(2, 2) / reach, 1 - float(found.fun)
+    search = nlopt.opt(nlopt.LN_SBPLX, 4)
+    search.set_max_objective(energy)
+    search.set_initial_step(0.1)
+    search.set_xtol_abs(2e-4)
+    search.set_maxeval(600)
+    best = search.optimize(max(guesses, key=lambda guess: energy(guess, np.empty(0))))
+    return best.reshape(2, 2) / reach, float(search.last_optimum_value())
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,6 @@ def colour_bar(steps: NDArray, low: str, high: str, others: Mapping[str, tuple[i
 
 def get_axes(given: Any) -> Any:
     """Matplotlib axes to draw on: those given, or the current ones."""
-    if given is not None:
-        return given
     import matplotlib.pyplot as plt
 
-    return plt.gca()
+    return plt.gca() if given is None else given
