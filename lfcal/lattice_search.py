@@ -180,6 +180,6 @@ def _find_starts_on(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
         raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
     half_size = is_searched_at_half_size((picture.shape[1], picture.shape[0]))
     for start in (find_first_lattices_at_half_size if half_size else find_first_lattices)(picture):
-        if start.repeatability < DETECTION.repeatability:
+        if start.repeatability < DETECTION.repeatability and not start.confirmed:
             raise CalibrationError(NO_MICROIMAGES)
         yield start

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..hough.circle_vote import find_circles, propose_basis
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
@@ -58,6 +59,7 @@ class FirstLattice:
     repeatability: float  # correlation of the average microimages of two halves of the tiles
     doubt: CalibrationError | None = None  # why this may be no lattice of microimages, unless parallax proves it
     clear_gaps: bool = False  # dark gaps at every border of cells of different content
+    confirmed: bool = False  # circles found by Hough vote lie on it, where halves of the flat hardly repeat
 
     def explains(self, basis: NDArray[np.float64]) -> float:
         """`window_likelihood` of a basis (2, 2) [px of the flat] on the picture."""
@@ -174,22 +176,26 @@ def _build_lattices(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.fl
     edges = edge_strength(picture)
     error: CalibrationError | None = None
     given: list[FirstLattice] = []
-    uncertain: FirstLattice | None = None
+    uncertain: list[FirstLattice] = []
+    tried = [next(bases)]
     try:
-        first = _build_lattice(next(bases), picture, edges)
+        first = _build_lattice(tried[0], picture, edges)
         if _is_certain(first):
             given.append(first)
             yield first
         else:
-            uncertain = first
+            uncertain.append(first)
     except CalibrationError as failure:
         error = failure
     certain = []
     for basis in bases:
+        tried.append(basis)
         with suppress(CalibrationError):
             found = _build_lattice(basis, picture, edges)
             if _is_certain(found):
                 certain.append(replace(found, doubt=found.doubt or error or CalibrationError(NO_MICROIMAGES)))
+            else:
+                uncertain.append(found)
     # The average of several lens types is less round than that of one.
     for found in sorted(certain, key=lambda one: -one.roundness):
         if not any(is_same_lattice(found.lattice.basis, one.lattice.basis) for one in given):
@@ -197,9 +203,44 @@ def _build_lattices(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.fl
             yield found
     if given:
         return
-    if uncertain is None:
+    confirmed = _confirm_by_circles(uncertain, tried, picture, edges)
+    yield from (replace(one, doubt=one.doubt or error or CalibrationError(NO_MICROIMAGES)) for one in confirmed)
+    if confirmed:
+        return
+    if error is not None or not uncertain:
         raise error or CalibrationError(NO_MICROIMAGES)
-    yield uncertain
+    yield uncertain[0]
+
+
+def _confirm_by_circles(
+    uncertain: list[FirstLattice],
+    tried: list[NDArray[np.float64]],
+    picture: NDArray[np.float32],
+    edges: NDArray[np.float32],
+) -> list[FirstLattice]:
+    """Those of the uncertain lattices, and of others that circles propose, on which circles lie, the best one first.
+
+    In crops of few lenses of several types two halves of the flat hardly repeat, whatever the lattice.
+    """
+    known = [one.lattice.basis for one in uncertain]
+    pitches: list[float] = []
+    for basis in [*known, *tried]:
+        pitch = 2 * _inradius(basis)
+        if pitch >= 0.99 * 6 and all(abs(np.log(pitch / other)) > 0.15 for other in pitches):
+            pitches.append(pitch)
+    for pitch in pitches:
+        proposed = propose_basis(picture, pitch)
+        if proposed is None or any(is_same_lattice(proposed, basis) for basis in known):
+            continue
+        known.append(proposed)
+        with suppress(CalibrationError, np.linalg.LinAlgError):
+            uncertain = [*uncertain, _build_lattice(proposed, picture, edges)]
+    ranked = [
+        (find_circles(picture, one.lattice.pitch).agreement(one.lattice), one) for one in uncertain
+        if one.repeatability >= DETECTION.stated_repeatability and np.isfinite(one.half_difference)
+    ]  # fmt: skip
+    ranked = [pair for pair in ranked if pair[0] >= 0.2]
+    return [replace(one, confirmed=True) for _, one in sorted(ranked, key=lambda pair: -pair[0])]
 
 
 def _is_certain(found: FirstLattice) -> bool:

@@ -1,4 +1,4 @@
-"""Circles of microimages by Hough vote, and how well they agree with a lattice.
+"""Circles of microimages by Hough vote: what lattice they propose, and how well they agree with one.
 
 Each edge pixel votes for the centres that it may belong to, along its gradient (Ballard 1981; Yuen et al. 1990, as in
 `cv2.HoughCircles`). Content of the scene makes circles too, but only those of the lens rims lie on a lattice.
@@ -7,15 +7,16 @@ Each edge pixel votes for the centres that it may belong to, along its gradient 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..images.preprocessing import normalise_locally
-from ..lattice.lattice import Lattice
+from ..lattice.lattice import Lattice, reduce_basis
 
-__all__ = ["Circles", "find_circles", "find_shifted"]
+__all__ = ["Circles", "find_circles", "find_shifted", "propose_basis"]
 
 
 @dataclass(frozen=True)
@@ -67,3 +68,31 @@ def find_shifted(circles: Circles, lattice: Lattice) -> float:
     """Agreement of the circles with the lattice shifted by half or by a third of a cell, the best of these."""
     shifts = [np.array(share) for share in ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3))]
     return max(Circles(circles.centres - shift @ lattice.basis, circles.radii).agreement(lattice) for shift in shifts)
+
+
+def propose_basis(picture: NDArray[np.float32], pitch: float) -> NDArray[np.float64] | None:
+    """Basis (2, 2) [px] of the two most frequent steps between circles of about this pitch; None if none stand out."""
+    centres = find_circles(picture, pitch).centres
+    if len(centres) < 20:
+        return None
+    steps = (centres[:, None] - centres[None]).reshape(-1, 2)
+    steps = steps[np.abs(np.hypot(*steps.T) / pitch - 1.05) < 0.35]
+    # A step and its opposite are the same.
+    steps = np.where((steps[:, :1] < 0) | ((steps[:, :1] == 0) & (steps[:, 1:] < 0)), -steps, steps)
+    size, count = 0.06 * pitch, 24
+    edges = size * (np.arange(2 * count + 1) - count)
+    table = cv2.GaussianBlur(np.histogram2d(steps[:, 0], steps[:, 1], bins=(edges[count:], edges))[0], (0, 0), 1.0)
+    mean, found = float(table.mean()), []
+    for _ in range(6):
+        row, column = np.unravel_index(int(table.argmax()), table.shape)
+        if table[row, column] < 3 * mean:
+            break
+        step = np.array([edges[count + row], edges[column]]) + size / 2
+        near = np.hypot(*(steps - step).T) < 2 * size
+        if near.any():
+            found.append(np.median(steps[near], axis=0))
+        table[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = 0
+    for a, b in combinations(found, 2):
+        if abs(a[0] * b[1] - a[1] * b[0]) > 0.4 * np.hypot(*a) * np.hypot(*b):
+            return reduce_basis(np.array([a, b]))
+    return None
