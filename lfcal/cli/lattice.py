@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from ..lattice.stated import ARRANGEMENTS
 from ..runtime import console
 from ..runtime.output_file import check_output
 
@@ -21,7 +20,7 @@ __all__ = ["lattice"]
 @click.option("--pitch", type=float, required=True, metavar="PX", help="Distance between neighbouring centres [px].")
 @click.option(
     "--arrangement",
-    type=click.Choice(list(ARRANGEMENTS)),
+    type=click.Choice(["hexagonal", "hexagonal-vertical", "square"]),
     default="hexagonal",
     show_default=True,
     help="Of the microlenses; hexagonal ones in rows across, or down (vertical).",

@@ -105,8 +105,7 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     """
     from scipy.ndimage import map_coordinates
 
-    lattice = calibration.lattice
-    pixels = check_flat(flat, calibration)
+    pixels, lattice = check_flat(flat, calibration), calibration.lattice
     unlit, ((gains, *_), step) = np.zeros((0, 0), bool), correction_tables(calibration)
     if has_uneven_lenses(calibration, types=True):
         pixels, unlit = calibration.region_gain().flatten(pixels)

@@ -10,16 +10,16 @@ from lfrender.depth.settings import PIPELINE, PipelineSettings
 
 def test_numbers_of_all_rooms_are_found():
     rooms = {kind.__module__.split(".")[2] for kind, _ in tuned_numbers()}
-    assert {"matching", "refinement", "surface", "validity", "planes", "edges"} <= rooms
-    assert (PipelineSettings, "few_lenses") in tuned_numbers()
+    assert {"matching", "refinement", "surface", "validity", "edges"} <= rooms
+    assert (PipelineSettings, "unresolved_weight") in tuned_numbers()
 
 
 def test_a_number_moves_in_the_defaults_and_comes_back():
-    before = PIPELINE.few_lenses
-    with pytest.raises(RuntimeError), moved(PipelineSettings, "few_lenses", 0.7):
-        assert PIPELINE.few_lenses == pytest.approx(0.7 * before)
+    before = PIPELINE.unresolved_weight
+    with pytest.raises(RuntimeError), moved(PipelineSettings, "unresolved_weight", 0.7):
+        assert PIPELINE.unresolved_weight == pytest.approx(0.7 * before)
         raise RuntimeError
-    assert before == PIPELINE.few_lenses
+    assert before == PIPELINE.unresolved_weight
 
 
 def test_whole_numbers_move_by_one_at_least():

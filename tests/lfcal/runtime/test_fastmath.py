@@ -29,7 +29,7 @@ def kernels():
         for key, value in vars(module).items()
         if is_kernel(getattr(value, "kernel", value)) and value.__module__ == name
     }
-    assert len(found) > 200
+    assert len(found) > 150
     return found
 
 

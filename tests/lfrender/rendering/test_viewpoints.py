@@ -173,15 +173,6 @@ def test_an_animation_of_twelve_bits_is_as_bright_as_one_of_eight(tmp_path):
     assert np.abs(twelve - eight).mean() < 1
 
 
-def test_animations_of_float_pictures_are_refused(tmp_path):
-    shot, depth = capture("slope")
-    (view,) = lfrender.views(shot.flat, shot.truth.calibration, depth, offsets=[(0, 0)], scale=2)
-    views = [dataclasses.replace(view, image=view.image.astype(np.float32))]
-    with pytest.raises(ValueError, match="float32"):
-        write_animation(tmp_path / "a.gif", views)
-    assert not list(tmp_path.iterdir())
-
-
 def run(*arguments):
     return CliRunner().invoke(main, [str(a) for a in ("views", *arguments)], catch_exceptions=False)
 
