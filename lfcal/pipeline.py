@@ -178,9 +178,8 @@ def _may_be_scene(camera: Calibration) -> bool:
     if len(lit) and _enclosed_share(gain <= 0, camera.lattice.indices()) > CALIBRATION.enclosed_dark:
         return True
     unlike = len(lit) > 0 and float((np.abs(lit / np.median(lit) - 1) > CALIBRATION.unlike_gain).mean())
-    # Where the lattice is uncertain, half as many are enough.
-    share = 1.0 if camera.confidence >= LIMITS.confidence else 0.5
-    return unlike > share * CALIBRATION.unlike_lenses
+    # Where the lattice is uncertain, it may be because the flat is a scene.
+    return camera.confidence < LIMITS.confidence or unlike > CALIBRATION.unlike_lenses
 
 
 def _enclosed_share(dark: NDArray[np.bool_], index: NDArray[np.int64]) -> float:
