@@ -223,7 +223,14 @@ def _find_candidates(
     others: Iterator[LatticeCandidate] = iter(())
     if found is None:
         others = find_lattices(lights(), kind, filtered, hint)
-        found = next(others)
+        try:
+            found = next(others)
+        except CalibrationError:
+            if kind != "auto" or len(flats) > 1:
+                raise
+            # Evenly lit, but no white image that can be fitted: it may be a scene.
+            others = find_lattices(lights(), "scene", filtered, hint)
+            found = next(others)
     if found.white and kind == "auto" and len(flats) == 1 and _shows_scene(found):
         others = find_lattices(lights(), "scene", filtered, hint)
         found = next(others)

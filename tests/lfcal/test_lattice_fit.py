@@ -33,3 +33,8 @@ def test_masks_of_hard_discs_are_placed_without_a_doubt(pitch):
     apart = found.lattice.points(np.rint(found.lattice.to_index([[51.3, 54.2]]))) - [51.3, 54.2]
     assert found.confidence > 0.85 and found.warnings == ()
     assert abs(found.lattice.pitch - pitch) < 0.005 and np.abs(apart).max() < 0.15
+
+
+def test_an_even_scene_that_no_white_image_explains_is_calibrated_as_a_scene(shared):
+    camera = lfcal.calibrate(lfcal.read_flat(shared("captures", "AntLeg.png")))
+    assert camera.source == "scene" and camera.lattice.pitch == pytest.approx(27.561, abs=0.01)
