@@ -9,6 +9,7 @@ into a fresh virtual environment. `--record` writes the list of kernels that are
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import resource
@@ -152,7 +153,7 @@ def _record() -> None:
     """Compile all that the chain needs for flats of each kind, in an empty cache, and write the list of it."""
     import lfcal
     import lfrender
-    from lfcal.runtime.kernels.signatures import encode_type, write_signatures
+    from lfcal.runtime.compile_ahead import SIGNATURE_FILE
     from lfrender.web.report_pictures import draw_pictures
 
     for options in ({}, *_KINDS.values()):
@@ -177,8 +178,21 @@ def _record() -> None:
                 found += [(len(code[types]), (name, kernel.__name__, list(types))) for types in kernel.signatures]
     # The longest are the dearest.
     found.sort(key=lambda entry: -entry[0])
-    write_signatures([(module, name, [*map(encode_type, types)]) for _, (module, name, types) in found])
+    rows = [json.dumps([f"{module}.{name}", *map(encode_type, types)]) for _, (module, name, types) in found]
+    SIGNATURE_FILE.write_text("[\n " + ",\n ".join(rows) + "\n]\n", encoding="utf-8")
     print(f"{len(found)} kernels")
+
+
+def encode_type(kind: Any) -> Any:
+    """A type of Numba as text, or a list for arrays and tuples, as `compile_ahead.example_of` reads it."""
+    from numba import types
+
+    if isinstance(kind, types.Array):
+        return ["array", str(kind.dtype), kind.ndim, kind.layout, kind.mutable]
+    if isinstance(kind, types.BaseTuple):
+        made_by, members = getattr(kind, "instance_class", None), getattr(kind, "types", ())
+        return ["tuple", f"{made_by.__module__}:{made_by.__qualname__}" if made_by else "", *map(encode_type, members)]
+    return str(kind)
 
 
 def cached_kernels(module: Any) -> list[Any]:

@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import kernel
 
 from .camera import Camera
 from .surfaces import Patch, Scene

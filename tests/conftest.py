@@ -20,11 +20,10 @@ def pytest_sessionstart(session):
     if hasattr(config, "workerinput") or not getattr(config.option, "tx", None) or config.option.collectonly:
         return
     from benchmarks.outdated_kernels import discard_outdated
-    from lfcal.runtime.kernels.ahead import compile_ahead
-    from lfcal.runtime.kernels.signatures import read_signatures
+    from lfcal.runtime.compile_ahead import compile_ahead
 
     discard_outdated()
-    compile_ahead(read_signatures())
+    compile_ahead()
 
 
 @pytest.fixture(scope="session")

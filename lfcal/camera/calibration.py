@@ -18,9 +18,9 @@ from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
+from ..runtime.arrays import Frozen
 from ..runtime.checks import find_mosaic_doubt
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError
-from ..runtime.frozen import Frozen
 from ..runtime.image_formats import MOSAICS
 from ..runtime.output_file import atomic_write
 from .lens_blur import LensBlur

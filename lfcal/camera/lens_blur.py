@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.frozen import Frozen
+from ..runtime.arrays import Frozen
 
 __all__ = ["LensBlur"]
 

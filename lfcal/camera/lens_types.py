@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..runtime.frozen import Frozen
+from ..runtime.arrays import Frozen
 
 __all__ = ["LensTypes"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 
 __all__ = [
     "CELL_TILES", "HIGHEST_HARMONIC", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_lit_tiles", "fold_tiles",

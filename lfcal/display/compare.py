@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
+from ..runtime.arrays import Frozen
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, check_type
-from ..runtime.frozen import Frozen
 
 __all__ = ["LatticeDifference", "compare"]
 

@@ -21,9 +21,9 @@ from ..detection.first_lattice import find_first_lattices, fit_first_lattice
 from ..gain.gain_map import RegionGain
 from ..images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from ..lattice.lattice import Lattice
+from ..runtime.arrays import Frozen
 from ..runtime.checks import LIMITS, find_camera_doubt
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, FlatError, check_type
-from ..runtime.frozen import Frozen
 
 __all__ = ["FitCheck", "LatticeMisfit", "ReducedFlat", "check_fit", "compare_lattices", "fit_offsets", "prepare_flat"]
 

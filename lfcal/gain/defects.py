@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.frozen import Frozen
-from ..runtime.text_arrays import decode_array, encode_array
+from ..runtime.arrays import Frozen, decode_array, encode_array
 
 __all__ = ["Defects"]
 

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from ..runtime.frozen import Frozen
-from ..runtime.text_arrays import decode_array, encode_array
+from ..runtime.arrays import Frozen, decode_array, encode_array
 
 #: Share of the light of a lens below which the gain is unknown: mostly noise and stray light.
 LEAST_LIGHT = 0.25

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 
 __all__ = [
     "RIM_START", "evaluate_level", "evaluate_levels", "evaluate_shape", "find_usable_radius",

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 from .kernel import RIM_START, evaluate_level, evaluate_shape, relative_light
 
 __all__ = ["RowTables", "fill_gain", "make_row_tables"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..runtime.frozen import Frozen
+from ..runtime.arrays import Frozen
 
 __all__ = ["Vignetting"]
 

@@ -19,7 +19,7 @@ from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
 from ..lattice.robust_fit import TUKEY_CUTOFF
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 from .estimate import field_monomials
 
 __all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]

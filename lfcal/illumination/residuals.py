@@ -18,8 +18,7 @@ from ..gain.gain_map import GainMap
 from ..gain.kernel import RIM_START, evaluate_shape, relative_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
-from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import FAST, kernel
 from .sample import Sample
 
 __all__ = ["DIRECTIONS", "GainResiduals", "ResidualOptions", "collect_residuals"]

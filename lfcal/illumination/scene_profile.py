@@ -18,7 +18,7 @@ from ..gain.gain_map import GainMap
 from ..gain.kernel import RIM_START, evaluate_shape, relative_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 from .sample import Sample, draw_sample
 
 __all__ = ["fit_scene_profile", "sum_light"]

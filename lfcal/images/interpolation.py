@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 
 __all__ = ["interpolate_linear"]
 

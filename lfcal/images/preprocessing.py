@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 
 __all__ = ["edge_strength", "is_mask", "luminance", "normalise_locally", "soften_mask", "sqrt_luminance"]
 

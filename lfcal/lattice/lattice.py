@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..runtime.frozen import Frozen
+from ..runtime.arrays import Frozen
 from .distortion import Distortion
 
 # [squared length] nearer is equal: measured hexagons get the basis of exact ones.

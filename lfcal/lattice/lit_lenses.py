@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 from .lattice import Lattice, reduce_basis
 from .lens_subset import StackedCrops
 

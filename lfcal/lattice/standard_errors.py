@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.frozen import Frozen
+from ..runtime.arrays import Frozen
 from .lattice import Lattice
 
 __all__ = ["LatticeErrors", "equal_weight_errors"]

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import FAST, kernel
 from .lens_sample import LensSample
 
 __all__ = ["estimate_coarse_disparity"]

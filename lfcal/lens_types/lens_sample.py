@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 
 __all__ = ["LensFeatures", "LensSample", "measure_lens_features", "outlier_limit", "sample_lenses"]
 

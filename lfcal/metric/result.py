@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..boards.board import Board
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
-from ..runtime.frozen import Frozen
+from ..runtime.arrays import Frozen
 from ..runtime.output_file import atomic_write
 from .board_shape import SHAPE
 from .observations import Observations

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .eight_bit import to_eight_bits
+from .arrays import to_eight_bits
 
 __all__ = ["colour_bar", "get_axes", "html_card", "thumbnail"]
 

@@ -16,8 +16,7 @@ from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
 from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF
-from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import FAST, kernel
 
 __all__ = ["LensEquations", "build_lens_equations"]
 

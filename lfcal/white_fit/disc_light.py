@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import kernel
 
 __all__ = [
     "BEND", "CORRELATION", "COUNT", "GAP", "GROWTH", "LOG_BLUR", "OFFSET", "RADIUS", "SHADING", "SHEAR", "TAIL",

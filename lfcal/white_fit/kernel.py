@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows, is_outside_cell
 from ..lattice.robust_fit import TUKEY_CUTOFF
-from ..runtime.fastmath import FAST
-from ..runtime.kernels.jit import kernel
+from ..runtime.kernels import FAST, kernel
 
 __all__ = ["Rings", "Sums", "Windows", "add_lenses", "copy_squares"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Optics, OutputError
-from lfcal.runtime.frozen import Frozen
+from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.output_file import atomic_write, check_output
 
 from .depth_map import DepthMap, default_scale

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, CalibrationError, FlatSource, LightFieldError, Optics
-from lfcal.runtime.frozen import Frozen
+from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.quantiles import quantile

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.frozen import Frozen
+from lfcal.runtime.arrays import Frozen
 
 if TYPE_CHECKING:
     from lfcal import Calibration

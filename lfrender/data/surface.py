@@ -9,9 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.frozen import Frozen
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.kernels import FAST, kernel
 
 __all__ = [
     "DepthGrid", "Surface", "constant_surface", "edge_step", "mark_changed_places", "patch_size_at",

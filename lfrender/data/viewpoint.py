@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel
 
 from .surface import Surface, patch_size_at
 

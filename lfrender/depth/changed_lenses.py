@@ -10,8 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Calibration
-from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel, square
 
 from ..flat.gray_flat import trusted_radius, white_level
 from ..runtime.quantiles import quantile

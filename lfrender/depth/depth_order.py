@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels import FAST
 
 __all__ = ["depth_order"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import DTypeLike, NDArray
 
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import kernel
 
 from .filters import DetailFilters
 from .settings import AVERAGING, RESTORE, SMOOTHING, RestoreSettings

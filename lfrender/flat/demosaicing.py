@@ -13,8 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
-from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel
 
 from .distorted_lookup import displacement_at, lens_displacements, nearest_index
 

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels import FAST
 
 __all__ = ["displacement_at", "lens_displacements", "nearest_index"]
 

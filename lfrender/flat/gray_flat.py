@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
-from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel, square
 
 from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached

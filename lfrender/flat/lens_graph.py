@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import kernel
 
 from ..runtime.cache import cached
 

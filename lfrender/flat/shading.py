@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel, square
 
 from ..runtime.buffers import allocate_pooled
 from .gray_flat import GrayFlat

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.rendering import Rendering

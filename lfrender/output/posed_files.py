@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Optics, OutputError
-from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthMap

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lfcal import Calibration, Lattice
-from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.output_file import atomic_write, check_folder, make_folder
 
 from ..data.region import check_region

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
-from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import PictureGrid, Rendering

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 from lfcal.runtime.checks import find_depth_doubt
-from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel, square
 
 from ..data.depth_map import REASONS, DepthMap
 from ..data.rendering import PictureGrid, Rendering, finish_picture

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, OutputError, read_flat
-from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.video.frame_pixels import convert_frame, frame_of_planes
 

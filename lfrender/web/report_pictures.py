@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, Lattice
-from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import BINOCULAR, TELESCOPIC, DepthMap
 from ..data.rendering import PictureGrid, Rendering

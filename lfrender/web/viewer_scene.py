@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, CalibrationError, LightFieldError
-from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.surface import edge_step

@@ -95,7 +95,7 @@ class Report:
 
         None where nothing was to be done. The seconds of this are not in `took`.
         """
-        from ..kernels.ahead import compile_once, is_compiled
+        from ..compile_ahead import compile_once, is_compiled
 
         if self._compiled or is_compiled():
             return None
@@ -105,7 +105,7 @@ class Report:
             click.echo(text, err=self.as_json or _is_piped())
         start = time.perf_counter()
         with self.counted_progress("compiling kernels") as step:
-            failed = compile_once(processes=processes, progress=step)
+            failed = compile_once(processes, step)
         self.compile_seconds = time.perf_counter() - start
         return failed
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels import FAST
 
 from ..depth_order import depth_order
 from .microimage import LEFT_OUT

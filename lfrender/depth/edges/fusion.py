@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import kernel
 
 from ..depth_order import depth_order
 from .geometry import LensArray, PointGrid

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import kernel
 
 from ...flat.microimages import copy_box
 from .candidates import list_candidates, list_depths

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import OverlapMasks, Strips, extract_strips, make_shift_masks

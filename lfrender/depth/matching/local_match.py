@@ -9,8 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import Strips

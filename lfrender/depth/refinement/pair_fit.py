@@ -15,8 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...flat.gray_flat import GrayFlat, downsample
 from ..same_surface import TOLERANCE, same_surface

@@ -10,7 +10,7 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels import FAST
 
 from ...flat.microimages import copy_box
 

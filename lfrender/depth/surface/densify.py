@@ -13,8 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.fastmath import FAST
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel
 
 from ...data.surface import Surface
 from ...flat.gray_flat import GrayFlat

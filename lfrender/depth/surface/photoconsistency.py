@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels import FAST
 
 __all__ = ["MAX_VIEWS", "view_mismatch"]
 

@@ -10,8 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.fastmath import FAST, square
-from lfcal.runtime.kernels.jit import kernel
+from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...data.surface import Surface
 from ...runtime.buffers import allocate_pooled

@@ -10,8 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from lfcal import FlatError
+from lfcal.runtime import compile_ahead as ahead
 from lfcal.runtime.console import CommandGroup, Report
-from lfcal.runtime.kernels import ahead
 
 
 def program_raising(error):
@@ -93,7 +93,7 @@ def test_groups_of_figures_become_rows(capsys):
 def test_compiling_is_announced_once_and_its_seconds_are_told_apart(capsys, monkeypatch):
     compiled = []
     monkeypatch.setattr(ahead, "is_compiled", lambda: bool(compiled))
-    monkeypatch.setattr(ahead, "compile_once", lambda **_: compiled.append(time.sleep(0.2)) or 0)
+    monkeypatch.setattr(ahead, "compile_once", lambda *_: compiled.append(time.sleep(0.2)) or 0)
     report = Report()
     for name in ("read", "work"):
         with report.stage(name):

@@ -1,4 +1,4 @@
-"""Arrays of frozen dataclasses are read-only, also in copies and out of pickles."""
+"""Arrays of frozen dataclasses are read-only, also in copies and out of pickles; 8 bits of any type."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 import lfcal
 import lfrender
 from lfcal.camera.lens_types import LensTypes
+from lfcal.runtime.arrays import to_eight_bits
 
 
 def arrays(frozen):
@@ -46,3 +47,16 @@ def test_cameras_and_depth_maps_compare_by_value(house):
     assert depth != replace(depth, pitch=depth.pitch + 1)
     picture = lfrender.render(house.flat, camera, depth)
     assert picture == copy.copy(picture) and picture != replace(picture, image=picture.image // 2)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "white"),
+    [
+        (np.array([0, 128, 255], np.uint8), 100.0),
+        (np.array([0, 128 * 257, 65535], np.uint16), None),
+        (np.array([0, 128 * 16, 60000], np.uint16), 4095.0),
+        (np.array([np.nan, 128 / 255, 7], np.float32), 4095.0),
+    ],
+)
+def test_black_middle_and_white_of_all_types_with_8_bits(pixels, white):
+    np.testing.assert_array_equal(to_eight_bits(pixels, white), np.array([0, 128, 255], np.uint8))

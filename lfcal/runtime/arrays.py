@@ -1,0 +1,65 @@
+"""Arrays of results: read-only in records that compare by value, as text in camera files, with 8 bits on screens."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Frozen", "decode_array", "encode_array", "to_eight_bits"]
+
+
+class Frozen:
+    """Base of frozen dataclasses (`eq=False`) with arrays, which stay read-only when pickled or copied.
+
+    Numba compiles kernels anew for writable arrays: worker processes would have kernels of their own, which may add
+    up numbers in another order. In `==`, NaN equals NaN.
+    """
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        compared = (field.name for field in fields(self) if field.compare)  # type: ignore[arg-type]
+        return all(_equal(getattr(self, name), getattr(other, name)) for name in compared)
+
+    def _set(self, **values: Any) -> None:
+        """Set fields in `__post_init__`, arrays as read-only ones."""
+        for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+            object.__setattr__(self, name, value)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f" and other.dtype.kind == "f")
+    return bool(one == other or (one != one and other != other))
+
+
+def encode_array(values: NDArray[Any]) -> str:
+    """An array as text: its bytes, deflated, in base64."""
+    return base64.b64encode(zlib.compress(values.tobytes(), 9)).decode("ascii")
+
+
+def decode_array(text: str, kind: str) -> NDArray[Any]:
+    """A flat array of type `kind` from `encode_array`; ValueError where the text is damaged."""
+    try:
+        return np.frombuffer(zlib.decompress(base64.b64decode(text, validate=True)), kind)
+    except zlib.error as error:
+        raise ValueError(f"a packed block is damaged ({error})") from error
+
+
+def to_eight_bits(pixels: NDArray, white: float | None = None) -> NDArray[np.uint8]:
+    """Pixels as uint8, 255 for white: the integer `white`, by default the largest of the type, or 1 for floats."""
+    if pixels.dtype == np.uint8:
+        return pixels
+    top = 1.0 if pixels.dtype.kind == "f" else white or float(np.iinfo(pixels.dtype).max)
+    scaled: NDArray[np.uint8] = np.rint(np.clip(np.nan_to_num(pixels) / top, 0, 1) * 255).astype(np.uint8)
+    return scaled

@@ -1,0 +1,147 @@
+"""Compile kernels ahead, in one process per core, which leave them in Numba's cache.
+
+`signatures.json` lists kernels with the types of their arguments, the dearest first (written by `python -m
+benchmarks.first_run --record`). A kernel that is missing there is compiled when it is first called.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+try:
+    import fcntl
+except ImportError:  # Windows: processes compile side by side
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["SIGNATURE_FILE", "compile_ahead", "compile_once", "example_of", "is_compiled"]
+
+SIGNATURE_FILE = Path(__file__).with_name("signatures.json")
+_Progress = Callable[[int, int], None]
+
+
+def is_compiled() -> bool:
+    """Whether `compile_once` has been run for this installation."""
+    try:
+        return _record().read_text(encoding="utf-8") == _installation()
+    except OSError:
+        return False
+
+
+def compile_once(processes: int | None = None, progress: _Progress | None = None) -> int:
+    """As `compile_ahead`, unless it is done or another process does it now; that is waited for."""
+    with _lock():
+        if is_compiled():
+            return 0
+        failed = compile_ahead(processes, progress)
+        # A folder that cannot be written to holds no kernels either.
+        with suppress(OSError):
+            _record().write_text(_installation(), encoding="utf-8")
+        return failed
+
+
+def compile_ahead(processes: int | None = None, progress: _Progress | None = None) -> int:
+    """Compile all listed kernels, with a process for each core; returns how many could not be.
+
+    `progress` is called with the numbers of finished and of all kernels.
+    """
+    # A kernel is compiled by one process for all its types: Numba's cache has one index for them.
+    kernels: dict[str, list[list[Any]]] = {}
+    for name, *types in json.loads(SIGNATURE_FILE.read_text(encoding="utf-8")):
+        kernels.setdefault(name, []).append(types)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    pool = ProcessPoolExecutor(processes or cores, get_context("spawn"), _prepare_process)
+    compiled = 0
+    try:
+        jobs = [pool.submit(_compile, name, types) for name, types in kernels.items()]
+        for done, job in enumerate(as_completed(jobs), 1):
+            compiled += job.result()
+            if progress is not None:
+                progress(done, len(jobs))
+    except BrokenProcessPool:
+        pass  # what is left is compiled when it is called
+    finally:
+        # Whoever interrupts this does not wait for kernels that are not begun.
+        pool.shutdown(cancel_futures=True)
+    return len(kernels) - compiled
+
+
+def example_of(entry: Any) -> Any:
+    """A value of the type that an entry of the list names: the name of a number, an array, or a (named) tuple."""
+    import numpy as np
+
+    if isinstance(entry, str):
+        return None if entry == "none" else np.dtype(entry).type()
+    what, *rest = entry
+    if what == "array":
+        kind, axes, layout, writable = rest
+        array = np.zeros((4,) * axes, kind, order="F" if layout == "F" else "C")
+        array = array[(slice(None, None, 2),) * axes] if layout == "A" else array
+        array.flags.writeable = writable
+        return array
+    name, *members = rest
+    values = tuple(map(example_of, members))
+    module, _, made_by = name.partition(":")
+    return getattr(import_module(module), made_by)(*values) if name else values
+
+
+def _prepare_process() -> None:
+    """One thread for each process, and no remarks of compilers."""
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+
+
+def _compile(name: str, types: list[list[Any]]) -> bool:
+    """Compile a kernel for each list of types, or load it from the cache; whether that could be done."""
+    try:
+        import numba
+
+        module, _, function = name.rpartition(".")
+        kernel = getattr(import_module(module), function)
+        for entries in types:
+            getattr(kernel, "kernel", kernel).compile(tuple(numba.typeof(example_of(entry)) for entry in entries))
+    except Exception:
+        return False
+    return True
+
+
+def _installation() -> str:
+    """What compiled kernels depend on: this installation, its Python and its Numba."""
+    return f"{sys.version} numba {version('numba')} {SIGNATURE_FILE.stat().st_mtime_ns}"
+
+
+def _record() -> Path:
+    """The file that tells for which installation the kernels were compiled, where Numba's cache is."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    own = Path(given) if given else Path(__file__).parent / "__pycache__"
+    if given or os.access(own if own.exists() else own.parent, os.W_OK):
+        own.mkdir(parents=True, exist_ok=True)
+        return own / "compiled.txt"
+    from platformdirs import user_cache_path
+
+    return user_cache_path("lfrender", ensure_exists=True) / "compiled.txt"
+
+
+@contextmanager
+def _lock() -> Iterator[None]:
+    """Wait while another process compiles; the system frees the lock of one that ends in any way."""
+    try:
+        file = _record().with_suffix(".lock").open("w") if fcntl is not None else None
+    except OSError:
+        file = None
+    if file is None:
+        yield
+        return
+    with file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

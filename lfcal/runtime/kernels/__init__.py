@@ -1,1 +1,0 @@
-"""Kernels that Numba compiles: when they are first called, or ahead in several processes."""
