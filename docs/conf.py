@@ -21,12 +21,13 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["built_overview.md", "gallery/*", "drawings/*", "sg_execution_times.rst"]
+exclude_patterns = ["gallery/*", "drawings/*", "sg_execution_times.rst"]
 html_theme = "furo"
 html_title = "lfrender"
 html_theme_options = {"source_directory": "docs/"}
 html_static_path = ["style"]
 html_css_files = ["pages.css"]
+html_js_files = ["search_rows.js"]
 templates_path = ["templates"]
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
@@ -116,25 +117,37 @@ def _show_examples(_app: object, ctx: Any, lines: list[str]) -> None:
         lines[:] = ["**Examples**", "", ".. code-block:: sh", "", *(f"   {line.strip()}" for line in calls), ""]
 
 
-def _write_overview(_app: object) -> None:
-    """`built_overview.md`: all commands by workflow, as in `--help`."""
+def _write_commands(_app: object) -> None:
+    """`built_commands`: a page for each command, and `overview.md` with all of them by workflow, as in `--help`."""
     import click
 
+    import data_synth.cli
     import lfcal.cli.main
     import lfrender.cli.main
 
+    folder = Path(__file__).with_name("built_commands")
+    folder.mkdir(exist_ok=True)
+    pages = [("lfsynth", data_synth.cli.main, "data_synth.cli:main")]
     rows = ["| to | command | |", "|---|---|---|"]
     for program, group in (("lfcal", lfcal.cli.main.main), ("lfrender", lfrender.cli.main.main)):
         for section in group.list_sections(click.Context(group)):
             for number, (name, command) in enumerate(section.list_commands()):
                 title = "" if number else f"**{section.title}**"
-                rows.append(f"| {title} | `{program} {name}` | {command.get_short_help_str(100)} |")
-    Path(__file__).with_name("built_overview.md").write_text("\n".join(rows) + "\n", encoding="utf-8")
+                page = f"[`{program} {name}`]({program}-{name}.rst)"
+                rows.append(f"| {title} | {page} | {command.get_short_help_str(100)} |")
+                pages.append((f"{program} {name}", command, f"{command.callback.__module__}:{name}"))
+    summary = data_synth.cli.main.get_short_help_str(100)
+    rows.append(f"| **Simulate** | [`lfsynth`](lfsynth.rst) | {summary} |")
+    for program, _, place in pages:
+        page = folder / f"{program.replace(' ', '-')}.rst"
+        page.write_text(f".. click:: {place}\n   :prog: {program}\n", encoding="utf-8")
+    contents = ["```{toctree}", ":hidden:", ":maxdepth: 1", "", *sorted(p.replace(" ", "-") for p, *_ in pages), "```"]
+    (folder / "overview.md").write_text("\n".join(["# All commands", "", *rows, "", *contents, ""]), encoding="utf-8")
 
 
 def setup(app: Any) -> None:
     """Called by Sphinx."""
-    app.connect("builder-inited", _write_overview)
+    app.connect("builder-inited", _write_commands)
     app.connect("sphinx-click-process-epilog", _show_examples)
 
 
