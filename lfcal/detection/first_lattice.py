@@ -203,6 +203,10 @@ def _build_lattices(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.fl
             yield found
     if given:
         return
+    # Two halves that repeat need no circles, though few lit lenses may not agree about the lattice.
+    if error is None and uncertain and uncertain[0].repeatability >= DETECTION.repeatability:
+        yield uncertain[0]
+        return
     confirmed = _confirm_by_circles(uncertain, tried, picture, edges)
     yield from (replace(one, doubt=one.doubt or error or CalibrationError(NO_MICROIMAGES)) for one in confirmed)
     if confirmed:
