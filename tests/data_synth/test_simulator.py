@@ -36,8 +36,7 @@ def measured_patch_size(capture: Capture, n: int, step: tuple[int, int]) -> floa
     return float(shifts[int(np.argmax(likeness))])
 
 
-@pytest.mark.parametrize("lattice", ["hex", "square"])
-@pytest.mark.parametrize("ratio", [0.353, 0.248, -0.204, -0.397])
+@pytest.mark.parametrize(("lattice", "ratio"), [("hex", 0.353), ("hex", -0.204), ("square", 0.248), ("square", -0.397)])
 def test_microimages_of_a_plane_shift_by_the_true_patch_size(lattice: str, ratio: float) -> None:
     camera = Camera.design((220, 220), 30.0, lattice, 5.0)
     capture = simulate(SCENES["plane"](camera, ratio=ratio), camera, samples=32, bits=16, gamma=False)
@@ -230,9 +229,9 @@ def test_more_samples_bring_the_flat_nearer_to_its_limit(small_camera: Camera) -
     scene = SCENES["plane"](small_camera)
     limit, few, many = (
         simulate(scene, small_camera, samples=n, seed=seed, bits=16, gamma=False).flat / 65535
-        for n, seed in ((400, 1), (8, 2), (48, 3))
+        for n, seed in ((144, 1), (4, 2), (24, 3))
     )
-    assert np.std(many - limit) < 0.015
+    assert np.std(many - limit) < 0.03
     assert np.std(many - limit) < 0.6 * np.std(few - limit)
 
 
@@ -306,7 +305,7 @@ def test_lens_types_have_radii_of_their_own_and_stray_light_fills_gaps(lattice: 
         assert np.concatenate(rims).mean() == pytest.approx(0.35 + 0.3 * white[40:-40, 40:-40].mean(), abs=0.05)
 
 
-@pytest.mark.parametrize("mosaic", ["RGGB", "BGGR", "GRBG", "GBRG"])
+@pytest.mark.parametrize("mosaic", ["RGGB", "GBRG"])
 def test_each_pixel_of_a_mosaic_sees_its_own_colour(small_camera: Camera, mosaic: str) -> None:
     scene = SCENES["clutter"](small_camera, seed=3)
     camera = small_camera.replace(filters=(0.8, 1.0, 0.6))

@@ -15,28 +15,26 @@ import lfcal
 from data_synth import SCENES, Camera, simulate
 from lfcal.detection import downscale
 
-_ANGLES = [0.0, 0.7, 11.0, 30.0, 45.0, 90.0]
 
-
-@pytest.mark.parametrize("shape", ["HEXAGON", "SQUARE"])
-@pytest.mark.parametrize(("pitch", "degrees"), [(6.4, 11), (9.3, 0), (14.3, 0.7), (23.2, 90), (40, 30), (70.4, 45)])
-def test_white_image_places_centres_within_a_hundredth_pixel(whites, shape, pitch, degrees):
+@pytest.mark.parametrize(
+    ("shape", "pitch", "degrees", "size"),
+    [
+        ("HEXAGON", 6.4, 11, (400, 300)),
+        ("SQUARE", 9.3, 0, (400, 300)),
+        ("SQUARE", 14.3, 0.7, (600, 500)),
+        ("HEXAGON", 23.2, 90, (700, 600)),
+        ("SQUARE", 40, 30, (1000, 800)),
+        ("HEXAGON", 70.4, 45, (1000, 800)),
+    ],
+)
+def test_white_image_places_centres_within_a_hundredth_pixel(whites, shape, pitch, degrees, size):
     basis = whites.turned(getattr(whites, shape), pitch, degrees)
-    image, origin = whites.white_image(basis, (1000, 800))
+    image, origin = whites.white_image(basis, size)
     camera = lfcal.calibrate(image)
     assert camera.source == "white"
     assert camera.confidence > 0.9
     assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.01
     assert len(camera.lattice.steps) == (6 if shape == "HEXAGON" else 4)
-
-
-@pytest.mark.parametrize("degrees", _ANGLES)
-def test_lattice_of_14_px_is_found_at_any_angle(whites, degrees):
-    for shape in (whites.HEXAGON, whites.SQUARE):
-        basis = whites.turned(shape, 14.3, degrees)
-        image, origin = whites.white_image(basis, (500, 420), seed=3)
-        camera = lfcal.calibrate(image)
-        assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.02
 
 
 def test_120_px_microimages_are_found_from_three_dozen_lenses(whites):
@@ -46,32 +44,30 @@ def test_120_px_microimages_are_found_from_three_dozen_lenses(whites):
 
 
 @pytest.mark.parametrize("shape", [[[1, 0], [0, 1.3]], [[1, 0], [0, 2.0]], [[1, 0], [0.3, 1.1]]])
-@pytest.mark.parametrize("degrees", [0, 17])
-def test_rectangular_and_sheared_lattices_are_found(whites, shape, degrees):
-    basis = whites.turned(np.array(shape, float), 20.3, degrees)
-    image, origin = whites.white_image(basis, (800, 700))
+def test_rectangular_and_sheared_lattices_are_found(whites, shape):
+    basis = whites.turned(np.array(shape, float), 20.3, 17)
+    image, origin = whites.white_image(basis, (600, 500))
     camera = lfcal.calibrate(image)
     assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.01
 
 
-@pytest.mark.parametrize("fill", [0.5, 0.7, 1.0, 1.1])
-def test_lenses_are_never_taken_for_gaps_at_any_fill_factor(whites, fill):
-    for shape in (whites.HEXAGON, whites.SQUARE):
-        basis = whites.turned(shape, 20.3, 3)
-        image, origin = whites.white_image(basis, (700, 600), fill=fill)
-        assert whites.rms(whites.centre_errors(lfcal.calibrate(image).lattice, origin, basis)) < 0.02
+@pytest.mark.parametrize(("shape", "fill"), [("HEXAGON", 0.5), ("SQUARE", 0.7), ("HEXAGON", 1.0), ("SQUARE", 1.1)])
+def test_lenses_are_never_taken_for_gaps_at_any_fill_factor(whites, shape, fill):
+    basis = whites.turned(getattr(whites, shape), 20.3, 3)
+    image, origin = whites.white_image(basis, (500, 400), fill=fill)
+    assert whites.rms(whites.centre_errors(lfcal.calibrate(image).lattice, origin, basis)) < 0.02
 
 
 @pytest.mark.parametrize("change", [{"soft": 8.0}, {"noise": 0.1}, {"gap": 0.9}])
 def test_soft_noisy_or_faint_discs_are_found(whites, change):
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
-    image, origin = whites.white_image(basis, (800, 700), **change)
+    image, origin = whites.white_image(basis, (500, 400), **change)
     assert whites.rms(whites.centre_errors(lfcal.calibrate(image).lattice, origin, basis)) < 0.03
 
 
 def test_three_lens_types_of_different_brightness_are_one_lattice(whites):
     basis = whites.turned(whites.HEXAGON, 23.2, 90)
-    image, origin = whites.white_image(basis, (800, 700), noise=0.0)
+    image, origin = whites.white_image(basis, (500, 400), noise=0.0)
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
     index = np.rint((np.stack([x, y], -1) - origin) @ np.linalg.inv(basis))
     gain = np.array([1.0, 0.9, 0.8])[((index[..., 0] - index[..., 1]) % 3).astype(int)]
@@ -81,7 +77,7 @@ def test_three_lens_types_of_different_brightness_are_one_lattice(whites):
 
 def test_usable_radius_is_where_light_falls_to_half(whites):
     basis = whites.turned(whites.HEXAGON, 40.0, 5)
-    image, _ = whites.white_image(basis, (900, 800), fill=0.8)
+    image, _ = whites.white_image(basis, (600, 500), fill=0.8)
     camera = lfcal.calibrate(image)
     assert camera.lattice.radius == pytest.approx(16.0, abs=0.15)
     assert camera.vignetting.at(8.0) == pytest.approx(1.0, abs=0.02)
@@ -105,8 +101,8 @@ def test_scene_alone_places_centres_of_a_simulated_camera(house, whites):
 
 
 def test_few_bright_places_of_a_linear_scene_do_not_move_the_lattice(whites):
-    camera = Camera.design((800, 640), 23.2, rotation=1.3)
-    capture = simulate(SCENES["house"](camera), camera, samples=24, seed=3, noise=(12000.0, 5.0))
+    camera = Camera.design((560, 440), 23.2, rotation=1.3)
+    capture = simulate(SCENES["house"](camera), camera, samples=12, seed=3, noise=(12000.0, 5.0))
     light = capture.flat / 255 / np.maximum(capture.white / capture.white.max(), 0.3)[..., None]
     linear = np.rint(65535 * np.clip(light, 0, 1) ** 3.5).astype(np.uint16)
     true = capture.truth.calibration.lattice
@@ -114,9 +110,7 @@ def test_few_bright_places_of_a_linear_scene_do_not_move_the_lattice(whites):
     assert whites.rms(errors) < 0.06
 
 
-@pytest.mark.parametrize(
-    "name", ["camera", "coins", "astronaut", "coffee", "chelsea", "page", "text", "brick", "grass"]
-)
+@pytest.mark.parametrize("name", ["coins", "astronaut", "page", "brick"])
 def test_photograph_is_refused_in_one_line(name):
     with pytest.raises(lfcal.CalibrationError) as error:
         lfcal.calibrate(getattr(data, name)())
@@ -150,7 +144,7 @@ def test_unknown_kind_is_an_error():
         lfcal.calibrate(np.zeros((64, 64)), kind="grey")
 
 
-@pytest.mark.parametrize("folder", ["s3_r5", "s2_sq", "s4b_tspc", "s5b_tspc"])
+@pytest.mark.parametrize("folder", ["s3_r5", "s2_sq"])
 @pytest.mark.parametrize(("picture", "limit"), [("flat.png", 0.02), ("white.png", 0.002)])
 def test_ray_traced_camera_is_calibrated(shared, whites, folder, picture, limit):
     truth = json.loads(shared("truth", folder, "truth.json").read_text())["camera"]
@@ -166,7 +160,7 @@ def test_raytrix_scene_agrees_with_its_published_calibration(shared, whites):
     assert np.abs(whites.centre_errors(found, published.origin, published.basis)).max() < 0.5
 
 
-@pytest.mark.parametrize("name", ["Boys2", "MiniGarden2"])
+@pytest.mark.parametrize("name", ["MiniGarden2"])
 def test_single_focus_scene_is_near_its_coarse_published_corners(shared, whites, name):
     flat = lfcal.read_flat(shared("captures", f"{name}.webp"))
     published = lfcal.load(shared("captures", f"{name}.published.xml"), flat.shape[1::-1]).lattice
@@ -214,8 +208,6 @@ def test_repeating_detail_of_a_plane_is_not_taken_for_the_lattice():
     ("name", "corner", "size"),
     [
         ("Boys2.webp", (994, 739), (1988, 1478)),
-        ("Boys2.webp", (1889, 1116), (1988, 1478)),
-        ("TempleBoatGiantR32.webp", (2675, 662), (3232, 2426)),
         ("Fujita2.png", (973, 773), (1024, 1024)),
     ],
 )
