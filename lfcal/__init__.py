@@ -13,9 +13,8 @@ if TYPE_CHECKING:
     from .display.compare import compare
     from .display.fit_check import check_fit
     from .display.overlay import show
-    from .images.dark_frame import subtract_dark
     from .images.read import count_pages, read_flat
-    from .images.stream import FlatSource, open_flat
+    from .images.stream import FlatSource, open_flat, subtract_dark
     from .lattice.lattice import Lattice
     from .lattice.stated import state_lattice
     from .metric.calibrate import calibrate_metric, locate_board
@@ -87,7 +86,7 @@ _HOMES = {
     "read_flat": "images.read",
     "show": "display.overlay",
     "state_lattice": "lattice.stated",
-    "subtract_dark": "images.dark_frame",
+    "subtract_dark": "images.stream",
 }
 
 

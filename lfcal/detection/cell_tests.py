@@ -14,7 +14,7 @@ from math import gcd
 import numpy as np
 from numpy.typing import NDArray
 
-from ..images.interpolation import interpolate_linear
+from ..images.preprocessing import interpolate_linear
 from ..lattice.cell import bin_offsets, cell_distances, nearest_offsets
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses

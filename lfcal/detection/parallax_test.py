@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..images.interpolation import interpolate_linear
+from ..images.preprocessing import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
 from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from ..runtime.kernels import kernel
 
-__all__ = ["edge_strength", "is_mask", "luminance", "normalise_locally", "soften_mask", "sqrt_luminance"]
+__all__ = [
+    "edge_strength", "interpolate_linear", "is_mask", "luminance", "normalise_locally", "soften_mask", "sqrt_luminance",
+]  # fmt: skip
 
 
 def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
@@ -127,3 +129,22 @@ def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np
     floor, clip = np.float32(0.02), np.float32(3)
     _normalise(_mirrored(picture, half), 2 * half + 1, max(64, 4 * half), floor, clip, out)
     return out
+
+
+@kernel(error_model="numpy")
+def _interpolate(picture, positions, out):
+    height, width = picture.shape
+    for k in range(len(positions)):
+        x, y = positions[k, 0], positions[k, 1]
+        column, row = min(max(int(x), 0), width - 2), min(max(int(y), 0), height - 2)
+        right, low = x - column, y - row
+        above = picture[row, column] * (1 - right) + picture[row, column + 1] * right
+        below = picture[row + 1, column] * (1 - right) + picture[row + 1, column + 1] * right
+        out[k] = above * (1 - low) + below * low
+
+
+def interpolate_linear(picture: NDArray[np.float32], positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...,) bilinear interpolation of a picture at positions `positions` (..., 2) [px]."""
+    values = np.empty(positions.shape[:-1])
+    _interpolate(picture, positions.reshape(-1, 2), values.reshape(-1))
+    return values

@@ -4,39 +4,26 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import CONVERTERS, IMAGE_FORMATS, RAW_PHOTO_SUFFIXES, VIDEO_FORMATS, identify_format
-from .decoders import MAX_PIXELS, decode_bmp, decode_jpeg, decode_png, decode_pnm, decode_webp
-from .formats.hdf5 import read_hdf5
-from .formats.lytro import read_lytro
-from .formats.openexr import read_openexr
-from .formats.raw_photo import read_raw_photo
-from .formats.video import read_video_frame
-from .tiff import count_tiff_pages, open_tiff, read_tiff
-from .yuv import count_yuv_frames, is_yuv, read_yuv
+from .containers import read_hdf5, read_openexr, read_raw_photo
+from .lytro import read_lytro
+from .pictures import decode_picture
+from .pixels import MAX_PIXELS, check_only_page, checked_pixels, file_errors
+from .tiff import count_tiff_pages, read_tiff
+from .video import count_yuv_frames, is_yuv, read_video_frame, read_yuv
 from .zarr_flat import is_zarr, open_zarr
 
-__all__ = ["MAX_PIXELS", "checked_pixels", "count_pages", "file_errors", "read_flat"]
+__all__ = ["MAX_PIXELS", "count_pages", "read_flat"]
 
-_DECODERS: dict[str, Callable[[bytes], NDArray[Any]]] = {
-    "PNG": decode_png,
-    "WebP": decode_webp,
-    "JPEG": decode_jpeg,
-    "BMP": decode_bmp,
-    "PGM": decode_pnm,
-    "PPM": decode_pnm,
-}
-
-# Containers, read from their file, with the number of a picture.
+# Formats whose files may hold several pictures; others are decoded by `decode_picture`.
 _READERS: dict[str, Callable[[Path, int | None], NDArray[Any]]] = {
     "TIFF": read_tiff,
     "OpenEXR": read_openexr,
@@ -99,22 +86,6 @@ def read_flat(
         return checked_pixels(_decode(source, page))
 
 
-@contextmanager
-def file_errors(source: Path) -> Iterator[None]:
-    """Turn any error of reading a file into a FlatError with its name."""
-    try:
-        yield
-    except FlatError as error:
-        raise FlatError(f"{source}: {error}") from error
-    except OSError as error:
-        raise FlatError(f"{source}: cannot be read ({error.strerror or _one_line(error)})") from error
-    except MemoryError as error:
-        raise FlatError(f"{source}: the image does not fit into memory") from error
-    # Damaged bytes make decoders raise anything: IndexError, struct.error, zlib.error, cv2.error, ...
-    except Exception as error:
-        raise FlatError(f"{source}: damaged image file ({_one_line(error)})") from error
-
-
 def count_pages(
     path: str | os.PathLike[str], *, size: tuple[int, int] | None = None, pixel_format: str | None = None
 ) -> int:
@@ -142,8 +113,7 @@ def count_pages(
         with open(path, "rb") as stream:
             if identify_format(stream.read(16)) != "TIFF":
                 return 1
-        with open_tiff(Path(path)) as tiff:
-            return count_tiff_pages(tiff)
+        return count_tiff_pages(Path(path))
 
 
 def _decode(source: Path, page: int | None) -> NDArray[Any]:
@@ -151,7 +121,7 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
     mode = source.stat().st_mode
     if stat.S_ISDIR(mode):
         if is_zarr(source):
-            return open_zarr(source, MAX_PIXELS).whole()
+            return open_zarr(source).whole()
         raise FlatError("is a folder; give the image file")
     if not stat.S_ISREG(mode):
         raise FlatError("is not a regular file")
@@ -167,38 +137,11 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
         return _READERS[name](source, page)
     if name is None and source.suffix.lower() in VIDEO_FORMATS:
         return read_video_frame(source, page)
-    if page not in (None, 0):
-        raise FlatError(f"has one picture and no page {page}")
+    check_only_page(page)
     if name is None:
         advice = CONVERTERS.get(source.suffix.lower())
         if advice is not None:
             raise FlatError(f"{source.suffix} files are not read; {advice}")
         *names, last = IMAGE_FORMATS
         raise FlatError(f"is no image this toolkit reads; give a {', '.join(names)} or {last} file")
-    return _DECODERS[name](source.read_bytes())
-
-
-def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Decoded pixels as a flat: uint8, uint16 or float32, (h, w) or (h, w, 3), finite and contiguous."""
-    native = pixels.dtype.newbyteorder("=")
-    if native == np.bool_:
-        pixels = pixels.astype(np.uint8) * np.uint8(255)
-    elif native in (np.float16, np.float64):
-        with np.errstate(over="ignore"):
-            pixels = pixels.astype(np.float32)
-    elif native not in (np.uint8, np.uint16, np.float32):
-        raise FlatError(f"pixels of type {pixels.dtype} are not read; save them as 8 bit, 16 bit or float")
-    if pixels.ndim == 3:
-        pixels = pixels[..., 0] if pixels.shape[2] <= 2 else pixels[..., :3]
-    if pixels.ndim != 2 and not (pixels.ndim == 3 and pixels.shape[2] == 3):
-        raise FlatError(f"a flat is one grey or RGB picture, this has shape {pixels.shape}")
-    if pixels.dtype.kind == "f":
-        bad = pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
-        if bad:
-            raise FlatError(f"{bad} values are NaN or infinite; replace them by the mean of their neighbours")
-    return np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("="))
-
-
-def _one_line(error: BaseException) -> str:
-    """The message of an error, cut to one line."""
-    return " ".join(str(error).split())[:200] or type(error).__name__
+    return decode_picture(source.read_bytes(), name)

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -18,18 +17,14 @@ from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import TIFF_SUFFIXES
-from .dark_frame import subtract_dark
-from .read import MAX_PIXELS, checked_pixels, file_errors, read_flat
-from .tiff import convert_tiff_pixels, open_tiff, select_tiff_page
+from .pixels import checked_pixels, file_errors
+from .read import read_flat
+from .tiff import open_tiff, part_reader
 from .zarr_flat import is_zarr, open_zarr
 
-__all__ = ["FlatSource", "open_flat"]
+__all__ = ["FlatSource", "open_flat", "subtract_dark"]
 
-# [bytes] files with larger strips or tiles, which every part would decode again, are read as a whole.
-_LARGEST_SEGMENT = 1 << 27
-
-
-#: Reads the pixels of some rows and columns.
+# Reads the pixels of some rows and columns.
 _Read = Callable[[slice, slice], NDArray[Any]]
 
 
@@ -61,8 +56,8 @@ class FlatSource:
     ((20, 30), (5, 10))
     """
 
-    def __init__(self, path: Path, read: _Read, shape: tuple[int, ...], file: Any = None, in_parts: bool = True):
-        self.path, self._read, self._file, self.in_parts = path, read, file, in_parts
+    def __init__(self, path: Path, read: _Read, shape: tuple[int, ...], in_parts: bool = True):
+        self.path, self._read, self._opened, self.in_parts = path, read, ExitStack(), in_parts
         self.page: int | None = None
         self.dark: Path | None = None
         self._size = shape[0], shape[1]
@@ -94,8 +89,7 @@ class FlatSource:
 
     def close(self) -> None:
         """Close the file; no part can be read any more."""
-        if self._file is not None:
-            self._file.close()
+        self._opened.close()
 
     def __enter__(self) -> FlatSource:
         return self
@@ -157,92 +151,53 @@ def _subtract(source: FlatSource, path: Path) -> FlatSource:
             with file_errors(path):
                 return subtract_dark(pixels, black)
 
-        read(slice(0, 1), slice(0, 1))
-        less = FlatSource(source.path, read, source.shape, opened.pop_all(), source.in_parts)
-    less.page, less.dark = source.page, path
+        less = FlatSource(source.path, read, source.shape, source.in_parts)
+        less.page, less.dark, less._opened = source.page, path, opened.pop_all()
     return less
 
 
 def _open(source: Path, page: int | None) -> FlatSource:
     if source.is_dir() and is_zarr(source):
         with file_errors(source):
-            array = open_zarr(source, MAX_PIXELS)
+            array = open_zarr(source)
         return FlatSource(source, array.read, array.shape)
     if source.suffix.lower() in TIFF_SUFFIXES and source.is_file():
-        tiff = _open_tiff(source, page)
-        if tiff is not None:
-            return tiff
+        # Where that fails, reading the file as a whole finds another way, or reports the error.
+        with suppress(Exception), ExitStack() as opened:
+            tiff = opened.enter_context(open_tiff(source))
+            flat = FlatSource(source, *part_reader(source, tiff, page))
+            flat._opened = opened.pop_all()
+            return flat
     pixels = read_flat(source, page)
     return FlatSource(source, lambda rows, columns: pixels[rows, columns], pixels.shape, in_parts=False)
 
 
-def _open_tiff(source: Path, number: int | None) -> FlatSource | None:
-    """A TIFF to be read in parts, None where it cannot."""
-    with file_errors(source):
-        tiff = open_tiff(source)
-        try:
-            page = select_tiff_page(tiff, number)
-            shape = page.imagelength, page.imagewidth
-            # Rows that lie one after the other in the file, without compression, are mapped into memory.
-            if page.is_memmappable and page.is_contiguous and page.fillorder == 1 and page.axes in ("YX", "YXS"):
-                kind = np.dtype(page.parent.byteorder + page.dtype.char)
-                rows = np.memmap(source, kind, "r", int(page.dataoffsets[0]), page.shape)
-                return FlatSource(source, lambda y, x: convert_tiff_pixels(np.array(rows[y, x]), page), shape, tiff)
-            reader = _Segments(tiff, page)
-            if reader.segment_bytes <= _LARGEST_SEGMENT:
-                return FlatSource(source, reader.read, shape, tiff)
-        # Reading it as a whole finds another way, or reports the error.
-        except Exception:
-            pass
-        tiff.close()
-    return None
+def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
+    """A flat less a dark frame (what the sensor shows without light), in its own type; integers are clipped at 0.
 
+    Parameters
+    ----------
+    flat : (h, w) or (h, w, c) array
+    dark : (h, w) or (h, w, c) array
+        A frame, or the mean of some, with the exposure of the flat and without light.
 
-class _Segments:
-    """Strips or tiles of a TIFF, decoded as they are needed."""
+    Raises
+    ------
+    FlatError
+        If both are not of one size and kind.
 
-    def __init__(self, tiff: Any, page: Any) -> None:
-        self._tiff, self._page, self._lock = tiff, page, Lock()
-        self._planes = page.axes == "SYX"
-        rows, columns = page.chunks[1:3] if self._planes and len(page.chunks) == 3 else page.chunks[:2]
-        self._side = int(rows), int(columns)
-        across, down = -(-page.imagewidth // self._side[1]), -(-page.imagelength // self._side[0])
-        self._grid = down, across
-        self.segment_bytes = rows * columns * page.samplesperpixel * page.dtype.itemsize
-
-    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
-        from concurrent.futures import ThreadPoolExecutor
-
-        page = self._page
-        channels = (page.samplesperpixel,) if page.samplesperpixel > 1 else ()
-        size = rows.stop - rows.start, columns.stop - columns.start
-        out = np.zeros((*channels, *size) if self._planes else (*size, *channels), page.dtype)
-        down, across = self._grid
-        wanted = [
-            (plane * down + v) * across + u
-            for plane in range(page.samplesperpixel if self._planes else 1)
-            for v in range(rows.start // self._side[0], -(-rows.stop // self._side[0]))
-            for u in range(columns.start // self._side[1], -(-columns.stop // self._side[1]))
-        ]
-        with ThreadPoolExecutor(min(len(wanted), os.cpu_count() or 1)) as pool:
-            for _ in pool.map(lambda number: self._decode(number, rows, columns, out), wanted):
-                pass
-        return convert_tiff_pixels(out, page)
-
-    def _decode(self, number: int, rows: slice, columns: slice, out: NDArray[Any]) -> None:
-        """Decode one strip or tile, and copy the pixels of these rows and columns."""
-        page = self._page
-        with self._lock:
-            file = self._tiff.filehandle
-            file.seek(page.dataoffsets[number])
-            data = file.read(page.databytecounts[number])
-        decoded, (plane, _, top, left, _), _ = page.decode(data, number, jpegtables=page.jpegtables)
-        if decoded is None:
-            return
-        pixels = decoded[0]
-        bottom, right = min(top + pixels.shape[0], rows.stop), min(left + pixels.shape[1], columns.stop)
-        first, start = max(top, rows.start), max(left, columns.start)
-        some = pixels[first - top : bottom - top, start - left : right - left]
-        into = out[plane] if self._planes else out
-        place = into[first - rows.start : bottom - rows.start, start - columns.start : right - columns.start]
-        place[...] = some.reshape(place.shape)
+    Examples
+    --------
+    >>> import numpy as np
+    >>> subtract_dark(np.array([[5, 90]], np.uint8), np.array([[7, 7]], np.uint8))
+    array([[ 0, 83]], dtype=uint8)
+    """
+    flat, dark = np.asarray(flat), np.asarray(dark)
+    if dark.ndim == 2 and flat.ndim == 3:
+        dark = dark[:, :, None]
+    if dark.shape[:2] != flat.shape[:2] or (dark.ndim == 3 and dark.shape[2] not in (1, flat.shape[-1])):
+        raise FlatError(f"dark frame has shape {dark.shape}, the flat {flat.shape}; give one of the same sensor")
+    whole = flat.dtype.kind == "u"
+    if (dark.dtype.kind == "u") != whole or (whole and dark.dtype.itemsize > flat.dtype.itemsize):
+        raise FlatError(f"dark frame is {dark.dtype}, the flat {flat.dtype}; give both as the sensor stores them")
+    return np.asarray(flat - (np.minimum(dark, flat) if whole else dark), flat.dtype)

@@ -1,19 +1,23 @@
-"""TIFF files: which page is the flat, whether its pixels are complete, and the pixels as grey or colours."""
+"""TIFF files (tifffile): which page is the flat, whether its pixels are complete, and the pixels, whole or in parts."""
 
 from __future__ import annotations
 
 import logging
+import os
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from .decoders import check_size, decode_with_opencv
+from .pictures import decode_with_opencv
+from .pixels import check_size
 
-__all__ = ["convert_tiff_pixels", "count_tiff_pages", "open_tiff", "read_tiff", "select_tiff_page"]
+__all__ = ["count_tiff_pages", "open_tiff", "part_reader", "read_tiff", "select_tiff_page"]
 
 
 def open_tiff(source: Path) -> Any:
@@ -27,60 +31,52 @@ def open_tiff(source: Path) -> Any:
     return tifffile.TiffFile(source)
 
 
-def count_tiff_pages(tiff: Any) -> int:
+def count_tiff_pages(source: Path) -> int:
     """Number of full pictures; a list of pages that is cut off counts as one more."""
-    return len(_full_pages(tiff)) + _is_cut_off(tiff)
+    with open_tiff(source) as tiff:
+        pages, is_cut_off = _full_pages(tiff)
+        return len(pages) + is_cut_off
 
 
-def _full_pages(tiff: Any) -> list[Any]:
-    """Pages that are no thumbnails."""
-    return [page for page in _pages(tiff) if not page.is_reduced]
-
-
-def _pages(tiff: Any) -> list[Any]:
-    """All pages up to the first that cannot be read."""
+def _full_pages(tiff: Any) -> tuple[list[Any], bool]:
+    """Pages that are no thumbnails, up to the first that cannot be read, and whether the list of pages is cut off."""
     pages: list[Any] = []
     try:
         pages.extend(tiff.pages)
     except Exception:
         if not pages:
             raise
-    return pages
-
-
-def _is_cut_off(tiff: Any) -> bool:
-    """Whether the list of pages ends with the offset of a page that is not there."""
+    # Where the last page says that another follows.
     kind, file = tiff.tiff, tiff.filehandle
-    offsets = [page.offset for page in _pages(tiff)]
-    file.seek(offsets[-1])
+    file.seek(pages[-1].offset)
     (tags,) = struct.unpack(kind.tagnoformat, file.read(kind.tagnosize))
-    file.seek(offsets[-1] + kind.tagnosize + tags * kind.tagsize)
+    file.seek(pages[-1].offset + kind.tagnosize + tags * kind.tagsize)
     following = file.read(kind.offsetsize)
-    if len(following) < kind.offsetsize:
-        return True
-    (offset,) = struct.unpack(kind.offsetformat, following)
-    return offset != 0 and offset not in offsets
+    known = {0, *(page.offset for page in pages)}
+    is_cut_off = len(following) < kind.offsetsize or struct.unpack(kind.offsetformat, following)[0] not in known
+    return [page for page in pages if not page.is_reduced], is_cut_off
 
 
 def select_tiff_page(tiff: Any, number: int | None) -> Any:
     """The page of a TIFF that is the flat; FlatError if its pixels are incomplete or of an unknown kind."""
-    pages = _full_pages(tiff)
-    if number in (None, len(pages)) and _is_cut_off(tiff):
+    pages, is_cut_off = _full_pages(tiff)
+    if number in (None, len(pages)) and is_cut_off:
         raise FlatError(f"truncated TIFF: its list of pages is cut off after {len(pages)}")
     if number is None and len(pages) != 1:
         raise FlatError(f"the TIFF holds {len(pages)} pictures; save the one that is the flat on its own")
     if not 0 <= (number or 0) < len(pages):
         raise FlatError(f"the TIFF holds {len(pages)} pictures and no page {number}")
     page: Any = pages[number or 0]
-    size = tiff.filehandle.size
     parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
-    if not parts or any(count == 0 or start + count > size for start, count in parts):
+    if not parts or any(count == 0 or start + count > tiff.filehandle.size for start, count in parts):
         raise FlatError("truncated TIFF: pixel data are missing")
     if len(parts) < np.prod(page.chunked):
         raise FlatError("damaged TIFF: strips or tiles are missing from its table")
     kind = page.photometric.name
     if kind not in ("MINISBLACK", "MINISWHITE", "RGB", "PALETTE", "CFA", "YCBCR", "LINEAR_RAW"):
         raise FlatError(f"TIFF pixels of kind {kind} are not read; save as grey or RGB")
+    if page.axes not in ("YX", "YXS", "SYX"):
+        raise FlatError(f"the TIFF holds axes {page.axes}; a flat is one grey or RGB picture")
     return page
 
 
@@ -90,7 +86,7 @@ def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
         page = select_tiff_page(tiff, number)
         check_size(page.imagewidth, page.imagelength)
         try:
-            pixels = page.asarray()
+            return _convert(page.asarray(), page)
         except (KeyError, ValueError) as error:
             if "imagecodecs" not in str(error):
                 raise
@@ -99,19 +95,71 @@ def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
             # OpenCV reads the common compressions that tifffile leaves to an optional package.
             grey = page.samplesperpixel < 3 and page.photometric.name != "PALETTE"
             return decode_with_opencv(source.read_bytes(), grey=grey)
-        return convert_tiff_pixels(pixels, page)
 
 
-def convert_tiff_pixels(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
+def _convert(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
     """Decoded pixels of a page, or of a part of it, as grey or with colours along the last axis."""
     if page.axes == "SYX":
         pixels = np.moveaxis(pixels, 0, -1)
-    elif page.axes not in ("YX", "YXS"):
-        raise FlatError(f"the TIFF holds axes {page.axes}; a flat is one grey or RGB picture")
-    kind = page.photometric.name
-    if kind == "PALETTE":
+    if page.photometric.name == "PALETTE":
         # Colour maps are 16 bit by definition, the colours in them almost always 8 bit times 257.
-        pixels = (page.colormap >> 8).astype(np.uint8).T[pixels]
-    elif kind == "MINISWHITE" and pixels.dtype.kind == "u":
-        pixels = np.iinfo(pixels.dtype).max - pixels
+        return (page.colormap >> 8).astype(np.uint8).T[pixels]
+    if page.photometric.name == "MINISWHITE" and pixels.dtype.kind == "u":
+        return np.iinfo(pixels.dtype).max - pixels
     return pixels
+
+
+def part_reader(source: Path, tiff: Any, number: int | None) -> tuple[Callable[[slice, slice], NDArray[Any]], Any]:
+    """A function that reads some rows and columns of a TIFF, and height and width [px]; any error if none can.
+
+    Rows without compression are mapped into memory; else the strips or tiles are decoded that overlap a part.
+    """
+    import tifffile
+
+    page = select_tiff_page(tiff, number)
+    shape = page.imagelength, page.imagewidth
+    if page.is_memmappable and page.axes != "SYX":
+        pixels = tifffile.memmap(source, page=page.index, mode="r")
+        return lambda rows, columns: _convert(np.array(pixels[rows, columns]), page), shape
+    side = page.chunks[1:3] if page.axes == "SYX" and len(page.chunks) == 3 else page.chunks[:2]
+    # Every part would decode larger ones again.
+    if side[0] * side[1] * page.samplesperpixel * page.dtype.itemsize > 1 << 27:
+        raise NotImplementedError("strips or tiles are too large to be read in parts")
+    lock = Lock()
+    return lambda rows, columns: _convert(_read_segments(tiff, page, side, lock, rows, columns), page), shape
+
+
+def _read_segments(
+    tiff: Any, page: Any, side: tuple[int, int], lock: Lock, rows: slice, columns: slice
+) -> NDArray[Any]:
+    """The pixels of some rows and columns, as the strips or tiles of (height, width) `side` have them."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    down, across = -(-page.imagelength // side[0]), -(-page.imagewidth // side[1])
+    size = rows.stop - rows.start, columns.stop - columns.start
+    channels = (page.samplesperpixel,) if page.samplesperpixel > 1 else ()
+    planes = page.axes == "SYX"
+    out = np.zeros((*channels, *size) if planes else (*size, *channels), page.dtype)
+
+    def decode(number: int) -> None:
+        with lock:
+            tiff.filehandle.seek(page.dataoffsets[number])
+            data = tiff.filehandle.read(page.databytecounts[number])
+        decoded, (plane, _, top, left, _), _ = page.decode(data, number, jpegtables=page.jpegtables)
+        if decoded is None:
+            return
+        pixels, into = decoded[0], out[plane] if planes else out
+        bottom, right = min(top + pixels.shape[0], rows.stop), min(left + pixels.shape[1], columns.stop)
+        first, start = max(top, rows.start), max(left, columns.start)
+        place = into[first - rows.start : bottom - rows.start, start - columns.start : right - columns.start]
+        place[...] = pixels[first - top : bottom - top, start - left : right - left].reshape(place.shape)
+
+    wanted = [
+        (plane * down + v) * across + u
+        for plane in range(page.samplesperpixel if planes else 1)
+        for v in range(rows.start // side[0], -(-rows.stop // side[0]))
+        for u in range(columns.start // side[1], -(-columns.stop // side[1]))
+    ]
+    with ThreadPoolExecutor(min(len(wanted), os.cpu_count() or 1)) as pool:
+        list(pool.map(decode, wanted))
+    return out

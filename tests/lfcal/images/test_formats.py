@@ -65,7 +65,7 @@ def test_packed_lytro_pixels_are_read_as_they_were(tmp_path, bits):
 
 def test_lytro_bits_are_unpacked_as_imageio_does(monkeypatch):
     plugin = pytest.importorskip("imageio.plugins.lytro", reason="the foreign reader of Lytro files is not installed")
-    from lfcal.images.formats.lytro import _unpack
+    from lfcal.images.lytro import unpack_pixels
 
     for bits, name, reader in (
         (10, "LYTRO_ILLUM_IMAGE_SIZE", plugin.LytroIllumRawFormat),
@@ -74,7 +74,7 @@ def test_lytro_bits_are_unpacked_as_imageio_does(monkeypatch):
         monkeypatch.setattr(plugin, name, (20, 40))
         data = RNG.integers(0, 256, 20 * 40 * bits // 8, np.uint8)
         foreign = reader.rearrange_bits(data.astype(np.uint16)) * ((1 << bits) - 1)
-        np.testing.assert_array_equal(_unpack(data.tobytes(), 40, 20, bits), np.rint(foreign).astype(np.uint16))
+        np.testing.assert_array_equal(unpack_pixels(data.tobytes(), 40, 20, bits), np.rint(foreign).astype(np.uint16))
 
 
 def test_white_images_of_a_lytro_archive_are_its_pages(tmp_path):

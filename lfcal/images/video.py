@@ -1,7 +1,8 @@
-"""Frames of raw planar video (`.yuv`) as flats."""
+"""Single frames of videos as flats: raw planar video (`.yuv`) and what FFmpeg decodes."""
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
+from ..runtime.image_formats import VIDEO_FORMATS
 from ..runtime.video.frame_pixels import frame_of_planes, import_av, rgb_pixels
 from ..runtime.video.raw_format import RAW_SUFFIX, RawFormat, find_raw_format
-from .decoders import check_size
+from .pixels import check_size
 
-__all__ = ["count_yuv_frames", "is_yuv", "read_yuv"]
+__all__ = ["count_yuv_frames", "is_yuv", "read_video_frame", "read_yuv"]
 
 
 def is_yuv(path: Path) -> bool:
@@ -23,7 +25,7 @@ def is_yuv(path: Path) -> bool:
 
 def count_yuv_frames(path: Path, size: tuple[int, int] | None, pixel_format: str | None) -> int:
     """Number of frames; one that is cut off counts too, but cannot be read."""
-    return -(-path.stat().st_size // _checked_format(path, size, pixel_format).frame_bytes)
+    return _layout_and_count(path, size, pixel_format)[1]
 
 
 def read_yuv(path: Path, page: int | None, size: tuple[int, int] | None, pixel_format: str | None) -> NDArray[Any]:
@@ -32,8 +34,7 @@ def read_yuv(path: Path, page: int | None, size: tuple[int, int] | None, pixel_f
     Colours are those that FFmpeg gives a decoded frame without a colour space: BT.601 of limited range. Files without
     colours give their samples (h, w) as they are.
     """
-    layout = _checked_format(path, size, pixel_format)
-    count = -(-path.stat().st_size // layout.frame_bytes)
+    layout, count = _layout_and_count(path, size, pixel_format)
     if page is None and count > 1:
         raise FlatError(f"the video holds {count} frames; give the number of one, or use 'lfrender batch'")
     if not 0 <= (page or 0) < count:
@@ -52,7 +53,33 @@ def read_yuv(path: Path, page: int | None, size: tuple[int, int] | None, pixel_f
     return rgb_pixels(frame_of_planes(data, layout.width, layout.height, layout.pixel_format))
 
 
-def _checked_format(path: Path, size: tuple[int, int] | None, pixel_format: str | None) -> RawFormat:
+def _layout_and_count(path: Path, size: tuple[int, int] | None, pixel_format: str | None) -> tuple[RawFormat, int]:
     layout = find_raw_format(path, size, pixel_format)
     check_size(layout.width, layout.height)
-    return layout
+    return layout, -(-path.stat().st_size // layout.frame_bytes)
+
+
+def read_video_frame(path: Path, page: int | None) -> NDArray[Any]:
+    """(h, w, 3) frame `page`, or the only frame, decoded from the first one on: uint16 above 8 bits, else uint8."""
+    if page is not None and page < 0:
+        raise FlatError(f"has no frame {page}")
+    av, number = import_av(path.name), page or 0
+    try:
+        with av.open(str(path), format=VIDEO_FORMATS[path.suffix.lower()]) as container:
+            if not container.streams.video:
+                raise FlatError("there is no video in it")
+            container.streams.video[0].thread_type = "AUTO"
+            frames = container.decode(video=0)
+            picture = next(islice(frames, number, None), None)
+            if picture is None:
+                raise FlatError(f"the video has no frame {number}")
+            check_size(picture.width, picture.height)
+            # Decoders fill in what is missing; such a flat must not be calibrated or rendered.
+            if picture.is_corrupt:
+                raise FlatError(f"frame {number} is damaged")
+            pixels = rgb_pixels(picture)
+            if page is None and next(frames, None) is not None:
+                raise FlatError("the video holds several frames; give the number of one, or use 'lfrender batch'")
+            return pixels
+    except av.error.FFmpegError as error:
+        raise FlatError(f"cannot be read as a video ({error.strerror})") from error

@@ -1,0 +1,118 @@
+"""Lytro files (`.lfp`, `.lfr`, calibration archives): sections of JSON and of data, named by their SHA-1.
+
+Pixels are packed: of 12 bits, two in three bytes (F01); of 10 bits, four in five bytes, the last of which has the
+lowest bits of all (Illum). They are those of the colour mosaic, as stored.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..runtime.errors import FlatError
+from .pixels import check_only_page, check_size
+
+__all__ = ["read_lytro", "unpack_pixels"]
+
+_HEAD = struct.Struct(">4s4sII")
+_SHA1_BYTES = 80  # "sha1-", 40 digits, zeros
+# Width, height and bits of sensors by the bytes of their packed pixels, for archives without descriptions.
+_SENSORS = {3280 * 3280 * 12 // 8: (3280, 3280, 12), 7728 * 5368 * 10 // 8: (7728, 5368, 10)}
+
+
+def read_lytro(path: Path, page: int | None) -> NDArray[np.uint16]:
+    """The raw pixels (h, w) of a Lytro file: of its picture, or of white image number `page` of an archive."""
+    data = memoryview(path.read_bytes())
+    sections = dict(_sections(data))
+    tables = [_parse(part) for name, part in sections.items() if not name.startswith("sha1-")]
+    for frame in (found for table in tables for found in _find(table, "imageRef")):
+        if frame["imageRef"] in sections and frame.get("metadataRef") in sections:
+            check_only_page(page)
+            return unpack_pixels(sections[frame["imageRef"]], *_layout(sections[frame["metadataRef"]]))
+    entries = (entry for table in tables for entry in _find(table, "dataRef") if entry["dataRef"] in sections)
+    files = {str(entry.get("name", "")).upper(): sections[entry["dataRef"]] for entry in entries}
+    raw = sorted(name for name in files if name.endswith(".RAW"))
+    if not raw:
+        raise FlatError("holds no raw picture; open it with Lytro Desktop and export the raw one (.lfr, .lfp)")
+    if page is None and len(raw) > 1:
+        raise FlatError(f"the archive holds {len(raw)} white images; give the number of one (--page)")
+    if not 0 <= (page or 0) < len(raw):
+        raise FlatError(f"the archive holds {len(raw)} white images and no page {page}")
+    name = raw[page or 0]
+    about = files.get(name[:-4] + ".TXT")
+    layout = _layout(about) if about is not None else _SENSORS.get(len(files[name]))
+    if layout is None:
+        raise FlatError(f"the size of the white image {name} is not known")
+    return unpack_pixels(files[name], *layout)
+
+
+def _sections(data: memoryview) -> Iterator[tuple[str, memoryview]]:
+    """Name and bytes of each section: its SHA-1, or for tables of contents where it begins."""
+    at = 0
+    while at + _HEAD.size <= len(data):
+        kind, magic, _, length = _HEAD.unpack_from(data, at)
+        if magic != b"\r\n\x1a\n" or kind not in (b"\x89LFP", b"\x89LFM", b"\x89LFC"):
+            raise FlatError(f"damaged Lytro file: no section at byte {at}")
+        start = at + _HEAD.size
+        if length:
+            name = bytes(data[start : start + _SHA1_BYTES]).rstrip(b"\0").decode("ascii")
+            start += _SHA1_BYTES
+            if start + length > len(data):
+                raise FlatError(f"truncated Lytro file: {start + length - len(data)} bytes are missing")
+            yield f"table {at}" if kind == b"\x89LFM" else name, data[start : start + length]
+        at = start + -(-length // 16) * 16
+
+
+def _parse(data: memoryview) -> Any:
+    # Descriptions are some kilobytes.
+    if len(data) > 1 << 26:
+        raise FlatError("damaged Lytro file: a description of more than 64 MB")
+    try:
+        return json.loads(bytes(data).rstrip(b"\0"))
+    except (ValueError, RecursionError) as error:
+        raise FlatError(f"damaged Lytro file: a description is no JSON ({error})") from error
+
+
+def _find(value: Any, key: str) -> Iterator[dict[str, Any]]:
+    """All objects with a key in a JSON value."""
+    if isinstance(value, dict) and key in value:
+        yield value
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    for one in inner:
+        yield from _find(one, key)
+
+
+def _layout(about: memoryview) -> tuple[int, int, int]:
+    """Width, height and bits by the description of a picture."""
+    described = _parse(about)
+    try:
+        sized = next(found for found in _find(described, "width") if "height" in found)
+        return int(sized["width"]), int(sized["height"]), int(next(_find(described, "bitsPerPixel"))["bitsPerPixel"])
+    except (StopIteration, TypeError, ValueError) as error:
+        raise FlatError("damaged Lytro file: width, height or bitsPerPixel of its picture are missing") from error
+
+
+def unpack_pixels(data: memoryview, width: int, height: int, bits: int) -> NDArray[np.uint16]:
+    """(height, width) the pixels of packed data."""
+    check_size(width, height)
+    if bits not in (10, 12) or (width * height * bits) % 40:
+        raise FlatError(f"Lytro pixels of {bits} bits, {width} x {height} px, are not read")
+    size = width * height * bits // 8
+    if len(data) < size:
+        raise FlatError(f"truncated Lytro file: {size - len(data)} bytes of pixels are missing")
+    packed = np.frombuffer(data, np.uint8, size).astype(np.uint16)
+    pixels = np.empty(width * height, np.uint16)
+    if bits == 12:
+        first, middle, last = packed.reshape(-1, 3).T
+        pixels[0::2], pixels[1::2] = first << 4 | middle >> 4, (middle & 15) << 8 | last
+    else:
+        *high, low = packed.reshape(-1, 5).T
+        for k, eight in enumerate(high):
+            pixels[k::4] = eight << 2 | low >> (2 * k) & 3
+    return pixels.reshape(height, width)
