@@ -12,8 +12,7 @@ from ..runtime.cache import cached
 
 __all__ = [
     "count_connected", "count_neighbours", "count_similar", "dilate_mask", "distant_rings", "join_opposite",
-    "lens_grid", "lens_offsets", "nearest_chosen", "nearest_lens", "neighbour_rows", "opposite_neighbours",
-    "restrict_neighbours", "two_rings",
+    "lens_grid", "lens_offsets", "nearest_lens", "neighbour_rows", "opposite_neighbours", "two_rings",
 ]  # fmt: skip
 
 
@@ -117,26 +116,6 @@ def count_similar(mask: NDArray[np.bool_], sizes: NDArray, rows: NDArray[np.int3
 def dilate_mask(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
     """(n,) bool: `mask` and all lenses with a neighbour, by rows (n, k), in it."""
     return mask | (count_neighbours(mask, neighbours) > 0)
-
-
-def restrict_neighbours(rows: NDArray[np.int64], neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(m, k) neighbours of the lenses `rows` (m,), as positions in `rows`; -1 for lenses that are not in it."""
-    # The last place is that of no lens (-1).
-    place = np.full(len(neighbours) + 1, -1, np.int32)
-    place[rows] = np.arange(len(rows), dtype=np.int32)
-    return place[neighbours[rows]]
-
-
-def nearest_chosen(lattice: Lattice, chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """(n,) row of the lens nearest to each, in lattice steps, among the `chosen` (n,), of which there must be one."""
-    from scipy.ndimage import distance_transform_edt
-
-    grid, low = lens_grid(lattice)
-    away = np.ones(grid.shape, bool)
-    i, j = (lattice.indices() - low).T
-    away[j, i] = ~chosen
-    v, u = distance_transform_edt(away, return_distances=False, return_indices=True)[:, j, i]
-    return grid[v, u]
 
 
 def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:

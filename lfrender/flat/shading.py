@@ -20,15 +20,15 @@ from ..runtime.buffers import allocate_pooled
 from .gray_flat import GrayFlat
 from .lens_graph import count_neighbours, neighbour_rows
 from .microimages import extract_strips
-from .settings import SHADING, ShadingSettings
 
-__all__ = ["remove_shading"]
+__all__ = ["LARGEST_SHADING", "remove_shading"]
+
+#: [white] contrast of shading; a stronger common pattern is more likely the scene's.
+LARGEST_SHADING = 0.02
 
 
 @kernel(error_model="numpy", fastmath=FAST, share=lambda _, centres, *__: len(centres))
-def _subtract_shading(
-    begin, end, image, centres, wanted, near, weights, contrast, radius, largest, significance, strips, out
-):  # fmt: skip
+def _subtract_shading(begin, end, image, centres, wanted, near, weights, contrast, radius, strips, out):
     """Subtract the common pattern from the `wanted` lenses; `near` (n, k) are rows of the lenses that share theirs.
 
     `strips` are values (n size,) of square windows, their middle pixels (n, 2), which are complete, and half their
@@ -65,8 +65,10 @@ def _subtract_shading(
                     energy += square(shade[(y - top) * width + x - left])
                     count += 1
         energy = energy / (max(count, 1) * total * total) + np.float32(1e-9)
-        share = max(np.float32(0), 1 - significance * expected / (total * total * energy))
-        share *= largest * largest / (largest * largest + energy) / total
+        # An average must have twice the energy of one of unrelated pictures to be common.
+        share = max(np.float32(0), 1 - np.float32(2) * expected / (total * total * energy))
+        largest2 = np.float32(LARGEST_SHADING**2)
+        share *= largest2 / (largest2 + energy) / total
         for y in range(low_y, end_y):
             for x in range(low_x, end_x):
                 if square(x - cx) + square(y - cy) <= radius * radius:
@@ -89,7 +91,6 @@ def remove_shading(
     contrast: NDArray[np.float32],
     wanted: NDArray[np.bool_],
     others: GrayFlat | None = None,
-    settings: ShadingSettings = SHADING,
 ) -> GrayFlat:
     """`gray` without the pattern that the lenses around each lens, of its own type, have in common.
 
@@ -103,11 +104,11 @@ def remove_shading(
         Lenses to remove it from; the others keep it.
     others : GrayFlat, optional
         `gray` without the shading of other lenses; it is changed and returned.
-    settings : ShadingSettings
     """
     if others is not None and not wanted.any():
         return others
-    weights = (settings.smooth**2 / (settings.smooth**2 + contrast**2)).astype(np.float32)
+    # Lenses of less contrast than one per cent of white have equal weight.
+    weights = (0.01**2 / (0.01**2 + contrast**2)).astype(np.float32)
     near = neighbour_rows(lattice, _steps_to_same_type(lattice))
     # The lenses to be read; for every step there is the opposite one.
     strips = extract_strips(gray, means, 1, None if wanted.all() else count_neighbours(wanted, near) > 0)
@@ -119,6 +120,6 @@ def remove_shading(
         out = others.image
     _subtract_shading(
         gray.image, gray.centres, wanted, near, weights, contrast, np.float32(gray.radius),
-        np.float32(settings.largest_contrast), np.float32(settings.significance), table, out,
+        table, out,
     )  # fmt: skip
     return dataclasses.replace(gray, image=out)

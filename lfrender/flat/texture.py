@@ -6,7 +6,7 @@ that the fixed-pattern shading of microimages can have.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -19,13 +19,17 @@ from ..runtime.cache import cached
 from ..runtime.quantiles import quantile
 from .gray_flat import GrayFlat
 from .lens_graph import dilate_mask, neighbour_rows
-from .settings import TEXTURE, TextureSettings
 from .shading import remove_shading
 
 __all__ = [
-    "LensStatistics", "Texture", "classify_texture", "estimate_noise",
+    "FIXED_PATTERN", "LensStatistics", "Texture", "classify_texture", "estimate_noise",
     "find_noise_only", "find_texture", "measure_statistics", "sample_statistics",
 ]  # fmt: skip
+
+#: [brightness] contrast that fixed-pattern shading of a microimage may have.
+FIXED_PATTERN = 0.02
+# [noise] contrast from which on a lens may have texture; faint, until a match confirms it.
+_FAINT = 0.5
 
 
 @dataclass(frozen=True)
@@ -46,10 +50,6 @@ class LensStatistics:
     contrast: NDArray[np.float32]
     central_contrast: NDArray[np.float32]
     roughness: NDArray[np.float32]
-
-    def select(self, rows: NDArray[np.int64]) -> LensStatistics:
-        """Those of some lenses."""
-        return LensStatistics(self.mean[rows], self.contrast[rows], self.central_contrast[rows], self.roughness[rows])
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,6 @@ class Texture:
     noise: float
     clear: NDArray[np.bool_]
     faint: NDArray[np.bool_]
-
-    def select(self, rows: NDArray[np.int64]) -> Texture:
-        """That of some lenses."""
-        lens_type = None if self.flat.lens_type is None else self.flat.lens_type[rows]
-        flat = replace(self.flat, centres=self.flat.centres[rows], lens_type=lens_type)
-        return Texture(flat, self.statistics.select(rows), self.noise, self.clear[rows], self.faint[rows])
 
 
 @njit(error_model="numpy")
@@ -138,7 +132,6 @@ def measure_statistics(
     known: LensStatistics | None = None,
     wanted: NDArray[np.bool_] | None = None,
     row_step: int = 1,
-    settings: TextureSettings = TEXTURE,
 ) -> LensStatistics:
     """Brightness inside each microimage.
 
@@ -148,7 +141,7 @@ def measure_statistics(
     if known is not None:
         out[:] = known.mean, known.contrast, known.central_contrast, known.roughness
     wanted = np.ones(len(gray.centres), bool) if wanted is None else wanted
-    middle = np.float32(min(gray.radius, settings.middle * gray.pitch))
+    middle = np.float32(min(gray.radius, 0.36 * gray.pitch))
     _measure(gray.image, gray.centres, wanted, np.float32(gray.radius), middle, row_step, out)
     np.maximum(out[3], np.float32(gray.rounding), out=out[3])
     return LensStatistics(*out)
@@ -161,11 +154,11 @@ def sample_statistics(gray: GrayFlat) -> LensStatistics:
     return measure_statistics(gray, row_step=step if gray.radius >= 6 else 1)
 
 
-def find_noise_only(plain: LensStatistics, noise: float, settings: TextureSettings = TEXTURE) -> NDArray[np.bool_]:
+def find_noise_only(plain: LensStatistics, noise: float) -> NDArray[np.bool_]:
     """(n,) bool: lenses whose contrast their own noise explains."""
     # More contrast than the finest detail has, by the least that counts as faint texture.
-    beyond = plain.contrast**2 > (1 + settings.faint**2) * plain.roughness**2
-    return ~(_has_any(plain, noise, settings) & beyond) & ~_is_clear(plain, noise, settings)
+    beyond = plain.contrast**2 > (1 + _FAINT**2) * plain.roughness**2
+    return ~(_has_any(plain, noise) & beyond) & ~_is_clear(plain, noise)
 
 
 def find_texture(
@@ -175,7 +168,6 @@ def find_texture(
     blank: NDArray[np.bool_] | None = None,
     wanted: NDArray[np.bool_] | None = None,
     known_noise: float | None = None,
-    settings: TextureSettings = TEXTURE,
 ) -> Texture:
     """Remove the common shading of microimages and classify the texture that is left.
 
@@ -190,7 +182,6 @@ def find_texture(
     wanted : (n,) bool, optional
         Lenses whose shading is removed; all by default.
     known_noise : float, optional
-    settings : TextureSettings
     """
     wanted = np.ones(len(plain.mean), bool) if wanted is None else wanted
     first = wanted if blank is None else wanted & ~blank
@@ -198,23 +189,21 @@ def find_texture(
     found = measure_statistics(flattened, known=plain, wanted=first)
     if blank is not None:
         # Lenses with texture are matched with those beside them.
-        some = _has_any(found, estimate_noise(found.roughness) if known_noise is None else known_noise, settings)
+        some = _has_any(found, estimate_noise(found.roughness) if known_noise is None else known_noise)
         beside = wanted & ~first & dilate_mask(some & first, neighbour_rows(lattice, lattice.steps))
         flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, beside, flattened)
         found = measure_statistics(flattened, found, beside)
     noise = estimate_noise(found.roughness) if known_noise is None else known_noise
-    clear = _is_clear(found, noise, settings)
-    faint = _has_any(found, noise, settings) & ~clear
+    clear = _is_clear(found, noise)
+    faint = _has_any(found, noise) & ~clear
     return Texture(flattened, found, noise, clear, faint if blank is None else faint & ~blank)
 
 
-def classify_texture(
-    gray: GrayFlat, plain: LensStatistics, noise: float | None = None, settings: TextureSettings = TEXTURE
-) -> Texture:
+def classify_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None = None) -> Texture:
     """Classify texture with the common shading left in: faster, and correct if there is much texture."""
     noise = estimate_noise(plain.roughness) if noise is None else noise
-    clear = _is_clear(plain, noise, settings)
-    return Texture(gray, plain, noise, clear, _has_any(plain, noise, settings) & ~clear)
+    clear = _is_clear(plain, noise)
+    return Texture(gray, plain, noise, clear, _has_any(plain, noise) & ~clear)
 
 
 def estimate_noise(roughness: NDArray[np.float32]) -> float:
@@ -223,19 +212,11 @@ def estimate_noise(roughness: NDArray[np.float32]) -> float:
     return cached(roughness, "noise", lambda: max(quantile(roughness, 0.02), 1 / 255))
 
 
-def _least_central(found: LensStatistics, noise: float, settings: TextureSettings) -> NDArray[np.float32]:
-    """(n,) contrast of the middle from which on a lens may have texture."""
-    return np.maximum(settings.least_contrast * found.mean, np.float32(settings.faint * noise))
+def _has_any(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
+    # One per cent of the brightness at least: less is lost in the rounding of 8 bits.
+    return found.central_contrast > np.maximum(0.01 * found.mean, np.float32(_FAINT * noise))
 
 
-def _least_clear(found: LensStatistics, noise: float, settings: TextureSettings) -> NDArray:
-    """(n,) contrast from which on texture is clear."""
-    return np.hypot(settings.clear * noise, settings.fixed_pattern * found.mean)
-
-
-def _has_any(found: LensStatistics, noise: float, settings: TextureSettings) -> NDArray[np.bool_]:
-    return found.central_contrast > _least_central(found, noise, settings)
-
-
-def _is_clear(found: LensStatistics, noise: float, settings: TextureSettings) -> NDArray[np.bool_]:
-    return _has_any(found, noise, settings) & (found.contrast > _least_clear(found, noise, settings))
+def _is_clear(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
+    # Above two and a half times the noise.
+    return _has_any(found, noise) & (found.contrast > np.hypot(2.5 * noise, FIXED_PATTERN * found.mean))

@@ -13,8 +13,7 @@ from lfcal.runtime.kernels import FAST, kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import Strips
-from ...flat.settings import TEXTURE
-from ...flat.texture import LensStatistics
+from ...flat.texture import FIXED_PATTERN, LensStatistics
 from .cost_volume import overlap_masks, pair_terms, shading_decay
 from .pair_moments import PairTerms, StripTable, match_cost, shared_pixels, strip_table
 from .settings import COST
@@ -119,7 +118,7 @@ def match_locally(
     expected = expected.astype(np.float32)
     masks = overlap_masks(strips, gray, forward, np.zeros(1, np.float32), expected)
     pairs = np.empty((*forward.shape, 3), np.float32)
-    terms = pair_terms(gray, statistics.mean, statistics.contrast, noise, TEXTURE.fixed_pattern)
+    terms = pair_terms(gray, statistics.mean, statistics.contrast, noise, FIXED_PATTERN)
     doubts = terms.doubts * shading_decay(expected / terms.pitch)
     _local_costs(terms._replace(doubts=doubts), forward, active, expected, strip_table(strips, masks, gray), pairs)
     cost, gradient, curvature = average_pair_costs(pairs, forward, backward).T

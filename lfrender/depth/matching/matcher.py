@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from ...flat.gray_flat import GrayFlat, downsample
 from ...flat.lens_graph import dilate_mask, join_opposite
 from ...flat.microimages import OverlapMasks, Strips, extract_strips
-from ...flat.settings import TEXTURE
-from ...flat.texture import LensStatistics, Texture, measure_statistics
+from ...flat.texture import FIXED_PATTERN, LensStatistics, Texture, measure_statistics
 from ...runtime.cache import cached
 from ..presets import Preset
 from .ambiguity import measure_ambiguity, overlap_weights
@@ -133,7 +132,7 @@ class Matcher:
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `compute_pair_costs`."""
         return compute_pair_costs(
             self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active, self.shifts, self._noise,
-            TEXTURE.fixed_pattern, self._row_step, which, done, out, self._strips(active), self._masks,
+            FIXED_PATTERN, self._row_step, which, done, out, self._strips(active), self._masks,
         )  # fmt: skip
 
     def lens_costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flat.lens_graph import count_similar
-from ...flat.settings import SHADING
+from ...flat.shading import LARGEST_SHADING
 from ..matching.matcher import MatchResult
 from ..same_surface import TOLERANCE, same_surface
 from .periodicity import sees_little_of_scene
@@ -213,7 +213,7 @@ def looks_like_shading(
     removes it. A depth near zero that occurs among the other lenses is the scene's.
     """
     size = found.patch_size
-    little = clear & (contrast <= SHADING.largest_contrast) & (np.abs(size) < settings.shading_reach * pitch)
+    little = clear & (contrast <= LARGEST_SHADING) & (np.abs(size) < settings.shading_reach * pitch)
     return np.asarray(little & ~_occurs(size, size[clear & ~little], pitch, settings))
 
 

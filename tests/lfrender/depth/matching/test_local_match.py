@@ -9,8 +9,7 @@ from lfrender.depth.matching.settings import COST
 from lfrender.depth.matching.sgm import average_pair_costs
 from lfrender.flat.lens_graph import opposite_neighbours
 from lfrender.flat.microimages import extract_strips
-from lfrender.flat.settings import TEXTURE
-from lfrender.flat.texture import measure_statistics
+from lfrender.flat.texture import FIXED_PATTERN, measure_statistics
 
 NOISE = 0.004
 
@@ -63,6 +62,6 @@ def test_the_cost_equals_that_of_the_search(drawn_flat, patch_size):
     statistics, halves = measure_statistics(gray), opposite_neighbours(lattice)
     pairs = compute_pair_costs(
         gray, halves[0], statistics.mean, statistics.contrast, np.ones(len(lattice), bool),
-        np.array([patch_size], np.float32), NOISE, TEXTURE.fixed_pattern, 2,
+        np.array([patch_size], np.float32), NOISE, FIXED_PATTERN, 2,
     )  # fmt: skip
     np.testing.assert_allclose(cost, average_pair_costs(pairs, *halves)[:, 0], atol=2e-4)
