@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +34,16 @@ _SCHEMA = "lfcal-camera"
 _VERSION = 2
 # In files of this version the lenses of a gain map are in rows of `j`, whatever the lattice.
 _ROW_ORDER_VERSION = 1
-_Part = TypeVar("_Part")
+# Fields that are records, and what makes one of its form in a file.
+_PARTS: dict[str, Callable[[Any], Any]] = {
+    "lens_types": LensTypes.from_dict,
+    "gain_map": GainMap.from_dict,
+    "defects": Defects.from_dict,
+    "errors": LatticeErrors.from_dict,
+    "residuals": Residuals.from_dict,
+    "optics": Optics.from_dict,
+    "lens_blur": LensBlur.from_dict,
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,20 +154,22 @@ class Calibration(Frozen):
 
     def to_dict(self) -> dict[str, Any]:
         """The camera as plain numbers and strings, as written by `save`."""
-        distortion = self.lattice.distortion
-        vignetting = self.vignetting and {"step": self.vignetting.step, "profile": self.vignetting.profile.tolist()}
+        lattice, vignetting = self.lattice, self.vignetting
+        known: dict[str, Any] = {
+            "origin": lattice.origin.tolist(),
+            "basis": lattice.basis.tolist(),
+            "radius": lattice.radius,
+            "pitch": lattice.pitch,
+        }
+        if lattice.distortion is not None:
+            known["distortion"] = lattice.distortion.to_dict()
+        parts = {name: getattr(self, name) for name in _PARTS}
         return {
             "schema": _SCHEMA,
             "version": _VERSION,
             "image_size": list(self.image_size),
-            "lattice": {
-                "origin": self.lattice.origin.tolist(),
-                "basis": self.lattice.basis.tolist(),
-                "radius": self.lattice.radius,
-                "pitch": self.lattice.pitch,
-            }
-            | ({} if distortion is None else {"distortion": distortion.to_dict()}),
-            "vignetting": vignetting,
+            "lattice": known,
+            "vignetting": vignetting and {"step": vignetting.step, "profile": vignetting.profile.tolist()},
             "source": self.source,
             "fit": {
                 "residual_rms": None if np.isnan(self.residual_rms) else self.residual_rms,
@@ -166,18 +178,11 @@ class Calibration(Frozen):
                 "circle_agreement": None if np.isnan(self.circle_agreement) else self.circle_agreement,
             },
             "warnings": list(self.warnings),
-            "lens_types": self.lens_types and self.lens_types.to_dict(),
             "mosaic": self.mosaic,
             "mosaic_guessed": self.mosaic_guessed,
-            "gain_map": self.gain_map and self.gain_map.to_dict(),
-            "defects": self.defects.to_dict(),
-            "errors": self.errors and self.errors.to_dict(),
-            "residuals": self.residuals and self.residuals.to_dict(),
             "white_level": self.white_level,
-            "optics": self.optics and self.optics.to_dict(),
-            "lens_blur": self.lens_blur and self.lens_blur.to_dict(),
             "encoded": self.encoded,
-        }
+        } | {name: part and part.to_dict() for name, part in parts.items()}
 
     @classmethod
     def from_dict(cls, data: Any) -> Calibration:
@@ -195,36 +200,37 @@ class Calibration(Frozen):
 
         check_fields(data)
         known, fit = data["lattice"], data["fit"]
-        bend = _unpack(known, "distortion", Distortion.from_dict)
-        try:
+        with _field_errors("lattice.distortion"):
+            bend = Distortion.from_dict(known["distortion"]) if known.get("distortion") else None
+        with _field_errors("lattice"):
             lattice = Lattice(known["origin"], known["basis"], tuple(data["image_size"]), known["radius"], bend)
-        except ValueError as error:
-            raise CameraFileError(f"field lattice: {error}; calibrate again") from error
-        check_together(data, lattice)
-        gain = _unpack(data, "gain_map", GainMap.from_dict)
+        parts: dict[str, Any] = {}
+        # Files of earlier versions have not all of these.
+        for name in (name for name in _PARTS if data.get(name)):
+            with _field_errors(name):
+                parts[name] = _PARTS[name](data[name])
+        with _field_errors("vignetting"):
+            light = data["vignetting"] and Vignetting(data["vignetting"]["profile"], data["vignetting"]["step"])
+        if "gain_map" in parts and version == _ROW_ORDER_VERSION:
+            parts["gain_map"] = _in_centre_order(parts["gain_map"], lattice)
         residual, white_level, circles = fit["residual_rms"], data.get("white_level"), fit.get("circle_agreement")
-        return cls(
+        camera = cls(
             lattice=lattice,
-            vignetting=_unpack(data, "vignetting", lambda part: Vignetting(part["profile"], part["step"])),
+            vignetting=light,
             source=data["source"],
             residual_rms=float("nan") if residual is None else float(residual),
             lenses_used=fit["lenses_used"],
             confidence=float(fit["confidence"]),
             warnings=tuple(data["warnings"]),
-            # Files of earlier versions have none of these.
-            lens_types=_unpack(data, "lens_types", LensTypes.from_dict),
             mosaic=data.get("mosaic"),
-            gain_map=_in_centre_order(gain, lattice) if gain and version == _ROW_ORDER_VERSION else gain,
-            defects=_unpack(data, "defects", Defects.from_dict) or Defects(),
-            errors=_unpack(data, "errors", LatticeErrors.from_dict),
-            residuals=_unpack(data, "residuals", Residuals.from_dict),
             white_level=None if white_level is None else float(white_level),
-            optics=_unpack(data, "optics", Optics.from_dict),
             circle_agreement=float("nan") if circles is None else float(circles),
-            lens_blur=_unpack(data, "lens_blur", LensBlur.from_dict),
             encoded=data.get("encoded"),
             mosaic_guessed=data.get("mosaic_guessed", False),
+            **parts,
         )
+        check_together(camera, known.get("pitch"))
+        return camera
 
     def gain(self) -> NDArray[np.float32]:
         """Relative illumination of every pixel, 1 at the brightest place of the field.
@@ -310,14 +316,14 @@ class Calibration(Frozen):
         return json.dumps(self.to_dict(), indent=2) + "\n"
 
 
-def _unpack(data: dict[str, Any], name: str, build: Callable[[Any], _Part]) -> _Part | None:
-    """What `build` makes of a field, None where that is empty or missing; CameraFileError with its name."""
-    part = data.get(name)
+@contextmanager
+def _field_errors(name: str) -> Iterator[None]:
+    """Turn what is wrong in a field into a CameraFileError with its name."""
     try:
-        return build(part) if part else None
+        yield
     except KeyError as error:
         raise CameraFileError(f"field {name}: {error} is missing; calibrate again") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise CameraFileError(f"field {name}: {error}; calibrate again") from error
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -49,28 +49,20 @@ class LensBlur(Frozen):
     def __post_init__(self) -> None:
         if not 0 < self.aperture < np.inf or not 0 <= self.aperture_error < np.inf:
             raise ValueError(f"aperture of the microlenses must be positive, got {self.aperture!r}")
-        arrays = {}
-        types, depths = np.shape(self.focus), np.shape(self.ratios)
-        wanted = {"focus": types, "focus_error": types, "ratios": depths}
-        for name, shape in (wanted | dict.fromkeys(("discs", "disc_errors"), (*types, *depths))).items():
+        self._set(aperture=float(self.aperture), aperture_error=float(self.aperture_error))
+        (types,), (depths,) = np.shape(self.focus), np.shape(self.ratios)
+        shapes = {"focus": (types,), "focus_error": (types,), "ratios": (depths,)}
+        for name, shape in (shapes | dict.fromkeys(("discs", "disc_errors"), (types, depths))).items():
             values = np.array(getattr(self, name), np.float64)
-            if values.shape != shape or len(types) != 1 or len(depths) != 1 or not np.isfinite(values).all():
-                raise ValueError(f"{name} of the blur must be {shape} finite numbers, got {getattr(self, name)!r}")
-            arrays[name] = values
-        if (arrays["disc_errors"] <= 0).any():
-            raise ValueError("disc_errors of the blur must be positive")
-        self._set(aperture=float(self.aperture), aperture_error=float(self.aperture_error), **arrays)
+            if values.shape != shape or not np.isfinite(values).all() or (name == "disc_errors" and values.min() <= 0):
+                raise ValueError(f"{name} of the blur must be {shape} finite numbers, errors positive, got {values}")
+            self._set(**{name: values})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as in a camera file."""
-        names = "focus", "focus_error", "ratios", "discs", "disc_errors"
-        lists = {name: getattr(self, name).tolist() for name in names}
-        return {"aperture": self.aperture, "aperture_error": self.aperture_error, **lists}
+        return {field.name: np.asarray(getattr(self, field.name)).tolist() for field in fields(self)}
 
     @classmethod
     def from_dict(cls, data: Any) -> LensBlur:
         """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
-        return cls(
-            float(data["aperture"]), float(data["aperture_error"]), data["focus"], data["focus_error"],
-            data["ratios"], data["discs"], data["disc_errors"],
-        )  # fmt: skip
+        return cls(**{field.name: data[field.name] for field in fields(cls)})

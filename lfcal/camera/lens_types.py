@@ -51,14 +51,15 @@ class LensTypes(Frozen):
             raise ValueError(f"cell of lens types must be (m, m) with m from 1 to {_LARGEST_CELL}, got {given.shape}")
         if given.dtype.kind not in "iu" or not np.array_equal(np.unique(given), np.arange(given.max() + 1)):
             raise ValueError(f"lens types must be numbered 0, 1, 2 ... without gaps, got {given.tolist()}")
-        cell = given.astype(np.int8)
-        count = int(cell.max()) + 1
+        count = int(given.max()) + 1
         focus = np.full(count, np.nan) if self.focus is None else np.array(self.focus, dtype=np.float64)
         if focus.shape != (count,) or np.isinf(focus).any():
             raise ValueError(f"focus must be one number or NaN for each of {count} types, got {self.focus!r}")
         if not 0 <= self.confidence <= 1:
             raise ValueError(f"confidence of lens types must be from 0 to 1, got {self.confidence!r}")
-        self._set(cell=cell, focus=focus, ordered=bool(self.ordered), confidence=float(self.confidence))
+        self._set(
+            cell=given.astype(np.int8), focus=focus, ordered=bool(self.ordered), confidence=float(self.confidence)
+        )
 
     @property
     def count(self) -> int:

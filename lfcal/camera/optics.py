@@ -21,23 +21,12 @@ Array = NDArray[np.float64]
 
 #: Order of the rows of `Optics.covariance`.
 OPTICS_PARAMETERS = (
-    "focal_length",
-    "mla_distance",
-    "sensor_distance",
-    "principal_x",
-    "principal_y",
-    "k1",
-    "k2",
-    "k3",
-    "p1",
-    "p2",
-    "tilt_x",
-    "tilt_y",
-    "curvature",
-    "pupil",
-)
+    "focal_length", "mla_distance", "sensor_distance", "principal_x", "principal_y", "k1", "k2", "k3", "p1", "p2",
+    "tilt_x", "tilt_y", "curvature", "pupil",
+)  # fmt: skip
 _LENGTHS = ("focal_length", "mla_distance", "sensor_distance", "pixel")
-_VECTORS = {"principal_point": 2, "radial": 3, "tangential": 2, "tilt": 2}
+# Fields that are tuples, and their lengths.
+_VECTORS = {"principal_point": 2, "radial": 3, "tangential": 2, "tilt": 2, "microlens_focal_lengths": None}
 # Step of the differences that errors are propagated with, in standard errors of a parameter.
 _STEP = 0.1
 
@@ -117,20 +106,15 @@ class Optics:
 
     def __post_init__(self) -> None:
         for name in _LENGTHS:
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < np.inf:
+            (value,) = _numbers(name, (getattr(self, name),), 1)
+            if value <= 0:
                 raise ValueError(f"{name} must be a positive number of mm, got {value!r}")
-            object.__setattr__(self, name, float(value))
+            object.__setattr__(self, name, value)
         for name, length in _VECTORS.items():
-            value = getattr(self, name)
-            if value is None and name == "principal_point":
-                continue
-            object.__setattr__(self, name, _numbers(name, value, length))
-        curvature, pupil = _numbers("curvature and pupil", (self.curvature, self.pupil), 2)
-        object.__setattr__(self, "curvature", curvature)
-        object.__setattr__(self, "pupil", pupil)
-        focal = self.microlens_focal_lengths
-        object.__setattr__(self, "microlens_focal_lengths", _numbers("microlens_focal_lengths", focal, len(focal)))
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _numbers(name, getattr(self, name), length))
+        for name in ("curvature", "pupil"):
+            object.__setattr__(self, name, _numbers(name, (getattr(self, name),), 1)[0])
         if self.covariance is not None:
             covariance = np.array(self.covariance, dtype=np.float64)
             if covariance.shape != (len(OPTICS_PARAMETERS),) * 2 or not np.isfinite(covariance).all():
@@ -154,17 +138,14 @@ class Optics:
 
     def with_parameters(self, values: ArrayLike) -> Optics:
         """The same optics with other values (14,) of `OPTICS_PARAMETERS`."""
-        v = [float(value) for value in np.asarray(values, dtype=np.float64)]
-        principal = None if np.isnan(v[3]) else (v[3], v[4])
+        v = np.asarray(values, dtype=np.float64).tolist()
         return replace(
             self,
-            focal_length=v[0],
-            mla_distance=v[1],
-            sensor_distance=v[2],
-            principal_point=principal,
-            radial=(v[5], v[6], v[7]),
-            tangential=(v[8], v[9]),
-            tilt=(v[10], v[11]),
+            **dict(zip(_LENGTHS[:3], v[:3], strict=True)),
+            principal_point=None if np.isnan(v[3]) else tuple(v[3:5]),
+            radial=tuple(v[5:8]),
+            tangential=tuple(v[8:10]),
+            tilt=tuple(v[10:12]),
             curvature=v[12],
             pupil=v[13],
         )
@@ -217,16 +198,14 @@ class Optics:
             variance = (by_ratio * error) ** 2
         if self.covariance is not None:
             # Along the principal axes of the covariance, so that F, L and b move together as they are known.
-            values, axes = np.linalg.eigh(_unit(self.covariance))
-            scale = np.sqrt(np.maximum(np.diag(self.covariance), 0))
-            for value, axis in zip(values, axes.T, strict=True):
-                if value > values[-1] * 1e-15:
-                    move = _STEP * np.sqrt(value) * axis * scale
-                    ends = [
-                        self.with_parameters(self.parameters + sign * move).distance(ratio, points) for sign in (1, -1)
-                    ]
-                    with np.errstate(invalid="ignore"):
-                        variance = variance + ((ends[0] - ends[1]) / (2 * _STEP)) ** 2
+            scale = self.standard_errors
+            inverse = np.divide(1, scale, out=np.zeros_like(scale), where=scale > 0)
+            values, axes = np.linalg.eigh(self.covariance * np.outer(inverse, inverse))
+            known = values > values[-1] * 1e-15
+            for move in (_STEP * np.sqrt(values[known]) * axes[:, known]).T * scale:
+                near, far = (self.with_parameters(self.parameters + m).distance(ratio, points) for m in (move, -move))
+                with np.errstate(invalid="ignore"):
+                    variance = variance + ((near - far) / (2 * _STEP)) ** 2
         return np.sqrt(variance)  # type: ignore[no-any-return]
 
     def _behind(self, where: Array, ratio: Array) -> tuple[Array, Array]:
@@ -249,31 +228,21 @@ class Optics:
 
     def to_dict(self) -> dict[str, Any]:
         """The optics as plain numbers, as written by `save`."""
-        data: dict[str, Any] = {f"{name}_mm": getattr(self, name) for name in _LENGTHS}
-        data["principal_point"] = None if self.principal_point is None else list(self.principal_point)
-        for name in ("radial", "tangential", "tilt"):
-            data[name] = list(getattr(self, name))
-        return data | {
-            "curvature": self.curvature,
-            "pupil_mm": self.pupil,
-            "microlens_focal_lengths_mm": list(self.microlens_focal_lengths),
-            "covariance": None if self.covariance is None else self.covariance.tolist(),
-        }
+        data = {f"{name}_mm": getattr(self, name) for name in _LENGTHS}
+        data |= {name: getattr(self, name) for name in ("principal_point", "radial", "tangential", "tilt", "curvature")}
+        data |= {f"{name}_mm": getattr(self, name) for name in ("pupil", "microlens_focal_lengths")}
+        data["covariance"] = self.covariance
+        # Tuples and arrays as lists.
+        return {name: value if value is None else np.asarray(value).tolist() for name, value in data.items()}
 
     @classmethod
     def from_dict(cls, data: Any) -> Optics:
         """Rebuild from `to_dict`; the four distances are enough. KeyError or ValueError if a number is not right."""
         if not isinstance(data, dict):
             raise ValueError(f"optics must be an object with {', '.join(f'{name}_mm' for name in _LENGTHS)}")
-        known: dict[str, Any] = {
-            f.name: data[f.name] for f in fields(cls) if data.get(f.name) is not None and f.name not in _LENGTHS
-        }
-        known["pupil"] = data.get("pupil_mm", 0.0)
-        known["microlens_focal_lengths"] = tuple(data.get("microlens_focal_lengths_mm") or ())
-        return cls(
-            *(data[f"{name}_mm"] for name in _LENGTHS),
-            **known,
-        )
+        known = {field.name: data.get(f"{field.name}_mm", data.get(field.name)) for field in fields(cls)}
+        lengths = {name: data[f"{name}_mm"] for name in _LENGTHS}
+        return cls(**({name: value for name, value in known.items() if value is not None} | lengths))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, as `load` reads it."""
@@ -303,18 +272,12 @@ class Optics:
             raise CameraFileError(f"{path}: {error}; {remedy}") from error
 
 
-def _numbers(name: str, values: Any, length: int) -> tuple[float, ...]:
+def _numbers(name: str, values: Any, length: int | None) -> tuple[float, ...]:
+    """Finite numbers as a tuple, of some length or any."""
     try:
-        found = tuple(float(v) for v in values)
+        found = tuple(float(v) for v in values if not isinstance(v, (bool, str)))
     except TypeError:
         found = ()
-    if len(found) != length or not np.isfinite(found).all():
-        raise ValueError(f"{name} must be {length} finite numbers, got {values!r}")
+    if not np.isfinite(found).all() or len(found) != (len(values) if length is None else length):
+        raise ValueError(f"{name} must be {length or 'a list of'} finite numbers, got {values!r}")
     return found
-
-
-def _unit(covariance: Array) -> Array:
-    """The correlation matrix, 0 for what has no variance."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
-    inverse = np.divide(1, scale, out=np.zeros_like(scale), where=scale > 0)
-    return covariance * np.outer(inverse, inverse)  # type: ignore[no-any-return]

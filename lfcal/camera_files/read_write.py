@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +22,14 @@ from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
 from ..runtime.image_formats import IMAGE_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
-from .centre_table import CENTRE_TOLERANCE, HEADER, format_centre_table, parse_centre_table
-from .key_value import format_key_value, parse_key_value
+from .text_files import (
+    CENTRE_TOLERANCE,
+    HEADER,
+    format_centre_table,
+    format_key_value,
+    parse_centre_table,
+    parse_key_value,
+)  # fmt: skip
 from .xml_files import format_xml, parse_xml
 
 __all__ = ["FORMATS", "CameraFormat", "convert", "load"]
@@ -42,15 +49,6 @@ def _parse_json(text: str, image_size: tuple[int, int] | None) -> Calibration:
     return camera
 
 
-def _starts_with_pair(line: str) -> bool:
-    key, colon, value = line.partition(":")
-    try:
-        float(value)
-    except ValueError:
-        return False
-    return bool(colon) and key.strip().isidentifier()
-
-
 @dataclass(frozen=True)
 class CameraFormat:
     """One camera file format."""
@@ -65,12 +63,11 @@ class CameraFormat:
 FORMATS = {
     ".json": CameraFormat(_parse_json, Calibration.to_json, lambda line: line.startswith("{"), is_exact=True),
     ".xml": CameraFormat(parse_xml, format_xml, lambda line: line.startswith("<")),
-    ".cfg": CameraFormat(parse_key_value, format_key_value, _starts_with_pair),
+    ".cfg": CameraFormat(
+        parse_key_value, format_key_value, lambda line: re.match(r"\w+\s*:\s*[-+.\d]", line) is not None
+    ),
     ".csv": CameraFormat(
-        parse_centre_table,
-        lambda camera: format_centre_table(camera.lattice),
-        lambda line: line.replace(" ", "") == HEADER,
-        is_exact=True,
+        parse_centre_table, format_centre_table, lambda line: line.replace(" ", "") == HEADER, is_exact=True
     ),
 }
 

@@ -5,6 +5,7 @@ In them y points up and angles turn counter-clockwise on the screen.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -16,7 +17,7 @@ from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
-from .published_lattice import calibration_from_corners, published_calibration, require_positive
+from .published import PublishedNumbers, calibration_from_corners, published_calibration, require_size
 
 __all__ = ["format_xml", "parse_xml"]
 
@@ -32,46 +33,28 @@ def parse_xml(text: str, image_size: tuple[int, int] | None) -> Calibration:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise CameraFileError(f"not valid XML ({error})") from error
-    if image_size is None:
-        raise CameraFileError("has no image size; give image_size as (width, height)")
+    size, numbers = require_size(image_size), PublishedNumbers(dict(_texts(root)))
     if root.tag == "RayCalibData":
-        return _parse_raytrix(root, image_size)
+        types = [PublishedNumbers(dict(_texts(element))) for element in root.findall("lens_type")]
+        return _parse_raytrix(numbers, types, size)
     if root.tag == "TSPCCalibData":
-        corners = [_read_point(root, f"centers/{name}") for name in ("ltop", "rtop", "lbot", "rbot")]
-        upright = abs(np.sin(_read_number(root, "rotation"))) > np.sqrt(0.5)
-        return calibration_from_corners(corners, _read_length(root, "diameter"), upright, image_size)
+        corners = [numbers.point(f"centers/{k}/x", f"centers/{k}/y") for k in ("ltop", "rtop", "lbot", "rbot")]
+        upright = abs(np.sin(numbers.number("rotation"))) > np.sqrt(0.5)
+        return calibration_from_corners(corners, numbers.positive("diameter"), upright, size)
     raise CameraFileError(f"<{root.tag}> is no known camera file; known are RayCalibData and TSPCCalibData")
 
 
-def _read_number(root: Any, name: str) -> float:
-    """The finite number in the child `name` of an element."""
-    text = root.findtext(name)
-    if text is None:
-        raise CameraFileError(f"<{name}> is missing")
-    try:
-        value = float(text)
-    except ValueError:
-        raise CameraFileError(f"<{name}> is {text.strip()!r}, not a number") from None
-    if not np.isfinite(value):
-        raise CameraFileError(f"<{name}> is not finite")
-    return value
+def _texts(element: Any, place: str = "") -> Iterator[tuple[str, str]]:
+    """Path and text of all elements inside one."""
+    for child in element:
+        yield place + child.tag, child.text or ""
+        yield from _texts(child, f"{place}{child.tag}/")
 
 
-def _read_length(root: Any, name: str) -> float:
-    """The positive number in the child `name` of an element."""
-    return require_positive(_read_number(root, name), name)
-
-
-def _read_point(root: Any, name: str) -> NDArray[np.float64]:
-    """(2,) the numbers in the children `x` and `y` of the child `name` of an element."""
-    return np.array([_read_number(root, f"{name}/x"), _read_number(root, f"{name}/y")])
-
-
-def _parse_raytrix(root: Any, image_size: tuple[int, int]) -> Calibration:
-    """The camera in a `RayCalibData` element."""
-    pitch = _read_length(root, "diameter")
-    rotation = _read_number(root, "rotation")
-    base = np.array([_read_point(root, "lens_base_x"), _read_point(root, "lens_base_y")])
+def _parse_raytrix(numbers: PublishedNumbers, types: list[PublishedNumbers], size: tuple[int, int]) -> Calibration:
+    """The camera in the numbers of a `RayCalibData` element and of the `lens_type` elements in it."""
+    pitch, rotation = numbers.positive("diameter"), numbers.number("rotation")
+    base = np.array([numbers.point(f"{name}/x", f"{name}/y") for name in ("lens_base_x", "lens_base_y")])
     if abs(np.linalg.det(base)) < 1e-3:
         raise CameraFileError("lens_base_x and lens_base_y do not span a lattice")
     warnings = []
@@ -80,31 +63,28 @@ def _parse_raytrix(root: Any, image_size: tuple[int, int]) -> Calibration:
         # The basis already contains the rotation.
         if _angle_between(rotation, 0.0) > _SAME_ANGLE:
             warnings.append("the rotation is given twice, in lens_base and in rotation; it was applied once")
-        turn = 0.0
-    else:
-        turn = rotation
-        if _angle_between(turned, 0.0) > _SAME_ANGLE:
-            warnings.append("lens_base and rotation name two different angles; both were applied, check on a flat")
-    cos, sin = np.cos(turn), np.sin(turn)
-    up = base @ np.array([[cos, sin], [-sin, cos]]) * pitch
-    offset = _read_point(root, "offset")
-    origin = (np.array(image_size) - 1) / 2 + offset * [1, -1]
-    border = root.find("lens_border")
-    radius = pitch / 2 - (_read_number(root, "lens_border") if border is not None else 0.0)
-    parameters = root.findtext("distortion/parameter") or ""
+        rotation = 0.0
+    elif _angle_between(turned, 0.0) > _SAME_ANGLE:
+        warnings.append("lens_base and rotation name two different angles; both were applied, check on a flat")
+    cos, sin = np.cos(rotation), np.sin(rotation)
+    to_pixels = np.array([[cos, sin], [-sin, cos]]) * pitch * [1, -1]
+    origin = (np.array(size) - 1) / 2 + numbers.point("offset/x", "offset/y") * [1, -1]
+    radius = pitch / 2 - (numbers.number("lens_border") if "lens_border" in numbers else 0.0)
+    if radius <= 0:
+        raise CameraFileError(f"radius must be positive, got {radius}")
+    parameters = numbers.texts.get("distortion/parameter", "")
     if any(abs(float(v)) > 0 for v in parameters.replace(",", ";").split(";") if v.strip()):
         warnings.append("the file names a lens distortion, which is left out; calibrate on a flat for better")
-    camera = published_calibration(origin, up * [1, -1], image_size, require_positive(radius, "radius"), warnings)
-    offsets = [_read_point(element, "offset") for element in root.findall("lens_type")]
-    if len(offsets) < 2:
+    camera = published_calibration(origin, base @ to_pixels, size, radius, warnings)
+    if len(types) < 2:
         return camera
-    types = _types_at(np.array(offsets) @ np.array([[cos, sin], [-sin, cos]]) * [pitch, -pitch], camera.lattice)
+    found = _types_at(np.array([one.point("offset/x", "offset/y") for one in types]) @ to_pixels, camera.lattice)
     warning = (
         "the lens types of the file do not lie on its lattice and are left out; calibrate on a flat"
-        if types is None
+        if found is None
         else "the order of the lens types in such files is often wrong and was not taken over; calibrate on a flat"
     )
-    return replace(camera, lens_types=types, warnings=(*camera.warnings, warning))
+    return replace(camera, lens_types=found, warnings=(*camera.warnings, warning))
 
 
 def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | None:
@@ -129,9 +109,7 @@ def _type_numbers(index: NDArray[np.int64], lattice: Lattice) -> NDArray[np.int6
 
 def _angle_between(a: float, b: float) -> float:
     """Smallest difference of two angles [rad], which repeat every 60 degrees in a hexagonal lattice."""
-    period = np.pi / 3
-    difference = (a - b) % period
-    return min(difference, period - difference)
+    return float(abs((a - b + np.pi / 6) % (np.pi / 3) - np.pi / 6))
 
 
 def format_xml(calibration: Calibration) -> str:

@@ -51,7 +51,6 @@ def data():
         ("white_level", 0),
         ("gain_map.step", -1.0),
         ("gain_map.profile", "no block"),
-        ("gain_map.level", ["1"]),
         ("vignetting", {"step": 1.0, "profile": []}),
         ("vignetting", {"step": 1.0, "profile": [1.0, float("inf")]}),
         ("errors", {"names": ["origin"], "covariance": "none"}),

@@ -1,6 +1,8 @@
-"""The calibration that a published file describes: the lattice as it stands there, with warnings."""
+"""What the published files share: numbers by their names, and the lattice as it stands there, with warnings."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,14 +11,47 @@ from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CameraFileError
 
-__all__ = ["calibration_from_corners", "published_calibration", "require_positive"]
+__all__ = ["PublishedNumbers", "calibration_from_corners", "published_calibration", "require_size"]
 
 
-def require_positive(value: float, name: str) -> float:
-    """The value, or a CameraFileError where it is not positive."""
-    if value <= 0:
-        raise CameraFileError(f"{name} must be positive, got {value}")
-    return value
+@dataclass(frozen=True)
+class PublishedNumbers:
+    """The texts of a file by their names, read as finite numbers; CameraFileError with the name where one is none."""
+
+    texts: dict[str, str]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.texts
+
+    def number(self, name: str) -> float:
+        """A finite number."""
+        if name not in self.texts:
+            raise CameraFileError(f"'{name}' is missing")
+        try:
+            value = float(self.texts[name])
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise CameraFileError(f"'{name}' is {self.texts[name].strip()!r}, not a number")
+        return value
+
+    def positive(self, name: str) -> float:
+        """A positive number."""
+        value = self.number(name)
+        if value <= 0:
+            raise CameraFileError(f"{name} must be positive, got {value}")
+        return value
+
+    def point(self, x: str, y: str) -> NDArray[np.float64]:
+        """(2,) two numbers."""
+        return np.array([self.number(x), self.number(y)])
+
+
+def require_size(image_size: tuple[int, int] | None) -> tuple[int, int]:
+    """The size that was given for a file without one; CameraFileError where none was."""
+    if image_size is None:
+        raise CameraFileError("has no image size; give image_size as (width, height)")
+    return image_size
 
 
 def published_calibration(
@@ -49,8 +84,7 @@ def calibration_from_corners(
     along, sideways = along / steps, sideways / rows
     if rows % 2:
         # The last row is shifted by half a step, to whichever side leaves the axes perpendicular.
-        square = sideways - (sideways @ along) / (along @ along) * along
-        slip = np.sign(float((sideways - square) @ along)) or 1.0
+        slip = np.sign(float(sideways @ along)) or 1.0
         sideways = sideways - slip * 0.5 * along / rows
     first = np.mean(corners, axis=0) - (down + across) / 2
     warning = "only the corner centres are published, good to a few pixels; calibrate on a flat for better"

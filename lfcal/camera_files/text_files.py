@@ -1,0 +1,168 @@
+"""Camera files of lines: `key : value`, for hexagonal lattices, and tables of all centres, `i,j,x,y`.
+
+Key : value files are those of the converters for lenslet video (TLCT, RLC 4.0), whose programs expect `IsKepler` and,
+for three lens types, `NearFocalLenType`.
+"""
+
+from __future__ import annotations
+
+import csv
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.calibration import Calibration
+from ..lattice.lattice import Lattice
+from ..runtime.errors import CameraFileError
+from .published import PublishedNumbers, calibration_from_corners, published_calibration, require_size
+
+__all__ = [
+    "CENTRE_TOLERANCE", "HEADER", "format_centre_table", "format_key_value", "parse_centre_table", "parse_key_value",
+]  # fmt: skip
+
+HEADER = "i,j,x,y"
+#: [px] a format that moves centres further cannot hold the lattice.
+CENTRE_TOLERANCE = 1e-3
+_CORNERS = ("LeftTop", "RightTop", "LeftBottom", "RightBottom")
+
+Vector = NDArray[np.float64]
+
+
+def parse_key_value(text: str, image_size: tuple[int, int] | None) -> Calibration:
+    """The camera in lines `key : value`; `MLADirection` 1 has hexagons in upright rows."""
+    texts: dict[str, str] = {}
+    for row, line in enumerate(text.splitlines(), 1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            key, colon, value = line.partition(":")
+            if not colon:
+                raise CameraFileError(f"line {row} is not 'key : number'; is this a camera file?")
+            texts[key.strip()] = value
+    numbers = PublishedNumbers(texts)
+    width, height = (numbers.positive(f"Lenslet{side}") for side in ("Width", "Height"))
+    if width % 1 or height % 1:
+        raise CameraFileError(f"LensletWidth and LensletHeight must be whole numbers of px, got {width} and {height}")
+    size = int(width), int(height)
+    if image_size is not None and tuple(image_size) != size:
+        raise CameraFileError(f"is for flats of {size[0]} x {size[1]} px, not of {image_size[0]} x {image_size[1]} px")
+    pitch, upright = numbers.positive("MIDiameter"), numbers.number("MLADirection") == 1
+    if "LeftTopMICenterX" in numbers:
+        corners = [numbers.point(f"{name}MICenterX", f"{name}MICenterY") for name in _CORNERS]
+        return calibration_from_corners(corners, pitch, upright, size)
+    origin = (np.array(size) - 1) / 2 + numbers.point("CentralMIOffsetX", "CentralMIOffsetY") * [1, -1]
+    basis = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
+    warnings = ["the file gives no angle finer than upright or level rows"]
+    return published_calibration(origin, (basis[:, ::-1] if upright else basis) * pitch, size, pitch / 2, warnings)
+
+
+def format_key_value(calibration: Calibration, mode: Literal["telescopic", "binocular"] | None = None) -> str:
+    """Key : value lines with the centres of four microimages at the corners of a parallelogram.
+
+    `IsKepler` is 1 for binocular captures: the flag names the modes the other way round. Without a `mode` it follows
+    from the focus of the lens types, and is 1, which its readers take for granted, where that is not known. A camera of
+    three lens types also gets the central microimage and `NearFocalLenType`, which its readers need together.
+    """
+    lattice = calibration.lattice
+    if len(lattice.steps) != 6:
+        raise CameraFileError("the key : value format holds hexagonal lattices only; write .xml, .csv or .json")
+    steps = lattice.steps @ lattice.basis
+    upright = bool(np.abs(steps[:, 1]).max() > np.abs(steps[:, 0]).max())
+    axis = 1 if upright else 0
+    along = steps[steps[:, axis].argmax()]
+    # Two rows further the microimages stand side by side again.
+    sideways = max((2 * step - along for step in steps), key=lambda v: v[1 - axis] / np.hypot(*v))
+    across, down = (sideways, along) if upright else (along, sideways)
+    middle = lattice.origin + lattice.middle @ lattice.basis
+    first, columns, rows = _outermost(lattice, middle, across, down)
+    mode = mode or _mode_of_types(calibration)
+    values: dict[str, object] = {
+        "IsKepler": int(mode != "telescopic"),
+        "LensletWidth": lattice.image_size[0],
+        "LensletHeight": lattice.image_size[1],
+        "MIDiameter": f"{lattice.pitch:.12f}",
+        "MLADirection": int(upright),
+    }
+    for k, name in enumerate(_CORNERS):
+        corner = first + k % 2 * columns * across + k // 2 * rows * down
+        values |= {f"{name}MICenter{axis}": f"{value:.9f}" for axis, value in zip("XY", corner, strict=True)}
+    near = _near_type(calibration, mode, middle, upright)
+    if near is not None:
+        offset = (middle - (np.array(lattice.image_size) - 1) / 2) * [1, -1]
+        values |= {f"CentralMIOffset{axis}": f"{value:.9f}" for axis, value in zip("XY", offset, strict=True)}
+        values["NearFocalLenType"] = near
+    return "".join(f"{key} : {value}\n" for key, value in values.items())
+
+
+def _outermost(lattice: Lattice, middle: Vector, across: Vector, down: Vector) -> tuple[Vector, int, int]:
+    """The whole microimage at the top left, and how many steps `across` and `down` lead to the last whole ones.
+
+    Readers take the first one for the first of its row and begin with its row.
+    """
+    low, high = lattice.pitch / 2 - 0.5, np.array(lattice.image_size) - 0.5 - lattice.pitch / 2
+    straight = lattice.origin + lattice.indices() @ lattice.basis
+    whole = straight[((straight >= low) & (straight <= high)).all(1)]
+    first = whole[whole.sum(1).argmin()] if len(whole) else middle
+    # In a turned lattice, the last ones may be beyond the border: at least one step is needed each way.
+    columns, rows = (max(1, int((high - first)[axis] / step[axis])) for axis, step in ((0, across), (1, down)))
+    return first, columns, rows
+
+
+def _mode_of_types(calibration: Calibration) -> Literal["telescopic", "binocular"] | None:
+    """The mode that all lens types are focused at, None where that is not known."""
+    focus = calibration.lens_types.focus if calibration.lens_types is not None else None
+    if focus is None or not (np.isfinite(focus).all() and abs(np.sign(focus).sum()) == len(focus)):
+        return None
+    return "telescopic" if focus[0] > 0 else "binocular"
+
+
+def _near_type(calibration: Calibration, mode: str | None, middle: Vector, upright: bool) -> int | None:
+    """Number that such files give the lens type that is focused nearest, None where it is not known.
+
+    They count the types along the first row of whole microimages, which runs down the flat if `upright`.
+    """
+    types, lattice = calibration.lens_types, calibration.lattice
+    if types is None or types.count != 3 or not types.ordered:
+        return None
+    # Nearer objects have larger `s` of either sign.
+    nearest = 0 if mode == "telescopic" else 2
+    x, y = middle[::-1] + 0.5 if upright else middle + 0.5
+    pitch, row = lattice.pitch, lattice.pitch * np.sqrt(0.75)
+    start = x - pitch * int((x - pitch / 2) / pitch)
+    if int((y - pitch / 2) / row) % 2:
+        start += pitch / 2 if start <= pitch else -pitch / 2
+    top = y - np.floor((y - row / 2) / row) * row
+    places = np.array([(start + k * pitch, top) for k in range(3)]) - 0.5
+    index = np.rint(lattice.to_index(places[:, ::-1] if upright else places)).astype(int)
+    found = np.flatnonzero(types.of(index) == nearest)
+    return int(found[0]) if len(found) == 1 else None
+
+
+def parse_centre_table(text: str, image_size: tuple[int, int] | None) -> Calibration:
+    """Least-squares lattice through the centres of a table."""
+    size = require_size(image_size)
+    try:
+        header, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
+        values = np.array([[float(cell) for cell in row] for row in rows])
+        if [name.strip() for name in header] != HEADER.split(","):
+            raise ValueError(f"the first line is not {HEADER}")
+        if values.ndim != 2 or values.shape[1] != 4 or not np.isfinite(values).all():
+            raise ValueError("each line must hold four finite numbers")
+        design = np.column_stack([np.ones(len(values)), values[:, :2]])
+        fit, _, rank, _ = np.linalg.lstsq(design, values[:, 2:], rcond=None)
+        if rank < 3:
+            raise ValueError("at least three centres that are not in one row are needed")
+        steps = Lattice(fit[0], fit[1:], size, 1.0).steps @ fit[1:]
+        misfit = float(np.linalg.norm(design @ fit - values[:, 2:], axis=1).max())
+        warning = f"centres lie up to {misfit:.3f} px off the straight lattice read"
+        return Calibration(
+            Lattice(fit[0], fit[1:], size, float(np.linalg.norm(steps, axis=1).min() / 2)),
+            warnings=(warning,) if misfit > CENTRE_TOLERANCE else (),
+        )
+    except (ValueError, csv.Error) as error:
+        raise CameraFileError(f"cannot be read as a table of centres ({error})") from error
+
+
+def format_centre_table(calibration: Calibration) -> str:
+    """The columns `i, j, x, y` of all microimages whose centre lies on the flat."""
+    rows = zip(calibration.lattice.indices(), calibration.lattice.centres(), strict=True)
+    return HEADER + "\n" + "".join(f"{i},{j},{x:.9f},{y:.9f}\n" for (i, j), (x, y) in rows)
