@@ -9,9 +9,8 @@ if TYPE_CHECKING:
     from .camera.lens_types import LensTypes
     from .camera.optics import Optics
     from .camera_files.read_write import load
-    from .display.camera_check import CameraCheck, check_camera
     from .display.compare import compare
-    from .display.fit_check import check_fit
+    from .display.fit_check import CameraCheck, check_camera, check_fit
     from .display.overlay import show
     from .images.read import count_pages, read_flat
     from .images.stream import FlatSource, open_flat, subtract_dark
@@ -63,7 +62,7 @@ _HOMES = {
     "BoardPose": "metric.result",
     "Calibration": "camera.calibration",
     "CalibrationError": "runtime.errors",
-    "CameraCheck": "display.camera_check",
+    "CameraCheck": "display.fit_check",
     "CameraFileError": "runtime.errors",
     "FlatError": "runtime.errors",
     "FlatSource": "images.stream",
@@ -76,7 +75,7 @@ _HOMES = {
     "OutputError": "runtime.output_file",
     "calibrate": "pipeline",
     "calibrate_metric": "metric.calibrate",
-    "check_camera": "display.camera_check",
+    "check_camera": "display.fit_check",
     "check_fit": "display.fit_check",
     "compare": "display.compare",
     "count_pages": "images.read",

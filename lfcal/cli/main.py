@@ -152,7 +152,7 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
 
         from .. import check_camera
         from .. import show as run
-        from ..display.places_to_check import find_places_to_check
+        from ..display.overlay import find_places_to_check
 
         picture = Image.fromarray(run(calibration, flat))
         places = find_places_to_check(calibration, flat)

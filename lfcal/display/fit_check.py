@@ -1,4 +1,4 @@
-"""How far the microimages of a flat lie from the lattice of a camera: a shift and a linear map.
+"""Whether a camera fits a flat: how far the microimages lie from its lattice, and whether it is the right camera.
 
 The lattice that repeats on the flat is fitted anew, from the basis of the camera and nothing of its centres; where none
 repeats at that basis, it is searched without the camera. Where it is that of the camera, it is fitted to the edges
@@ -9,24 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..camera.calibration import Calibration
-from ..detection.first_lattice import find_first_lattices, fit_first_lattice
-from ..gain.gain_map import RegionGain
-from ..images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from ..lattice.lattice import Lattice
+from ..lattice.orientation import describe_orientation
 from ..runtime.arrays import Frozen
 from ..runtime.checks import LIMITS, find_camera_doubt
-from ..runtime.errors import CAMERA_ADVICE, CalibrationError, FlatError, check_type
+from ..runtime.errors import CAMERA_ADVICE, CalibrationError, CameraFileError, FlatError, check_type
 
-__all__ = ["FitCheck", "LatticeMisfit", "ReducedFlat", "check_fit", "compare_lattices", "fit_offsets", "prepare_flat"]
+__all__ = ["CameraCheck", "FitCheck", "check_camera", "check_fit"]
 
+_REMEDY = "give the camera of this flat, or calibrate on it"
 _REGION_NAMES = (
     ("top left corner", "middle of the top edge", "top right corner"),
     ("middle of the left edge", "middle", "middle of the right edge"),
@@ -92,51 +91,39 @@ class FitCheck(Frozen):
 
 
 @dataclass(frozen=True)
-class LatticeMisfit:
-    """A found lattice against the given one: at `p`, centres are `shift + (p - middle) @ linear` [px] further."""
+class CameraCheck:
+    """What a flat shows of a camera.
 
-    shift: NDArray[np.float64]  # (2,) [px] in the middle of the flat, to the nearest
-    linear: NDArray[np.float64]  # (2, 2)
-    half_size: NDArray[np.float64]  # (2,) [px] of the flat
-    pitch: float  # [px]
+    Parameters
+    ----------
+    fits : bool
+        False where the flat shows another lattice altogether, so that nothing computed with the camera has a meaning.
+    problem : str or None
+        What is wrong and what to do, None where nothing is.
+    adjusted : Calibration or None
+        The camera moved onto the microimages, where a shift is all that is wrong with its lattice: crops of a sensor.
+    checked : bool
+        False where no microimages can be seen on the flat.
 
-    @classmethod
-    def between(cls, given: Lattice, found: Lattice) -> LatticeMisfit | None:
-        """None where the cells are not the same, to a tenth in scale or angle."""
-        whole = np.rint(found.basis @ np.linalg.inv(given.basis))
-        if round(abs(np.linalg.det(whole))) != 1:
-            return None
-        linear = np.linalg.inv(given.basis) @ np.linalg.solve(whole, found.basis) - np.eye(2)
-        if np.linalg.norm(linear, 2) > 0.1:
-            return None
-        middle = (np.array(given.image_size) - 1) / 2
-        centre = given.points(np.rint(given.to_index(middle[None])))
-        index = found.to_index(centre)[0]
-        shifts = (np.rint(index) + [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)] - index) @ found.basis
-        shift = shifts[np.linalg.norm(shifts, axis=1).argmin()]
-        return cls(shift, linear, np.array(given.image_size) / 2, given.pitch)
+    Examples
+    --------
+    >>> from lfcal import CameraCheck
+    >>> CameraCheck().fits, CameraCheck(problem="the microimages lie 5.9 px beside those of the camera").problem[:16]
+    (True, 'the microimages ')
+    """
 
-    @property
-    def is_straight(self) -> bool:
-        """Whether scale and angle are the same: right cameras differ by at most 0.0011 on 60 simulated flats."""
-        return float(np.linalg.norm(self.linear, 2)) < 0.0025
+    fits: bool = True
+    problem: str | None = None
+    adjusted: Calibration | None = None
+    checked: bool = True
 
-    @property
-    def is_small(self) -> bool:
-        """Whether the camera fits, for all that its flat can tell."""
-        corners = self.shift + (self.half_size * [[1, 1], [1, -1], [-1, 1], [-1, -1]]) @ self.linear
-        # In the corners right cameras are at most 0.08 pitches off.
-        near = np.linalg.norm(corners, axis=1).max() < 0.2 * self.pitch
-        return bool(self.is_straight and near and np.linalg.norm(self.shift) < LIMITS.shift * self.pitch)
-
-
-@dataclass(frozen=True)
-class ReducedFlat:
-    """A flat without its mosaic, the side of the blocks it is reduced by, the root of its luminance then."""
-
-    flat: NDArray[Any]
-    factor: int
-    picture: NDArray[np.float32]
+    def warn(self, calibration: Calibration, name: object) -> Calibration:
+        """The camera, with what is doubtful about it as a warning; CameraFileError with its name if it is refuted."""
+        if not self.fits:
+            raise CameraFileError(f"{name}: {self.problem}")
+        unseen = "no microimages can be seen on this flat, so that the camera could not be checked; give a brighter one"
+        warning = self.problem if self.checked else unseen
+        return calibration if warning is None else replace(calibration, warnings=(*calibration.warnings, warning))
 
 
 def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
@@ -162,14 +149,103 @@ def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     >>> round(check_fit(Calibration(Lattice([11, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).max_offset)
     1
     """
-    reduced = prepare_flat(calibration, image)
-    found, misfit = compare_lattices(reduced, calibration.lattice)
-    if found is None or misfit is None:
-        return fit_offsets(calibration, None)
-    return fit_offsets(calibration, reduced, None if misfit.is_small else found)
+    reduced = _prepare(calibration, image)
+    found, misfit = _compare(reduced, calibration.lattice)
+    return _fit_offsets(calibration, reduced, found, misfit)
 
 
-def prepare_flat(calibration: Calibration, image: ArrayLike) -> ReducedFlat:
+def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
+    """Check whether a flat can have been made with a camera, in about a tenth of a second.
+
+    Noticed are flats or cameras that are turned or mirrored, shifts of more than a tenth of the pitch, pitches that are
+    wrong by more than a quarter of a percent, another array, and lens types in another order. A flat that shows no
+    lattice, such as a dark one, shows nothing of the camera (`CameraCheck.checked`).
+
+    Parameters
+    ----------
+    calibration : Calibration
+    image : (h, w) or (h, w, 3) array_like
+        A white image or any scene capture.
+
+    Raises
+    ------
+    FlatError
+        If the image is not of the size the camera is for.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lfcal import Calibration, Lattice, check_camera
+    >>> y, x = np.mgrid[:300, :400]
+    >>> white = 20 + 200 * np.clip(9.5 - np.hypot(x % 20 - 10, y % 20 - 10), 0, 1)
+    >>> check_camera(Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).problem
+    >>> check_camera(Calibration(Lattice([4, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).problem[:19]
+    'the microimages lie'
+    """
+    reduced, lattice = _prepare(calibration, image), calibration.lattice
+    found, misfit = _compare(reduced, lattice)
+    if found is None and reduced.factor > 1:
+        # Microimages that are much smaller than those of the camera may be lost at that size.
+        reduced = _Reduced(reduced.flat, 1, _reduce(reduced.flat, 1))
+        found, misfit = _compare(reduced, lattice)
+    if found is None:
+        return CameraCheck(checked=False)
+    if misfit is None:
+        return CameraCheck(False, _describe_other(lattice, found, reduced.factor))
+    if misfit.is_small:
+        conflict = _find_type_conflict(calibration, reduced.flat)
+        return CameraCheck(problem=conflict or _fit_offsets(calibration, reduced, found, misfit).warning)
+    if not misfit.is_straight:
+        step = np.eye(2) + misfit.linear
+        scale = 100 * (float(np.sqrt(abs(np.linalg.det(step)))) - 1)
+        turn = float(np.degrees(np.arctan2(step[0, 1] - step[1, 0], np.trace(step))))
+        return CameraCheck(
+            problem=f"the pitch on the flat is {scale:+.2f} % and its rotation {turn:+.2f} degrees from the camera; "
+            + _REMEDY
+        )
+    shift = reduced.factor * misfit.shift
+    return CameraCheck(
+        problem=f"the microimages lie {np.linalg.norm(shift):.1f} px beside those of the camera, as in a crop, a "
+        f"turned flat, or with another camera; {_REMEDY}",
+        adjusted=replace(calibration, lattice=replace(lattice, origin=lattice.origin + shift)),
+    )
+
+
+def _describe_other(given: Lattice, found: Lattice, factor: int) -> str:
+    (shape, rows, _), (own_shape, own_rows, _) = describe_orientation(found), describe_orientation(given)
+    return (
+        f"the flat was not made with this camera: its microimages are {shape}, rows {rows}, pitch "
+        f"{factor * found.pitch:.2f} px, those of the camera {own_shape}, rows {own_rows}, pitch {given.pitch:.2f} px, "
+        f"unless the flat was turned or mirrored; {_REMEDY}"
+    )
+
+
+def _find_type_conflict(calibration: Calibration, flat: NDArray[Any]) -> str | None:
+    """Why the lens types of a camera are not those of a flat: by the light at their rims, and by their sharpness."""
+    from ..images.preprocessing import sqrt_luminance
+    from ..lens_types.type_check import find_rim_conflict, find_type_conflict
+
+    types, gain, lattice = calibration.lens_types, calibration.gain_map, calibration.lattice
+    if types is None or not types.ordered:
+        return None
+    conflict, rims_known = None, False
+    if gain is not None and gain.type_light.size:
+        conflict = find_rim_conflict(types, gain, lattice.radius)
+        # A difference of light between types at the rims that tells their order.
+        rims_known = float(np.ptp(gain.type_rims(lattice.radius), axis=0).max()) > 0.03
+    conflict = conflict or find_type_conflict(sqrt_luminance(flat), lattice, types, rims_known)
+    return conflict and f"{conflict}; was the flat mirrored, turned or cropped? {_REMEDY}"
+
+
+class _Reduced(NamedTuple):
+    """A flat without its mosaic, the side of the blocks it is reduced by, the root of its luminance then."""
+
+    flat: NDArray[Any]
+    factor: int
+    picture: NDArray[np.float32]
+
+
+def _prepare(calibration: Calibration, image: ArrayLike) -> _Reduced:
     """A flat of the size of the camera, reduced."""
     from ..images.mosaic import equalise_mosaic, find_mosaic, remove_mosaic
 
@@ -185,11 +261,13 @@ def prepare_flat(calibration: Calibration, image: ArrayLike) -> ReducedFlat:
     # Finer microimages than of 18 px take time and tell no more; large flats are reduced to 4 MP, or to 10 px.
     pitch, large = calibration.lattice.pitch, int(np.ceil(np.sqrt(width * height / 4e6)))
     factor = max(1, int(pitch / 18), min(int(pitch / 10), large))
-    return ReducedFlat(flat, factor, _reduce(flat, factor))
+    return _Reduced(flat, factor, _reduce(flat, factor))
 
 
 def _reduce(flat: NDArray[Any], factor: int) -> NDArray[np.float32]:
     """Root of the luminance (h, w) of a flat, of blocks of `factor` x `factor` pixels."""
+    from ..images.preprocessing import sqrt_luminance
+
     if factor > 1:
         import cv2
 
@@ -200,18 +278,53 @@ def _reduce(flat: NDArray[Any], factor: int) -> NDArray[np.float32]:
     return sqrt_luminance(flat)
 
 
-def compare_lattices(reduced: ReducedFlat, given: Lattice) -> tuple[Lattice | None, LatticeMisfit | None]:
+class _Misfit(NamedTuple):
+    """A found lattice against the given one: at `p`, centres are `shift + (p - middle) @ linear` [px] further."""
+
+    shift: NDArray[np.float64]  # (2,) [px] in the middle of the flat, to the nearest
+    linear: NDArray[np.float64]  # (2, 2)
+    given: Lattice
+
+    @classmethod
+    def between(cls, given: Lattice, found: Lattice) -> _Misfit | None:
+        """None where the cells are not the same, to a tenth in scale or angle."""
+        whole = np.rint(found.basis @ np.linalg.inv(given.basis))
+        if round(abs(np.linalg.det(whole))) != 1:
+            return None
+        linear = np.linalg.inv(given.basis) @ np.linalg.solve(whole, found.basis) - np.eye(2)
+        if np.linalg.norm(linear, 2) > 0.1:
+            return None
+        middle = (np.array(given.image_size) - 1) / 2
+        index = found.to_index(given.points(np.rint(given.to_index(middle[None]))))[0]
+        shifts = (np.rint(index) + [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)] - index) @ found.basis
+        return cls(shifts[np.linalg.norm(shifts, axis=1).argmin()], linear, given)
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether scale and angle are the same: right cameras differ by at most 0.0011 on 60 simulated flats."""
+        return float(np.linalg.norm(self.linear, 2)) < 0.0025
+
+    @property
+    def is_small(self) -> bool:
+        """Whether the camera fits, for all that its flat can tell."""
+        half, pitch = np.array(self.given.image_size) / 2, self.given.pitch
+        corners = self.shift + (half * [[1, 1], [1, -1], [-1, 1], [-1, -1]]) @ self.linear
+        # In the corners right cameras are at most 0.08 pitches off.
+        near = np.linalg.norm(corners, axis=1).max() < 0.2 * pitch
+        return bool(self.is_straight and near and np.linalg.norm(self.shift) < LIMITS.shift * pitch)
+
+
+def _compare(reduced: _Reduced, given: Lattice) -> tuple[Lattice | None, _Misfit | None]:
     """A lattice on the reduced flat, None where none is found, and its misfit, None where it is another one."""
     if given.distortion is not None:
         index = given.indices()[:: max(1, len(given) // 4000)]
-        line: NDArray[Any] = np.linalg.lstsq(
-            np.column_stack([np.ones(len(index)), index]), given.points(index), rcond=None
-        )[0]
+        design = np.column_stack([np.ones(len(index)), index])
+        line: NDArray[Any] = np.linalg.lstsq(design, given.points(index), rcond=None)[0]
         given = Lattice(line[0], line[1:], given.image_size, given.radius)
     small, first = given.downscaled(reduced.factor), None
     with suppress(CalibrationError, np.linalg.LinAlgError):
         for found in _find_lattices(reduced.picture, small):
-            misfit = LatticeMisfit.between(small, found)
+            misfit = _Misfit.between(small, found)
             if misfit is not None:
                 return found, misfit
             first = first or found
@@ -220,6 +333,8 @@ def compare_lattices(reduced: ReducedFlat, given: Lattice) -> tuple[Lattice | No
 
 def _find_lattices(picture: NDArray[np.float32], given: Lattice) -> Iterator[Lattice]:
     """Lattices on a picture: at the basis of the given one, and where that is not there, of the spectrum."""
+    from ..detection.first_lattice import find_first_lattices, fit_first_lattice
+
     with suppress(CalibrationError, np.linalg.LinAlgError):
         start = fit_first_lattice(picture, given.basis)
         if start.repeatability > 0.5:
@@ -229,21 +344,23 @@ def _find_lattices(picture: NDArray[np.float32], given: Lattice) -> Iterator[Lat
             yield start.lattice
 
 
-def fit_offsets(calibration: Calibration, reduced: ReducedFlat | None, start: Lattice | None = None) -> FitCheck:
-    """`check_fit` on a reduced flat, None if it shows no lattice; from `start`, if that of the camera is far off."""
-    lattice = calibration.lattice
+def _fit_offsets(
+    calibration: Calibration, reduced: _Reduced, found: Lattice | None, misfit: _Misfit | None
+) -> FitCheck:
+    """`check_fit` on a reduced flat, from the found lattice where that of the camera is far off."""
+    from ..gain.gain_map import RegionGain
+
+    lattice, factor, gain = calibration.lattice, reduced.factor, calibration.gain_map
     width, height = lattice.image_size
     positions = np.stack(np.meshgrid([0, (width - 1) / 2, width - 1], [0, (height - 1) / 2, height - 1]), -1)
     offset = np.full((3, 3, 2), np.nan)
-    if reduced is not None:
-        factor = reduced.factor
+    if found is not None and misfit is not None:
         small = lattice.downscaled(factor)
-        offset = _measure(reduced.picture, small, start or small, positions / factor) * factor
-        gain = calibration.gain_map
-        if gain is not None and len(gain.cut) and start is None:
+        offset = _measure(reduced.picture, small, small if misfit.is_small else found, positions / factor) * factor
+        if gain is not None and len(gain.cut) and misfit.is_small:
             # Mechanical vignetting moves rims: offsets that the gain map shows as well are no misfit.
-            light = np.nan_to_num(RegionGain(gain, lattice).at(0, 0, width, height))
-            offset -= np.nan_to_num(_measure(_reduce(light, factor), small, small, positions / factor)) * factor
+            light = _reduce(np.nan_to_num(RegionGain(gain, lattice).at(0, 0, width, height)), factor)
+            offset -= np.nan_to_num(_measure(light, small, small, positions / factor)) * factor
     return FitCheck(positions, offset, lattice.pitch)
 
 
@@ -251,6 +368,7 @@ def _measure(
     picture: NDArray[np.float32], given: Lattice, start: Lattice, positions: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(3, 3, 2) offsets [px] of the lattice on a picture from the given one; NaN where its halves do not agree."""
+    from ..images.preprocessing import edge_strength, normalise_locally
     from ..scene_fit.fit import fit_scene
 
     rims = normalise_locally(edge_strength(picture), 0.5 * given.pitch)

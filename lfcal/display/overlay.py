@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..camera.calibration import Calibration
 from ..camera.plotting import TYPE_COLOURS, plot_falloff, plot_gain, plot_residuals
+from ..hough.circle_vote import find_circles
+from ..images.preprocessing import sqrt_luminance
 from ..lattice.orientation import describe_orientation
 from .fit_check import FitCheck, check_fit
-from .places_to_check import PlaceToCheck, find_places_to_check
 
-__all__ = ["show"]
+__all__ = ["PlaceToCheck", "find_places_to_check", "show"]
+
+
+class PlaceToCheck(NamedTuple):
+    """A place on a flat, and what to look at there."""
+
+    position: NDArray[np.float64]  # (2,) [px]
+    sentence: str
+    circles: NDArray[np.float64]  # (n, 3) x, y and radius [px] of circles found without the lattice; none if (0, 3)
 
 
 def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
@@ -53,36 +62,62 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     flat = np.asarray(image)
     fit = check_fit(calibration, flat)
     places = find_places_to_check(calibration, flat)
-    width, height = calibration.image_size
     # Six pitches across a crop, enlarged three to four times where that leaves at least two and a half.
-    pitch = calibration.lattice.pitch
-    reach = min(max(float(np.clip(6 * pitch, 140, 190)), 2.5 * pitch), width, height)
-    left, top = reach / 2 - 0.5, reach / 2 - 0.5
-    right, low = width - 0.5 - reach / 2, height - 0.5 - reach / 2
+    size, pitch = np.array(calibration.image_size), calibration.lattice.pitch
+    reach = min(max(float(np.clip(6 * pitch, 140, 190)), 2.5 * pitch), *size)
+    (left, top), (right, low) = np.full(2, reach / 2 - 0.5), size - 0.5 - reach / 2
     crops = {
-        (0, 0): ("top left", (left, top)),
-        (0, 1): ("centre", ((width - 1) / 2, (height - 1) / 2)),
-        (0, 2): ("top right", (right, top)),
-        (1, 0): ("bottom left", (left, low)),
-        (1, 2): ("bottom right", (right, low)),
+        "top left": (left, top),
+        "centre": tuple((size - 1) / 2),
+        "top right": (right, top),
+        "bottom left": (left, low),
+        "bottom right": (right, low),
     }
     if places:
-        x, y = places[0].position
-        crops[1, 2] = "look here", (float(np.clip(x, left, right)), float(np.clip(y, top, low)))
+        crops["bottom right"] = tuple(np.clip(places[0].position, (left, top), (right, low)))
     figure = Figure((18, 12.9), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     figure.suptitle(_describe(calibration, fit), x=0.01, ha="left", fontsize=13)
-    grid = figure.add_gridspec(2, 3)
-    for cell, (name, middle) in crops.items():
-        axes = figure.add_subplot(grid[cell])
-        _draw_crop(axes, calibration, flat, np.array(middle), reach, places if name == "look here" else [])
-        axes.set_title(name)
-    panel = grid[1, 1].subgridspec(2, 2, height_ratios=(1.4, 1))
-    _draw_misfit(figure.add_subplot(panel[0, :]), calibration, fit)
-    plot_gain(calibration, figure.add_subplot(panel[1, 0]))
-    plot_falloff(calibration, figure.add_subplot(panel[1, 1]))
+    axes = figure.subplot_mosaic([
+        ["top left", "centre", "top right"],
+        ["bottom left", [["misfit", "misfit"], ["gain", "falloff"]], "bottom right"],
+    ])  # fmt: skip
+    for name, middle in crops.items():
+        shown = places if name == "bottom right" else []
+        _draw_crop(axes[name], calibration, flat, np.array(middle), reach, shown)
+        axes[name].set_title("look here" if shown else name)
+    _draw_misfit(axes["misfit"], calibration, fit)
+    plot_gain(calibration, axes["gain"])
+    plot_falloff(calibration, axes["falloff"])
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3]
+
+
+def find_places_to_check(calibration: Calibration, flat: NDArray[Any]) -> list[PlaceToCheck]:
+    """Places on a flat (h, w) or (h, w, 3) of the size of the calibration, the most telling one first.
+
+    The circle by Hough vote, and the lens measured alone, that lies farthest from the lattice.
+    """
+    lattice, residuals, places = calibration.lattice, calibration.residuals, []
+    circles = find_circles(sqrt_luminance(flat), lattice.pitch)
+    if len(circles.centres):
+        beside = np.hypot(*(lattice.points(np.rint(lattice.to_index(circles.centres))) - circles.centres).T)
+        worst, off = circles.centres[beside.argmax()], int((beside > lattice.pitch / 4).sum())
+        sentence = (
+            f"{off} of {len(beside)} circles found without the lattice (white) lie more than a quarter of the pitch "
+            f"beside it, the farthest at x {worst[0]:.0f}, y {worst[1]:.0f}: see whether they are microimages or scene"
+        )
+        places.append(PlaceToCheck(worst, sentence, np.column_stack([circles.centres, circles.radii])))
+    if residuals is not None and len(residuals.offset):
+        beside = np.hypot(*residuals.offset.T)
+        i, j = index = residuals.indices[beside.argmax()]
+        place = lattice.points(index[None])[0]
+        sentence = (
+            f"lens {i}, {j} at x {place[0]:.0f}, y {place[1]:.0f} lies farthest from the lattice: {beside.max():.2f} "
+            f"px; half of them lie within {np.median(beside):.2g} px"
+        )
+        places.append(PlaceToCheck(place, sentence, np.zeros((0, 3))))
+    return places
 
 
 def _describe(calibration: Calibration, fit: FitCheck) -> str:
@@ -112,11 +147,12 @@ def _draw_crop(
     places: list[PlaceToCheck],
 ) -> None:
     """Crop of the flat, `reach` [px] wide around `middle` (2,), with centres, usable circles and defects."""
-    from matplotlib.collections import EllipseCollection, LineCollection
+    from matplotlib.collections import LineCollection, PatchCollection
+    from matplotlib.patches import Circle
+    from matplotlib.patheffects import withStroke
 
     lattice = calibration.lattice
-    left, top = middle - reach / 2
-    right, bottom = middle + reach / 2
+    left, top, right, bottom = *(middle - reach / 2), *(middle + reach / 2)
     low = np.maximum(np.floor([left, top]).astype(int) - 1, 0)
     high = np.minimum(np.ceil([right, bottom]).astype(int) + 2, lattice.image_size)
     extent = low[0] - 0.5, high[0] - 0.5, high[1] - 0.5, low[1] - 0.5
@@ -127,16 +163,13 @@ def _draw_crop(
     def near(positions: NDArray[Any]) -> Any:
         return (np.abs(positions - middle) < reach / 2 + lattice.pitch).all(1)
 
-    def circles(centres: NDArray[Any], radius: Any, colour: Any, width: float = 1.2) -> None:
-        size = np.full(len(centres), 2 * radius)
+    def circles(centres: NDArray[Any], radii: Any, colour: str) -> None:
+        discs = [Circle(at, radius) for at, radius in zip(centres, np.broadcast_to(radii, len(centres)), strict=True)]
         # A dark line below a light one is visible on any background.
-        for line, edge in ((width + 1.5, (0, 0, 0, 0.4)), (width, colour)):
-            axes.add_collection(
-                EllipseCollection(
-                    size, size, 0 * size, units="xy", offsets=centres, offset_transform=axes.transData,
-                    facecolor="none", edgecolor=edge, linewidth=line,
-                )
-            )  # fmt: skip
+        dark = [withStroke(linewidth=2.7, foreground=(0, 0, 0, 0.4))]
+        axes.add_collection(
+            PatchCollection(discs, facecolor="none", edgecolor=colour, linewidth=1.2, path_effects=dark)
+        )
 
     shown = near(lattice.centres())
     centres, types = lattice.centres()[shown], calibration.lens_types
