@@ -15,13 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from .camera.calibration import Calibration
 from .images.mosaic import check_mosaic, equalise_mosaic, find_mosaic
 from .lattice.stated import LatticeHint
-from .runtime.checks import (
-    LIMITS,
-    find_circle_doubt,
-    find_exposure_doubt,
-    find_lattice_doubt,
-    find_type_doubt,
-)
 from .runtime.errors import CalibrationError
 from .runtime.image_formats import Mosaic
 from .settings import CALIBRATION
@@ -31,6 +24,9 @@ if TYPE_CHECKING:
     from .lattice_search import LatticeCandidate
 
 __all__ = ["calibrate"]
+
+# A calibration of less confidence, and a white image with a larger share of clipped pixels, are doubtful.
+_CONFIDENCE, _CLIPPED = 0.7, 0.02
 
 
 def calibrate(
@@ -105,12 +101,14 @@ def calibrate(
             filtered = mosaic is not None or any(find_mosaic(flat) for flat in flats)
             camera = _calibrate(flats, kind, filtered and all(flat.ndim == 2 for flat in flats), hint)
     except CalibrationError as error:
-        if find_exposure_doubt(clipped) is None:
+        if clipped <= _CLIPPED:
             raise
         raise CalibrationError(f"{error} ({clipped:.0%} of the pixels are over-exposed: expose less)") from error
-    exposure = find_exposure_doubt(clipped)
-    if camera.source == "white" and exposure is not None:
-        camera = replace(camera, warnings=(*camera.warnings, exposure))
+    if camera.source == "white" and clipped > _CLIPPED:
+        warning = (
+            f"the white image is over-exposed ({clipped:.0%} of its pixels are clipped): expose less, by a half or more"
+        )
+        camera = replace(camera, warnings=(*camera.warnings, warning))
     camera = replace(camera, white_level=estimate_white_level(flats), mosaic=mosaic)
     for flat in flats:
         camera = camera.with_mosaic_of(flat)
@@ -160,12 +158,18 @@ def _calibrate(
             )
     if camera.source == "scene" and not measured.parallax:
         camera = replace(camera, confidence=min(camera.confidence, CALIBRATION.shape_confidence))
-    types = camera.lens_types
-    doubts = (
-        find_lattice_doubt(camera.confidence, measured.found.fit.half_difference),
-        types and find_type_doubt(types.count, types.ordered),
-    )
-    return replace(camera, warnings=(*camera.warnings, *(doubt for doubt in doubts if doubt)))
+    types, warnings = camera.lens_types, list(camera.warnings)
+    if camera.confidence < _CONFIDENCE:
+        warnings.append(
+            f"the lattice is uncertain (confidence {camera.confidence:.2f}, halves of the flat differ by "
+            f"{measured.found.fit.half_difference:.2f} px); check the circles on the flat or calibrate on a white image"
+        )
+    if types and not types.ordered:
+        warnings.append(
+            f"{types.count} lens types were found, but not which is focused at which depth; calibrate on a scene with "
+            "detail at several depths"
+        )
+    return replace(camera, warnings=tuple(warnings))
 
 
 def _may_be_scene(camera: Calibration) -> bool:
@@ -179,7 +183,7 @@ def _may_be_scene(camera: Calibration) -> bool:
         return True
     unlike = len(lit) > 0 and float((np.abs(lit / np.median(lit) - 1) > CALIBRATION.unlike_gain).mean())
     # Where the lattice is uncertain, it may be because the flat is a scene.
-    return camera.confidence < LIMITS.confidence or unlike > CALIBRATION.unlike_lenses
+    return camera.confidence < _CONFIDENCE or unlike > CALIBRATION.unlike_lenses
 
 
 def _enclosed_share(dark: NDArray[np.bool_], index: NDArray[np.int64]) -> float:
@@ -279,7 +283,7 @@ def _measure(found: LatticeCandidate) -> _Measured:
     It is more likely that of a scene where more pixels differ from the gain map than defects explain, and the average
     microimage is doubtful.
     """
-    from .illumination.measure import measure_illumination
+    from .illumination.measure import MOST_OFF_GAIN, measure_illumination
     from .lens_types.classify import find_lens_types
 
     fit, picture, white = found.fit, found.picture, found.white
@@ -302,7 +306,7 @@ def _measure(found: LatticeCandidate) -> _Measured:
         if not found.stated:
             raise
         doubt = str(failure)
-    unexplained = doubt is not None and light.outlier_share > LIMITS.off_gain
+    unexplained = doubt is not None and light.outlier_share > MOST_OFF_GAIN
     doubt = None if found.stated else doubt
     agreement, beside = _compare_circles(found, lattice)
     # With a third of the pixels unlike the model there is no trust in its centres.
@@ -339,7 +343,11 @@ def _compare_circles(found: LatticeCandidate, lattice: Lattice) -> tuple[float, 
     if not isinstance(found.picture, np.ndarray):
         circles = replace(circles, centres=circles.centres + found.picture.corners[0])
     own, shifted = circles.agreement(lattice), find_shifted(circles, lattice)
-    return own, find_circle_doubt(own, shifted)
+    doubt = (
+        f"circles on the flat lie between the centres of the lattice (agreement {shifted:.2f} there, {own:.2f} on it): "
+    )
+    doubt += "gaps may have been taken for microimages; check the circles on the flat ('lfcal show')"
+    return own, doubt if shifted > own + 0.3 else None
 
 
 def _find_doubt(found: LatticeCandidate, lattice: Lattice) -> tuple[bool, str | None]:

@@ -20,7 +20,6 @@ from ..lattice.lattice import Lattice
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.arrays import Frozen
-from ..runtime.checks import find_mosaic_doubt
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError
 from ..runtime.image_formats import MOSAICS
 from ..runtime.output_file import atomic_write
@@ -140,9 +139,13 @@ class Calibration(Frozen):
 
     def with_mosaic(self, mosaic: str | None, guessed: bool = False) -> Calibration:
         """The camera with these colour filters, and a warning if they are guessed."""
-        others = [text for text in self.warnings if text != find_mosaic_doubt(self.mosaic)]
-        doubt = find_mosaic_doubt(mosaic if guessed else None)
-        return replace(self, mosaic=mosaic, mosaic_guessed=guessed, warnings=(*others, *([doubt] if doubt else [])))
+        warnings = [text for text in self.warnings if "look exchanged, name the filters" not in text]
+        if guessed:
+            warnings.append(
+                f"the flat is seen through colour filters, taken for {mosaic}: where green is was measured, red and "
+                "blue are a guess; if they look exchanged, name the filters (--mosaic RGGB, BGGR, GRBG or GBRG)"
+            )
+        return replace(self, mosaic=mosaic, mosaic_guessed=guessed, warnings=tuple(warnings))
 
     def with_mosaic_of(self, flat: NDArray[Any]) -> Calibration:
         """The camera with the colour filters that are found on a flat (h, w), where they are not known for certain."""

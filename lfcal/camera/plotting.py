@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..lattice.lattice import Lattice
 from ..lattice.orientation import describe_orientation
-from ..runtime.notebook import get_axes, html_card
-from .lens_types import LensTypes
+from ..runtime.notebook import html_card
 
 if TYPE_CHECKING:
     from .calibration import Calibration
@@ -35,13 +33,14 @@ def calibration_card(calibration: Calibration) -> str:
     }
     if np.isfinite(calibration.residual_rms):
         figures["residual"] = f"{calibration.residual_rms:.3f} px RMS of {calibration.lenses_used} lenses"
-    drawing = _lattice_svg(lattice, calibration.lens_types)
-    return html_card("Calibration", figures, drawing, calibration.warnings)
+    return html_card("Calibration", figures, lambda ax: _plot_centres(calibration, ax, 40), calibration.warnings)
 
 
 def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
     """See `Calibration.plot`."""
-    ax = get_axes(ax)
+    import matplotlib.pyplot as plt
+
+    ax = ax or plt.gca()
     if calibration.residuals is None:
         _plot_centres(calibration, ax)
         return ax
@@ -88,12 +87,12 @@ def plot_falloff(calibration: Calibration, ax: Any) -> None:
         ax.plot(np.arange(len(vignetting.profile)) * vignetting.step, vignetting.profile, color=TYPE_COLOURS[1])
 
 
-def _plot_centres(calibration: Calibration, ax: Any) -> None:
+def _plot_centres(calibration: Calibration, ax: Any, most: int = 600) -> None:
     """Centres and usable circles of the microimages: all of them, or where they are too many those in the middle."""
     from matplotlib.collections import EllipseCollection
 
-    lattice, most = calibration.lattice, 600
-    centres, (width, height) = lattice.centres(), calibration.image_size
+    lattice, types, (width, height) = calibration.lattice, calibration.lens_types, calibration.image_size
+    centres = lattice.centres()
     left, top, right, bottom = -0.5, -0.5, width - 0.5, height - 0.5
     title = f"{len(centres):,} microimages"
     if len(centres) > most:
@@ -101,32 +100,12 @@ def _plot_centres(calibration: Calibration, ax: Any) -> None:
         left, right = max(left, width / 2 - side), min(right, width / 2 + side)
         top, bottom = max(top, height / 2 - side), min(bottom, height / 2 + side)
         title += ", those in the middle"
-    shown = centres[((centres > (left, top)) & (centres < (right, bottom))).all(1)]
+    inside = ((centres > (left, top)) & (centres < (right, bottom))).all(1)
+    shown = centres[inside]
+    kinds = np.zeros(len(shown), int) if types is None else types.of(lattice.indices()[inside])
     sizes = np.full(len(shown), 2 * lattice.radius)
     circles = EllipseCollection(sizes, sizes, 0 * sizes, units="xy", offsets=shown, offset_transform=ax.transData)
-    circles.set(facecolor="none", edgecolor=TYPE_COLOURS[0], linewidth=0.6)
+    circles.set(facecolor="none", edgecolor=[TYPE_COLOURS[kind % 4] for kind in kinds], linewidth=0.6)
     ax.add_collection(circles)
     ax.plot(*shown.T, ".", markersize=2, color=TYPE_COLOURS[1])
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x [px]", ylabel="y [px]", title=title)
-
-
-def _lattice_svg(lattice: Lattice, types: LensTypes | None = None) -> str:
-    """Inline SVG of the lenses at the middle of a flat: usable circles, coloured by type."""
-    side, pitches = 200, 5.0  # CSS px, and pitches across them
-    scale = side / (pitches * lattice.pitch)
-    # A reduced basis has at least 60 degrees between its vectors: all lenses of the drawing lie within six steps.
-    span = np.arange(-6, 7)
-    index = lattice.middle + np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
-    at = (lattice.points(index) - lattice.points(lattice.middle[None])) * scale + side / 2
-    near = (np.abs(at - side / 2) < side / 2 + lattice.radius * scale).all(1)
-    kinds = np.zeros(len(index), int) if types is None else types.of(index)
-    circles = "".join(
-        f"<circle cx='{x:.1f}' cy='{y:.1f}' r='{lattice.radius * scale:.1f}' fill='{colour}' "
-        f"fill-opacity='.15' stroke='{colour}'/>"
-        for (x, y), kind in zip(at[near], kinds[near], strict=True)
-        for colour in [TYPE_COLOURS[int(kind) % len(TYPE_COLOURS)]]
-    )
-    return (
-        f"<svg width='{side}' height='{side}' viewBox='0 0 {side} {side}' role='img' "
-        f"aria-label='{describe_orientation(lattice)[0]} lattice, {pitches:.0f} pitches wide'>{circles}</svg>"
-    )

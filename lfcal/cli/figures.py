@@ -15,38 +15,22 @@ def describe(camera: Calibration) -> dict[str, Any]:
     """The figures of a calibration that commands print."""
     from ..lattice.orientation import describe_orientation
 
-    lattice, types = camera.lattice, camera.lens_types
+    lattice, types, defects = camera.lattice, camera.lens_types, camera.defects
     shape, rows, rotation = describe_orientation(lattice)
     return {
-        "size": list(camera.image_size),
-        "lattice": shape,
-        "rows": rows,
-        "rotation_degrees": rotation,
-        "pitch": lattice.pitch,
-        "radius": lattice.radius,
-        "origin": lattice.origin,
-        "basis": lattice.basis,
-        "lenses": len(lattice),
-        "source": camera.source,
-        "lens_types": types
-        and {
-            "count": types.count,
-            "by_focus": types.ordered,
-            "confidence": types.confidence,
-            "focus": types.focus,
+        "size": camera.image_size, "lattice": shape, "rows": rows, "rotation_degrees": rotation,
+        "pitch": lattice.pitch, "radius": lattice.radius, "origin": lattice.origin, "basis": lattice.basis,
+        "lenses": len(lattice), "source": camera.source,
+        "lens_types": types and {
+            "count": types.count, "by_focus": types.ordered, "confidence": types.confidence, "focus": types.focus,
             "cell": types.cell,
         },
-        "lenses_used": camera.lenses_used,
-        "residual_rms": camera.residual_rms,
-        "confidence": camera.confidence,
-        "circle_agreement": camera.circle_agreement,
-        "mosaic": camera.mosaic or "none",
-        "defect_pixels": len(camera.defects.pixels),
-        "defect_lenses": len(camera.defects.lenses),
+        "lenses_used": camera.lenses_used, "residual_rms": camera.residual_rms, "confidence": camera.confidence,
+        "circle_agreement": camera.circle_agreement, "mosaic": camera.mosaic or "none",
+        "defect_pixels": len(defects.pixels), "defect_lenses": len(defects.lenses),
         "lens_blur": camera.lens_blur and camera.lens_blur.to_dict(),
-        "optics": camera.optics and describe_optics(camera.optics),
-        "warnings": list(camera.warnings),
-    }
+        "optics": camera.optics and describe_optics(camera.optics), "warnings": camera.warnings,
+    }  # fmt: skip
 
 
 def describe_optics(optics: Optics) -> dict[str, Any]:
@@ -61,7 +45,7 @@ def describe_optics(optics: Optics) -> dict[str, Any]:
             figures[name + unit] = float(f"{value:.8g}")
         if error > 0:
             figures[name + unit + "_error"] = float(f"{error:.2g}")
-    return {**figures, "microlens_focal_lengths_mm": list(optics.microlens_focal_lengths)}
+    return {**figures, "microlens_focal_lengths_mm": optics.microlens_focal_lengths}
 
 
 def summarise(camera: Calibration) -> list[str]:
@@ -69,21 +53,19 @@ def summarise(camera: Calibration) -> list[str]:
     from ..lattice.orientation import describe_orientation
 
     shape, _, rotation = describe_orientation(camera.lattice)
-    sources = {"white": "measured on a white image", "scene": "measured on a capture", "published": "as published"}
-    how = sources.get(camera.source, f"from {camera.source}")
-    lenses = f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
-    sentences = [f"{lenses}: a {shape} lattice turned by {rotation:.2f} degrees."]
-    sure = "" if camera.source == "published" else f", confidence {100 * camera.confidence:.0f} %"
+    sources = {"white": "Measured on a white image", "scene": "Measured on a capture", "published": "As published"}
+    told = sources.get(camera.source, f"From {camera.source}")
+    if camera.source != "published":
+        told += f", confidence {100 * camera.confidence:.0f} %"
     if camera.lens_types is not None:
-        sure += f"; {camera.lens_types.count} types of lenses"
+        told += f"; {camera.lens_types.count} types of lenses"
     counts = (len(camera.defects.pixels), "defective pixels"), (len(camera.defects.lenses), "unlit lenses")
-    defects = "".join(f"; {number:,} {what}" for number, what in counts if number)
-    sentences.append(f"{how[:1].upper()}{how[1:]}{sure}{defects}.")
+    told += "".join(f"; {number:,} {what}" for number, what in counts if number)
+    lenses = f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
+    sentences = [f"{lenses}: a {shape} lattice turned by {rotation:.2f} degrees.", f"{told}."]
     if camera.lens_blur is not None:
         discs, ratios = camera.lens_blur.discs, camera.lens_blur.ratios
-        depths = (
-            f"s / D from {ratios.min():.2f} to {ratios.max():.2f}" if len(ratios) > 1 else f"s / D = {ratios[0]:.2f}"
-        )
-        wide = f"{discs.min():.1f} to {discs.max():.1f} px" if discs.size > 1 else f"{discs.min():.1f} px"
-        sentences.append(f"Microlenses blur over discs of {wide} at {depths}.")
+        wide = f"{discs.min():.1f} to {discs.max():.1f}" if discs.size > 1 else f"{discs.min():.1f}"
+        depths = f"from {ratios.min():.2f} to {ratios.max():.2f}" if len(ratios) > 1 else f"= {ratios[0]:.2f}"
+        sentences.append(f"Microlenses blur over discs of {wide} px at s / D {depths}.")
     return sentences

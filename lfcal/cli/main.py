@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 import cloup
 
-from ..runtime import console
-from ..runtime.image_formats import MOSAICS, TIFF_SUFFIXES, Mosaic
+from ..runtime import command_line as cl
+from ..runtime.image_formats import MOSAICS, TIFF_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
 from .figures import describe, summarise
-from .lattice import lattice
 from .metric import board, metric
 
 if TYPE_CHECKING:
@@ -21,132 +21,134 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-_INPUT, _OUTPUT, _CAMERA = console.InputPath(), console.OutputPath(), console.OutputPath(".json")
-# Commands that users look for here.
-_LFRENDER_COMMANDS = "analyze", "batch", "demo", "refocus", "render", "report", "view", "views", "warm"
+_INPUT, _SIZE = cl.InputPath(), cl.Pair("WxH", "2048x1536")
+_CAMERA = cl.option("-o --output", cl.OutputPath(".json"), "Camera file to write.", "CAMERA.json", required=True)
+# fmt: off
+_SIZE_OPTIONS = (
+    cl.option("--size", _SIZE, "Size of the flats [px], for files without it (.xml, .csv)."),
+    cl.option("--image", _INPUT, "An image of that size, instead of --size."),
+)
+_FILES = (_CAMERA, cl.option("--dark", _INPUT, "Dark frame that is subtracted from the images."))
+_KNOWN = (
+    cl.option("--kind", click.Choice(["auto", "white", "scene"]),
+        "What the images show: an evenly lit white surface, or any scene.", default="auto", show_default=True),
+    cl.option("--mosaic", click.Choice(MOSAICS, case_sensitive=False),
+        "Colour filters of the top left 2 x 2 pixels of a raw mosaic, row by row. By default it is detected."),
+    cl.option("--pitch", click.FloatRange(0, min_open=True), "Pitch, right to a tenth, as hint.", "PX"),
+    cl.option("--rotation", float, "Beside --pitch: as 'lfcal info' prints it, to 2 degrees.", "DEGREES"),
+    cl.option("--linear/--encoded", None, "Whether values are in proportion to light, or encoded for display. By "
+        "default 8 bits and videos are taken as encoded.", default=None),
+)
+_READING = (
+    cl.option("--page", click.IntRange(0), "Which picture of a TIFF of several, or frame of a video, from 0.", "N"),
+    cl.option("--size", _SIZE, "Of raw video (.yuv), if its name does not have it."),
+    cl.option("--pixel-format", str, "Of raw video: yuv420p10, yuv444p, ...", "FORMAT"),
+)
+_LATTICE = (
+    cl.option("--size", _SIZE, "Size of the flats [px].", required=True),
+    cl.option("--pitch", float, "Distance between neighbouring centres [px].", "PX", required=True),
+    cl.option("--arrangement", click.Choice(["hexagonal", "hexagonal-vertical", "square"]),
+        "Of the microlenses; hexagonal ones in rows across, or down (vertical).", default="hexagonal",
+        show_default=True),
+    cl.option("--rotation", float, "Clockwise on the screen [degrees].", default=0.0, show_default=True),
+    cl.option("--centre", (float, float), "Of any microimage [px].  [default: middle of the flat]", "X Y"),
+    cl.option("--radius", float, "Usable radius of the microimages [px].  [default: half the pitch]", "PX"),
+)
+# fmt: on
 
 
-@console.command(
+def _output(metavar: str, text: str) -> Any:
+    return cl.option("-o --output", cl.OutputPath(), text, metavar, required=True)
+
+
+@cl.command(
     "lfcal calibrate white.png -o camera.json",
     "lfcal calibrate white1.png white2.png -o camera.json",
     "lfcal calibrate scene.tif --kind scene --mosaic rggb -o camera.json",
     "lfcal calibrate scene.tif --pitch 15.4 --dark dark.tif -o camera.json",
 )
-@console.several_inputs("images", "IMAGE...")
-@console.grouped(
-    "Files",
-    click.option("-o", "--output", type=_CAMERA, required=True, metavar="CAMERA.json", help="Camera file to write."),
-    click.option("--dark", type=_INPUT, help="Dark frame that is subtracted from the images."),
-)
-@console.grouped(
-    "What is known",
-    click.option(
-        "--kind",
-        type=click.Choice(["auto", "white", "scene"]),
-        default="auto",
-        show_default=True,
-        help="What the images show: an evenly lit white surface, or any scene.",
-    ),
-    click.option(
-        "--mosaic",
-        type=click.Choice(MOSAICS, case_sensitive=False),
-        help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, row by row. By default it is detected.",
-    ),
-    click.option(
-        "--pitch", type=click.FloatRange(0, min_open=True), metavar="PX", help="Pitch, right to a tenth, as hint."
-    ),
-    click.option(
-        "--rotation", type=float, metavar="DEGREES", help="Beside --pitch: as 'lfcal info' prints it, to 2 degrees."
-    ),
-    click.option(
-        "--linear/--encoded",
-        default=None,
-        help="Whether values are in proportion to light, or encoded for display. By default 8 bits and videos are "
-        "taken as encoded.",
-    ),
-)
-@console.grouped("Reading IMAGE", console.page_option, console.raw_video_options)
-@console.report_options
-def calibrate(
-    images: tuple[Path, ...],
-    output: Path,
-    kind: Literal["auto", "white", "scene"],
-    mosaic: Mosaic | None,
-    pitch: float | None,
-    rotation: float | None,
-    linear: bool | None,
-    dark: Path | None,
-    page: int | None,
-    size: tuple[int, int] | None,
-    pixel_format: str | None,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+@cl.several_inputs("images", "IMAGE...")
+@cloup.option_group("Files", *_FILES)
+@cloup.option_group("What is known", *_KNOWN)
+@cloup.option_group("Reading IMAGE", *_READING)
+@cl.report_options
+def calibrate(report: cl.Report, given: Any) -> None:
     """Find the microlenses on IMAGE and write them as a camera file.
 
     IMAGE is a white image, or any capture of a scene. Several white images, or several captures of one camera, are
     combined.
     """
-    report = console.Report(as_json, quiet)
-    check_output(output, {".json"}, [*images, dark])
-    if rotation is not None and pitch is None:
+    images, output = given.images, given.output
+    check_output(output, {".json"}, [*images, given.dark])
+    if given.rotation is not None and given.pitch is None:
         raise click.UsageError("--rotation needs --pitch")
     with report.stage("read"):
-        from .. import FlatError, read_flat
         from .. import calibrate as run
+        from .. import read_flat, subtract_dark
 
-        flats = [read_flat(image, page, size=size, pixel_format=pixel_format) for image in images]
-        if dark is not None:
-            from .. import subtract_dark
-
-            frame = read_flat(dark)
-            with console.name_file_in_errors(dark):
+        flats = [read_flat(path, given.page, size=given.size, pixel_format=given.pixel_format) for path in images]
+        if given.dark is not None:
+            frame = read_flat(given.dark)
+            with cl.name_file_in_errors(given.dark):
                 flats = [subtract_dark(flat, frame) for flat in flats]
-        for image, flat in zip(images, flats, strict=True):
-            if flat.shape[:2] != flats[0].shape[:2]:
-                raise FlatError(
-                    f"{image}: is {flat.shape[1]} x {flat.shape[0]} px, {images[0]} is {flats[0].shape[1]} x "
-                    f"{flats[0].shape[0]} px; give flats of one camera"
-                )
-    with report.stage("calibrate"), console.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
-        camera = run(flats if len(flats) > 1 else flats[0], kind, mosaic, pitch, rotation)
-        camera = camera if linear is None else replace(camera, encoded=not linear)
+    with report.stage("calibrate"), cl.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
+        camera = run(flats if len(flats) > 1 else flats[0], given.kind, given.mosaic, given.pitch, given.rotation)
+        camera = camera if given.linear is None else replace(camera, encoded=not given.linear)
     camera.save(output)
     report.finish({"camera": str(output), **describe(camera)}, *summarise(camera), f"{output} in {report.took}.")
 
 
-def _size_options(command: Any) -> Any:
-    """Give a command the options for the size of the flats of a published file."""
-    command = click.option("--image", type=_INPUT, help="An image of that size, instead of --size.")(command)
-    return click.option("--size", metavar="WxH", help="Size of the flats [px], for files without it (.xml, .csv).")(
-        command
-    )
+@cl.command(
+    "lfcal lattice --size 2048x1536 --pitch 15.41 --arrangement square -o camera.json",
+    "lfcal lattice --size 2048x2048 --pitch 23.2 --centre 1019.8 1031.2 -o camera.json",
+)
+@cl.with_options(*_LATTICE, _CAMERA)
+@cl.report_options
+def lattice(report: cl.Report, given: Any) -> None:
+    """State the lattice of a camera that no flat shows well enough.
+
+    The light of the microimages stays unknown. Commands that use the file check it against the flat.
+    """
+    output = given.output
+    check_output(output, {".json"})
+    from ..camera.calibration import Calibration
+    from ..lattice.stated import state_lattice
+
+    figures = given.size, given.pitch, given.arrangement, given.rotation, given.centre, given.radius
+    try:
+        stated = state_lattice(*figures)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    warning = "the lattice was stated, not measured"
+    camera = Calibration(stated, source="published", confidence=1.0, warnings=(warning,))
+    camera.save(output)
+    closing = f"{output} is written; check it with 'lfcal show'."
+    report.finish({"camera": str(output), **describe(camera)}, summarise(camera)[0], closing)
 
 
-@console.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
+@cl.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
 @click.argument("camera", type=_INPUT)
-@_size_options
-@console.report_options
-def info(camera: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
+@cl.with_options(*_SIZE_OPTIONS)
+@cl.report_options
+def info(report: cl.Report, given: Any) -> None:
     """Show what is in the camera file CAMERA."""
-    calibration = _read(camera, _read_size(size, image))
-    console.Report(as_json, quiet).finish({"camera": str(camera), **describe(calibration)})
+    report.finish({"camera": str(given.camera), **describe(_read(given.camera, _read_size(given)))})
 
 
-@console.command("lfcal show camera.json --image white.png -o show.png")
+@cl.command("lfcal show camera.json --image white.png -o show.png")
 @click.argument("camera", type=_INPUT)
-@click.option("--image", type=_INPUT, required=True, help="A white image or scene capture of that camera.")
-@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="SHOW.png", help="Picture to write.")
-@console.report_options
-def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) -> None:
+@cl.option("--image", _INPUT, "A white image or scene capture of that camera.", required=True)
+@_output("SHOW.png", "Picture to write.")
+@cl.report_options
+def show(report: cl.Report, given: Any) -> None:
     """Draw the circles of CAMERA over the centre and the corners of an image."""
-    report = console.Report(as_json, quiet)
-    check_output(output, {".png"}, [camera, image])
+    output = given.output
+    check_output(output, {".png"}, [given.camera, given.image])
     with report.stage("read"):
         from .. import read_flat
 
-        flat = read_flat(image)
-        calibration = _read(camera, (flat.shape[1], flat.shape[0]))
+        flat = read_flat(given.image)
+        camera = _read(given.camera, (flat.shape[1], flat.shape[0]))
     with report.stage("show"):
         from PIL import Image
 
@@ -154,107 +156,96 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
         from .. import show as run
         from ..display.overlay import find_places_to_check
 
-        picture = Image.fromarray(run(calibration, flat))
-        places = find_places_to_check(calibration, flat)
-        check = check_camera(calibration, flat)
+        picture = Image.fromarray(run(camera, flat))
+        look = [place.sentence for place in find_places_to_check(camera, flat)]
         # What does not fit at all is drawn too: that is what to look for.
-        if (problem := check.problem) is not None:
-            calibration = replace(calibration, warnings=(*calibration.warnings, problem))
+        if (problem := check_camera(camera, flat).problem) is not None:
+            camera = replace(camera, warnings=(*camera.warnings, problem))
     with report.stage("write"), atomic_write(output) as temporary:
         picture.save(temporary, compress_level=4)
-    look = [place.sentence for place in places]
-    figures = {"picture": str(output), **describe(calibration), "look_at": look}
     lines = (*(f"look: {words}" for words in look), f"{output}: the circles should lie on the microimages.")
-    report.finish(figures, *summarise(calibration), *lines)
+    report.finish({"picture": str(output), **describe(camera), "look_at": look}, *summarise(camera), *lines)
 
 
-@console.command("lfcal flatten flat.png -c camera.json -o even.tif")
+@cl.command("lfcal flatten flat.png -c camera.json -o even.tif")
 @click.argument("flat", type=_INPUT)
-@click.option("-c", "--camera", type=_INPUT, required=True, help="Camera file with a gain map.")
-@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FLAT.tif", help="Flattened flat to write.")
-@console.report_options
-def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) -> None:
+@cl.option("-c --camera", _INPUT, "Camera file with a gain map.", required=True)
+@_output("FLAT.tif", "Flattened flat to write.")
+@cl.report_options
+def flatten(report: cl.Report, given: Any) -> None:
     """Light the microimages of FLAT evenly, by the gain map of CAMERA.
 
     Pixels are divided by their gain; those of unknown gain stay.
     """
-    report = console.Report(as_json, quiet)
-    check_output(output, TIFF_SUFFIXES, [flat, camera])
+    output = given.output
+    check_output(output, TIFF_SUFFIXES, [given.flat, given.camera])
     with report.stage("read"):
-        from .. import read_flat
+        from .. import check_camera, read_flat
 
-        pixels = read_flat(flat)
-        calibration = _read(camera, (pixels.shape[1], pixels.shape[0]))
-    with report.stage("flatten"), console.name_file_in_errors(flat):
-        from .. import check_camera
-
-        even = calibration.flatten(pixels)
-        warnings = check_camera(calibration, pixels).warn(calibration, camera).warnings
+        pixels = read_flat(given.flat)
+        height, width = pixels.shape[:2]
+        camera = _read(given.camera, (width, height))
+    with report.stage("flatten"), cl.name_file_in_errors(given.flat):
+        even = camera.flatten(pixels)
+        warnings = check_camera(camera, pixels).warn(camera, given.camera).warnings
     with report.stage("write"), atomic_write(output) as temporary:
         import tifffile
 
         tifffile.imwrite(temporary, even, photometric="rgb" if even.ndim == 3 else "minisblack")
     report.finish(
-        {
-            "written": str(output),
-            "size": [even.shape[1], even.shape[0]],
-            "type": str(even.dtype),
-            "warnings": list(warnings),
-        },
-        f"{output}: {even.shape[1]} x {even.shape[0]} px of {even.dtype}, evenly lit, in {report.took}.",
+        {"written": str(output), "size": [width, height], "type": str(even.dtype), "warnings": warnings},
+        f"{output}: {width} x {height} px of {even.dtype}, evenly lit, in {report.took}.",
     )
 
 
-@console.command("lfcal compare monday.json friday.json")
+@cl.command("lfcal compare monday.json friday.json")
 @click.argument("a", type=_INPUT)
 @click.argument("b", type=_INPUT)
-@_size_options
-@console.report_options
-def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
+@cl.with_options(*_SIZE_OPTIONS)
+@cl.report_options
+def compare(report: cl.Report, given: Any) -> None:
     """Tell how the microimage centres of cameras A and B differ.
 
     All differences are B minus A, in pixels.
     """
+    from .. import CameraFileError, load
     from .. import compare as run
 
-    first, second = _read_pair(a, b, _read_size(size, image))
-    difference = run(first, second)
-    figures = {
-        "rms": round(difference.rms, 6),
-        "max": round(difference.max, 6),
-        "mean_shift": difference.mean_shift.round(6),
-        "scale": round(difference.scale, 9),
-        "rotation_degrees": round(difference.rotation_degrees, 7),
-    }
+    paths, size = (given.a, given.b), _read_size(given)
+    for path in paths:
+        # A published file has none.
+        with suppress(CameraFileError):
+            size = size or load(path).image_size
+    first, second = cameras = [_read(path, size) for path in paths]
+    found = run(first, second)
     names = [f"{row} {column}" for row in ("top", "middle", "bottom") for column in ("left", "centre", "right")]
-    field = dict(zip(names, difference.field.reshape(-1, 2).round(6), strict=True))
-    warnings = [f"{path}: {w}" for path, camera in ((a, first), (b, second)) for w in camera.warnings]
-    console.Report(as_json, quiet).finish({"a": str(a), "b": str(b), **figures, "field": field, "warnings": warnings})
+    report.finish(
+        {
+            **{name: str(path) for name, path in zip("ab", paths, strict=True)},
+            **{name: round(getattr(found, name), 6) for name in ("rms", "max")},
+            "mean_shift": found.mean_shift.round(6),
+            "scale": round(found.scale, 9),
+            "rotation_degrees": round(found.rotation_degrees, 7),
+            "field": dict(zip(names, found.field.reshape(-1, 2).round(6), strict=True)),
+            "warnings": [f"{path}: {w}" for path, c in zip(paths, cameras, strict=True) for w in c.warnings],
+        }
+    )
 
 
-@console.command(
+@cl.command(
     "lfcal convert camera.json -o calibration.xml",
     "lfcal convert calibration.xml --image flat.png -o camera.json",
     "lfcal convert camera.json --image flat.png -o camera.cfg",
 )
 @click.argument("camera", type=_INPUT)
-@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FILE", help=".xml, .cfg, .csv or .json to write.")
-@click.option(
-    "--mode",
-    type=click.Choice(["telescopic", "binocular"]),
-    help="Of the captures, which a .cfg file states.  [default: as --image, or the focus of the lens types]",
-)
-@_size_options
-@console.report_options
-def convert(
-    camera: Path,
-    output: Path,
-    mode: Literal["telescopic", "binocular"] | None,
-    size: str | None,
-    image: Path | None,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+@_output("FILE", ".xml, .cfg, .csv or .json to write.")
+@cl.option(
+    "--mode", click.Choice(["telescopic", "binocular"]),
+    "Of the captures, which a .cfg file states.  [default: as --image, or the focus of the lens types]",
+)  # fmt: skip
+@cl.with_options(*_SIZE_OPTIONS)
+@cl.report_options
+def convert(report: cl.Report, given: Any) -> None:
     """Write CAMERA in the format of another program, or the reverse.
 
     The suffix of the output chooses the format.
@@ -262,43 +253,34 @@ def convert(
     from ..camera_files.read_write import FORMATS
     from ..camera_files.read_write import convert as run
 
-    check_output(output, FORMATS, [camera, image])
-    calibration = _read(camera, _read_size(size, image))
+    output, image, mode = given.output, given.image, given.mode
+    check_output(output, FORMATS, [given.camera, image])
+    camera = _read(given.camera, _read_size(given))
     if mode is None and image is not None and output.suffix.lower() == ".cfg":
         from .. import read_flat
         from ..lens_types.scene_mode import find_scene_mode
 
-        mode = find_scene_mode(read_flat(image), calibration.lattice)
-    run(calibration, output, mode=mode)
-    figures = {"written": str(output), **describe(calibration)}
-    console.Report(as_json, quiet).finish(figures, *summarise(calibration), f"{output} is written.")
+        mode = find_scene_mode(read_flat(image), camera.lattice)
+    run(camera, output, mode=mode)
+    report.finish({"written": str(output), **describe(camera)}, *summarise(camera), f"{output} is written.")
 
 
-def _read_size(size: str | None, image: Path | None) -> tuple[int, int] | None:
+def _read_size(given: Any) -> tuple[int, int] | None:
     """Width and height [px] from `--size` or `--image`, None without either."""
-    if size is not None and image is not None:
+    if given.image is None:
+        size: tuple[int, int] | None = given.size
+        return size
+    if given.size is not None:
         raise click.UsageError("--size and --image exclude each other")
-    if image is not None:
-        from .. import read_flat
+    from .. import read_flat
 
-        height, width = read_flat(image).shape[:2]
-        return width, height
-    if size is None:
-        return None
-    width_text, _, height_text = size.lower().partition("x")
-    try:
-        width, height = int(width_text), int(height_text)
-    except ValueError:
-        width = height = 0
-    if width < 1 or height < 1:
-        raise click.UsageError(f"--size {size}: give width and height in pixels, such as 2048x1536")
+    height, width = read_flat(given.image).shape[:2]
     return width, height
 
 
 def _read(path: Path, size: tuple[int, int] | None) -> Calibration:
     """A camera file of any format; an error about its missing size names the options for it."""
-    from .. import load
-    from ..runtime.errors import CameraFileError
+    from .. import CameraFileError, load
 
     try:
         return load(path, size)
@@ -308,26 +290,11 @@ def _read(path: Path, size: tuple[int, int] | None) -> Calibration:
         raise
 
 
-def _read_pair(a: Path, b: Path, size: tuple[int, int] | None) -> tuple[Calibration, Calibration]:
-    """Two cameras; the size of one is taken for the other where its file does not have it."""
-    from ..runtime.errors import CameraFileError
-
-    try:
-        first = _read(a, size)
-    except CameraFileError:
-        if size is not None:
-            raise
-        second = _read(b, None)
-        return _read(a, second.image_size), second
-    return first, _read(b, size or first.image_size)
-
-
 @cloup.group(
-    cls=console.CommandGroup,
+    cls=cl.Program,
     name="lfcal",
     context_settings={"help_option_names": ["-h", "--help"]},
-    other_programs=dict.fromkeys(_LFRENDER_COMMANDS, "lfrender"),
-    file_command="calibrate {} -o camera.json",
+    others=("lfrender", ("analyze", "batch", "demo", "refocus", "render", "report", "view", "views", "warm")),
 )
 @click.version_option(package_name="lfrender", prog_name="lfcal")
 def main() -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..runtime import console
+from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
+from .figures import describe_optics
 
 if TYPE_CHECKING:
     from ..boards.board import Board
@@ -16,92 +16,58 @@ if TYPE_CHECKING:
 
 __all__ = ["board", "metric"]
 
-_INPUT, _OUTPUT = console.InputPath(), console.OutputPath(".json")
-_PATTERNS = ("checkerboard", "charuco", "circles")
+_OUTPUT = cl.OutputPath()
+# fmt: off
+_BOARD = (
+    cl.option("--board corners", cl.Pair("COLUMNSxROWS", "9x6"), "Inner corners, such as 9x6.", required=True),
+    cl.option("--square", float, "Side of a square [mm].", "MM", required=True),
+    cl.option("--pattern", click.Choice(["checkerboard", "charuco", "circles"]),
+        "Circles: an asymmetric grid, --square is the distance of its rows.", default="checkerboard",
+        show_default=True),
+    cl.option("--marker", float, "Side of markers, diameter of circles [mm].", "MM"),
+    cl.option("--dictionary", str, "Of ChArUco markers, in OpenCV.", default="5X5_1000", show_default=True),
+)
+_METRIC = (
+    cl.option("-c --camera", cl.InputPath(), "Camera file of 'lfcal calibrate'.", required=True),
+    cl.option("-o --output", _OUTPUT, "Camera file to write.", "CAMERA.json", required=True),
+    *_BOARD,
+    cl.option("--pixel", float, "Side of a pixel of the sensor [um]: the scale of F, L and b.", "UM"),
+    cl.option("--exchange", _OUTPUT, "For other programs: .js with poses beside it (libpleno), .yml or .xml (OpenCV's "
+        "pinhole) to write.", "FILE"),
+    cl.option("--report page", _OUTPUT, "Residuals, poses, what to shoot next.", "PAGE.html"),
+    cl.option("--poses", _OUTPUT, "Poses of the boards to write.", "POSES.json"),
+)
+# fmt: on
 
 
-def board_options(command: Any) -> Any:
-    """Give a command the options that describe a board."""
-    for option in reversed(
-        [
-            click.option("--board", "size", required=True, metavar="COLUMNSxROWS", help="Inner corners, such as 9x6."),
-            click.option("--square", type=float, required=True, metavar="MM", help="Side of a square [mm]."),
-            click.option(
-                "--pattern",
-                type=click.Choice(_PATTERNS),
-                default="checkerboard",
-                show_default=True,
-                help="Circles: an asymmetric grid, --square is the distance of its rows.",
-            ),
-            click.option("--marker", type=float, metavar="MM", help="Side of markers, diameter of circles [mm]."),
-            click.option("--dictionary", default="5X5_1000", show_default=True, help="Of ChArUco markers, in OpenCV."),
-        ]
-    ):
-        command = option(command)
-    return command
-
-
-def read_board(size: str, square: float, pattern: Any, marker: float | None, dictionary: str) -> Board:
-    """The board of the options."""
+def _read_board(given: Any) -> Board:
     from ..boards.board import Board
 
-    columns, _, rows = size.lower().partition("x")
-    try:
-        counts = int(columns), int(rows)
-    except ValueError as error:
-        raise click.UsageError(f"--board {size}: give its inner corners across and down, such as 9x6") from error
-    return Board(*counts, square, pattern, marker, dictionary)
+    columns, rows = given.corners
+    return Board(columns, rows, given.square, given.pattern, given.marker, given.dictionary)
 
 
-@console.command(
+@cl.command(
     "lfcal metric board_*.png -c camera.json --board 9x6 --square 12.0 -o camera.json",
     "lfcal metric board_*.png -c camera.json --board 9x6 --square 12 --pixel 5.5 -o metric.json --poses poses.json",
 )
-@console.several_inputs("flats", "FLAT...")
-@click.option("-c", "--camera", type=_INPUT, required=True, help="Camera file of 'lfcal calibrate'.")
-@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="CAMERA.json", help="Camera file to write.")
-@board_options
-@click.option("--pixel", type=float, metavar="UM", help="Side of a pixel of the sensor [um]: the scale of F, L and b.")
-@click.option(
-    "--exchange",
-    type=_OUTPUT,
-    metavar="FILE",
-    help="For other programs: .js with poses beside it (libpleno), .yml or .xml (OpenCV's pinhole) to write.",
-)
-@click.option("--report", "page", type=_OUTPUT, metavar="PAGE.html", help="Residuals, poses, what to shoot next.")
-@click.option("--poses", type=_OUTPUT, metavar="POSES.json", help="Poses of the boards to write.")
-@console.report_options
-def metric(
-    flats: tuple[Path, ...],
-    camera: Path,
-    output: Path,
-    size: str,
-    square: float,
-    pattern: str,
-    marker: float | None,
-    dictionary: str,
-    pixel: float | None,
-    exchange: Path | None,
-    page: Path | None,
-    poses: Path | None,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+@cl.several_inputs("flats", "FLAT...")
+@cl.with_options(*_METRIC)
+@cl.report_options
+def metric(report: cl.Report, given: Any) -> None:
     """Measure the optics of a camera on FLATs of a board, for metres.
 
     Focal length, distances, distortion and tilt are fitted to several poses of the board. With the camera file that is
     written, depth and point clouds of its flats are in metres.
     """
-    report = console.Report(as_json, quiet)
+    flats, camera, output = given.flats, given.camera, given.output
     # The camera may be written over: it is the same one, which knows more.
     check_output(output, {".json"}, flats)
-    if poses is not None:
-        check_output(poses, {".json"}, [*flats, camera, output])
-    if page is not None:
-        check_output(page, {".html"}, [*flats, camera])
-    if exchange is not None:
-        check_output(exchange, {".js", ".yml", ".yaml", ".xml"}, [*flats, camera])
-    board = read_board(size, square, pattern, marker, dictionary)
+    exchange = {".js", ".yml", ".yaml", ".xml"}
+    for path, suffixes in ((given.poses, {".json"}), (given.page, {".html"}), (given.exchange, exchange)):
+        if path is not None:
+            check_output(path, suffixes, [*flats, camera, output])
+    board = _read_board(given)
     with report.stage("read"):
         from .. import load, read_flat
 
@@ -110,31 +76,13 @@ def metric(
     with report.stage("measure"):
         from .. import calibrate_metric
 
-        found = calibrate_metric(
-            pixels,
-            calibration,
-            board,
-            pixel=None if pixel is None else pixel / 1000,
-            names=[flat.name for flat in flats],
-        )
+        pixel = None if given.pixel is None else given.pixel / 1000
+        found = calibrate_metric(pixels, calibration, board, pixel=pixel, names=[flat.name for flat in flats])
     with report.stage("write"):
-        found.calibration.save(output)
-        if poses is not None:
-            found.save_poses(poses)
-        if page is not None:
-            from ..metric_report.report import write_metric_report
-
-            write_metric_report(page, found, title=f"Metric calibration of {camera.name}")
-        if exchange is not None:
-            from ..metric.exchange import write_libpleno, write_pinhole
-
-            if exchange.suffix.lower() == ".js":
-                write_libpleno(exchange, found)
-            else:
-                write_pinhole(exchange, found.calibration)
+        _write(found, given)
     optics = found.optics
     report.finish(
-        {"camera": str(output), **describe_metric(found)},
+        {"camera": str(output), **_describe(found)},
         f"{len(found.residual):,} corners on {len(found.poses)} flats fit to {found.rms:.2f} px RMS.",
         f"Focal length {optics.focal_length:.2f} mm; microlenses {optics.mla_distance:.2f} mm behind the main lens, "
         f"{optics.sensor_distance:.3f} mm before the sensor.",
@@ -142,58 +90,55 @@ def metric(
     )
 
 
-@console.command(
+def _write(found: MetricCalibration, given: Any) -> None:
+    from ..metric.exchange import write_libpleno, write_pinhole
+    from ..metric_report.report import write_metric_report
+
+    found.calibration.save(given.output)
+    if given.poses is not None:
+        found.save_poses(given.poses)
+    if given.page is not None:
+        write_metric_report(given.page, found, title=f"Metric calibration of {given.camera.name}")
+    if given.exchange is not None and given.exchange.suffix.lower() == ".js":
+        write_libpleno(given.exchange, found)
+    elif given.exchange is not None:
+        write_pinhole(given.exchange, found.calibration)
+
+
+@cl.command(
     "lfcal board --board 9x6 --square 12 -o board.pdf",
     "lfcal board --board 9x6 --square 15 --marker 11 --pattern charuco -o board.svg",
 )
-@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="BOARD.pdf|.svg", help="Page to write.")
-@board_options
-@console.report_options
-def board(
-    output: Path,
-    size: str,
-    square: float,
-    pattern: str,
-    marker: float | None,
-    dictionary: str,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+@cl.option("-o --output", _OUTPUT, "Page to write.", "BOARD.pdf|.svg", required=True)
+@cl.with_options(*_BOARD)
+@cl.report_options
+def board(report: cl.Report, given: Any) -> None:
     """Make a board to print, for 'lfcal metric'.
 
     A bar of 100 mm on it tells whether it was printed in true size.
     """
-    report = console.Report(as_json, quiet)
+    output, target = given.output, _read_board(given)
     check_output(output, {".pdf", ".svg"})
-    target = read_board(size, square, pattern, marker, dictionary)
     with report.stage("write"):
         from ..boards.printed import write_board
 
         write_board(output, target)
-    report.finish(
-        {"written": str(output), "board": str(target), "square_mm": target.square},
-        f"{output}: {target}. Print it in true size: the bar is 100 mm long.",
-    )
+    closing = f"{output}: {target}. Print it in true size: the bar is 100 mm long."
+    report.finish({"written": str(output), "board": str(target), "square_mm": target.square}, closing)
 
 
-def describe_metric(found: MetricCalibration) -> dict[str, Any]:
+def _describe(found: MetricCalibration) -> dict[str, Any]:
     """The figures that are printed: parameters with their errors, poses with their Cramer-Rao bounds."""
     import numpy as np
 
-    from .figures import describe_optics
-
     bound = np.array([pose.standard_errors for pose in found.poses]) / np.sqrt(found.widening)
     return {
-        **describe_optics(found.optics),
-        "flats_used": len(found.poses),
-        "corners": len(found.residual),
-        "outliers": int((~found.used).sum()),
-        "rms_px": round(found.rms, 4),
-        "corner_noise_px": round(found.noise, 4),
+        **describe_optics(found.optics), "flats_used": len(found.poses), "corners": len(found.residual),
+        "outliers": int((~found.used).sum()), "rms_px": round(found.rms, 4), "corner_noise_px": round(found.noise, 4),
         "variance_widened_by": round(found.widening, 2),
-        "cramer_rao_position_mm": np.round(np.median(bound[:, 3:], axis=0), 4).tolist(),
-        "cramer_rao_turn_degrees": np.round(np.rad2deg(np.median(bound[:, :3], axis=0)), 4).tolist(),
+        "cramer_rao_position_mm": np.round(np.median(bound[:, 3:], axis=0), 4),
+        "cramer_rao_turn_degrees": np.round(np.rad2deg(np.median(bound[:, :3], axis=0)), 4),
         "distances_mm": [round(float(pose.translation[2]), 2) for pose in found.poses],
         "distance_errors_mm": [round(float(pose.standard_errors[5]), 3) for pose in found.poses],
         "warnings": [*found.warnings, *found.degeneracies],
-    }
+    }  # fmt: skip

@@ -12,7 +12,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from ..runtime.image_formats import CONVERTERS, IMAGE_FORMATS, RAW_PHOTO_SUFFIXES, VIDEO_FORMATS, identify_format
+from ..runtime.image_formats import IMAGE_FORMATS, RAW_PHOTO_SUFFIXES, VIDEO_FORMATS, identify_format
 from .containers import read_hdf5, read_openexr, read_raw_photo
 from .lytro import read_lytro
 from .pictures import decode_picture
@@ -29,6 +29,19 @@ _READERS: dict[str, Callable[[Path, int | None], NDArray[Any]]] = {
     "OpenEXR": read_openexr,
     "HDF5": read_hdf5,
     "Lytro": read_lytro,
+}
+
+
+# What is not read, by its suffix, and what can convert it.
+_TO_TIFF = "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)"
+_CONVERTERS = {
+    **dict.fromkeys((".czi", ".lif", ".nd2", ".oib", ".oif"), _TO_TIFF),
+    ".heic": "convert it to PNG with ImageMagick",
+    ".mat": "save the picture as TIFF or HDF5 (h5write)",
+    ".ray": "export the raw image as PNG or TIFF with RxLive",
+    ".rays": "export the raw images as PNG or TIFF with RxLive",
+    ".raw": "it has no header: name it NAME_WxH_400p8.yuv, or 400p10, 400p12 for 16-bit samples of so many bits",
+    ".jp2": "convert it to TIFF with ImageMagick or opj_decompress",
 }
 
 
@@ -122,7 +135,7 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
     if stat.S_ISDIR(mode):
         if is_zarr(source):
             return open_zarr(source).whole()
-        raise FlatError("is a folder; give the image file")
+        raise FlatError("is a folder; give the image file, or all in it to 'lfrender batch'")
     if not stat.S_ISREG(mode):
         raise FlatError("is not a regular file")
     with source.open("rb") as stream:
@@ -139,7 +152,7 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
         return read_video_frame(source, page)
     check_only_page(page)
     if name is None:
-        advice = CONVERTERS.get(source.suffix.lower())
+        advice = _CONVERTERS.get(source.suffix.lower())
         if advice is not None:
             raise FlatError(f"{source.suffix} files are not read; {advice}")
         *names, last = IMAGE_FORMATS

@@ -1,62 +1,40 @@
-"""Single frames of videos as flats: raw planar video (`.yuv`) and what FFmpeg decodes."""
+"""Single frames of videos as flats: what FFmpeg decodes, and raw planar video (`.yuv`).
+
+That has no header. Size, subsampling and bits are given, or taken from the name of the file (such as
+`Boys2_3976x2956_30fps_420p10.yuv`), from a camera file `.cfg` of the same name beside it, and, as to the bits, from
+the samples themselves.
+"""
 
 from __future__ import annotations
 
+import re
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from ..runtime.image_formats import VIDEO_FORMATS
-from ..runtime.video.frame_pixels import frame_of_planes, import_av, rgb_pixels
-from ..runtime.video.raw_format import RAW_SUFFIX, RawFormat, find_raw_format
+from ..runtime.image_formats import RAW_SUFFIX, VIDEO_FORMATS
+from ..runtime.video import import_av, parse_pixel_format, rgb_pixels
 from .pixels import check_size
 
-__all__ = ["count_yuv_frames", "is_yuv", "read_video_frame", "read_yuv"]
+__all__ = ["RawLayout", "count_yuv_frames", "find_layout", "is_yuv", "read_video_frame", "read_yuv"]
+
+# Samples of the two colour planes over those of brightness, across and down.
+_SHARES = {"420": (2, 2), "422": (2, 1), "444": (1, 1)}
 
 
-def is_yuv(path: Path) -> bool:
-    """Whether a path has the suffix of raw video."""
-    return path.suffix.lower() == RAW_SUFFIX
+class RawLayout(NamedTuple):
+    """Width and height [px], FFmpeg's name of the pixel format, bits of a sample, bytes of a frame."""
 
-
-def count_yuv_frames(path: Path, size: tuple[int, int] | None, pixel_format: str | None) -> int:
-    """Number of frames; one that is cut off counts too, but cannot be read."""
-    return _layout_and_count(path, size, pixel_format)[1]
-
-
-def read_yuv(path: Path, page: int | None, size: tuple[int, int] | None, pixel_format: str | None) -> NDArray[Any]:
-    """Pixels (h, w, 3) of frame `page`, or of the only frame: uint8, or uint16 where samples have more bits.
-
-    Colours are those that FFmpeg gives a decoded frame without a colour space: BT.601 of limited range. Files without
-    colours give their samples (h, w) as they are.
-    """
-    layout, count = _layout_and_count(path, size, pixel_format)
-    if page is None and count > 1:
-        raise FlatError(f"the video holds {count} frames; give the number of one, or use 'lfrender batch'")
-    if not 0 <= (page or 0) < count:
-        raise FlatError(f"the video holds {count} frames and no frame {page}")
-    with path.open("rb") as stream:
-        stream.seek((page or 0) * layout.frame_bytes)
-        data = stream.read(layout.frame_bytes)
-    if len(data) < layout.frame_bytes:
-        raise FlatError(
-            f"truncated raw video: frame {page or 0} has {len(data)} of {layout.frame_bytes} bytes "
-            f"({layout.width} x {layout.height} px {layout.pixel_format}); is that its size (--size)?"
-        )
-    if layout.subsampling == "400":
-        return np.frombuffer(data, "<u2" if layout.bits > 8 else np.uint8).reshape(layout.height, layout.width)
-    import_av(path)
-    return rgb_pixels(frame_of_planes(data, layout.width, layout.height, layout.pixel_format))
-
-
-def _layout_and_count(path: Path, size: tuple[int, int] | None, pixel_format: str | None) -> tuple[RawFormat, int]:
-    layout = find_raw_format(path, size, pixel_format)
-    check_size(layout.width, layout.height)
-    return layout, -(-path.stat().st_size // layout.frame_bytes)
+    width: int
+    height: int
+    pixel_format: str
+    bits: int
+    frame_bytes: int
 
 
 def read_video_frame(path: Path, page: int | None) -> NDArray[Any]:
@@ -79,7 +57,109 @@ def read_video_frame(path: Path, page: int | None) -> NDArray[Any]:
                 raise FlatError(f"frame {number} is damaged")
             pixels = rgb_pixels(picture)
             if page is None and next(frames, None) is not None:
-                raise FlatError("the video holds several frames; give the number of one, or use 'lfrender batch'")
+                advice = "give the number of one (--page), or use 'lfrender batch'"
+                raise FlatError(f"the video holds several frames; {advice}")
             return pixels
     except av.error.FFmpegError as error:
         raise FlatError(f"cannot be read as a video ({error.strerror})") from error
+
+
+def is_yuv(path: Path) -> bool:
+    """Whether a path has the suffix of raw video."""
+    return path.suffix.lower() == RAW_SUFFIX
+
+
+def count_yuv_frames(path: Path, size: tuple[int, int] | None, pixel_format: str | None) -> int:
+    """Number of frames; one that is cut off counts too, but cannot be read."""
+    return -(-path.stat().st_size // find_layout(path, size, pixel_format).frame_bytes)
+
+
+def read_yuv(path: Path, page: int | None, size: tuple[int, int] | None, pixel_format: str | None) -> NDArray[Any]:
+    """Pixels (h, w, 3) of frame `page`, or of the only frame: uint8, or uint16 where samples have more bits.
+
+    Colours are those that FFmpeg gives a decoded frame without a colour space: BT.601 of limited range. Files without
+    colours give their samples (h, w) as they are.
+    """
+    layout = find_layout(path, size, pixel_format)
+    count, number = -(-path.stat().st_size // layout.frame_bytes), page or 0
+    if page is None and count > 1:
+        raise FlatError(f"the video holds {count} frames; give the number of one (--page), or use 'lfrender batch'")
+    if not 0 <= number < count:
+        raise FlatError(f"the video holds {count} frames and no frame {page}")
+    with path.open("rb") as stream:
+        stream.seek(number * layout.frame_bytes)
+        data = stream.read(layout.frame_bytes)
+    if len(data) < layout.frame_bytes:
+        raise FlatError(
+            f"truncated raw video: frame {number} has {len(data)} of {layout.frame_bytes} bytes "
+            f"({layout.width} x {layout.height} px {layout.pixel_format}); is that its size (--size)?"
+        )
+    if layout.pixel_format.startswith("gray"):
+        return np.frombuffer(data, "<u2" if layout.bits > 8 else np.uint8).reshape(layout.height, layout.width)
+    options = {"video_size": f"{layout.width}x{layout.height}", "pixel_format": layout.pixel_format}
+    with import_av(path).open(BytesIO(data), format="rawvideo", options=options) as film:
+        return rgb_pixels(next(film.decode(video=0)))
+
+
+def find_layout(path: Path, size: tuple[int, int] | None = None, pixel_format: str | None = None) -> RawLayout:
+    """The layout of a raw video: what is not given follows from its name, a `.cfg` file beside it, and its samples.
+
+    FlatError if the size cannot be told, the pixel format is not known, or the file does not hold a single frame.
+    """
+    size = size or _size_in_name(path.stem) or _size_beside(path)
+    if size is None:
+        raise FlatError("raw video has no header; give its size (--size WxH), or name it like NAME_2048x2048.yuv")
+    width, height = size
+    length = path.stat().st_size
+    if pixel_format is None:
+        subsampling, named = _format_in_name(path.stem)
+        pixel_format = f"{subsampling or 420}p{named or _bits_of_samples(path, width * height)}"
+    try:
+        name, kind, bits = parse_pixel_format(pixel_format)
+    except ValueError as error:
+        raise FlatError(str(error)) from error
+    samples = width * height
+    if kind != "400":
+        samples += 2 * -(-width // _SHARES[kind][0]) * -(-height // _SHARES[kind][1])
+    layout = RawLayout(width, height, name, bits, samples * (2 if bits > 8 else 1))
+    if length < layout.frame_bytes:
+        raise FlatError(
+            f"holds {length} bytes, a frame of {width} x {height} px {name} has {layout.frame_bytes}; it is truncated, "
+            "or --size or --pixel-format are others"
+        )
+    check_size(width, height)
+    return layout
+
+
+def _size_in_name(name: str) -> tuple[int, int] | None:
+    sizes = re.findall(r"(?<!\d)(\d{2,6})[xX](\d{2,6})(?!\d)", name)
+    return (int(sizes[-1][0]), int(sizes[-1][1])) if sizes else None
+
+
+def _size_beside(path: Path) -> tuple[int, int] | None:
+    """The size in the camera file (key : value) with the same stem."""
+    camera = path.with_suffix(".cfg")
+    try:
+        text = camera.read_text(encoding="utf-8-sig") if camera.stat().st_size < 1 << 16 else ""
+    except (OSError, UnicodeDecodeError):
+        return None
+    width, height = (re.search(rf"(?m)^\s*Lenslet{side}\s*:\s*(\d+)", text) for side in ("Width", "Height"))
+    return (int(width[1]), int(height[1])) if width and height else None
+
+
+def _format_in_name(name: str) -> tuple[str | None, int | None]:
+    """Subsampling and bits as names of sequences have them: `yuv420p10le`, `420p_10b`, `p444_12bit`, `gray8`."""
+    words = re.sub(r"\d{2,6}[xX]\d{2,6}", " ", name.lower())
+    words = re.sub(r"(?<![a-z])gr[ae]y(?=(?:8|10|12)(?!\d))", "400p", words)
+    subsampling = re.search(r"(?<!\d)(?:yuv|p)?(400|420|422|444)(?!\d)p?(8|10|12)?(?:le)?", words)
+    bits = re.search(r"(?<!\d)(8|10|12)[-_ ]?(?:bits?|bpp|b)(?![a-z0-9])", words)
+    named = subsampling[2] if subsampling and subsampling[2] else bits[1] if bits else None
+    return subsampling[1] if subsampling else None, int(named) if named else None
+
+
+def _bits_of_samples(path: Path, pixels: int) -> int:
+    """Bits of the samples: in 10 or 12 of 16 bits every second byte is small, which it is in no picture of 8."""
+    if path.stat().st_size < 2 * pixels:
+        return 8
+    largest = int(np.fromfile(path, "<u2", pixels).max())
+    return 10 if largest < 1 << 10 else 12 if largest < 1 << 12 else 8

@@ -16,7 +16,6 @@ from ..boards.board import Board
 from ..boards.detection import DetectedBoard
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
-from ..runtime.checks import find_board_doubt
 from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_type
 from .bundle_adjustment import Adjusted, Poses, adjust
 from .camera_model import INTERNAL, to_internal
@@ -121,8 +120,11 @@ def calibrate_metric(
     fitted = adjust(fitted.camera, pixel, fitted.poses, points, observations, BASE)
     fitted = select_order(fitted, pixel, points, observations)
     _check_one_camera(fitted, found, observations)
-    if doubt := find_board_doubt(fitted.noise):
-        warnings.append(doubt)
+    if fitted.noise > 6:  # of the noise of the pixels
+        warnings.append(
+            f"corners lie {fitted.noise:.0f} times as far from the model as their noise explains; is the board flat, "
+            "are squares and pixel right, was nothing moved?"
+        )
     return _result(fitted, pixel, calibration, board, found, observations, tuple(warnings))
 
 

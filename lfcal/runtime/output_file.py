@@ -19,10 +19,9 @@ class OutputError(LightFieldError, OSError):
 
     Examples
     --------
-    >>> from pathlib import Path
-    >>> check_output(Path("picture.tif"), {".png"})
+    >>> check_output("picture.gif", {".png"})
     Traceback (most recent call last):
-    lfcal.runtime.output_file.OutputError: picture.tif: unknown output format '.tif'; use .png
+    lfcal.runtime.output_file.OutputError: picture.gif: unknown output format '.gif'; use .png
     """
 
 
@@ -31,22 +30,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary file beside `path` to write into, and rename it to `path` if there was no error.
 
     It has the suffix of `path`, for writers that choose the format by it, and the usual permissions of new files.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be made, written or moved.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     file = Path(folder, "figures.txt")
-    ...     with atomic_write(file) as temporary:
-    ...         _ = temporary.write_text("1 2 3")
-    ...         before = file.exists()
-    ...     before, file.read_text()
-    (False, '1 2 3')
+    OutputError if the file cannot be made, written or moved.
     """
     target = Path(path)
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
@@ -69,27 +53,8 @@ def check_output(
 ) -> None:
     """Refuse an output that cannot be written, before anything is computed for it.
 
-    Parameters
-    ----------
-    path : path-like
-        Where the result is to go.
-    suffixes : collection of str
-        Allowed endings such as `".json"`, compared without regard to case.
-    inputs : iterable of path-like or None
-        Files that are read, which the output must not replace.
-
-    Raises
-    ------
-    OutputError
-        If the ending is not allowed, `path` is a folder or one of the inputs, or no file can be made beside it.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> check_output(Path("picture.png"), {".png", ".tif"})
-    >>> check_output(Path("picture.gif"), {".png"})
-    Traceback (most recent call last):
-    lfcal.runtime.output_file.OutputError: picture.gif: unknown output format '.gif'; use .png
+    OutputError if its ending is none of the `suffixes` (lower case), if it is a folder or one of the `inputs`, or if no
+    file can be made beside it.
     """
     target = Path(path)
     if target.suffix.lower() not in suffixes:
@@ -98,9 +63,8 @@ def check_output(
         raise OutputError(f"{target}: is a folder; give a file name")
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder '{target.parent}' does not exist")
-    for source in inputs:
-        if source is not None and target.exists() and Path(source).exists() and target.samefile(source):
-            raise OutputError(f"{target}: is an input of this command; give another output")
+    if target.exists() and any(source and Path(source).exists() and target.samefile(source) for source in inputs):
+        raise OutputError(f"{target}: is an input of this command; give another output")
     probe = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
     try:
         probe.open("xb").close()
@@ -110,26 +74,14 @@ def check_output(
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Refuse a folder for results that is a file, or is named like one and does not exist yet.
-
-    Examples
-    --------
-    >>> check_folder("pictures").name
-    'pictures'
-    >>> check_folder("scene.glb")
-    Traceback (most recent call last):
-    lfcal.runtime.output_file.OutputError: scene.glb: a folder is written here, and no file '.glb'; leave out the \
-ending, or make a folder of that name first
-    """
+    """Refuse a folder for results that is a file, or is named like one and does not exist yet."""
     target = Path(path)
-    if not target.is_dir():
-        if target.exists():
-            raise OutputError(f"{target}: is a file; give a folder")
-        if re.fullmatch(r"\.[A-Za-z]\w{1,5}", target.suffix):
-            raise OutputError(
-                f"{target}: a folder is written here, and no file '{target.suffix}'; leave out the ending, or make a "
-                "folder of that name first"
-            )
+    if target.exists() and not target.is_dir():
+        raise OutputError(f"{target}: is a file; give a folder")
+    if not target.exists() and re.fullmatch(r"\.[A-Za-z]\w{1,5}", target.suffix):
+        raise OutputError(
+            f"{target}: unknown output format '{target.suffix}'; for a folder leave out the ending, or make it first"
+        )
     return target
 
 

@@ -18,7 +18,6 @@ from ..lattice.lit_lenses import LitLenses
 from ..lattice.residuals import Residuals
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..lattice.standard_errors import LatticeErrors
-from ..runtime.checks import LIMITS, find_centroid_doubt
 from ..runtime.errors import CalibrationError
 from .cat_eye import CatEye
 from .gauss_newton import Fit, add_distortion, converge, distortion_orders, explains_better, locate_lenses
@@ -30,6 +29,8 @@ __all__ = ["WhiteFit", "fit_white", "refine_on_parts"]
 
 # Pixels, and fewest lenses, that a cutting disc is searched for with, that it is fitted to, and that the distortion is
 # chosen with.
+# [px] of centroids beside the lattice, from which on they are doubtful.
+_CENTROIDS = 0.2
 _SEARCH = 1e5, 150
 _DISCS = 8e5, 250
 _CHOICE = 6e5, 400
@@ -81,7 +82,7 @@ def fit_white(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixel
             fit = _select_orders(fit)
     residuals = Residuals(fit.lenses.indices.astype(np.int32), locate_lenses(fit).astype(np.float32))
     return WhiteFit(
-        fit.lattice, None, find_centroid_doubt(measure_centroid_offset(fit.lenses, fit.lattice)),
+        fit.lattice, None, _find_doubt(fit.lenses, fit.lattice),
         fit.step.residual_rms, LatticeErrors(tuple(fit.step.names), fit.step.covariance),
         int((fit.step.weight > 0).sum()), fit.step.half_difference(), residuals,
     )  # fmt: skip
@@ -128,7 +129,7 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit, lit: LitLenses) -> Two
     discs = choose_lens(discs)
     # Where nothing is cut, in the middle, centroids are those of the lenses.
     beside = measure_centroid_offset(plain.lenses, discs.lens_lattice())
-    astray = beside > max(LIMITS.centroids, measure_centroid_offset(plain.lenses, plain.lattice))
+    astray = beside > max(_CENTROIDS, measure_centroid_offset(plain.lenses, plain.lattice))
     # A disc that stays outside the microimages cuts nothing.
     return None if astray or discs.depth < 0.3 or not _explains_more(discs, plain, bent) else discs
 
@@ -144,6 +145,15 @@ def _explains_more(discs: TwoDiscs, plain: Fit, bent: Fit) -> bool:
     return cost[0] < 0.995 * min(cost[1:])
 
 
+def _find_doubt(lenses: Microimages, lattice: Lattice) -> str | None:
+    offset = measure_centroid_offset(lenses, lattice)
+    return None if not offset > _CENTROIDS else (
+        f"plain centroids of the microimages in the middle lie {offset:.2f} px beside the lattice, which follows their "
+        "edges: the light in them is uneven or reaches into the gaps; if the circles lie off the microimages ('lfcal "
+        "show'), light the white image evenly"
+    )  # fmt: skip
+
+
 def _summarise_discs(discs: TwoDiscs, lenses: Microimages) -> WhiteFit:
     lattice, errors, doubt = discs.lens_lattice(), discs.errors(), discs.doubt
     error = float(np.sqrt((errors.of_centres(lattice) ** 2).mean()))
@@ -153,7 +163,7 @@ def _summarise_discs(discs: TwoDiscs, lenses: Microimages) -> WhiteFit:
             f"centres are known to {error:.2f} px only; close the aperture of the main lens for a white image without "
             "vignetting"
         )
-    doubt = doubt or find_centroid_doubt(measure_centroid_offset(lenses, lattice))
+    doubt = doubt or _find_doubt(lenses, lattice)
     distance = np.hypot(*discs.offsets.T)
     near = distance[distance < 5 * np.median(distance)]
     residuals = Residuals(discs.indices.astype(np.int32), discs.offsets.astype(np.float32))

@@ -5,34 +5,30 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from lfcal import Calibration, Optics
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
+    from .inputs import CaptureInput
 
 __all__ = [
-    "camera_figures", "camera_sentence", "capture_figures", "depth_sentences", "eight_bits_sentence", "percent",
-    "picture_figures", "picture_sentence", "rendering_settings",
+    "camera_figures", "capture_figures", "capture_sentences", "eight_bits_sentence", "percent", "picture_figures",
+    "picture_sentence", "rendering_settings",
 ]  # fmt: skip
 
 
 def rendering_settings(depth: DepthMap | None, patch_size: float | None, detail: str | None = None) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
-    chosen = {} if detail is None else {"detail": detail}
-    if depth is not None:
-        return {"rendering": "all in focus", "preset": depth.preset, **chosen}
-    if patch_size is not None:
-        return {"rendering": "one patch size", "patch_size": patch_size, **chosen}
-    return {"rendering": "traditional"}
+    if depth is None and patch_size is None:
+        return {"rendering": "traditional"}
+    how = {"rendering": "all in focus", "preset": depth.preset} if depth else {"rendering": "one patch size"}
+    return how | ({} if depth else {"patch_size": patch_size}) | ({} if detail is None else {"detail": detail})
 
 
 def camera_figures(calibration: Calibration, depth: DepthMap | None = None) -> dict[str, Any]:
     """Pitch, number of lenses, confidence of the calibration, and the warnings about it and about the depth."""
     from ..rendering.traditional import find_depth_problem
 
-    # Fewer lenses show surfaces than in any scene, even one almost without texture.
     problem = depth and find_depth_problem(depth)
     return {
         "pitch": calibration.lattice.pitch,
@@ -46,9 +42,9 @@ def camera_figures(calibration: Calibration, depth: DepthMap | None = None) -> d
 def capture_figures(
     calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None
 ) -> dict[str, Any]:
-    """The figures of the camera; with a depth map, shares of the modes, of the reasons why lenses are unresolved and of
-    the work that shortcuts saved; with optics, median and range [m] of the distances of nine tenths of the lenses, and
-    the median of their standard errors."""
+    """The figures of the camera; with a depth map, shares of the analysed lenses: of the modes, of the reasons why some
+    are unresolved, of the work that shortcuts saved; with optics, median and range [m] of the distances of nine tenths
+    of the lenses, and the median of their standard errors."""
     figures = camera_figures(calibration, depth)
     if depth is None:
         return figures
@@ -57,13 +53,14 @@ def capture_figures(
     from ..data.depth_map import REASONS
     from ..output.depth_picture import MODES
 
+    analysed = depth.reason != REASONS.index("not analysed")
+    mode, reason = depth.mode[analysed], depth.reason[analysed]
     sizes = np.abs(depth.patch_size[depth.mode != 0])
     figures |= {
-        "modes": {name: float(np.mean(depth.mode == code)) for code, name in MODES.items()} if len(depth) else {},
+        "lenses_analysed": int(analysed.sum()),
+        "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items()} if len(mode) else {},
         "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan"),
-        "unresolved": {
-            REASONS[code]: float(np.mean(depth.reason == code)) for code in np.unique(depth.reason[depth.mode == 0])
-        },
+        "unresolved": {REASONS[code]: float(np.mean(reason == code)) for code in np.unique(reason[mode == 0])},
         "saved": depth.saved,
     }
     if optics is not None:
@@ -86,30 +83,24 @@ def picture_figures(picture: Rendering) -> dict[str, Any]:
 def percent(share: float) -> str:
     """A share in percent, with a digit behind the point only where it would be 0 or 100 without."""
     rounded = f"{100 * share:.0f}"
-    if rounded in ("0", "100") and share not in (0.0, 1.0):
-        rounded = f"{100 * share:.1f}"
-    return f"{rounded} %"
+    return f"{100 * share:.1f} %" if rounded in ("0", "100") and share not in (0.0, 1.0) else f"{rounded} %"
 
 
-def camera_sentence(calibration: Calibration, file: Path | None) -> str:
-    """How many lenses there are, and where the camera comes from: a `file`, or what was calibrated on."""
-    how = "found on the white image" if calibration.source == "white" else "found on the flat itself"
-    how = f"{how} (confidence {percent(calibration.confidence)})" if file is None else "as the camera file says"
-    return f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}."
-
-
-def depth_sentences(calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None) -> list[str]:
-    """The shares of the modes; with optics, the distances."""
+def capture_sentences(
+    capture: CaptureInput, calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None
+) -> list[str]:
+    """How many lenses there are and where the camera comes from, shares of the modes, and with optics the distances."""
+    sure = f" (confidence {percent(calibration.confidence)})"
+    where = "the flat itself" if capture.white is None else str(capture.white)
+    how = f"found on {where}{sure}" if capture.camera is None else f"with {capture.camera}"
+    sentences = [f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}."]
     if depth is None:
-        return []
-    from ..data.depth_map import REASONS
-    from ..output.depth_picture import MODES
-
-    analysed = depth.mode[depth.reason != REASONS.index("not analysed")]
-    part = f"{analysed.size:,} lenses in this part" if analysed.size < len(depth) else "lenses"
-    shares = [(float((analysed == code).mean()), name) for code, name in MODES.items()] if analysed.size else []
-    sentences = [f"Of the {part} {', '.join(f'{percent(n)} {name}' for n, name in shares if n >= 0.0005)}."]
+        return sentences
     figures = capture_figures(calibration, depth, optics)
+    count = figures["lenses_analysed"]
+    part = f"{count:,} lenses in this part" if count < len(depth) else "lenses"
+    shares = ", ".join(f"{percent(share)} {name}" for name, share in figures["modes"].items() if share >= 0.0005)
+    sentences.append(f"Of the {part} {shares}.")
     if optics is not None and figures["distance_median"] == figures["distance_median"]:
         near, far = figures["distance_range"]
         sentences.append(

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lfcal import CameraFileError
-from lfcal.runtime import console
-from lfcal.runtime.image_formats import VIDEO_FORMATS, Mosaic
-from lfcal.runtime.video.raw_format import RAW_SUFFIX
+from lfcal.runtime.command_line import Report, name_file_in_errors
+from lfcal.runtime.image_formats import RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS, Mosaic
 
 from . import figures
 
@@ -35,7 +34,7 @@ MOVING = (".gif", ".mkv", ".mp4")
 class CaptureInput:
     """A flat, and the files that its camera and its depth come from; its methods time the stages of a command."""
 
-    report: console.Report
+    report: Report
     flat: Path
     # Without camera and white image, the camera is calibrated from the flat; without a depth file, it is analysed.
     camera: Path | None = None
@@ -92,7 +91,7 @@ class CaptureInput:
             return pixels
         from lfcal import read_flat, subtract_dark
 
-        with console.name_file_in_errors(self.dark):
+        with name_file_in_errors(self.dark):
             return subtract_dark(pixels, read_flat(self.dark))
 
     def calibrate(self, pixels: NDArray[Any]) -> tuple[NDArray[Any], Calibration]:
@@ -116,31 +115,32 @@ class CaptureInput:
         if self.camera is not None:
             calibration = _read_camera(self.camera, pixels)
             calibration = calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
+        elif self.white is not None:
+            calibration = self._calibrate_white(self.white, pixels)
         else:
-            calibration = self._calibrate_scene(pixels) if self.white is None else self._calibrate_white(pixels)
+            calibration = self._calibrate_scene(pixels)
         encoded = calibration.encoded is None and self.flat.suffix.lower() in (*VIDEO_FORMATS, RAW_SUFFIX)
         return replace(calibration, encoded=True) if encoded else calibration
 
     def _calibrate_scene(self, pixels: NDArray[Any]) -> Calibration:
         from lfcal import calibrate
 
-        with console.name_file_in_errors(self.flat):
+        with name_file_in_errors(self.flat):
             calibration = calibrate(pixels, mosaic=self.mosaic)
         if calibration.source != "white":
             return calibration
         warning = "this is a white image, there is no scene in it; give a capture, and this one as --white"
         return replace(calibration, warnings=(*calibration.warnings, warning))
 
-    def _calibrate_white(self, pixels: NDArray[Any]) -> Calibration:
+    def _calibrate_white(self, path: Path, pixels: NDArray[Any]) -> Calibration:
         from lfcal import FlatError, calibrate, read_flat
 
-        assert self.white is not None
-        white = read_flat(self.white)
+        white = read_flat(path)
         if white.shape[:2] != pixels.shape[:2]:
             sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (white.shape, pixels.shape))
-            raise FlatError(f"{self.white}: white image and flat must be of one size, they have {sizes} px")
+            raise FlatError(f"{path}: white image and flat must be of one size, they have {sizes} px")
         white = self._subtract_dark(white)
-        with console.name_file_in_errors(self.white):
+        with name_file_in_errors(path):
             calibration = calibrate(white, kind="white", mosaic=self.mosaic if white.ndim == 2 else None)
         # Scenes show more of which filters are red.
         return calibration.with_mosaic_of(pixels)
@@ -163,7 +163,7 @@ class CaptureInput:
 
         path = self.depth_file
         assert path is not None
-        if path.suffix.lower() != ".npz" and path.exists():
+        if path.suffix.lower() != ".npz":
             raise DepthFileError(f"{path}: is no depth map (.npz); make one with 'lfrender analyze'")
         depth = DepthMap.load(path)
         if flat is not None and depth.image_size == flat.shape[1::-1] and not depth.is_of(flat):
@@ -203,7 +203,6 @@ class CaptureInput:
 def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
     """Whether a flat can be read in parts and has more than `least_bytes`; smaller ones are faster as a whole."""
     from lfcal import LightFieldError, open_flat
-    from lfcal.runtime.image_formats import TIFF_SUFFIXES
 
     # A compressed file that is a hundred times smaller need not be opened: its flat is smaller too.
     is_file = flat.is_file() and flat.suffix.lower() in TIFF_SUFFIXES and flat.stat().st_size >= least_bytes / 100

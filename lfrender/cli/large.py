@@ -62,7 +62,7 @@ def render_in_tiles(
                         "depth.npz", key, DepthMap.load, lambda: _analyze(capture, source, calibration, cluster)
                     )
         settings = figures.rendering_settings(depth, patch_size, detail=options.get("detail"))
-        with report.stage("render"), report.counted_progress("tiles") as progress, option_errors(0):
+        with report.stage("render"), report.progress("tiles") as progress, option_errors():
             made = render_large(
                 source, output, calibration, depth, patch_size=patch_size, alpha=alpha, settings=settings,
                 progress=progress, **options, **cluster,
@@ -73,11 +73,11 @@ def render_in_tiles(
         "picture": str(output), "size": list(made.size), "scale": made.scale, "valid": made.valid,
         "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept,
     }  # fmt: skip
-    found |= figures.capture_figures(calibration, depth)
     report.finish(
-        found, figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth),
+        found | figures.capture_figures(calibration, depth),
+        *figures.capture_sentences(capture, calibration, depth),
         f"{output}: {width} x {height} px in {made.tiles} tiles{kept}, in {report.took}.",
-    )  # fmt: skip
+    )
 
 
 def _find_camera(capture: CaptureInput, source: FlatSource, checkpoint: Checkpoint | None = None) -> Calibration:
@@ -108,5 +108,5 @@ def _analyze(
     from .. import analyze_large
 
     preset = capture.preset or "balanced"
-    with capture.report.counted_progress("tiles") as progress:
+    with capture.report.progress("tiles") as progress:
         return analyze_large(source, calibration, preset, skip=skip, progress=progress, **cluster)

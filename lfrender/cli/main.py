@@ -7,11 +7,10 @@ from typing import Any
 import click
 import cloup
 
-from lfcal.runtime import console
+from lfcal.runtime import command_line as cl
 
 from .analyze import analyze
-from .inputs import CaptureInput
-from .options import options
+from .options import declare
 from .pages import demo, report, view
 from .render import render
 from .sequence import batch
@@ -20,14 +19,14 @@ from .views import refocus, views
 __all__ = ["main"]
 
 
-@console.command("lfrender warm", "lfrender warm --processes 4")
-@options(own={"What to compile": "processes"}, refused="no flat is read")
-def warm(capture: CaptureInput, given: Any) -> None:
+@cl.command("lfrender warm", "lfrender warm --processes 4")
+@declare("processes")
+@cl.report_options
+def warm(report: cl.Report, given: Any) -> None:
     """Compile all kernels, unless that has been done for this installation.
 
     The first command does so too. The kernels of lfcal and lfrender, for flats of all kinds, go into Numba's cache.
     """
-    report = capture.report
     failed = report.compile_kernels(given.processes)
     seconds = report.compile_seconds
     more = f"; {failed} could not be compiled" if failed else ""
@@ -35,19 +34,14 @@ def warm(capture: CaptureInput, given: Any) -> None:
     report.finish({"compiled": failed is not None, "kernels_failed": failed or 0, "compile_seconds": seconds}, done)
 
 
-# Commands that are often typed here by mistake, and the program that has them.
-_OTHER_PROGRAMS = dict.fromkeys(
-    ("board", "calibrate", "compare", "convert", "flatten", "info", "lattice", "metric", "show"), "lfcal"
-)
-
-
 @cloup.group(
-    cls=console.CommandGroup,
+    cls=cl.Program,
     name="lfrender",
     context_settings={"help_option_names": ["-h", "--help"]},
-    other_programs=_OTHER_PROGRAMS,
-    file_command="render {} -o picture.tif",
-)
+    others=(
+        "lfcal", ("board", "calibrate", "compare", "convert", "flatten", "info", "lattice", "metric", "show"),
+    ),
+)  # fmt: skip
 @click.version_option(package_name="lfrender", prog_name="lfrender")
 def main() -> None:
     """Depth and full-resolution pictures from focused plenoptic captures."""

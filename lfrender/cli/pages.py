@@ -8,12 +8,12 @@ from typing import Any
 
 import click
 
-from lfcal.runtime import console
+from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_output
 
 from . import figures
 from .inputs import CaptureInput
-from .options import capture_command, options, output_option
+from .options import capture_command, output_option
 
 __all__ = ["demo", "report", "view"]
 
@@ -31,21 +31,20 @@ def view(capture: CaptureInput, given: Any) -> None:
     with WebGL 2.
     """
     from ..web.viewer import viewer_files, write_viewer
+    from ..web.viewer_server import PageServer
 
     report, export = capture.report, given.export
     if export is not None and export.suffix:
         check_output(export, {".html", ".htm"}, capture.files)
     pixels, calibration, depth = capture.load()
     warnings = figures.camera_figures(calibration, depth)["warnings"]
-    sentences = [figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth)]
+    sentences = figures.capture_sentences(capture, calibration, depth)
     if export is not None:
         with report.stage("write"):
             page = write_viewer(export, pixels, calibration, depth, capture.flat.name)
         closing = f"{page} in {report.took}: open it in a browser, or put it on a web page."
         report.finish({"page": str(page), "warnings": warnings}, *sentences, closing)
         return
-    from ..web.viewer_server import PageServer
-
     with report.stage("prepare"):
         server = PageServer(dict(viewer_files(pixels, calibration, depth, capture.flat.name)), given.port)
     with server:
@@ -78,29 +77,23 @@ def report(capture: CaptureInput, given: Any) -> None:
     with progress.stage("write"):
         seconds = dict(progress.seconds)
         write_report(output, pixels, calibration, depth, pictures, title=capture.flat.name, seconds=seconds)
-    progress.finish(
-        {"report": str(output), **figures.capture_figures(calibration, depth)},
-        figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth),
-        f"{output} in {progress.took}: open it in a browser.",
-    )  # fmt: skip
+    sentences = figures.capture_sentences(capture, calibration, depth)
+    found = {"report": str(output), **figures.capture_figures(calibration, depth)}
+    progress.finish(found, *sentences, f"{output} in {progress.took}: open it in a browser.")
 
 
-@console.command("lfrender demo -o demo")
-@options(
-    output_option(
-        "FOLDER", "Folder for pictures and page.", required=False, default=Path("lfrender-demo"), show_default=True
-    ),
-    refused="the demo simulates its own capture",
+@cl.command("lfrender demo -o demo")
+@output_option(
+    "FOLDER", "Folder for pictures and page.", required=False, default=Path("lfrender-demo"), show_default=True
 )
-def demo(capture: CaptureInput, given: Any) -> None:
+@cl.report_options
+def demo(report: cl.Report, given: Any) -> None:
     """Try everything on a simulated capture, and show it on a page.
 
     The capture is calibrated, analysed and rendered from its pixels alone, and compared with the truth.
     """
     from ..web.demo import run_demo
 
-    report = capture.report
-    report.log_stages = True
     found = run_demo(given.output, report)
     modes, merit = found["mode_right"]["one_depth"], found["merit"]["all_in_focus"]["psnr"]
     centres = found["calibration"]["scene"]["centre_error"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -27,7 +26,7 @@ __all__ = ["render"]
     "lfrender render flat.png --white white.png --patch-size -8.5 -o binocular.png",
     output=("PICTURE", "Picture to write: .tif, .png, .jpg, ...", ".png"),
     own={
-        "What to draw": "patch_size blend traditional scale edges detail sharpen",
+        "What to draw": "patch_size blend traditional scale edges detail",
         "How to write it": "eight_bits alpha compress tile",
         "Several processes": "workers scheduler",
     },
@@ -38,53 +37,37 @@ def render(capture: CaptureInput, given: Any) -> None:
     Without --depth, --patch-size and --traditional the depth is analysed first. A flat of more than 100 MB, as TIFF or
     Zarr, is read and drawn in tiles; the finished tiles of an interrupted run are used by the next one.
     """
-    if given.sharpen is not None:
-        raise click.UsageError("--sharpen is gone: pictures get their detail back by --detail natural, the default")
-    output, patch_size, traditional = given.output, given.patch_size, given.traditional
-    roi, mean, on_cluster = capture.roi, ("--traditional", traditional), given.workers or given.scheduler
-    at_most_one("--depth", capture.depth_file, "--patch-size", patch_size, *mean)
-    at_most_one("--scale", given.scale, *mean)
-    at_most_one("--detail", given.detail, "--patch-size", patch_size, *mean)
-    at_most_one("--roi", roi, *mean, "--tile", given.tile)
-    at_most_one("--workers", given.workers, "--scheduler", given.scheduler)
-    at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, *mean)
-    for other in (("--depth", capture.depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
-        at_most_one("--edges", given.edges or None, *other)
-    if given.blend and patch_size is None:
-        raise click.UsageError("--blend needs --patch-size")
-    options: dict[str, Any] = {name: getattr(given, name) for name in ("patch_size", "scale", "detail")}
+    in_tiles = _check(capture, given)
+    options = {"patch_size": given.patch_size, "scale": given.scale, "detail": given.detail}
     options["blend"] = given.blend or None
     stored = {"alpha": given.alpha, "compress": given.compress}
-    if not (traditional or roi) and (_in_tiles(output, given.tile, on_cluster) or is_large(capture.flat)):
+    if in_tiles:
         from .large import render_in_tiles
 
-        if given.edges:
-            raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
-        if given.eight_bits:
-            raise click.UsageError("--8bit is for flats that are drawn as a whole: write the pixels as they are")
-        with connect_cluster(given.workers, given.scheduler, capture.report) as cluster:
-            render_in_tiles(capture, output, cluster, tile=given.tile, **stored, **options)
+        with connect_cluster(given, capture.report) as cluster:
+            render_in_tiles(capture, given.output, cluster, tile=given.tile, **stored, **options)
         return
     from ..output.formats import check_format
 
+    output, patch_size, traditional = given.output, given.patch_size, given.traditional
     check_format(output, "picture", alpha=given.alpha, inputs=capture.files)
     pixels = capture.read()
     check_format(output, "picture", dtype=pixels.dtype, alpha=given.alpha)
     pixels, calibration = capture.calibrate(pixels)
     whole = traditional or patch_size is not None
     depth = None if whole else _find_depth(capture, pixels, calibration, given.edges)
-    with capture.report.stage("render"), option_errors(*options.values(), roi):
+    with capture.report.stage("render"), option_errors():
         from .. import render as run
         from .. import traditional as run_traditional
         from ..rendering.traditional import TOO_LITTLE, resolves_too_little
 
-        if depth is not None and not (given.scale or roi) and resolves_too_little(depth):
+        if depth is not None and not (given.scale or capture.roi) and resolves_too_little(depth):
             traditional = True
             capture.report.warn(TOO_LITTLE.format("--scale"))
         if traditional:
             picture = run_traditional(pixels, calibration)
         else:
-            picture = run(pixels, calibration, depth, roi=roi, **options)
+            picture = run(pixels, calibration, depth, roi=capture.roi, **options)
     drawn = None if traditional else depth
     settings = figures.rendering_settings(drawn, patch_size, given.detail)
     _, stated = capture.write(output, [picture], [settings], given.eight_bits, **stored)
@@ -93,23 +76,40 @@ def render(capture: CaptureInput, given: Any) -> None:
         what = f"of one patch size, {patch_size:g} px{', mixed from all lenses' if given.blend else ''}"
     capture.report.finish(
         {"picture": str(output), **figures.picture_figures(picture), **figures.capture_figures(calibration, depth)},
-        figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, drawn),
+        *figures.capture_sentences(capture, calibration, drawn),
         figures.picture_sentence(output, picture, what, capture.report.took), *stated,
     )  # fmt: skip
 
 
-def _in_tiles(output: Path, tile: int | None, on_cluster: Any) -> bool:
-    """Whether a flat is drawn in tiles however small it is: a plain Zarr array is, OME-Zarr is not."""
+def _check(capture: CaptureInput, given: Any) -> bool:
+    """Refuse options that exclude each other; whether the picture is drawn in tiles."""
     from ..output.ome import is_ome_name
 
-    return bool(on_cluster) or tile is not None or (output.suffix.lower() == ".zarr" and not is_ome_name(output))
+    roi, patch_size, depth_file = capture.roi, given.patch_size, capture.depth_file
+    mean, on_cluster = ("--traditional", given.traditional), given.workers or given.scheduler
+    at_most_one("--depth", depth_file, "--patch-size", patch_size, *mean)
+    at_most_one("--scale", given.scale, *mean)
+    at_most_one("--detail", given.detail, "--patch-size", patch_size, *mean)
+    at_most_one("--roi", roi, *mean, "--tile", given.tile)
+    at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, *mean)
+    for other in (("--depth", depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
+        at_most_one("--edges", given.edges or None, *other)
+    if given.blend and patch_size is None:
+        raise click.UsageError("--blend needs --patch-size")
+    # A plain Zarr array is written in tiles however small it is, OME-Zarr is not.
+    plain = given.output.suffix.lower() == ".zarr" and not is_ome_name(given.output)
+    whole = given.traditional or roi
+    in_tiles = not whole and (on_cluster or given.tile is not None or plain or is_large(capture.flat))
+    if in_tiles and given.edges:
+        raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
+    if in_tiles and given.eight_bits:
+        raise click.UsageError("--8bit is for flats that are drawn as a whole: write the pixels as they are")
+    return bool(in_tiles)
 
 
 def _find_depth(capture: CaptureInput, pixels: NDArray[Any], calibration: Calibration, edges: bool | None) -> DepthMap:
-    needed = None
-    if capture.roi:
-        from ..rendering.render import expand_roi
+    from ..rendering.render import expand_roi
 
-        with option_errors(capture.roi):
-            needed = expand_roi(capture.roi, calibration)
+    with option_errors():
+        needed = None if capture.roi is None else expand_roi(capture.roi, calibration)
     return capture.analyze(pixels, calibration, roi=needed, edges=edges)

@@ -3,39 +3,33 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from lfcal import CameraFileError
-from lfcal.runtime import console
+from lfcal import CameraFileError, FlatError
 from lfcal.runtime.output_file import check_folder
 
 from .figures import percent
 from .inputs import CaptureInput
-from .options import at_most_one, connect_cluster, grid_size, options, output_option
+from .options import capture_command, connect_cluster
 
 if TYPE_CHECKING:
     from lfcal import Calibration
 
     from ..sequence.frames import Frames
-    from ..sequence.job import FrameResult
 
 __all__ = ["batch"]
 
 
-@console.command(
+@capture_command(
     "lfrender batch frames -o pictures",
     "lfrender batch film.mkv -c camera.json -o pictures --format png",
     "lfrender batch film.mkv -c camera.json -o sharp.mp4",
     "lfrender batch frames/*.png -o pictures --workers 4",
     "lfrender batch film_2048x2048_420p10.yuv -c camera.cfg -o views --views 5x5 --format yuv --resize 1920x1080",
-)
-@console.several_inputs("inputs", "INPUT...")
-@options(
-    output_option("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, or .mkv without any loss."),
+    output=("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, or .mkv without any loss."),
     own={
         "Files": "overwrite",
         "What to draw": "scale frame_format eight_bits fps frame_views frame_aperture resize",
@@ -56,15 +50,12 @@ def batch(capture: CaptureInput, given: Any) -> int:
     does not stop the others (exit code 1).
     """
     from .. import open_frames
+    from ..output.formats import check_format
     from ..sequence.frames import is_video
 
-    report, output = capture.report, given.output
-    film = is_video(output)
-    at_most_one("--workers", given.workers, "--scheduler", given.scheduler)
-    further = _film_options(output, given) if film else _folder_options(output, given)
+    report, output, film = capture.report, given.output, is_video(given.output)
+    further = _film_options(given) if film else _folder_options(given)
     if film:
-        from ..output.formats import check_format
-
         check_format(output, "film", inputs=[*given.inputs, *capture.files])
     frames = open_frames(given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark)
     calibration = None
@@ -73,10 +64,8 @@ def batch(capture: CaptureInput, given: Any) -> int:
             calibration = _find_camera(frames, capture)
     results, start = [], perf_counter()
     with (
-        report.stage("frames"),
-        report.progress("frames", frames.count) as advance,
-        connect_cluster(given.workers, given.scheduler, report) as cluster,
-    ):
+        report.stage("frames"), report.progress("frames") as step, connect_cluster(given, report) as cluster,
+    ):  # fmt: skip
         from .. import render_frames
         from ..sequence.film import render_film
 
@@ -86,30 +75,48 @@ def batch(capture: CaptureInput, given: Any) -> int:
             overwrite=given.overwrite, **cluster, **further,
         ):  # fmt: skip
             results.append(result)
-            advance(result.message)
+            step(len(results), frames.count, result.message)
+    seconds = perf_counter() - start
     if calibration is None and not film:
         from ..sequence.job import load_camera
 
         with suppress(CameraFileError):
             calibration = load_camera(output)
     warnings = [] if calibration is None else list(calibration.warnings)
-    written = {"film" if film else "pictures": str(output)}
-    return _finish(report, written, results, perf_counter() - start, warnings)
+    rendered = [result for result in results if result.outcome == "rendered"]
+    failures = [result.message for result in results if result.outcome == "failed"]
+    kept, each = len(results) - len(rendered) - len(failures), seconds / max(len(rendered), 1)
+    still = sum(result.still for result in rendered) / max(len(rendered), 1)
+    told = [f"{len(rendered):,} frames rendered, {each:.2f} s each"]
+    told += [f"{kept:,} kept from before"] if kept else []
+    told += [f"{len(failures):,} failed"] if failures else []
+    report.finish(
+        {
+            "film" if film else "pictures": str(output), "rendered": len(rendered), "kept": kept,
+            "failed": len(failures), "seconds_per_frame": each, "still": still,
+            "warnings": [*warnings, *failures] if report.as_json else warnings,
+        },
+        f"{', '.join(told)}.{f' {percent(still)} of their lenses had not moved.' if still > 0.005 else ''}",
+        f"{output} is written.",
+    )  # fmt: skip
+    return 1 if failures else 0
 
 
-def _film_options(output: Path, given: Any) -> dict[str, Any]:
+def _film_options(given: Any) -> dict[str, Any]:
     """The arguments of `render_film`."""
     if given.views is not None:
-        raise click.UsageError(f"{output} is a film; views go into a folder")
+        raise click.UsageError(f"{given.output} is a film; views go into a folder")
     _check_view_options(given)
     if given.suffix is not None or given.eight_bits:
-        raise click.UsageError(f"{output} is a film: leave out --format and --8bit")
-    return {"path": output, "rate": given.fps}
+        raise click.UsageError(f"{given.output} is a film: leave out --format and --8bit")
+    return {"path": given.output, "rate": given.fps}
 
 
-def _folder_options(output: Path, given: Any) -> dict[str, Any]:
+def _folder_options(given: Any) -> dict[str, Any]:
     """The arguments of `render_frames`."""
-    check_folder(output)
+    from ..sequence.view_grid import ViewGrid
+
+    check_folder(given.output)
     _check_view_options(given)
     suffix = (given.suffix or "tif").lstrip(".")
     raw = suffix.startswith("yuv")
@@ -119,12 +126,11 @@ def _folder_options(output: Path, given: Any) -> dict[str, Any]:
         raise click.UsageError("--8bit is for pictures: leave it out, or --format yuv")
     if raw and given.views is None:
         raise click.UsageError("raw video is a film or views: give -o FILM.yuv, or --views")
-    grid = None
-    if given.views is not None:
-        from ..sequence.view_grid import ViewGrid
-
-        grid = ViewGrid(*grid_size("--views", given.views), given.aperture or 0.7, given.resize)
-    return {"folder": output, "eight_bits": given.eight_bits, "suffix": f".{suffix}", "views": grid}
+    options = {"folder": given.output, "eight_bits": given.eight_bits, "suffix": f".{suffix}"}
+    if given.views is None:
+        return options
+    rows, columns = given.views
+    return {**options, "views": ViewGrid(rows, columns, given.aperture or 0.7, given.resize)}
 
 
 def _check_view_options(given: Any) -> None:
@@ -132,35 +138,12 @@ def _check_view_options(given: Any) -> None:
         raise click.UsageError("--aperture and --resize are for --views")
 
 
-def _finish(
-    report: console.Report, output: dict[str, str], results: list[FrameResult], seconds: float, warnings: list[str]
-) -> int:
-    """Print what was done; the exit code."""
-    rendered = [result for result in results if result.outcome == "rendered"]
-    failures = [result.message for result in results if result.outcome == "failed"]
-    kept, each = len(results) - len(rendered) - len(failures), seconds / max(len(rendered), 1)
-    still = sum(result.still for result in rendered) / max(len(rendered), 1)
-    counts = {"rendered": len(rendered), "kept": kept, "failed": len(failures)}
-    told = [f"{len(rendered):,} frames rendered, {each:.2f} s each"]
-    told += [f"{kept:,} kept from before"] if kept else []
-    told += [f"{len(failures):,} failed"] if failures else []
-    report.finish(
-        {**output, **counts, "seconds_per_frame": each, "still": still}
-        | {"warnings": [*warnings, *failures] if report.as_json else warnings},
-        f"{', '.join(told)}.{f' {percent(still)} of their lenses had not moved.' if still > 0.005 else ''}",
-        *(f"{path} is written." for path in output.values()),
-    )
-    return 1 if failures else 0
-
-
 def _find_camera(frames: Frames, capture: CaptureInput) -> Calibration:
     """The camera, with what the first frame that can be read shows of it."""
-    from lfcal import FlatError
-
     for frame in frames:
-        try:
+        with suppress(FlatError):
             pixels = frame.read()
-        except FlatError:
-            continue
-        return capture.find_camera(pixels)
-    raise FlatError("none of the frames can be read")
+            break
+    else:
+        raise FlatError("none of the frames can be read")
+    return capture.find_camera(pixels)

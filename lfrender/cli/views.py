@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,7 +12,7 @@ from lfcal.runtime.output_file import check_folder
 
 from . import figures
 from .inputs import MOVING, CaptureInput
-from .options import at_most_one, capture_command, grid_size, option_errors
+from .options import at_most_one, capture_command, option_errors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["refocus", "views"]
 
-_View = TypeVar("_View")
-# Suffixes that no folder has, of files that are not written.
-_NO_FOLDERS = (".apng", ".avi", ".m4v", ".mov", ".mpeg", ".mpg", ".webm", ".wmv")
 # Pictures of an animation where no number is given: two seconds.
 _PICTURES = 24
 
@@ -44,30 +41,30 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     Several depths make a focal stack on one grid: pages of one TIFF, or PICTURE_01.png and so on; as .gif, .mp4 or .mkv
     an animation.
     """
-    output, at, patch_sizes, stack = given.output, given.at, given.patch_sizes, given.stack
-    at_most_one("--patch-size", patch_sizes or None, "--at", at, "--stack", stack)
-    moving = output.suffix.lower() in MOVING
-    if not (patch_sizes or at or stack):
-        if not moving:
-            raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
-        stack = _PICTURES
-    if moving and (at or len(patch_sizes) == 1):
-        raise click.UsageError(f"{output} moves through several depths: give --stack N, or another suffix")
     from ..output.formats import check_format
 
+    report, output, at, sizes, stack = capture.report, given.output, given.at, list(given.patch_sizes), given.stack
+    at_most_one("--patch-size", sizes or None, "--at", at, "--stack", stack)
+    moving = output.suffix.lower() in MOVING
+    if moving and (at or len(sizes) == 1):
+        raise click.UsageError(f"{output} moves through several depths: give --stack N, or another suffix")
+    if not (sizes or at or stack or moving):
+        raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
+    stack = stack if sizes or at or stack else _PICTURES
     uses = ("animation", "film") if moving else ("picture",)
     check_format(output, *uses, inputs=capture.files)
     pixels = capture.read()
     check_format(output, *uses, dtype=pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration) if at or stack else None
-    with capture.report.stage("render"), option_errors(0):
+    with report.stage("render"), option_errors():
         from .. import focal_stack
         from .. import refocus as run
         from ..rendering.refocus import stack_depths
 
         drawing = {"aperture": given.aperture, "scale": given.scale}
-        sizes = stack_depths(depth, stack) if depth is not None and stack else list(patch_sizes)
+        if depth is not None and stack:
+            sizes = stack_depths(depth, stack)
         if len(sizes) > 1:
             pictures = focal_stack(pixels, calibration, sizes, **drawing)
         else:
@@ -76,14 +73,14 @@ def refocus(capture: CaptureInput, given: Any) -> None:
         pictures = [_cut(picture, capture, calibration) for picture in pictures]
     settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
     paths, stated = capture.write(output, pictures, settings, given.eight_bits)
-    written = {"picture": str(output)} if len(paths) == 1 else {"pictures": [str(path) for path in paths]}
+    one_file = len(paths) == 1
     what = f"{len(pictures)} depths" if len(pictures) > 1 else "in focus at one depth"
-    named = output if len(paths) == 1 else f"{paths[0]} to {paths[-1].name}"
-    capture.report.finish(
-        written | {"patch_sizes": sizes}
-        | figures.picture_figures(pictures[0]) | figures.camera_figures(calibration, depth),
-        figures.camera_sentence(calibration, capture.camera),
-        figures.picture_sentence(named, pictures[0], what, capture.report.took), *stated,
+    named = output if one_file else f"{paths[0]} to {paths[-1].name}"
+    found = {"picture": str(output)} if one_file else {"pictures": list(map(str, paths))}
+    found |= {"patch_sizes": sizes, **figures.picture_figures(pictures[0])}
+    report.finish(
+        found | figures.camera_figures(calibration, depth), *figures.capture_sentences(capture, calibration),
+        figures.picture_sentence(named, pictures[0], what, report.took), *stated,
     )  # fmt: skip
 
 
@@ -110,45 +107,44 @@ def views(capture: CaptureInput, given: Any) -> None:
 
     Every view is sharp at every depth.
     """
+    others = "--stereo", given.stereo, "--animation", given.animation, "--quilt", given.quilt
     for option, value in (("--grid", given.grid), ("--poses", given.poses)):
-        others = "--stereo", given.stereo, "--animation", given.animation, "--quilt", given.quilt
         at_most_one(option, value, *others)
     at_most_one("--resize", given.resize, "--scale", given.scale)
     for option, value in (("--resize", given.resize), ("--roi", capture.roi)):
         at_most_one(option, value, "--poses", given.poses)
-    output, still = given.output, given.grid or given.stereo or given.quilt or given.poses
+    report, output, still = capture.report, given.output, given.grid or given.stereo or given.quilt or given.poses
     if given.animation is None and output.suffix.lower() in MOVING and not still:
         given.animation = _PICTURES
-    given.grid = grid_size("--grid", given.grid or "5x5")
-    given.quilt = None if given.quilt is None else grid_size("--quilt", given.quilt)
     given.suffix = f".{given.suffix.lstrip('.').lower()}"
     _check_views(given, inputs=capture.files)
     pixels = capture.read()
     _check_views(given, pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration)
-    report, offsets = capture.report, _offsets(given, given.aperture * calibration.lattice.radius)
+    offsets = _offsets(given, given.aperture * calibration.lattice.radius)
     found: dict[str, Any] = {"views": str(output), "offsets": offsets}
-    stated = []
-    with report.stage("render and write"), report.progress("views", len(offsets)) as advance:
+    stated: list[str] = []
+    with report.stage("render and write"), report.progress("views") as step, option_errors():
         if given.poses:
-            found |= _write_posed(given, pixels, calibration, depth, offsets, advance)
+            found |= _write_posed(given, pixels, calibration, depth, offsets, partial(_counted, step))
         else:
-            from ..output.metadata import read_metadata
-
-            settings = {"rendering": "views", "aperture": given.aperture, "preset": depth.preset}
-            pictures = _draw_views(capture, given, pixels, calibration, depth, offsets)
-            with option_errors(capture.roi):
-                stated = _write_views(
-                    given, _advance_with(pictures, advance), settings=settings, embedded=read_metadata(capture.flat)
-                )
+            drawn = _draw_views(capture, given, pixels, calibration, depth, offsets)
+            stated = _write_views(capture, given, _counted(step, drawn, len(offsets)), depth.preset)
     if pixels.dtype.name != "uint8" and (given.eight_bits or _holds_eight_bits(given)):
         stated.append(figures.eight_bits_sentence(calibration.white_level, pixels.dtype))
     report.finish(
         {**found, **figures.capture_figures(calibration, depth)},
-        figures.camera_sentence(calibration, capture.camera), *figures.depth_sentences(calibration, depth),
+        *figures.capture_sentences(capture, calibration, depth),
         f"{output}: {len(offsets)} views, in {report.took}.", *stated,
     )  # fmt: skip
+
+
+def _counted(step: Callable[[int, int], None], views: Iterable[Any], count: int) -> Iterator[Any]:
+    """The views as they are drawn, with a step of the progress for each."""
+    for number, view in enumerate(views, 1):
+        step(number, count)
+        yield view
 
 
 def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
@@ -157,10 +153,10 @@ def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
 
     if given.animation:
         return circle_offsets(given.animation, radius)
-    if given.quilt:
-        return grid_offsets(1, given.quilt[0] * given.quilt[1], radius)
-    rows, columns = given.grid
-    return [(-radius, 0.0), (radius, 0.0)] if given.stereo else grid_offsets(rows, columns, radius)
+    if given.stereo:
+        return [(-radius, 0.0), (radius, 0.0)]
+    rows, columns = (1, given.quilt[0] * given.quilt[1]) if given.quilt else given.grid or (5, 5)
+    return grid_offsets(rows, columns, radius)
 
 
 def _check_views(given: Any, dtype: Any = None, inputs: Any = ()) -> None:
@@ -170,14 +166,11 @@ def _check_views(given: Any, dtype: Any = None, inputs: Any = ()) -> None:
     from ..output.views import check_grid
 
     output = given.output
-    suffix = "" if output.is_dir() else output.suffix.lower()
     if given.animation:
         check_format(output, "animation", "film", dtype=dtype, inputs=inputs)
     elif given.stereo or given.quilt:
         check_format(output, "picture", dtype=dtype, inputs=inputs)
-    elif suffix in _NO_FOLDERS:
-        raise click.UsageError(f"{output}: films and animations are written as {', '.join(MOVING)}")
-    elif suffix in FORMATS:
+    elif output.suffix.lower() in FORMATS and not output.is_dir():
         raise click.UsageError(
             f"{output} is one file: say what it shows with --stereo, --animation N or --quilt 8x6, or give a folder"
         )
@@ -193,19 +186,18 @@ def _draw_views(
     pixels: NDArray[Any],
     calibration: Calibration,
     depth: DepthMap,
-    offsets: list[tuple[float, float]],
+    offsets: list[Any],
 ) -> Iterator[Rendering]:
     from .. import views as run
     from ..output.picture import eight_bits
     from ..output.views import resize_view, scale_for_size
 
     size = given.resize
-    with option_errors(0):
-        scale = given.scale if size is None else scale_for_size(calibration, size)
-        pictures: Iterator[Rendering] = run(pixels, calibration, depth, offsets=offsets, scale=scale)
-    pictures = pictures if size is None else map(partial(resize_view, size=size), pictures)
-    pictures = map(partial(_cut, capture=capture, calibration=calibration), pictures)
-    return map(eight_bits, pictures) if given.eight_bits else pictures
+    scale = given.scale if size is None else scale_for_size(calibration, size)
+    for picture in run(pixels, calibration, depth, offsets=offsets, scale=scale):
+        picture = picture if size is None else resize_view(picture, size=size)
+        picture = _cut(picture, capture, calibration)
+        yield eight_bits(picture) if given.eight_bits else picture
 
 
 def _holds_eight_bits(given: Any) -> bool:
@@ -217,14 +209,17 @@ def _holds_eight_bits(given: Any) -> bool:
     return suffix != ".mkv" if given.animation else kind is not None and kind.pixel_types == ("uint8",)
 
 
-def _write_views(given: Any, pictures: Iterator[Rendering], **options: Any) -> list[str]:
+def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering], preset: str) -> list[str]:
     """Write the views; returns what is to be said about them."""
+    from ..output.metadata import read_metadata
     from ..output.picture import write_picture
     from ..output.raw_video import write_view_videos
     from ..output.views import stereo_pair, write_grid, write_quilt
     from ..sequence.film import write_moving
 
     output = given.output
+    settings = {"rendering": "views", "aperture": given.aperture, "preset": preset}
+    options: dict[str, Any] = {"settings": settings, "embedded": read_metadata(capture.flat)}
     if given.animation:
         write_moving(output, pictures)
     elif given.quilt:
@@ -236,7 +231,7 @@ def _write_views(given: Any, pictures: Iterator[Rendering], **options: Any) -> l
     elif given.suffix.startswith(".yuv"):
         write_view_videos(output, pictures, given.suffix[1:])
     else:
-        write_grid(output, pictures, given.grid[1], given.suffix, **options)
+        write_grid(output, pictures, (given.grid or (5, 5))[1], given.suffix, **options)
     return []
 
 
@@ -246,7 +241,7 @@ def _write_posed(
     calibration: Calibration,
     depth: DepthMap,
     offsets: list[tuple[float, float]],
-    advance: Callable[[str], None],
+    counted: Callable[[Iterable[Any], int], Iterator[Any]],
 ) -> dict[str, Any]:
     """Write views with their cameras; returns found about these."""
     from lfcal import Optics
@@ -255,16 +250,8 @@ def _write_posed(
     from ..rendering.viewpoints import still_depth, views_with_depth
 
     known, still = Optics.load(given.optics) if given.optics is not None else None, still_depth(depth)
-    with option_errors(0):
-        drawn = views_with_depth(pixels, calibration, depth, offsets=offsets, scale=given.scale, still=still)
-    counted = _advance_with(drawn, advance)
-    rig = write_posed_views(given.output, given.poses, counted, calibration, depth, offsets, still, known)
+    drawn = views_with_depth(pixels, calibration, depth, offsets=offsets, scale=given.scale, still=still)
+    pictures = counted(drawn, len(offsets))
+    rig = write_posed_views(given.output, given.poses, pictures, calibration, depth, offsets, still, known)
     positions = [camera.position.tolist() for camera in rig.cameras]
     return {"unit": rig.unit, "camera_error": rig.error, "positions": positions}
-
-
-def _advance_with(views: Iterable[_View], advance: Callable[[str], None]) -> Iterator[_View]:
-    """The views as they are drawn, with a step of the progress for each."""
-    for view in views:
-        advance("")
-        yield view

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration
-from lfcal.runtime import notebook
+from lfcal.runtime.notebook import html_card
 
 if TYPE_CHECKING:
     from .depth_map import DepthMap
@@ -22,12 +22,6 @@ _UNRESOLVED = (150, 150, 150)
 
 def depth_html(depth: DepthMap) -> str:
     """HTML with the magnification over the scene in colours, unresolved lenses grey, and the figures of a depth map."""
-    import cv2
-
-    shown, low, high = _magnification(depth)
-    share = np.log(shown / low) / np.log(high / low)
-    colours = cv2.applyColorMap(np.rint(255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)[:, :, ::-1]
-    colours[depth.unresolved_places(shown.shape, depth.surface.first, depth.surface.spacing)] = _UNRESOLVED
     modes = ((1, "telescopic"), (-1, "binocular"), (0, "unresolved"))
     figures = {
         "lenses": f"{len(depth)}, preset {depth.preset}",
@@ -39,10 +33,7 @@ def depth_html(depth: DepthMap) -> str:
         figures["standard error of s"] = f"{np.median(depth.standard_error[depth.mode != 0]):.2g} px (median)"
     if depth.saved:
         figures["saved"] = ", ".join(f"{name} {part:.0%}" for name, part in depth.saved.items())
-    steps = cv2.applyColorMap(np.linspace(0, 255, 9).astype(np.uint8)[None], cv2.COLORMAP_TURBO)[0, :, ::-1]
-    bar = notebook.colour_bar(steps, f"M = {low:.2f}", f"{high:.2f}", {"unresolved": _UNRESOLVED})
-    picture = f"<div>{notebook.thumbnail(colours, 'magnification over the scene')}{bar}</div>"
-    return notebook.html_card("DepthMap", figures, picture)
+    return html_card("DepthMap", figures, depth.plot)
 
 
 def rendering_html(rendering: Rendering) -> str:
@@ -53,16 +44,15 @@ def rendering_html(rendering: Rendering) -> str:
         "scale": f"{rendering.scale:.2f} px per pitch",
         "seen by lenses": f"{float(np.mean(rendering.valid)):.1%}",
     }
-    return notebook.html_card(
-        "Rendering", figures, notebook.thumbnail(rendering.image, "rendered picture", rendering.white)
-    )
+    return html_card("Rendering", figures, rendering.plot)
 
 
 def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
     """`DepthMap.plot`."""
-    ax = notebook.get_axes(ax)
+    import matplotlib.pyplot as plt
     from matplotlib.colors import LogNorm
 
+    ax = ax or plt.gca()
     shown, low, high = _magnification(depth)
     shown[depth.unresolved_places(shown.shape, depth.surface.first, depth.surface.spacing)] = np.nan
     surface = depth.surface
@@ -79,7 +69,9 @@ def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
 
 def plot_rendering(rendering: Rendering, ax: Any = None) -> Any:
     """`Rendering.plot`."""
-    ax = notebook.get_axes(ax)
+    import matplotlib.pyplot as plt
+
+    ax = ax or plt.gca()
     image = rendering.image
     if image.dtype.kind == "u":
         image = image / np.float32(rendering.white or np.iinfo(image.dtype).max)

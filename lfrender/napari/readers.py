@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lfcal import CameraFileError, LightFieldError, load, read_flat
-from lfcal.runtime.image_formats import IMAGE_SUFFIXES
-from lfcal.runtime.video.raw_format import RAW_SUFFIX
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX
 
 from ..data.depth_map import DepthMap
 from ..data.plots import napari_layers

@@ -26,7 +26,7 @@ from ..data.rendering import Rendering
 from .formats import write_exr
 from .picture import write_picture
 from .poses import ViewCamera, ViewRig, view_rig
-from .raw_video import check_raw_format, raw_format_of, yuv_frame
+from .raw_video import check_raw_format, frame_bytes, yuv_frame
 
 __all__ = ["POSE_FORMATS", "write_posed_views"]
 
@@ -192,23 +192,24 @@ def _write_rvs(folder: Path, views: list[_Posed], unit: str) -> None:
     """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the depths of each view."""
     cameras: list[dict[str, Any]] = []
     for view in views:
-        layout = raw_format_of(view.picture.image.shape, "yuv420p10")
-        size = f"{layout.width}x{layout.height}"
+        texture = yuv_frame(view.picture.image, "yuv420p10", view.picture.white)
+        width, height = texture.width, texture.height
+        size = f"{width}x{height}"
         known = view.depth[view.known]
         near, far = np.quantile(known, (0, 0.999)).tolist() if known.size else (1.0, 2.0)
         near, far = 0.999 * near, 1.001 * far
         disparity = (1 / np.where(view.known, view.depth, far) - 1 / far) / (1 / near - 1 / far)
-        whole = np.rint(np.clip(disparity, 0, 1) * 65535).astype("<u2")[: layout.height, : layout.width]
-        grey = np.full(layout.width * layout.height // 2, 0x8000, "<u2")
+        whole = np.rint(np.clip(disparity, 0, 1) * 65535).astype("<u2")[:height, :width]
+        grey = np.full(width * height // 2, 0x8000, "<u2")
         name = f"v{view.number:02d}"
         with atomic_write(folder / f"{name}_texture_{size}_yuv420p10le.yuv") as temporary:
-            temporary.write_bytes(yuv_frame(view.picture.image, "yuv420p10", view.picture.white))
+            temporary.write_bytes(frame_bytes(texture))
         with atomic_write(folder / f"{name}_depth_{size}_yuv420p16le.yuv") as temporary:
             temporary.write_bytes(np.ascontiguousarray(whole).tobytes() + grey.tobytes())
         x, y, z = view.camera.position.tolist()
         cameras.append(
             {"Name": name, "Position": [z, -x, -y], "Rotation": [0.0, 0.0, 0.0], "Depthmap": 1, "Background": 0}
-            | {"Depth_range": [near, far], "Resolution": [layout.width, layout.height], "Projection": "Perspective"}
+            | {"Depth_range": [near, far], "Resolution": [width, height], "Projection": "Perspective"}
             | {"Focal": list(view.camera.focal), "Principle_point": [p + 0.5 for p in view.camera.principal_point]}
             | {"BitDepthColor": 10, "BitDepthDepth": 16, "ColorSpace": "YUV420", "DepthColorSpace": "YUV420"}
         )

@@ -1,4 +1,4 @@
-"""Raw planar video (`.yuv`) of pictures: the bytes of a frame, and a file for each view of a grid.
+"""Raw planar video (`.yuv`) of pictures: their frames, and a file for each view of a grid.
 
 Files are named and numbered as the converters for lenslet video (TLCT) do: `v000-1920x1080.yuv` is the view at the top
 left, the others follow row by row.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal.runtime.output_file import atomic_write, make_folder
-from lfcal.runtime.video.frame_pixels import convert_frame, plane_bytes
-from lfcal.runtime.video.raw_format import RawFormat, parse_pixel_format
+from lfcal.runtime.video import convert_frame, parse_pixel_format
 
 from .formats import FORMATS, PictureError, check_package
 
-__all__ = ["check_raw_format", "raw_format_of", "view_name", "write_view_videos", "yuv_frame"]
+__all__ = ["check_raw_format", "frame_bytes", "view_name", "write_view_videos", "yuv_frame"]
 
 
 def check_raw_format(folder: str | os.PathLike[str], pixel_format: str) -> str:
@@ -40,25 +40,19 @@ def view_name(number: int, width: int, height: int) -> str:
     return f"v{number:03d}-{width}x{height}.yuv"
 
 
-def raw_format_of(shape: tuple[int, ...], pixel_format: str) -> RawFormat:
-    """The layout of pictures of a shape: even sizes where colours are shared by two columns or rows."""
-    subsampling, bits = parse_pixel_format(pixel_format)
-    height, width = shape[:2]
-    even = subsampling in ("420", "422"), subsampling == "420"
-    width, height = (max(n - n % 2 * two, 1) for n, two in zip((width, height), even, strict=True))
-    return RawFormat(width, height, subsampling, bits)
-
-
-def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = None) -> bytes:
-    """The bytes of a frame: BT.601 of limited range, as FFmpeg takes raw video to be.
+def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = None) -> Any:
+    """A frame of PyAV: BT.601 of limited range, as FFmpeg takes raw video to be.
 
     `pixels` are (h, w) or (h, w, 3), uint8, uint16 or float; `white` is the white level of integers, if it is less than
     the largest value of the type. A last column or row without a partner is left out where the format shares colours.
     """
     from av import VideoFrame
 
-    layout = raw_format_of(pixels.shape, pixel_format)
-    pixels = pixels[: layout.height, : layout.width]
+    name, subsampling, _ = parse_pixel_format(pixel_format)
+    height, width = pixels.shape[:2]
+    height -= height % 2 if subsampling == "420" and height > 1 else 0
+    width -= width % 2 if subsampling in ("420", "422") and width > 1 else 0
+    pixels = pixels[:height, :width]
     if pixels.dtype != np.uint8 or white not in (None, 255):
         full = 1.0 if pixels.dtype.kind == "f" else white or np.iinfo(pixels.dtype).max
         if pixels.dtype != np.uint16 or full != 65535:
@@ -69,7 +63,17 @@ def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = Non
     frame = VideoFrame.from_ndarray(
         np.ascontiguousarray(pixels), format="rgb24" if pixels.dtype == np.uint8 else "rgb48le"
     )
-    return plane_bytes(convert_frame(frame, layout.pixel_format))
+    return convert_frame(frame, name)
+
+
+def frame_bytes(frame: Any) -> bytes:
+    """The planes of a frame of PyAV, row by row without gaps."""
+    from av import CodecContext
+
+    encoder = CodecContext.create("rawvideo", "w")
+    encoder.width, encoder.height, encoder.pix_fmt = frame.width, frame.height, frame.format.name
+    encoder.time_base = Fraction(1, 25)
+    return b"".join(map(bytes, encoder.encode(frame)))
 
 
 def write_view_videos(
@@ -83,8 +87,8 @@ def write_view_videos(
     make_folder(folder)
     paths = []
     for number, picture in enumerate(pictures):
-        layout = raw_format_of(picture.image.shape, name)
-        paths.append(Path(folder) / view_name(number, layout.width, layout.height))
+        frame = yuv_frame(picture.image, name, picture.white)
+        paths.append(Path(folder) / view_name(number, frame.width, frame.height))
         with atomic_write(paths[-1]) as temporary:
-            temporary.write_bytes(yuv_frame(picture.image, name, picture.white))
+            temporary.write_bytes(frame_bytes(frame))
     return paths

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from lfcal import Calibration, FlatError, OutputError, read_flat
 from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.output_file import atomic_write
-from lfcal.runtime.video.frame_pixels import convert_frame, frame_of_planes
+from lfcal.runtime.video import convert_frame
 
 from ..data.rendering import Rendering
 from ..output.formats import FORMATS, PictureError, check_format
-from ..output.raw_video import raw_format_of, yuv_frame
+from ..output.raw_video import yuv_frame
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import move_into_place
 from ..output.views import write_animation
@@ -219,8 +219,8 @@ class FilmFile:
                 context.colorspace = context.color_primaries = context.color_trc = 1
                 context.color_range = 1
             elif self._kind == ".yuv":
-                layout = raw_format_of(pixels.shape, "yuv420p10")
-                context.width, context.height, context.pix_fmt = layout.width, layout.height, layout.pixel_format
+                frame = yuv_frame(pixels, "yuv420p10")
+                context.width, context.height, context.pix_fmt = frame.width, frame.height, frame.format.name
             else:
                 context.width, context.height, context.pix_fmt = width, height, _layout(pixels)[1]
 
@@ -228,8 +228,7 @@ class FilmFile:
         import av
 
         if self._kind == ".yuv":
-            layout = raw_format_of(pixels.shape, "yuv420p10")
-            return frame_of_planes(yuv_frame(pixels, "yuv420p10"), layout.width, layout.height, layout.pixel_format)
+            return yuv_frame(pixels, "yuv420p10")
         given, stored = _layout(pixels)
         if self._kind == ".mp4":
             # Colours are stored for 2 x 2 pixels each: odd sizes get one more row or column.

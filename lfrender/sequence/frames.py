@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import FlatError, count_pages, read_flat, subtract_dark
-from lfcal.runtime.image_formats import IMAGE_SUFFIXES, TIFF_SUFFIXES, VIDEO_FORMATS
-from lfcal.runtime.video.frame_pixels import import_av, rgb_pixels
-from lfcal.runtime.video.raw_format import RAW_SUFFIX
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS
+from lfcal.runtime.video import import_av, rgb_pixels
 
 __all__ = ["Frame", "Frames", "are_encoded", "dark_of", "is_video", "open_frames"]
 

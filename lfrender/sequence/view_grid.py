@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, OutputError
@@ -22,7 +23,7 @@ from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..output.formats import check_format
 from ..output.picture import write_picture
-from ..output.raw_video import check_raw_format, raw_format_of, view_name, yuv_frame
+from ..output.raw_video import check_raw_format, frame_bytes, view_name, yuv_frame
 from ..output.views import resize_view, scale_for_size
 from ..rendering.viewpoints import grid_offsets, views
 
@@ -126,16 +127,16 @@ class ViewOutput:
 
     def _write_raw(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
         for view, picture in enumerate(pictures):
-            layout = raw_format_of(picture.image.shape, self._raw)
-            path = self._parts / view_name(view, layout.width, layout.height)
+            frame = yuv_frame(picture.image, self._raw, picture.white)
+            data, path = frame_bytes(frame), self._parts / view_name(view, frame.width, frame.height)
             finished = self.folder / path.name
             if not path.exists() and finished.exists():
                 os.replace(finished, path)
             # Opened without truncation: frames are worked on at once.
             descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
             with open(descriptor, "wb", closefd=True) as stream:
-                stream.seek(number * layout.frame_bytes)
-                stream.write(yuv_frame(picture.image, self._raw, picture.white))
+                stream.seek(number * len(data))
+                stream.write(data)
         self._mark(name).write_text(f"{number}\n", encoding="utf-8")
 
     def finish(self, names: list[str]) -> None:
@@ -162,7 +163,7 @@ class ViewOutput:
         if not failed:
             return
         width, height = (int(n) for n in path.stem.partition("-")[2].split("x"))
-        size = raw_format_of((height, width), self._raw).frame_bytes
+        size = len(frame_bytes(yuv_frame(np.zeros((height, width), np.uint8), self._raw)))
         good = sorted(set(range(count)) - set(failed))
         with path.open("r+b") as stream:
             for number in failed:

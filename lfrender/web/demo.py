@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from data_synth import SCENES, Camera, Capture, simulate
 from data_synth.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, resample
 from lfcal import Calibration, calibrate
-from lfcal.runtime.console import Report
+from lfcal.runtime.command_line import Report
 from lfcal.runtime.output_file import make_folder
 
 from .. import analyze

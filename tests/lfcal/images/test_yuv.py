@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.runtime.video.raw_format import RawFormat, find_raw_format
+from lfcal.images.video import RawLayout, find_layout
+from lfcal.runtime.video import convert_frame
 
 av = pytest.importorskip("av", reason="raw video is converted by PyAV (lfrender[video])")
 
 
-def make_planes(layout: RawFormat, seed=0):
+def layout_of(folder, width, height, name):
+    """The layout of a file of one frame, too large for any."""
+    path = folder / "empty.yuv"
+    path.write_bytes(bytes(width * height * 6))
+    return find_layout(path, (width, height), name)
+
+
+def make_planes(layout: RawLayout, seed=0):
     """Bytes of a smooth frame."""
     rng = np.random.default_rng(seed)
     kind = np.dtype("<u2" if layout.bits > 8 else np.uint8)
@@ -23,7 +31,7 @@ def make_planes(layout: RawFormat, seed=0):
 @pytest.mark.parametrize("bits", [8, 10, 12])
 @pytest.mark.parametrize("size", [(48, 32), (37, 21)])
 def test_frames_have_the_pixels_that_ffmpeg_decodes(tmp_path, subsampling, bits, size):
-    layout = RawFormat(*size, subsampling, bits)
+    layout = layout_of(tmp_path, *size, f"{subsampling}p{bits}")
     path = tmp_path / f"film_{size[0]}x{size[1]}_{subsampling}p{bits}.yuv"
     path.write_bytes(make_planes(layout) + make_planes(layout, 1))
     options = {"video_size": f"{size[0]}x{size[1]}", "pixel_format": layout.pixel_format}
@@ -38,8 +46,6 @@ def test_frames_have_the_pixels_that_ffmpeg_decodes(tmp_path, subsampling, bits,
 
 
 def convert(frame):
-    from lfcal.runtime.video.frame_pixels import convert_frame
-
     return convert_frame(frame, "rgb24").to_ndarray()
 
 
@@ -58,23 +64,24 @@ def convert(frame):
 )
 def test_layout_follows_from_the_name(tmp_path, name, expected):
     (tmp_path / name).write_bytes(bytes(64 * 48 * 6))
-    layout = find_raw_format(tmp_path / name)
+    layout = find_layout(tmp_path / name)
     assert (layout.width, layout.height) == (64, 48)
     bits = expected[1] if expected[1] != 8 or "8b" in name else layout.bits
-    assert (layout.subsampling, layout.bits) == (expected[0], bits)
+    name = "gray" if expected[0] == "400" else f"yuv{expected[0]}p"
+    assert layout.pixel_format == (name if bits == 8 else f"{name}{bits}le")
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12])
 def test_bits_follow_from_the_samples(tmp_path, bits):
-    layout = RawFormat(64, 48, "420", bits)
+    layout = layout_of(tmp_path, 64, 48, f"420p{bits}")
     path = tmp_path / "v000-64x48.yuv"
     path.write_bytes(make_planes(layout) * 2)
-    assert find_raw_format(path) == layout
+    assert find_layout(path) == layout
     assert lfcal.count_pages(path) == 2
 
 
 def test_size_follows_from_the_camera_file_beside_it_or_is_given(tmp_path):
-    layout = RawFormat(64, 48, "420", 8)
+    layout = layout_of(tmp_path, 64, 48, "420p8")
     path = tmp_path / "film.yuv"
     path.write_bytes(make_planes(layout))
     with pytest.raises(lfcal.FlatError, match=r"--size WxH"):

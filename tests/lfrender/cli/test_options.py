@@ -71,12 +71,6 @@ def test_every_command_takes_every_option_or_says_why_not(files, tmp_path, comma
         assert (tmp_path / name).exists()
 
 
-@pytest.mark.parametrize("command", ["demo", "warm"])
-def test_commands_without_a_flat_refuse_what_is_about_one(command):
-    done = CliRunner().invoke(main, [command, "--page", "1"])
-    assert done.exit_code == 2 and "--page makes no sense here" in done.stderr
-
-
 def test_the_part_that_is_drawn_lies_on_the_whole_picture(files, tmp_path):
     """Of the picture in focus and of a view: the same pixels as in the whole one, at the place that the affine says."""
     roi = ["--roi", "100", "80", "300", "260"]

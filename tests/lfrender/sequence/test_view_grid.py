@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import lfcal
 import lfrender
 from lfrender.cli.main import main
-from lfrender.output.raw_video import yuv_frame
+from lfrender.output.raw_video import frame_bytes, yuv_frame
 from lfrender.rendering.viewpoints import grid_offsets, still_depth
 from lfrender.sequence.job import load_camera
 from lfrender.sequence.view_grid import ViewGrid
@@ -60,7 +60,7 @@ def test_views_follow_row_by_row_and_failed_frames_show_the_one_before(raw_views
     for number, picture in enumerate(drawn):
         data = (raw_views / f"v{number:03d}-160x120.yuv").read_bytes()
         size = 160 * 120 * 3
-        assert data[:size] == yuv_frame(picture.image, "yuv420p10")
+        assert data[:size] == frame_bytes(yuv_frame(picture.image, "yuv420p10"))
         assert data[size : 2 * size] == data[:size]
         assert data[2 * size : 3 * size] != data[:size]
     offsets = grid_offsets(2, 2, 1.0)
@@ -95,7 +95,7 @@ def test_colours_of_raw_video_are_those_of_the_picture(tmp_path):
     smooth = np.stack([x * 3 + 40, y * 4 + 30, 200 - x * 2], -1).astype(np.uint8)
     for name, limit in (("yuv420p", 4.0), ("yuv444p10", 1.0), ("yuv422p12", 2.0)):
         path = tmp_path / f"a_60x40_{name}.yuv"
-        path.write_bytes(yuv_frame(smooth, name))
+        path.write_bytes(frame_bytes(yuv_frame(smooth, name)))
         again = lfcal.read_flat(path)
         again = again / 256 if again.dtype == np.uint16 else again.astype(float)
         assert np.abs(again - smooth)[2:-2, 2:-2].max() <= limit, name
@@ -103,7 +103,7 @@ def test_colours_of_raw_video_are_those_of_the_picture(tmp_path):
 
 def test_twelve_bits_in_sixteen_are_white_at_their_white_level():
     full = np.full((8, 8, 3), 4095, np.uint16)
-    samples = np.frombuffer(yuv_frame(full, "yuv420p10", white=4095.0), "<u2")
+    samples = np.frombuffer(frame_bytes(yuv_frame(full, "yuv420p10", white=4095.0)), "<u2")
     assert samples[0] == 940  # white of limited range in 10 bits
 
 
@@ -111,7 +111,7 @@ def test_command_renders_raw_video_into_views_and_a_film(house, house_files, tmp
     flat = lfcal.read_flat(house_files / "flat.png")
     height, width = flat.shape[:2]
     source = tmp_path / "shot.yuv"
-    source.write_bytes(yuv_frame(flat, "yuv444p10") * 2)
+    source.write_bytes(frame_bytes(yuv_frame(flat, "yuv444p10")) * 2)
     words = ["batch", str(source), "--pixel-format", "yuv444p10", "-c", str(house_files / "camera.json")]
     words += ["--preset", "fast", "--json"]
     done = CliRunner().invoke(

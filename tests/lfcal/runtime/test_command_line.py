@@ -1,0 +1,193 @@
+"""What command lines share: errors of one line, files and patterns, stages, figures, progress on a terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import lfcal.cli.main
+import lfrender.cli.main
+from lfcal import FlatError
+from lfcal.runtime import command_line as cl
+from lfcal.runtime import compile_ahead
+
+PROGRAMS = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    for name in ("flat.png", "frame_1.png", "frame_2.png", "odd[1].png", "white.png"):
+        (tmp_path / name).touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    return tmp_path
+
+
+def program(error=None):
+    """A program with two commands, one of which raises an error."""
+    tool = cl.Program("tool", others=("other", ["cut"]))
+
+    @cl.command("tool one flat.png")
+    @click.argument("flat", type=cl.InputPath())
+    @cl.option("--white", cl.InputPath(), "A file.")
+    @cl.option("--size", cl.Pair("WxH", "20x10"), "A size.")
+    @cl.report_options
+    def one(report, given):
+        if error is not None:
+            raise error
+        click.echo(f"{given.flat} {given.white} {given.size}")
+
+    @cl.command("tool many *.png")
+    @cl.several_inputs("images", "IMAGE...")
+    @cl.report_options
+    def many(report, given):
+        click.echo(" ".join(map(str, given.images)))
+
+    tool.add_command(one)
+    tool.add_command(many)
+    return lambda *words: CliRunner().invoke(tool, words, catch_exceptions=False)
+
+
+def test_a_pattern_that_the_shell_did_not_expand_stands_for_the_files_it_matches(folder):
+    tool = program()
+    assert tool("many", "frame_*.png", "flat.png").stdout == "frame_1.png frame_2.png flat.png\n"
+    assert tool("one", "fl*.png", "--white", "w*.png").stdout == "flat.png white.png None\n"
+    # A file may be called like a pattern.
+    assert tool("many", "odd[1].png").stdout == "odd[1].png\n"
+    assert tool("one", "flat.png", "--white=~/white.png").stdout == f"flat.png {folder / 'white.png'} None\n"
+    assert tool("one", "flat.png", "--size", "30X07").stdout == "flat.png None (30, 7)\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("one", "flat.png", "--white", "frame*"), "frame* stands for 2 files"),
+        (("one",), "Missing argument 'FLAT'"),
+        (("one", "flat.pgn"), "flat.pgn: does not exist; did you mean flat.png?"),
+        (("one", "flat.tif"), "flat.tif: does not exist; did you mean flat.png?"),
+        (("one", "flat.png", "--white", "whit.png"), "whit.png: does not exist; did you mean white.png"),
+        (("many", "flat.png", "sunset.jpg"), "tool: sunset.jpg: does not exist\n"),
+        (("one", "flat.png", "--whit", "white.png"), "'--white'?"),
+        (("one", "flat.png", "--size", "30"), "must be WxH such as 20x10, got '30'"),
+        (("cut", "flat.png"), "Did you mean 'other cut'?"),
+        (("play",), "No such command 'play'"),
+        (("one", "flat.png", "more"), "unexpected extra argument"),
+    ],
+)
+def test_errors_of_usage_are_one_line_with_what_may_be_meant(folder, words, message):
+    result = program()(*words)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (FlatError("flat.png: is\nempty"), "tool: flat.png: is empty"),
+        (OSError(28, "No space left on device", "out.tif"), "tool: out.tif: No space left on device"),
+        (MemoryError(), "tool: not enough memory for an image of this size"),
+    ],
+)
+def test_user_errors_are_one_line_and_exit_code_2(folder, error, line):
+    result = program(error)("one", "flat.png")
+    assert (result.exit_code, result.stdout, result.stderr) == (2, "", line + "\n")
+
+
+def test_ctrl_c_is_exit_code_130_and_programming_errors_are_not_hidden(folder):
+    result = program(KeyboardInterrupt())("one", "flat.png")
+    assert (result.exit_code, result.stderr) == (130, "\ninterrupted\n")
+    with pytest.raises(ZeroDivisionError):
+        program(ZeroDivisionError())("one", "flat.png")
+
+
+def test_each_program_knows_the_commands_of_the_other():
+    for name, other in (("lfcal", "lfrender"), ("lfrender", "lfcal")):
+        assert PROGRAMS[name].others[0] == other
+        assert set(PROGRAMS[name].others[1]) == set(PROGRAMS[other].commands)
+
+
+def test_json_report_is_one_object_without_nan(capsys):
+    report = cl.Report(as_json=True)
+    with report.stage("read"):
+        pass
+    report.finish({"pitch": np.float64(23.25), "origin": np.array([1.0, np.nan]), "warnings": ["dark"]})
+    out, err = capsys.readouterr()
+    figures = json.loads(out)
+    assert (figures["pitch"], figures["origin"], figures["warnings"]) == (23.25, [1.0, None], ["dark"])
+    assert 0 <= figures["seconds"]["read"] < 1
+    assert err == ""
+
+
+def test_text_report_puts_warnings_on_stderr_and_quiet_keeps_only_them(capsys):
+    figures = {"pitch": 23.25, "merit": {"all_in_focus": {"psnr": 21.84, "ssim": 0.8}}, "warnings": ["dark"]}
+    for quiet in (False, True):
+        cl.Report(quiet=quiet).finish(figures)
+        out, err = capsys.readouterr()
+        assert ("23.25" in out and "merit, all in focus  psnr 21.84, ssim 0.8" in out and "dark" not in out) != quiet
+        assert err == "warning: dark\n"
+
+
+def test_compiling_is_announced_once_and_its_seconds_are_told_apart(capsys, monkeypatch):
+    compiled = []
+    monkeypatch.setattr(compile_ahead, "is_compiled", lambda: bool(compiled))
+    monkeypatch.setattr(compile_ahead, "compile_once", lambda *_: compiled.append(time.sleep(0.2)) or 0)
+    report = cl.Report()
+    for name in ("read", "work"):
+        with report.stage(name):
+            pass
+    assert len(compiled) == 1
+    assert capsys.readouterr().out.count("compiling kernels, once per installation") == 1
+    assert report.compile_seconds >= 0.2 > sum(report.seconds.values())
+
+
+WORK = """
+import time
+from lfcal.runtime.command_line import Report
+report = Report(quiet={quiet})
+with report.stage("render"), report.progress("tiles") as step:
+    for done in range(4, 11):
+        step(done, 10)
+        if done == 7:
+            time.sleep(0.3)
+report.finish({{}}, "done")
+"""
+
+
+def on_a_terminal(code):
+    """What a program writes to a terminal on stderr."""
+    pty = pytest.importorskip("pty", reason="there are no pseudo-terminals on this system")
+    ours, theirs = pty.openpty()
+    environment = os.environ | {"TERM": "xterm", "COLUMNS": "120"}
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=theirs, env=environment) as run:
+        os.close(theirs)
+        shown = b""
+        while True:
+            try:
+                piece = os.read(ours, 4096)
+            except OSError:
+                break
+            if not piece:
+                break
+            shown += piece
+        assert run.wait() == 0
+    os.close(ours)
+    return shown.decode()
+
+
+def test_a_terminal_shows_stage_steps_rate_and_remaining_time_unless_quiet():
+    shown = on_a_terminal(WORK.format(quiet=False))
+    # Seven of ten, of which three were done before.
+    for words in ("render", "tiles", "7/10", "a second", " s left"):
+        assert words in shown
+    assert on_a_terminal(WORK.format(quiet=True)) == ""
+    done = subprocess.run([sys.executable, "-c", WORK.format(quiet=False)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
