@@ -26,7 +26,7 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import resample
 from lfrender.data.depth_map import default_scale
-from lfrender.detail.discs import sure_discs
+from lfrender.detail.blur import sure_discs
 
 from .pictures import _SCENES, _SIZE
 from .truth_flats import _REFERENCE, SCALES

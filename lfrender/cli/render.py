@@ -59,9 +59,9 @@ def render(capture: CaptureInput, given: Any) -> None:
     with capture.report.stage("render"), option_errors():
         from .. import render as run
         from .. import traditional as run_traditional
-        from ..rendering.traditional import TOO_LITTLE, resolves_too_little
+        from ..rendering.traditional import TOO_LITTLE, find_depth_problem
 
-        if depth is not None and not (given.scale or capture.roi) and resolves_too_little(depth):
+        if depth is not None and not (given.scale or capture.roi) and find_depth_problem(depth):
             traditional = True
             capture.report.warn(TOO_LITTLE.format("--scale"))
         if traditional:
@@ -83,7 +83,7 @@ def render(capture: CaptureInput, given: Any) -> None:
 
 def _check(capture: CaptureInput, given: Any) -> bool:
     """Refuse options that exclude each other; whether the picture is drawn in tiles."""
-    from ..output.ome import is_ome_name
+    from ..output.formats import is_ome_name
 
     roi, patch_size, depth_file = capture.roi, given.patch_size, capture.depth_file
     mean, on_cluster = ("--traditional", given.traditional), given.workers or given.scheduler

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from ..flat.lens_type_weights import focus_weights
-from .discs import sure_discs
-from .settings import RESTORE, SMOOTHING, RestoreSettings
-from .transfer import disc_transfer, interpolation_transfer
+from .blur import disc_transfer, interpolation_transfer, sure_discs
 
-__all__ = ["DetailFilters", "make_filters"]
+__all__ = ["SMOOTHING", "DetailFilters", "make_filters"]
+
+#: Distances of the outer taps of the smoothings, one upon the other, that part a picture into bands [px].
+SMOOTHING = (1, 1, 2, 4)
 
 _Table = NDArray[np.float64]
 # What folds back onto a frequency: the spectrum of the scene about these multiples of the picture's sampling.
@@ -67,7 +68,6 @@ def make_filters(
     reach: float,
     blur: float,
     depths: tuple[float, float],
-    settings: RestoreSettings = RESTORE,
 ) -> DetailFilters:
     """The filters for a blended picture.
 
@@ -91,7 +91,7 @@ def make_filters(
     step, per_ratio, per_octave = levels[1] / levels[0], 60.0, 2.0
     of_level = np.concatenate([-levels, levels])
     some = _is_near(of_level, step, np.array(depths) / calibration.lattice.pitch)
-    known, wanted, grain = _Levels.of(of_level[some], noise, calibration, scale, reach, blur, settings).sums()
+    known, wanted, grain = _Levels.of(of_level[some], noise, calibration, scale, reach, blur).sums()
     fine = np.arange(round(levels[-1] * per_ratio) + 1) / per_ratio
     at = np.log(np.maximum(fine, levels[0]) / levels[0]) / np.log(step)
     near = np.concatenate([at, at + len(levels)])
@@ -106,7 +106,7 @@ def make_filters(
     logs = np.arange(int((last - first) * per_octave) + 1) / per_octave + first
     strengths = (logs * 2**23).astype(np.int32).view(np.float32)
     rows = np.log10(np.maximum(strengths, powers[0]) / powers[0]) / np.log10(powers[1] / powers[0])
-    trusted = _trusted_share(np.abs(of_level[some]), calibration, reach, settings)
+    trusted = _trusted_share(np.abs(of_level[some]), calibration, reach)
     gains = _between(spread(trusted[:, None] * _fit(powers, known, wanted, grain)), rows, 0)
     # Of the second band, and of the coarser ones.
     power, noises = (spread(np.stack([one[:, -3], one[:, -2] + one[:, -1]])) for one in (known, grain))
@@ -126,10 +126,9 @@ def _averaged_views(ratio: _Table, calibration: Calibration, reach: float) -> _T
     return np.maximum(0.75 * np.pi * limit**2 / abs(float(np.linalg.det(lattice.basis))), 1.0)
 
 
-def _trusted_share(ratio: _Table, calibration: Calibration, reach: float, settings: RestoreSettings) -> _Table:
-    """How much of the detail is restored at these `|s / D|`: from 0 to 1, by how many lenses are averaged."""
-    few, enough = settings.least_views, settings.enough_views
-    return np.asarray(np.clip((_averaged_views(ratio, calibration, reach) - few) / (enough - few), 0, 1))
+def _trusted_share(ratio: _Table, calibration: Calibration, reach: float) -> _Table:
+    """How much of the detail is restored at these `|s / D|`: nothing of two lenses averaged, all of four."""
+    return np.asarray(np.clip(_averaged_views(ratio, calibration, reach) / 2 - 1, 0, 1))
 
 
 def _is_near(ratios: _Table, step: float, depths: _Table) -> NDArray[np.bool_]:
@@ -149,13 +148,11 @@ class _Levels:
     shares: _Table  # (n, types) weights of the types, whose sum is 1
     apart: _Table  # (n, 1) side of the square over which an output pixel is averaged [px of the picture]
     variance: _Table  # (n, 1) of the noise of a picture's pixel with the light of white, were it one of the flat
-    settings: RestoreSettings
 
     @classmethod
     def of(
-        cls, ratios: _Table, noise: float, calibration: Calibration, scale: float, reach: float, blur: float,
-        settings: RestoreSettings,
-    ) -> _Levels:  # fmt: skip
+        cls, ratios: _Table, noise: float, calibration: Calibration, scale: float, reach: float, blur: float
+    ) -> _Levels:
         lattice, size = calibration.lattice, np.abs(ratios)
         grown = scale / (size * lattice.pitch)
         discs = sure_discs(calibration, ratios).T * grown[:, None]
@@ -166,7 +163,7 @@ class _Levels:
         averaged = _averaged_views(size, calibration, reach)
         apart = np.sqrt(np.maximum(1 - blur**2 - grown**2, 0.0))
         even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)
-        return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None], settings)
+        return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None])
 
     def _read(self, fx: _Table, fy: _Table) -> _Table:
         read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
@@ -180,7 +177,8 @@ class _Levels:
             * np.interp(self.discs[..., None] * np.atleast_2d(frequency)[:, None], *_tabulated_disc())
         ).sum(1)
         pixel = np.sinc(fx * self.grown) * np.sinc(fy * self.grown)
-        return disc * pixel * self._read(fx, fy), np.maximum(frequency, 0.01) ** -self.settings.slope
+        # Detail is expected to fall with the third power of frequency.
+        return disc * pixel * self._read(fx, fy), np.maximum(frequency, 0.01) ** -3.0
 
     def sums(self) -> _Table:
         """(3, n, 23) of what follows, weighted by `_basis`: what fits need to know of powers over frequencies.

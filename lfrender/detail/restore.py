@@ -14,11 +14,16 @@ from numpy.typing import DTypeLike, NDArray
 
 from lfcal.runtime.kernels import kernel
 
-from .filters import DetailFilters
-from .settings import AVERAGING, RESTORE, SMOOTHING, RestoreSettings
+from ..data.rendering import Part, PictureGrid
+from ..data.surface import Surface
+from .filters import SMOOTHING, DetailFilters
 
-__all__ = ["Places", "restore_detail"]
+__all__ = ["HALO", "Places", "choose_filters", "find_places", "restore_detail"]
 
+# Distances of the outer taps of the smoothings over which the power of a band is averaged [px].
+_AVERAGING = (1, 1)
+#: [px] around a place that its detail depends on.
+HALO = sum((*SMOOTHING, *_AVERAGING))
 # Rows that are restored together.
 _STRIP = 128
 
@@ -47,6 +52,30 @@ class _Lookup(NamedTuple):
     top: np.float32  # largest value
 
 
+def choose_filters(filters: DetailFilters, surface: Surface, grid: PictureGrid) -> NDArray[np.uint16]:
+    """(r, c) index of the filter of each value of the surface: none within two pixels of a depth edge of 0.04 D."""
+    import cv2
+
+    sizes, each = surface.patch_size, filters.count // 2
+    side = 2 * max(1, round(2 * grid.spacing / surface.spacing)) + 1
+    around = np.ones((side, side), np.uint8)
+    level = np.abs(sizes) * np.float32(filters.per_ratio / grid.pitch)
+    kinds = (np.minimum(level, np.float32(each - 1)) + np.float32(0.5)).astype(np.uint16)
+    kinds[sizes > 0] += np.uint16(each)
+    kinds[cv2.dilate(sizes, around) - cv2.erode(sizes, around) > 0.04 * grid.pitch] = filters.count
+    return kinds
+
+
+def find_places(kinds: NDArray[np.uint16], surface: Surface, grid: PictureGrid, part: Part) -> Places:
+    """Which of the filters of `choose_filters` each pixel of a part of the picture takes."""
+    nearest = []
+    for k in (0, 1):
+        at = np.arange(part[k], part[k + 2])
+        node = np.rint((grid.first + grid.spacing * at - surface.first[k]) / surface.spacing).astype(np.int64)
+        nearest.append(np.clip(node, 0, kinds.shape[1 - k] - 1))
+    return Places(kinds, nearest[1], nearest[0])
+
+
 def restore_detail(
     image: NDArray[np.float32],
     valid: NDArray[np.bool_],
@@ -55,7 +84,7 @@ def restore_detail(
     white: float,
     encoded: bool,
     dtype: DTypeLike = np.float32,
-    settings: RestoreSettings = RESTORE,
+    overshoot: float = 0.25,
 ) -> NDArray[Any]:
     """A picture as sharp as noise allows, and less noisy. A part with `HALO` gets the whole's bits.
 
@@ -72,6 +101,8 @@ def restore_detail(
         Values are about the square root of light.
     dtype : data type
         Of the result.
+    overshoot : float
+        By which part of the range of the values about it a pixel may leave that range: no halos.
 
     Returns
     -------
@@ -88,17 +119,17 @@ def restore_detail(
     rows = image.reshape(height, -1)
     unclipped = cv2.inRange(rows, -np.inf, white * (1 - 0.5 / 255))
     if not unclipped.all():
-        reach = 2 * settings.beside_clipped + 1
+        reach = 2 * 3 + 1
         unclipped = cv2.erode(unclipped, np.ones((reach, (reach - 1) * channels + 1), np.uint8))
     kind = np.dtype(dtype)
     half, top = (0.5, float(np.iinfo(kind).max)) if kind.kind in "ui" else (0.0, np.inf)
     lookup = _Lookup(
         filters.gains, filters.noise, filters.per_power, np.float32(filters.weakest), np.float32(filters.per_octave),
-        np.float32(settings.overshoot), np.float32(0.01), np.float32(1 / white), encoded,
+        np.float32(overshoot), np.float32(0.01), np.float32(1 / white), encoded,
         np.float32(half), np.float32(top),
     )  # fmt: skip
     out = np.empty(image.shape, dtype)
-    steps = np.array((*SMOOTHING, *AVERAGING))
+    steps = np.array((*SMOOTHING, *_AVERAGING))
     _restore_rows(rows, unclipped, out.reshape(height, -1), channels, seen, places, lookup, steps, len(SMOOTHING))
     return out
 

@@ -6,46 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
-from lfcal.runtime.kernels import FAST, kernel
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import PictureGrid, Rendering
 from ..data.surface import Surface, mark_changed_places
 from ..depth.incremental import changed_since
-from ..detail.draw import DetailRenderer
-from ..detail.settings import HALO
 from ..flat.validation import check_flat
 from .renderer import Renderer
 
 __all__ = ["find_changed_pixels", "redraw"]
-
-# Rows that one thread marks together.
-_STRIP = 16
-
-
-@kernel(error_model="numpy", fastmath=FAST, share=lambda places, side, out: -(-len(out) // _STRIP))
-def _mark_pixels(begin, end, places, side, out):
-    """Set the pixels of `out` within `side` of some of `places` (m, 2), and unset the rest."""
-    rows, columns = out.shape
-    for strip in range(begin, end):
-        top, bottom = strip * _STRIP, min(rows, (strip + 1) * _STRIP)
-        # How many more lenses reach a pixel than the one to its left, summed up along the row below.
-        more = np.zeros((bottom - top, columns + 1), np.int32)
-        for n in range(len(places)):
-            x, y = places[n, 0], places[n, 1]
-            if y + side < top or y - side > bottom:
-                continue
-            for v in range(max(top, int(np.ceil(y - side))), min(bottom - 1, int(np.floor(y + side))) + 1):
-                half = np.sqrt(max(side * side - (v - y) * (v - y), 0.0))
-                left, right = max(0, int(np.ceil(x - half))), min(columns, int(np.floor(x + half)) + 1)
-                if left < right:
-                    more[v - top, left] += 1
-                    more[v - top, right] -= 1
-        for v in range(top, bottom):
-            reached = 0
-            for u in range(columns):
-                reached += more[v - top, u]
-                out[v, u] = reached > 0
 
 
 def find_changed_pixels(
@@ -63,14 +32,24 @@ def find_changed_pixels(
     stale = changed.copy()
     # The depth between grid values depends on all four of them.
     mark_changed_places(before, now, centres, reach + 1.5 * now.spacing, stale)
-    wanted = np.empty((rows, columns), bool)
-    # Large patches are sampled several times per output pixel, all within the pixel.
-    _mark_pixels((centres[stale] - grid.first) / grid.spacing, (reach + grid.spacing) / grid.spacing, wanted)
-    return wanted
+    if not stale.any():
+        return np.zeros((rows, columns), bool)
+    import cv2
+
+    # Lenses may lie beyond the border of the picture. Large patches are sampled several times per output pixel, all
+    # within the pixel; another one for the rounding of the centres.
+    side = reach / grid.spacing + 2
+    beyond = int(np.ceil(side))
+    at = np.rint((centres[stale] - grid.first) / grid.spacing).astype(int) + beyond
+    still = np.ones((rows + 2 * beyond, columns + 2 * beyond), np.uint8)
+    inside = ((at >= 0) & (at < still.shape[::-1])).all(1)
+    still[at[inside, 1], at[inside, 0]] = 0
+    away = cv2.distanceTransform(still, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(away[beyond : beyond + rows, beyond : beyond + columns] <= side)
 
 
 def redraw(
-    renderer: Renderer | DetailRenderer, pixels: NDArray, calibration: Calibration, depth: DepthMap, earlier: NDArray,
+    renderer: Renderer, pixels: NDArray, calibration: Calibration, depth: DepthMap, earlier: NDArray,
     before: DepthMap, picture: Rendering,
 ) -> tuple[NDArray, NDArray[np.bool_]]:  # fmt: skip
     """Draw the pixels (h, w, C) that may differ from the `picture` of an `earlier` flat with the depth map `before`.
@@ -98,13 +77,12 @@ def redraw(
     columns, rows = renderer.grid.size
     if picture.image.shape[:2] != (rows, columns) or earlier.shape != pixels.shape or earlier.dtype != pixels.dtype:
         raise ValueError("the earlier frame or its picture is of another kind or size; draw without previous")
-    plain, halo = (renderer.plain, HALO) if isinstance(renderer, DetailRenderer) else (renderer, 0)
     changed = changed_since(before, depth, earlier, pixels, calibration)
     lattice = calibration.lattice
     wanted = find_changed_pixels(
-        renderer.grid, lattice.centres(), plain.reach * lattice.pitch, before.surface, depth.surface, changed
+        renderer.grid, lattice.centres(), renderer.reach * lattice.pitch, before.surface, depth.surface, changed
     )
-    wanted = cv2.dilate(wanted.view(np.uint8), np.ones((2 * halo + 1,) * 2, np.uint8)).view(bool)
+    wanted = cv2.dilate(wanted.view(np.uint8), np.ones((2 * renderer.halo + 1,) * 2, np.uint8)).view(bool)
     image, valid = picture.image.reshape(rows, columns, -1).copy(), picture.valid.copy()
     if wanted.any():
         left, top, wide, tall = cv2.boundingRect(wanted.view(np.uint8))

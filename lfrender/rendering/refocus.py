@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-from ..data.depth_map import DepthMap
+from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..data.viewpoint import virtual_depth
@@ -17,11 +17,6 @@ from ..flat.validation import check_flat
 from .renderer import REFOCUS_REACH, Renderer
 
 __all__ = ["focal_stack", "refocus", "stack_depths"]
-
-# Below it, a scene point may lie between what all microimages show.
-_LEAST_APERTURE = 0.05
-# Least |D / s| at which a picture can be in focus.
-_LEAST_MAGNIFICATION = 4 / 3
 
 
 def refocus(
@@ -37,12 +32,12 @@ def refocus(
     """Draw the scene in focus at one depth, out of focus in front of it and behind.
 
     Every scene point is the mean over all lenses that show it, read at one patch size for all places (integral
-    photography: Lumsdaine and Georgiev 2008, section 5).
+    photography: Lumsdaine and Georgiev 2008, section 5). Errors are those of `render`.
 
     Parameters
     ----------
-    flat : (H, W) or (H, W, C) array, uint8, uint16 or float
-    calibration : Calibration
+    flat, calibration
+        As for `render`.
     patch_size : float, optional [px]
         Signed patch size in focus.
     position : (float, float), optional [px]
@@ -53,14 +48,7 @@ def refocus(
         Part of the radius of the microimages, and so of the main lens' aperture, that takes part: 0.05 to 1. Less
         gives more depth of field.
     scale : float, optional
-        Output pixels per pitch; by default `|patch_size|`.
-
-    Raises
-    ------
-    FlatError, CalibrationError
-        As `render`.
-    ValueError
-        Unless one of `patch_size` and `position` is given, or if a number makes no picture.
+        Output pixels per pitch; by default that of `render` for this depth map, `|patch_size|` without one.
 
     Examples
     --------
@@ -76,25 +64,30 @@ def refocus(
     if (patch_size is None) == (position is None):
         raise ValueError("give one of patch_size and position")
     if position is not None:
-        patch_size = _depth_at(position, pixels, calibration, depth)
+        place = np.array(position, dtype=float)
+        width, height = lattice.image_size
+        if place.shape != (2,) or not ((place >= -0.5) & (place <= (width - 0.5, height - 0.5))).all():
+            given = " ".join(map(str, np.ravel(position)))
+            raise ValueError(f"position must be x, y on the flat of {width} x {height} px, got {given}")
+        if depth is None:
+            from ..depth.analyze import analyze
+
+            depth = analyze(pixels, calibration)
+        patch_size = float(depth.surface.at(place[None])[0])
     assert patch_size is not None
     check_patch_size(patch_size, lattice.pitch)
-    if not _LEAST_APERTURE <= aperture <= 1:
-        raise ValueError(f"aperture must lie between {_LEAST_APERTURE} and 1, got {aperture:g}")
-    scale = check_scale(abs(patch_size) if scale is None else scale, lattice.pitch)
+    # Below, a scene point may lie between what all microimages show.
+    if not 0.05 <= aperture <= 1:
+        raise ValueError(f"aperture must lie between 0.05 and 1, got {aperture:g}")
+    if scale is None:
+        scale = abs(patch_size) if depth is None else default_scale(depth)
     # Out of focus, colours differ and are mixed all the same.
     renderer = Renderer(
-        calibration,
-        constant_surface(patch_size),
-        scale,
-        abs(patch_size),
-        True,
-        reach=REFOCUS_REACH,
-        agreement=1e3,
-        aperture=aperture,
-    )
+        calibration, constant_surface(patch_size), check_scale(scale, lattice.pitch), abs(patch_size), True,
+        reach=REFOCUS_REACH, agreement=1e3, aperture=aperture,
+    )  # fmt: skip
     image, valid = renderer.draw(pixels, dtype=pixels.dtype)
-    return finish_picture(image, valid, renderer.grid.affine(), scale, flat, calibration)
+    return finish_picture(image, valid, renderer.grid.affine(), renderer.scale, flat, calibration)
 
 
 def focal_stack(
@@ -102,62 +95,40 @@ def focal_stack(
     calibration: Calibration,
     patch_sizes: Iterable[float],
     *,
+    depth: DepthMap | None = None,
     aperture: float = 1.0,
     scale: float | None = None,
 ) -> list[Rendering]:
-    """Draw the scene in focus at several depths, all pictures on one grid.
+    """Draw the scene in focus at several signed patch sizes [px], at least one, all pictures on one grid.
 
-    Parameters
-    ----------
-    flat, calibration, aperture
-        As for `refocus`.
-    patch_sizes : iterable of float [px]
-    scale : float, optional
-        Output pixels per pitch; by default the largest `|patch_size|`.
-
-    Raises
-    ------
-    FlatError, CalibrationError, ValueError
-        As `refocus`; ValueError also without any patch size.
+    That is the grid of `render` for a depth map, if one is given; else the scale is the largest `|patch_size|`. The
+    rest is as for `refocus`.
 
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> flat, camera, depth = lfrender.data.example()
     >>> [picture.image.shape for picture in lfrender.focal_stack(flat, camera, [-7.0, 7.0], scale=6)]
     [(47, 62, 3), (47, 62, 3)]
     """
     sizes = [float(s) for s in patch_sizes]
     if not sizes:
         raise ValueError("patch_sizes must hold at least one number")
-    scale = max(map(abs, sizes)) if scale is None else scale
+    if scale is None:
+        scale = max(map(abs, sizes)) if depth is None else default_scale(depth)
     return [refocus(flat, calibration, s, aperture=aperture, scale=scale) for s in sizes]
 
 
 def stack_depths(depth: DepthMap, count: int) -> list[float]:
-    """Patch sizes for a focal stack through a scene, from far to near [px].
+    """Patch sizes [px] for a focal stack through a scene, from far to near; one alone is in the middle.
 
-    They are evenly spaced in the virtual depth `D / s`, as is the blur between one and the next.
-
-    Parameters
-    ----------
-    depth : DepthMap
-    count : int
-        How many, at least 1; one alone is in the middle.
-
-    Raises
-    ------
-    ValueError
-        If `count` is below 1, or no lens of the depth map is resolved.
+    They are evenly spaced in the virtual depth `D / s`, as is the blur between one and the next. ValueError if `count`
+    is below 1, or no lens of the depth map is resolved.
 
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> len(stack_depths(depth, 5))
+    >>> len(stack_depths(lfrender.data.example()[2], 5))
     5
     """
     if count < 1:
@@ -166,27 +137,10 @@ def stack_depths(depth: DepthMap, count: int) -> list[float]:
     if not resolved.size:
         raise ValueError("no lens is resolved, so the depths of a stack are unknown; give patch sizes")
     ratio = virtual_depth(resolved, depth.pitch).astype(float)
-    # From far telescopic places to near binocular ones, without the gap about the microlenses: no depth is resolved
-    # there, and no picture is in focus.
-    least = _LEAST_MAGNIFICATION
+    # From far telescopic places to near binocular ones, without the gap about the microlenses: no depth with |D / s|
+    # below 4 / 3 is resolved, and no picture is in focus there.
+    least = 4 / 3
     far, near = -np.quantile(np.sign(ratio) * least - ratio, [0.02, 0.98])
     steps = np.linspace(far, near, count) if count > 1 else np.array([(far + near) / 2])
     signs = np.where(steps == 0, np.sign(np.median(ratio)), np.sign(steps))
     return [float(depth.pitch / value) for value in steps + signs * least]
-
-
-def _depth_at(
-    position: tuple[float, float], pixels: NDArray, calibration: Calibration, depth: DepthMap | None
-) -> float:
-    """Patch size at a place of the scene [px]."""
-    place = np.array(position, dtype=float)
-    width, height = calibration.image_size
-    if place.shape != (2,) or not ((place >= -0.5) & (place <= (width - 0.5, height - 0.5))).all():
-        raise ValueError(
-            f"position must be x, y on the flat of {width} x {height} px, got {' '.join(map(str, np.ravel(position)))}"
-        )
-    if depth is None:
-        from ..depth.analyze import analyze
-
-        depth = analyze(pixels, calibration)
-    return float(depth.surface.at(place[None])[0])

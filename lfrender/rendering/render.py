@@ -17,17 +17,16 @@ from ..data.region import check_region
 from ..data.rendering import Part, Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..depth.analyze import analyze
-from ..detail.draw import DetailRenderer
 from ..detail.noise import measure_noise
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from .redraw import redraw
 from .renderer import REACH, Renderer
-from .traditional import TOO_LITTLE, resolves_too_little, traditional
+from .traditional import TOO_LITTLE, find_depth_problem, traditional
+
+__all__ = ["Detail", "expand_roi", "make_renderer", "render"]
 
 #: How the detail of a picture is restored.
 Detail = Literal["natural", "off"]
-
-__all__ = ["Detail", "expand_roi", "make_renderer", "render"]
 
 
 def render(
@@ -77,15 +76,8 @@ def render(
     -------
     Rendering
         Image of the flat's dtype and channels. Where next to no lens has a depth, and no option asks for more, it is
-        the traditional picture, with a UserWarning: one pixel per pitch, all else would be made up.
-
-    Raises
-    ------
-    FlatError, CalibrationError
-        As `analyze`; also if `depth` belongs to another flat size or lattice.
-    ValueError
-        If both `depth` and `patch_size` are given, a number makes no picture, or `previous` is given without `depth`,
-        with `roi`, or of another scale or kind.
+        the traditional picture, with a UserWarning: one pixel per pitch, all else would be made up. FlatError and
+        CalibrationError are raised as by `analyze`, ValueError if options exclude each other or make no picture.
 
     Examples
     --------
@@ -114,19 +106,24 @@ def render(
     if patch_size is None and depth is None:
         depth = analyze(pixels, calibration, roi=roi and expand_roi(roi, calibration))
     plain = all(option is None for option in (patch_size, scale, blend, roi, previous))
-    if depth is not None and plain and depth.image_size == calibration.image_size and resolves_too_little(depth):
+    if depth is not None and plain and depth.image_size == calibration.image_size and find_depth_problem(depth):
         warnings.warn(TOO_LITTLE.format("scale"), stacklevel=2)
         return traditional(flat, calibration)
-
-    def look(part: Part) -> NDArray:
-        return pixels[part[1] : part[3], part[0] : part[2]]
-
     exposed = match_exposure(pixels[exposure_rows(len(pixels))], calibration)
     noise = None
     if previous is not None:
         # Pixels that stay were restored against the noise measured then.
         noise, detail = previous[2].noise, "off"
-    renderer = make_renderer(look, exposed, depth, patch_size, scale, blend, detail, noise)
+    renderer = make_renderer(
+        lambda part: pixels[part[1] : part[3], part[0] : part[2]],
+        exposed,
+        depth,
+        patch_size,
+        scale,
+        blend,
+        detail,
+        noise,
+    )
     part = renderer.grid.whole if roi is None else renderer.grid.part_of_region(roi)
     if previous is None:
         image, valid = renderer.draw(pixels, part=part, dtype=pixels.dtype)
@@ -134,7 +131,7 @@ def render(
         assert depth is not None
         image, valid = redraw(renderer, pixels, exposed, depth, *previous)
     picture = finish_picture(image, valid, renderer.grid.affine(part), renderer.grid.scale, flat, calibration)
-    return replace(picture, noise=renderer.noise if isinstance(renderer, DetailRenderer) else None)
+    return replace(picture, noise=renderer.noise)
 
 
 def expand_roi(roi: tuple[float, float, float, float], calibration: Calibration) -> tuple[float, float, float, float]:
@@ -153,21 +150,21 @@ def make_renderer(
     blend: bool | None,
     detail: Detail | None = None,
     noise: float | None = None,
-) -> Renderer | DetailRenderer:
+) -> Renderer:
     """What draws the picture of `render`; `look` gives the pixels (h, w, C) of a part of the flat.
 
     Detail is restored against this `noise`, if it is given, else as `detail` says.
     """
-    lattice = calibration.lattice
-    reach = REACH
+    lattice, reach = calibration.lattice, REACH
+    if (depth is None) == (patch_size is None):
+        raise ValueError(
+            "give either depth or patch_size, not both" if depth is not None else "give depth or patch_size"
+        )
     if patch_size is not None:
-        if depth is not None:
-            raise ValueError("give either depth or patch_size, not both")
         check_patch_size(patch_size, lattice.pitch)
         surface, full = constant_surface(patch_size), abs(patch_size)
     else:
-        if depth is None:
-            raise ValueError("give depth or patch_size")
+        assert depth is not None
         if depth.image_size != calibration.image_size or len(depth) != len(lattice):
             raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
         surface, full = depth.surface, default_scale(depth)
@@ -175,7 +172,6 @@ def make_renderer(
         reach = 1.0 if depth.preset == "fast" else reach
     scale = check_scale(full if scale is None else scale, lattice.pitch)
     blend = patch_size is None if blend is None else blend
-    plain = Renderer(calibration, surface, scale, full, blend, reach=reach)
     if noise is None and blend and depth is not None and detail != "off":
         noise = measure_noise(look, calibration)
-    return plain if noise is None else DetailRenderer(plain, noise)
+    return Renderer(calibration, surface, scale, full, blend, reach=reach, noise=noise)

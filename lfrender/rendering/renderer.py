@@ -18,6 +18,9 @@ from lfcal import Calibration
 from ..data.rendering import Part, PictureGrid, convert_to_dtype
 from ..data.surface import Surface, edge_step, sample_surface_at
 from ..data.viewpoint import Viewpoint
+from ..detail.filters import DetailFilters, make_filters
+from ..detail.noise import is_encoded
+from ..detail.restore import HALO, choose_filters, find_places, restore_detail
 from ..flat.gray_flat import white_level
 from ..flat.prefilter import prefilter_flat
 from ..runtime.buffers import allocate_pooled
@@ -69,6 +72,8 @@ class Renderer:
     viewpoint : Viewpoint
     lit : LitFlat, optional
         Of the whole flat, if several pictures are drawn from it.
+    noise : float, optional [white]
+        Of the flat, as `measure_noise`: detail is restored against it.
     """
 
     calibration: Calibration
@@ -81,6 +86,7 @@ class Renderer:
     aperture: float = 1.0
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
     lit: LitFlat | None = None
+    noise: float | None = None
 
     @property
     def grid(self) -> PictureGrid:
@@ -89,16 +95,16 @@ class Renderer:
         return PictureGrid(lattice.image_size, lattice.pitch, self.scale)
 
     @property
-    def blur(self) -> float:
-        """Share of a pixel's side over which microlenses average already."""
-        return BLUR * self.scale / self.full
+    def halo(self) -> int:
+        """How far around a pixel of the picture others change it [px]."""
+        return 0 if self.noise is None else HALO
 
     def required_part(self, part: Part) -> Part:
         """The part of the flat that a part of the picture is drawn from."""
         lattice = self.calibration.lattice
         beside = self.reach * lattice.pitch + lattice.radius + 2 * self._aside + float(np.abs(self._moved).max())
         # Four pixels for interpolation and its compensation.
-        return self.grid.flat_part(part, int(np.ceil(beside + self.grid.spacing)) + 4)
+        return self.grid.flat_part(self.grid.expand(part, self.halo), int(np.ceil(beside + self.grid.spacing)) + 4)
 
     def draw(
         self,
@@ -127,9 +133,37 @@ class Renderer:
             Pixels that some lens shows.
         """
         part = part or self.grid.whole
+        if self.noise is None:
+            return self._draw_plain(pixels, corner, part, np.dtype(dtype))
+        wide = left, top, _, _ = self.grid.expand(part, HALO)
+        image, valid = self._blend(pixels, corner, wide)
+        filters, kinds = self._filters
+        places = find_places(kinds, self.surface, self.grid, wide)
+        white, encoded = white_level(pixels, self.calibration), is_encoded(pixels.dtype, self.calibration)
+        image = restore_detail(image, valid, places, filters, white, encoded, dtype)
+        inside = slice(part[1] - top, part[3] - top), slice(part[0] - left, part[2] - left)
+        return np.ascontiguousarray(image[inside]), np.ascontiguousarray(valid[inside])
+
+    @cached_property
+    def _filters(self) -> tuple[DetailFilters, NDArray[np.uint16]]:
+        """Those of the picture, and which of them each value of its surface takes."""
+        assert self.noise is not None
+        sizes = self.surface.patch_size
+        depths = float(sizes.min()), float(sizes.max())
+        filters = make_filters(self.calibration, self.noise, self.scale, self.reach, self._blur, depths)
+        return filters, choose_filters(filters, self.surface, self.grid)
+
+    @property
+    def _blur(self) -> float:
+        """Share of a pixel's side over which microlenses average already."""
+        return BLUR * self.scale / self.full
+
+    def _draw_plain(
+        self, pixels: NDArray[Any], corner: tuple[int, int], part: Part, dtype: np.dtype[Any]
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         if self.blend or not shows_patches(self.calibration, self.surface, self.scale, self.aperture):
             image, valid = self._blend(pixels, corner, part)
-            return convert_to_dtype(image, np.dtype(dtype)), valid
+            return convert_to_dtype(image, dtype), valid
         patch, valid = render_patches(pixels, corner, self.calibration, self.surface.patch_size[0, 0], part)
         left, top, _, _ = part
         # Within a pitch of the border of the flat, the nearest lens does not show all.
@@ -178,7 +212,7 @@ class Renderer:
             np.float32(self.aperture * lattice.radius + self._aside),
             np.array([*self.viewpoint.offset, radius * radius], np.float32),
             np.float32(self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0),
-            np.float32(self.blur**2),
+            np.float32(self._blur**2),
         )
         flat = Flat(lit.pixels, lit.shown, np.array(corner), np.array(lattice.image_size))
         if self.blend and self._is_packable(pixels) and not self._is_coarse:
@@ -205,7 +239,7 @@ class Renderer:
     def _is_coarse(self) -> bool:
         """Whether most pixels are the mean of several samples, which `blend_rows` leaves out."""
         side = float(np.median(np.abs(self.surface.patch_size[::8, ::8]))) / self.scale
-        return bool(side * side * (1 - self.blur**2) - 1 > ONE_SAMPLE**2)
+        return bool(side * side * (1 - self._blur**2) - 1 > ONE_SAMPLE**2)
 
     @cached_property
     def _lenses(self) -> tuple[Lenses, NDArray[np.int64]]:

@@ -15,7 +15,7 @@ from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
 
-__all__ = ["TOO_LITTLE", "find_depth_problem", "resolves_too_little", "traditional"]
+__all__ = ["TOO_LITTLE", "find_depth_problem", "traditional"]
 
 #: What is said where the traditional picture is drawn instead of one in focus; takes the name of the option.
 TOO_LITTLE = (
@@ -76,25 +76,11 @@ def find_depth_problem(depth: DepthMap) -> str | None:
     )  # fmt: skip
 
 
-def resolves_too_little(depth: DepthMap) -> bool:
-    """Whether `find_depth_problem` finds one."""
-    return find_depth_problem(depth) is not None
-
-
 def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     """One pixel per microlens: the mean of its microimage (Lumsdaine and Georgiev 2008, section 3).
 
-    On a lattice that is not the pixel grid, each pixel is interpolated between the lenses around it.
-
-    Parameters
-    ----------
-    flat : (H, W) or (H, W, C) array
-    calibration : Calibration
-
-    Returns
-    -------
-    Rendering
-        At one output pixel per pitch.
+    `flat` is (H, W) or (H, W, C). The picture has one pixel per pitch; on a lattice that is not the pixel grid, each is
+    interpolated between the lenses around it.
 
     Examples
     --------

@@ -40,15 +40,10 @@ def views(
 
     Parameters
     ----------
-    flat : (H, W) or (H, W, C) array, uint8, uint16 or float
-    calibration : Calibration
-        Of the same image size.
-    depth : DepthMap, optional
-        Of this flat; analysed first if it is not given.
+    flat, calibration, depth, scale
+        As for `render`.
     offsets : iterable of (float, float) [px]
         `q` of each view, order `x, y`, within the usable radius of the microimages, `calibration.lattice.radius`.
-    scale : float, optional
-        Output pixels per pitch; by default the flat's full resolution.
     still : float, optional [px]
         Signed patch size of scene points that keep their place in all views; infinity for the microlens plane. By
         default that of the median of `D / s`.
@@ -57,41 +52,16 @@ def views(
     -------
     iterator of Rendering
         One per offset, drawn on demand, all of one size. `(0, 0)` is the picture of `render`. The affine holds for
-        scene points that keep their place.
-
-    Raises
-    ------
-    FlatError, CalibrationError
-        As `render`.
-    ValueError
-        If a number makes no picture.
+        scene points that keep their place. Errors are those of `render`.
 
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
-    >>> left, right = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> left, right = lfrender.views(*lfrender.data.example(), offsets=[(-4, 0), (4, 0)], scale=6)
     >>> left.image.shape, bool((left.image != right.image).any())
     ((47, 62, 3), True)
     """
-    pixels = check_flat(flat, calibration)
-    lattice = calibration.lattice
-    places = [_check_offset(offset, lattice.radius) for offset in offsets]
-    if still is not None and not abs(still) > 0:
-        raise ValueError(f"still must not be zero, got {still}")
-    if scale is not None:
-        check_scale(scale, lattice.pitch)
-    if depth is not None and (depth.image_size != calibration.image_size or len(depth) != len(lattice)):
-        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
-    depth = analyze(pixels, calibration) if depth is None else depth
-    if still is None:
-        middle = float(np.median(virtual_depth(depth.surface.patch_size, lattice.pitch)))
-    else:
-        middle = lattice.pitch / still
-    points = [Viewpoint(place, middle) for place in places]
-    return (picture for picture, _ in _draw_views(flat, pixels, calibration, depth, points, scale))
+    return (picture for picture, _ in _prepare(flat, calibration, depth, offsets, scale, still))
 
 
 def views_with_depth(
@@ -108,18 +78,13 @@ def views_with_depth(
     Examples
     --------
     >>> import lfrender
-    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
-    >>> flat, camera = sample.flat, sample.truth.calibration
-    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> flat, camera, depth = lfrender.data.example()
     >>> (picture, size), = views_with_depth(flat, camera, depth, offsets=[(4, 0)], scale=6, still=-7.0)
     >>> picture.image.shape, size.shape
     ((47, 62, 3), (47, 62))
     """
-    pixels = check_flat(flat, calibration)
-    places = [_check_offset(offset, calibration.lattice.radius) for offset in offsets]
-    points = [Viewpoint(place, calibration.lattice.pitch / still) for place in places]
-    for picture, renderer in _draw_views(flat, pixels, calibration, depth, points, scale):
-        yield picture, renderer.seen_depth()
+    drawn = _prepare(flat, calibration, depth, offsets, scale, still)
+    return ((picture, renderer.seen_depth()) for picture, renderer in drawn)
 
 
 def still_depth(depth: DepthMap) -> float:
@@ -127,18 +92,30 @@ def still_depth(depth: DepthMap) -> float:
     return depth.pitch / float(np.median(virtual_depth(depth.surface.patch_size, depth.pitch)))
 
 
-def _draw_views(
-    flat: NDArray,
-    pixels: NDArray,
-    calibration: Calibration,
-    depth: DepthMap,
-    points: list[Viewpoint],
-    scale: float | None,
-) -> Iterator[tuple[Rendering, Renderer]]:
+def _prepare(
+    flat: NDArray, calibration: Calibration, depth: DepthMap | None, offsets: Iterable[tuple[float, float]],
+    scale: float | None, still: float | None,
+) -> Iterator[tuple[Rendering, Renderer]]:  # fmt: skip
+    """Check what was given at once, and draw on demand."""
+    pixels, lattice = check_flat(flat, calibration), calibration.lattice
+    places = [_check_offset(offset, lattice.radius) for offset in offsets]
+    if still is not None and not abs(still) > 0:
+        raise ValueError(f"still must not be zero, got {still}")
+    if depth is None:
+        depth = analyze(pixels, calibration)
     check_type(depth, DepthMap, "depth", "lfrender.analyze makes one")
+    if depth.image_size != calibration.image_size or len(depth) != len(lattice):
+        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
     full = default_scale(depth)
-    scale = float(full if scale is None else scale)
-    middle = Renderer(calibration, depth.surface, scale, full, True)
+    scale = check_scale(full if scale is None else scale, lattice.pitch)
+    middle = lattice.pitch / (still_depth(depth) if still is None else still)
+    renderer = Renderer(calibration, depth.surface, scale, full, True)
+    return _draw(flat, pixels, renderer, [Viewpoint(place, middle) for place in places])
+
+
+def _draw(
+    flat: NDArray, pixels: NDArray, middle: Renderer, points: list[Viewpoint]
+) -> Iterator[tuple[Rendering, Renderer]]:
     lit: LitFlat | None = None
     for point in points:
         renderer = replace(middle, viewpoint=point)
@@ -146,7 +123,7 @@ def _draw_views(
             lit = lit or middle.light(pixels, viewpoints=points)
             renderer = replace(renderer, lit=lit)
         image, valid = renderer.draw(pixels, dtype=pixels.dtype)
-        yield finish_picture(image, valid, renderer.grid.affine(), scale, flat, calibration), renderer
+        yield finish_picture(image, valid, renderer.grid.affine(), middle.scale, flat, middle.calibration), renderer
 
 
 def _check_offset(offset: tuple[float, float], radius: float) -> tuple[float, float]:
@@ -157,13 +134,7 @@ def _check_offset(offset: tuple[float, float], radius: float) -> tuple[float, fl
 
 
 def grid_offsets(rows: int, columns: int, radius: float) -> list[tuple[float, float]]:
-    """Viewpoints on a regular grid inscribed in a circle, row by row from the top left [px].
-
-    Parameters
-    ----------
-    rows, columns : int
-    radius : float [px]
-        Of that circle.
+    """Viewpoints on a regular grid inscribed in a circle of this radius, row by row from the top left [px].
 
     Examples
     --------

@@ -11,7 +11,6 @@ from data_synth import Camera
 from lfcal import LensBlur
 from lfrender.detail.filters import make_filters
 from lfrender.detail.restore import Places, restore_detail
-from lfrender.detail.settings import RESTORE
 
 PITCH, SIZE, DISC = 30.0, -9.0, 2.5
 
@@ -29,10 +28,9 @@ def restored(image, dtype=np.float32):
     filters = make_filters(calibration, 0.001, -SIZE, 1.7, 0.0, (SIZE, SIZE))
     kinds = np.full((1, 1), round(-SIZE / PITCH * filters.per_ratio), np.uint16)
     rows, columns = (np.zeros(n, np.int64) for n in image.shape[:2])
-    settings = replace(RESTORE, overshoot=100.0)
     places = Places(kinds, rows, columns)
     seen = np.ones(image.shape[:2], bool)
-    return restore_detail(np.float32(image), seen, places, filters, 1.0, False, dtype, settings)
+    return restore_detail(np.float32(image), seen, places, filters, 1.0, False, dtype, overshoot=100.0)
 
 
 def test_blurred_texture_gains_contrast():

@@ -11,7 +11,6 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures
 from lfcal.lattice.distortion import Distortion
-from lfrender.flat.distorted_lookup import lens_displacements
 
 SIZE = (420, 340)
 REACH = float(np.hypot(*SIZE)) / 2
@@ -84,13 +83,3 @@ def test_the_traditional_and_the_one_patch_picture_follow_the_distortion():
         psnr(shot, lfrender.traditional(flat, bent), BENT)
         > psnr(shot, lfrender.traditional(shot.flat, straight), None) - 0.5
     )
-
-
-def test_displacements_are_none_for_an_undistorted_lattice_and_else_those_of_the_centres():
-    calibration = capture("plane").truth.calibration
-    assert lens_displacements(calibration.lattice)[0].size == 0
-    lattice = camera_with(calibration, BENT).lattice
-    bend, low = lens_displacements(lattice)
-    i, j = lattice.indices().T
-    found = lattice.origin + lattice.indices() @ lattice.basis + bend[j - low[1], i - low[0]]
-    np.testing.assert_allclose(found, lattice.centres(), atol=1e-5)

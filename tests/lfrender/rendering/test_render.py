@@ -10,8 +10,6 @@ from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
 from lfcal import Calibration, CalibrationError, Lattice
 from lfcal.gain.vignetting import Vignetting
-from lfrender.data.surface import constant_surface
-from lfrender.rendering.traditional import resolves_too_little
 
 
 @functools.cache
@@ -157,29 +155,6 @@ def test_fixed_patches_give_the_picture_of_the_nearest_lenses(ratio, lattice, pr
     assert difference.max() <= 6
 
 
-@pytest.mark.parametrize("channels", [1, 3, 4])
-@pytest.mark.parametrize("number", range(12))
-def test_bytes_are_interpolated_like_wider_numbers_on_any_flat(number, channels):
-    rng = np.random.default_rng(number)
-    pitch, turn = rng.uniform(6, 60), rng.uniform(-0.3, 0.3)
-    width, height = (int(n) for n in rng.integers(60, 400, 2))
-    second = [(0, 1), (0.5, 0.75**0.5)][number % 2]
-    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    lattice = Lattice(
-        rng.uniform(0, pitch, 2), pitch * np.array([(1, 0), second]) @ rotation, (width, height), pitch / 2 - 1
-    )
-    profile = Vignetting(np.linspace(1, 0.25, 30), pitch / 58) if number % 3 else None
-    flat = rng.integers(0, 256, (height, width, channels), dtype=np.uint8)
-    s = rng.choice([-1, 1]) * rng.uniform(1.1, 0.75 * pitch)
-    narrow, wide = (
-        lfrender.render(pixels, Calibration(lattice, profile), patch_size=s)
-        for pixels in (flat, flat.astype(np.uint16) * 257)
-    )
-    np.testing.assert_array_equal(narrow.valid, wide.valid)
-    # Weights are 256ths of up to 255 grey levels, and a gain of up to 4 multiplies their error.
-    assert np.abs(narrow.image - wide.image / 257).max() < 4
-
-
 def test_a_part_has_the_bits_of_the_whole_picture():
     shot = capture("house")
     calibration = shot.truth.calibration
@@ -209,20 +184,6 @@ def test_flat_without_any_depth_is_drawn_at_a_pixel_per_lens_and_that_is_said():
         picture = lfrender.render(flat, camera, depth)
     assert picture.scale == 1 and picture.image.shape == (15, 20)
     assert lfrender.render(flat, camera, depth, scale=5).image.shape == (75, 100)
-
-
-@pytest.mark.parametrize("chance", [True, False])
-def test_lenses_that_form_no_surface_count_as_unresolved(chance):
-    lattice = Lattice([10, 10], [[20, 0], [0, 20]], (800, 600), 9)
-    rng, (columns, rows) = np.random.default_rng(1), lattice.centres().T // 20
-    sizes = np.full(len(lattice), np.nan, np.float32)
-    card = rng.random(len(lattice)) < 0.1 if chance else (abs(columns - 20) < 6) & (abs(rows - 15) < 6)
-    sizes[card] = rng.uniform(-9, 9, card.sum()) if chance else -6.0
-    depth = lfrender.DepthMap(
-        sizes, np.ones_like(sizes), np.ones_like(sizes), np.nan_to_num(sizes, nan=-6.0), constant_surface(-6.0), 20.0,
-        (800, 600), centres=lattice.centres().astype(np.float32),
-    )  # fmt: skip
-    assert resolves_too_little(depth) is chance
 
 
 def test_junk_of_an_unfocused_capture_is_not_drawn_in_focus(shared):

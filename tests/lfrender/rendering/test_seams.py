@@ -73,12 +73,6 @@ def test_a_white_capture_gives_a_picture_without_lattice(s, blend):
     assert lattice_amplitude(picture, calibration.lattice) < 0.01 * picture.image.mean()
 
 
-def test_a_white_capture_drawn_without_correction_shows_the_lattice():
-    white, calibration = shaded_white(), camera_of(None)
-    dark = lfrender.render(white, lfcal.Calibration(calibration.lattice), patch_size=12.0)
-    assert lattice_amplitude(dark, calibration.lattice) > 0.01 * dark.image.mean()
-
-
 @functools.cache
 def cut_camera():
     """A camera with mechanical vignetting (cat's eyes), and a white image of it."""
@@ -111,11 +105,6 @@ def test_mechanical_vignetting_and_a_dark_border_give_a_uniform_picture(kind):
     camera, white = cut_camera()
     assert unevenness(CUT[kind](white, camera)) < 0.003
     assert unevenness(CUT[kind](white, dataclasses.replace(camera, gain_map=None))) > 0.05
-
-
-def test_vignetted_microimages_of_a_uniform_scene_are_unresolved():
-    camera, white = cut_camera()
-    assert not lfrender.analyze(white, camera).mode.any()
 
 
 # Patch size of the plane that the ramp and the even scene lie on [px].
@@ -188,28 +177,3 @@ def test_a_blank_capture_is_uniform_although_its_depth_is_unknown():
     ):
         inner = picture.image[7:-7, 7:-7]
         assert inner.std() < 0.005 * inner.mean()
-
-
-def test_a_wrong_depth_shows_the_lattice():
-    shot = capture("ramp")
-    calibration = camera_of("ramp")
-    # Patches do not meet.
-    tiled = lfrender.render(shot.flat, calibration, patch_size=9.0)
-    assert lattice_amplitude(tiled, calibration.lattice) > 0.01 * tiled.image.std()
-
-
-@pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")
-@pytest.mark.parametrize("scene", ["plane", "ramp", "slope"])
-def test_the_picture_is_as_bright_as_the_corrected_flat(scene):
-    shot = capture(scene)
-    calibration = camera_of(scene)
-    picture = lfrender.render(shot.flat, calibration)
-    known = np.isfinite(calibration.gain())
-    known &= off_centre(calibration.lattice) < 0.4 * calibration.lattice.pitch
-    # In light, the square of the values of 8 bits, since detail is restored in light.
-    corrected, drawn = calibration.flatten(shot.flat)[known], picture.image[picture.valid]
-    assert root_mean_square(drawn) == pytest.approx(root_mean_square(corrected), rel=0.01)
-
-
-def root_mean_square(values):
-    return np.sqrt(np.mean(values.astype(float) ** 2))

@@ -163,16 +163,6 @@ def test_an_animation_holds_all_frames_and_repeats(tmp_path, suffix):
             assert file.info["duration"] == 100
 
 
-def test_an_animation_of_twelve_bits_is_as_bright_as_one_of_eight(tmp_path):
-    shot, depth = capture("slope")
-    camera = dataclasses.replace(shot.truth.calibration, white_level=4095.0)
-    flats = {"eight": shot.flat, "twelve": shot.flat.astype(np.uint16) << 4}
-    for name, flat in flats.items():
-        write_animation(tmp_path / f"{name}.png", lfrender.views(flat, camera, depth, offsets=[(0, 0)], scale=6))
-    eight, twelve = (np.asarray(Image.open(tmp_path / f"{name}.png").convert("RGB"), float) for name in flats)
-    assert np.abs(twelve - eight).mean() < 1
-
-
 def run(*arguments):
     return CliRunner().invoke(main, [str(a) for a in ("views", *arguments)], catch_exceptions=False)
 

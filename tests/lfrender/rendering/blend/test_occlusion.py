@@ -36,13 +36,3 @@ def test_the_nearer_surface_is_seen_up_to_its_edge(stepped):
     hidden, open_ = inside & of_edged & (at > EDGE + 7), inside & of_edged & (at < EDGE - 7)
     assert hidden.sum() > 1000 and (seen[hidden] == NEAR).mean() > 0.99
     assert open_.sum() > 1000 and np.isnan(seen[open_]).mean() > 0.99
-
-
-def test_only_lenses_within_reach_of_a_step_are_edged(stepped):
-    lattice, surface = stepped
-    _, edged = project_surface(surface, lattice, REACH, 0.7)
-    away = np.abs(lattice.centres()[:, 0] - EDGE)
-    assert edged[away < REACH - 3.25].all()
-    # Squares of four grid values are looked at together.
-    assert not edged[away > REACH + 4 * 3.25].any()
-    assert not project_surface(surface, lattice, REACH, NEAR - FAR + 0.1)[1].any()

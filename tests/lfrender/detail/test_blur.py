@@ -8,8 +8,7 @@ import numpy as np
 
 from data_synth import Camera
 from lfcal import LensBlur, LensTypes
-from lfrender.detail.discs import sure_discs
-from lfrender.detail.settings import RESTORE
+from lfrender.detail.blur import sure_discs
 
 RATIOS = np.array([-0.4, -0.2])
 
@@ -21,7 +20,7 @@ def camera(types=None):
 def test_a_known_disc_counts_without_its_doubt():
     blur = LensBlur(8.0, 1.0, [0.0], [0.1], [-0.2, -0.4], [[1.0, 3.0]], [[0.5, 0.5]])
     found = sure_discs(replace(camera(), lens_blur=blur), RATIOS)
-    np.testing.assert_allclose(found, [[3.0 - RESTORE.doubt * 0.5, 1.0 - RESTORE.doubt * 0.5]])
+    np.testing.assert_allclose(found, [[3.0 - 0.84 * 0.5, 1.0 - 0.84 * 0.5]])
 
 
 def test_of_several_types_the_sharpest_shows_how_soft_the_scene_is():

@@ -1,0 +1,65 @@
+"""What blurs a picture: the discs of microlenses out of focus, as far as the camera file tells them, and reading.
+
+A flat alone does not tell a soft scene from a blurred one, and undoing a blur that is not there makes rings.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfcal import Calibration
+
+__all__ = ["disc_transfer", "interpolation_transfer", "sure_discs"]
+
+
+def sure_discs(calibration: Calibration, ratios: NDArray[np.float64], doubt: float = 0.84) -> NDArray[np.float64]:
+    """(types, n) diameters [px of the flat] of the discs of defocus at these `s / D`, by lens type.
+
+    They are `doubt` standard errors smaller than the camera file tells, the lower fifth. Of several types, one is near
+    its focus at any depth: what it is blurred by counts as the scene's.
+
+    Examples
+    --------
+    >>> from lfcal import Lattice, LensBlur
+    >>> blur = LensBlur(6.0, 1.2, [0.1], [0.1], [-0.3], [[2.4]], [[0.2]])
+    >>> camera = Calibration(Lattice([10, 12], [[20, 0], [0, 20]], (200, 100), 9.5), lens_blur=blur)
+    >>> sure_discs(camera, np.array([-0.25])).round(2)
+    array([[2.23]])
+    """
+    types, known = calibration.lens_types, calibration.lens_blur
+    count = 1 if types is None else types.count
+    if known is None or len(known.focus) != count:
+        return np.zeros((count, len(ratios)))
+    order = np.argsort(known.ratios)
+    least = np.maximum(known.discs - doubt * known.disc_errors, 0)[:, order]
+    discs = np.stack([np.interp(ratios, known.ratios[order], one) for one in least])
+    own = discs.min(0) if count > 1 else 0.0
+    return np.asarray(np.sqrt(discs**2 - own**2))
+
+
+def disc_transfer(frequency: ArrayLike, diameter: ArrayLike) -> NDArray[np.float64]:
+    """Transfer function at a frequency [1 / px] of a uniform disc of this diameter [px]; both broadcast.
+
+    The disc is projected onto a line and transformed by Gauss-Chebyshev quadrature of the second kind.
+
+    Examples
+    --------
+    >>> disc_transfer(0.0, 3.0).round(3).item()
+    1.0
+    """
+    # As many nodes are exact up to some twenty periods across the disc.
+    nodes = 32
+    angle = np.arange(1, nodes + 1) * np.pi / (nodes + 1)
+    weight = 2 / (nodes + 1) * np.sin(angle) ** 2
+    phase = np.pi * np.asarray(frequency, float) * np.asarray(diameter, float)
+    return np.asarray(np.cos(phase[..., None] * np.cos(angle)) @ weight)
+
+
+def interpolation_transfer(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Transfer function, along one axis, of bilinear interpolation of a flat that `prefilter_flat` has sharpened.
+
+    `frequency` is in cycles per pixel of the flat.
+    """
+    seen = np.minimum(np.abs(frequency), 1.0)
+    return np.asarray(np.sinc(frequency) ** 2 * (1 + (1 - np.cos(2 * np.pi * seen)) / 6))
