@@ -180,7 +180,7 @@ class CaptureInput:
 
         Animations go there and back again.
         """
-        from ..output.metadata import read_metadata
+        from ..output.formats import read_metadata
         from ..output.picture import eight_bits as to_eight_bits
         from ..output.picture import needs_eight_bits, write_picture, write_stack
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, FlatSource, Lattice
 
 from ..data.depth_map import DepthMap
-from ..data.flat_samples import sample_source
+from ..data.flat_samples import sample_flat
 from ..data.region import empty_lenses, rescale_depth, rows_of
 from ..data.surface import Surface
 from ..depth.edges.locate_edges import locate_edges, refine_grid
@@ -96,7 +96,7 @@ def analyze_large(
     depth = _analyze_tiles(flat, workers, list(tiles), progress)
     # Those of a colour filter mosaic are not those of the flat in colour.
     raw = calibration.mosaic is not None and len(source.shape) == 2
-    return rescale_depth(depth, calibration.lattice, flat.factor, flat_samples=None if raw else sample_source(source))
+    return rescale_depth(depth, calibration.lattice, flat.factor, flat_samples=None if raw else sample_flat(source))
 
 
 @dataclass(frozen=True)
@@ -109,23 +109,19 @@ class FlatContext:
     overview: SceneStatistics = SceneStatistics(0.0, np.zeros(0, np.float32), 0.0)  # noqa: RUF009 (nobody writes into it)
 
     @property
-    def calibration(self) -> Calibration:
-        return self.reader.calibration
-
-    @property
     def factor(self) -> int:
         """Factor by which the flat is reduced for the analysis."""
-        return PRESETS[self.preset].factor(self.calibration.lattice.pitch)
+        return PRESETS[self.preset].factor(self.reader.calibration.lattice.pitch)
 
     @cached_property
     def lattice(self) -> Lattice:
         """The lattice in pixels of the flat as it is analysed."""
-        lattice = self.calibration.lattice
+        lattice = self.reader.calibration.lattice
         return lattice if self.factor == 1 else lattice.downscaled(self.factor)
 
     @cached_property
     def _gain(self) -> Any:
-        return self.calibration.region_gain() if uneven_lenses(self.calibration) else None
+        return self.reader.calibration.region_gain() if uneven_lenses(self.reader.calibration) else None
 
     def read(self, part: LensTile) -> NDArray[Any]:
         """The pixels of a part as stored."""
@@ -136,11 +132,7 @@ class FlatContext:
         pixels = self.reader.read(part.rectangle, raw)
         height, width = pixels.shape[:2]
         light = None if self._gain is None else self._gain.at(*part.rectangle[:2], width, height)
-        return make_gray_flat(pixels, replace(self.calibration, lattice=part.full), part.factor, light)
-
-    def rows(self, part: LensTile) -> NDArray[np.int32]:
-        """Rows in `lattice.centres()` of the lenses whose results are taken from a part."""
-        return rows_of(part.lattice, self.lattice)[part.inside]
+        return make_gray_flat(pixels, replace(self.reader.calibration, lattice=part.full), part.factor, light)
 
 
 def _measure_roughness(
@@ -151,12 +143,6 @@ def _measure_roughness(
     plain = sample_statistics(gray)
     texture = find_texture(gray, part.lattice, plain)
     return plain.roughness[part.inside], texture.statistics.roughness[part.inside]
-
-
-def _measure_depths(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> NDArray[np.float32]:
-    """Patch sizes of the lenses of a window that are resolved."""
-    depth = _analyze_tile(flat, part, pixels)
-    return depth.patch_size[part.inside & (depth.reason == 0)].astype(np.float32)
 
 
 def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> DepthMap:
@@ -177,8 +163,9 @@ def _survey(flat: FlatContext, workers: Workers, windows: list[LensTile]) -> Sce
     overview = SceneStatistics(estimate_noise(rough), np.zeros(0, np.float32), estimate_noise(raw))
     thorough = Shortcuts(blank=flat.shortcuts.blank, ranges=False, still=False)
     estimating = replace(flat, shortcuts=thorough, overview=overview)
-    sizes = workers.map(_measure_depths, estimating, windows, FlatContext.read)
-    return replace(overview, sizes=np.concatenate(list(sizes)))
+    found = workers.map(_analyze_tile, estimating, windows, FlatContext.read)
+    sizes = [depth.patch_size[part.inside & ~depth.filled] for part, depth in zip(windows, found, strict=True)]
+    return replace(overview, sizes=np.concatenate(sizes))
 
 
 def _analyze_tiles(
@@ -193,7 +180,7 @@ def _analyze_tiles(
     saved: dict[str, float] = {}
     found = workers.map(_analyze_tile, flat, tiles, FlatContext.read)
     for number, (part, depth) in enumerate(zip(tiles, found, strict=True)):
-        rows = flat.rows(part)
+        rows = rows_of(part.lattice, lattice)[part.inside]
         for name, whole in values.items():
             whole[rows] = getattr(depth, name)[part.inside]
         _paste(surface, depth.surface, part, spacing, finer)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,13 +16,11 @@ from lfcal import Calibration, FlatSource
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Part, Rendering
-from ..detail.draw import DetailRenderer
 from ..flat.validation import match_exposure
-from ..output.formats import FORMATS, PictureError, check_format, check_package
-from ..output.metadata import read_metadata
+from ..output.formats import FORMATS, PictureError, check_format, check_package, read_metadata
 from ..output.picture import describe, with_alpha, write_picture
 from ..output.resume import Checkpoint, file_identity, fingerprint
-from ..output.tiled_picture import TileWriter, move_into_place, new_writer
+from ..output.tiled_picture import TileWriter, move_into_place
 from ..rendering.render import Detail, make_renderer
 from ..rendering.renderer import Renderer
 from ..sequence.workers import Workers
@@ -36,20 +33,6 @@ __all__ = ["LargePicture", "check_large_picture", "render_large"]
 class LargePicture:
     """A picture drawn into a file, from `render_large`, which has an example.
 
-    Parameters
-    ----------
-    path : Path
-    size : (int, int) [px]
-        Columns and rows.
-    affine : (2, 3) float64
-        As `Rendering.affine`.
-    scale : float
-        Output pixels per pitch.
-    valid : float
-        Share of the pixels that at least one lens has seen.
-    tiles, kept : int
-        Number of tiles, and how many of them an earlier run had finished.
-
     Examples
     --------
     >>> LargePicture(Path("picture.tif"), (620, 470), np.eye(2, 3), 6.0, 1.0, tiles=4, kept=3).tiles
@@ -57,12 +40,12 @@ class LargePicture:
     """
 
     path: Path
-    size: tuple[int, int]
-    affine: NDArray[np.float64]
-    scale: float
-    valid: float
-    tiles: int
-    kept: int
+    size: tuple[int, int]  # columns and rows [px]
+    affine: NDArray[np.float64]  # (2, 3), as `Rendering.affine`
+    scale: float  # output pixels per pitch
+    valid: float  # share of the pixels that at least one lens has seen
+    tiles: int  # number of tiles ...
+    kept: int  # ... and how many of them an earlier run had finished
 
 
 def render_large(
@@ -118,36 +101,33 @@ def render_large(
     >>> made.scale
     6.0
     """
-    output = Path(path)
-    reader = TileReader(source, calibration)
-    if depth is None and patch_size is None:
-        raise ValueError("give depth (analyze_large makes it) or patch_size")
+    output, reader = Path(path), TileReader(source, calibration)
     check_large_picture(output, source.dtype, alpha)
     exposed = match_exposure(reader.sample_exposure(), calibration)
     drawing = make_renderer(reader.read, exposed, depth, patch_size, scale, blend, detail)
-    grid = drawing.grid
-    workers = Workers(client, threads)
+    grid, workers = drawing.grid, Workers(client, threads)
     # For a cluster four tiles a thread, so that few threads are idle at the end.
     side = _tile_size(drawing, reader, tile, 1 if client is None else 4 * workers.count)
-    text = describe(Rendering(np.empty(0), grid.affine(), np.empty(0, bool), grid.scale), settings)
+    text, suffix = describe(grid.affine(), settings), output.suffix.lower()
     channels = reader.channels + alpha
     shape = (*grid.size[::-1], channels) if channels > 1 else grid.size[::-1]
     # Tiles of an earlier run are used if all that the picture depends on is the same.
     key = fingerprint(
-        file_identity(source.path), [source.page], file_identity(source.dark), calibration.to_dict(),
+        file_identity(source.path), file_identity(source.dark), calibration.to_dict(), text,
         [patch_size] if depth is None else [fingerprint(depth.patch_size, depth.surface.patch_size)],
-        [grid.scale, patch_size is None if blend is None else blend],
-        [drawing.noise if isinstance(drawing, DetailRenderer) else None], side,
-        text, [alpha, compress, output.suffix.lower(), str(source.dtype)],
+        [source.page, grid.scale, drawing.blend, drawing.noise, *side, alpha, compress, suffix, str(source.dtype)],
     )  # fmt: skip
-    checkpoint = Checkpoint(output)
-    direct = FORMATS[output.suffix.lower()].tiles
-    writer = new_writer(
-        output if direct else output.with_suffix(".tif"), checkpoint.open(), shape, source.dtype, side,
-        json.dumps(text), icc=read_metadata(source.path).icc, compress=compress and direct,
+    checkpoint, direct = Checkpoint(output), FORMATS[suffix].tiles
+    writer = TileWriter(
+        output if direct else output.with_suffix(".tif"), checkpoint.open(), shape, source.dtype, side, text,
+        icc=read_metadata(source.path).icc, compress=compress and direct,
     )  # fmt: skip
-    done, kept = _finished_tiles(checkpoint, key, writer)
-    parts = dict(enumerate(grid.tiles(side)))
+    # Valid pixels of each finished tile. A killed run may have left the list of tiles without them.
+    done: dict[str, int] = checkpoint.find("picture", key) or {}
+    if not writer.open(fresh=not done):
+        done = {}
+        checkpoint.keep("picture", key, done)
+    kept, parts = len(done), dict(enumerate(grid.tiles(side)))
     missing = {number: part for number, part in parts.items() if str(number) not in done}
     # A copy, without the tables that are cached in it: workers compute their own.
     drawn = workers.map(_draw_tile, _Drawing(replace(drawing), reader), missing.values(), _read_part)
@@ -164,7 +144,8 @@ def render_large(
     if direct:
         writer.finish(output)
     else:
-        _encode(writer, checkpoint, output, drawing, settings, source)
+        writer.finish(checkpoint.folder / "whole.tif")
+        _encode(checkpoint.folder, output, drawing, settings, source)
     checkpoint.remove()
     valid_share = sum(done.values()) / (shape[0] * shape[1])
     return LargePicture(output, grid.size, grid.affine(), grid.scale, valid_share, len(parts), kept)
@@ -183,21 +164,11 @@ def _store_beside(numbers: Iterable[int], drawn: Iterable[Any], store: Callable[
             waiting.result()
 
 
-def _finished_tiles(checkpoint: Checkpoint, key: str, writer: TileWriter) -> tuple[dict[str, int], int]:
-    """The valid pixels of each tile that an earlier run has drawn, and the number of these; the writer is opened."""
-    found = checkpoint.find("picture", key)
-    # A run that was killed while it removed its files may have left the list of finished tiles alone.
-    if not writer.open(fresh=found is None) or found is None:
-        checkpoint.keep("picture", key, {})
-        return {}, 0
-    return dict(found), len(found)
-
-
 @dataclass(frozen=True)
 class _Drawing:
     """What workers need to draw a tile."""
 
-    renderer: Renderer | DetailRenderer
+    renderer: Renderer
     reader: TileReader
 
 
@@ -223,7 +194,7 @@ def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ())
         raise PictureError(f"{output}: is an input of this command; give another output")
 
 
-def _tile_size(drawing: Renderer | DetailRenderer, reader: TileReader, tile: int | None, least: int) -> tuple[int, int]:
+def _tile_size(drawing: Renderer, reader: TileReader, tile: int | None, least: int) -> tuple[int, int]:
     """Columns and rows of the tiles: as given, or nearly square ones of a gigabyte, at least `least` of them."""
     columns, rows = drawing.grid.size
     if tile is not None:
@@ -246,24 +217,18 @@ def _tile_size(drawing: Renderer | DetailRenderer, reader: TileReader, tile: int
 
 
 def _encode(
-    writer: TileWriter,
-    checkpoint: Checkpoint,
-    output: Path,
-    drawing: Renderer | DetailRenderer,
-    settings: Mapping[str, Any] | None,
-    source: FlatSource,
+    folder: Path, output: Path, drawing: Renderer, settings: Mapping[str, Any] | None, source: FlatSource
 ) -> None:
-    """Write the finished tiles as a picture of another format."""
+    """Write the finished tiles in `whole.tif` as a picture of another format."""
     import tifffile
 
-    whole = checkpoint.folder / "whole.tif"
-    writer.finish(whole)
-    pixels = tifffile.memmap(whole)
-    alpha = pixels.ndim == 3 and pixels.shape[2] in (2, 4)
-    colours = pixels[..., 0] if alpha and pixels.shape[2] == 2 else pixels[..., :3] if alpha else pixels
-    valid = pixels[..., -1] > 0 if alpha else np.ones(pixels.shape[:2], bool)
-    picture = Rendering(np.asarray(colours), drawing.grid.affine(), valid, drawing.grid.scale)
+    pixels = tifffile.imread(folder / "whole.tif")
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    alpha, valid = channels in (2, 4), np.ones(pixels.shape[:2], bool)
+    if alpha:
+        pixels, valid = pixels[..., :3] if channels == 4 else pixels[..., 0], pixels[..., -1] > 0
+    picture = Rendering(pixels, drawing.grid.affine(), valid, drawing.scale)
     # Encoded into the hidden folder: if the process is killed, the next run removes the file.
-    encoded = checkpoint.folder / f"encoded{output.suffix}"
+    encoded = folder / f"encoded{output.suffix}"
     write_picture(encoded, picture, alpha=alpha, settings=settings, embedded=read_metadata(source.path))
     move_into_place(encoded, output)

@@ -32,8 +32,7 @@ Rectangle = tuple[int, int, int, int]
 class TileReader:
     """Reads parts of a flat: with a channel axis, and in colour where the camera has a colour mosaic.
 
-    A copy, such as that of a worker on another machine, opens the file itself, under the same path. CalibrationError if
-    the calibration is for another image size.
+    A copy, such as that of a worker on another machine, opens the file itself, under the same path.
     """
 
     def __init__(self, source: FlatSource, calibration: Calibration) -> None:
@@ -123,21 +122,17 @@ class LensTile:
 
 def lens_windows(whole: Lattice, factor: int) -> Iterator[LensTile]:
     """At most 6 x 6 windows of 16 pitches, evenly spread from border to border; lenses near their borders are halo."""
-    size, pitch = _reduced_size(whole, factor), whole.pitch / factor
+    size, pitch = np.array(_reduced_size(whole, factor)), whole.pitch / factor
     side = int(max(16 * pitch, 256))
-    counts = [int(np.clip(length // side, 1, 6)) for length in size]
-    spans = [side if count > 1 else length for length, count in zip(size, counts, strict=True)]
-    starts = [
-        np.linspace(0, max(0, length - side), count).astype(int).tolist()
-        for length, count in zip(size, counts, strict=True)
-    ]
-    for y in starts[1]:
-        for x in starts[0]:
-            end = min(x + spans[0], size[0]), min(y + spans[1], size[1])
-            # At the border of the flat the window cuts nothing off.
-            low = np.array([at + 3 * pitch if at > 0 else -np.inf for at in (x, y)])
-            high = np.array([at - 3 * pitch if at < n else np.inf for at, n in zip(end, size, strict=True)])
-            yield LensTile.cut(whole, factor, (x, y), end, np.stack([low, high]))
+    counts = np.clip(size // side, 1, 6)
+    spans = np.where(counts > 1, side, size)
+    columns, rows = (np.linspace(0, max(0, n - side), k).astype(int) for n, k in zip(size, counts, strict=True))
+    for corner in np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2):
+        end = np.minimum(corner + spans, size)
+        # At the border of the flat the window cuts nothing off.
+        low = np.where(corner > 0, corner + 3 * pitch, -np.inf)
+        high = np.where(end < size, end - 3 * pitch, np.inf)
+        yield LensTile.cut(whole, factor, corner, end, np.stack([low, high]))
 
 
 def lens_tiles(

@@ -1,13 +1,19 @@
 """The file formats of pictures, registered once: what each can hold, and how pictures are written into it.
 
 To add a format, add an entry to `FORMATS`: pictures, stacks, tiles, animations, films and the command line take from
-there which formats they can write.
+there which formats they can write. TIFF files named `.ome.tif` and Zarr are as the microscopy community stores them
+(OME, NGFF 0.5): pixels have the size of scene coordinates, so that viewers lay pictures of any scale over each other.
 """
 
 from __future__ import annotations
 
 import io
+import json
 import os
+import secrets
+import shutil
+import struct
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -17,15 +23,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import LightFieldError
+from lfcal import LightFieldError, OutputError
 from lfcal.runtime.output_file import check_output
 
-from .metadata import EmbeddedMetadata, embed_in_png
-from .ome import is_ome_name, ome_tags, write_ome_zarr
-
 __all__ = [
-    "FORMATS", "Page", "PictureError", "PictureFormat", "check_format", "check_package", "tiff_tags", "tiff_tiles",
-    "write_exr",
+    "FORMATS", "EmbeddedMetadata", "Page", "PictureError", "PictureFormat", "check_format", "check_package",
+    "is_ome_name", "read_metadata", "tiff_tags", "tiff_tiles", "write_exr",
 ]  # fmt: skip
 
 #: Pixels, with alpha where they have 2 or 4 channels, and the JSON text that is stored with them.
@@ -42,6 +45,43 @@ class PictureError(LightFieldError, ValueError):
     Traceback (most recent call last):
     lfrender.output.formats.PictureError: stack.tif: a stack needs at least one picture
     """
+
+
+@dataclass(frozen=True)
+class EmbeddedMetadata:
+    """ICC profile, and EXIF data without thumbnail and sizes; empty where there is none."""
+
+    icc: bytes = b""
+    exif: bytes = b""
+
+
+def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
+    """Colour profile and EXIF data of an image file (PNG, JPEG, WebP), of TIFF the profile; nothing if damaged."""
+    from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin
+
+    source = Path(path)
+    jpeg: Any = JpegImagePlugin.JpegImageFile
+    # The format's own class is used, not Image.open: that one refuses sensors above 179 megapixels.
+    readers: Any = {".png": PngImagePlugin.PngImageFile, ".jpg": jpeg, ".jpeg": jpeg}
+    readers[".webp"] = WebPImagePlugin.WebPImageFile
+    try:
+        if source.suffix.lower() in (".tif", ".tiff"):
+            import tifffile
+
+            with tifffile.TiffFile(source) as tiff:
+                tag = tiff.pages[0].tags.get("InterColorProfile")  # type: ignore[union-attr]
+                return EmbeddedMetadata(b"" if tag is None else bytes(tag.value))
+        with readers[source.suffix.lower()](str(source)) as image:
+            exif = image.getexif()
+            camera_data = exif.get_ifd(0x8769)
+            # Width and height of the flat, which are not those of the picture.
+            for tag in (0x0100, 0x0101, 0xA002, 0xA003):
+                exif.pop(tag, None)
+                camera_data.pop(tag, None)
+            return EmbeddedMetadata(image.info.get("icc_profile") or b"", exif.tobytes() if len(exif) else b"")
+    # Readers raise errors of any kind on damaged data; the pixels matter more.
+    except Exception:
+        return EmbeddedMetadata()
 
 
 @dataclass(frozen=True)
@@ -106,18 +146,30 @@ def check_package(path: str | os.PathLike[str], kind: PictureFormat) -> None:
         raise PictureError(f"{path}: {needs}; pip install 'lfrender[{kind.extra}]'")
 
 
-def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes) -> dict[str, Any]:
+def is_ome_name(path: Path) -> bool:
+    """Whether the name asks for OME metadata: `.ome.tif`, `.ome.zarr`."""
+    return ".ome." in path.name.lower()
+
+
+def _affine(text: str) -> NDArray[np.float64]:
+    return np.array(json.loads(text).get("affine", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.float64)
+
+
+def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes, ome: bool = False) -> dict[str, Any]:
     """Options of tifffile for a picture of this shape, with alpha where it has 2 or 4 channels."""
     channels = shape[2] if len(shape) == 3 else 1
-    return {
+    tags: dict[str, Any] = {
         "photometric": "rgb" if channels >= 3 else "minisblack",
         "planarconfig": "contig" if len(shape) == 3 else None,
         "extrasamples": ["unassalpha"] if channels in (2, 4) else None,
-        "description": text,
-        "software": "lfrender",
-        "metadata": None,
-        "iccprofile": icc or None,
-    }
+        "description": text, "software": "lfrender", "metadata": None, "iccprofile": icc or None,
+    }  # fmt: skip
+    if ome:
+        about: dict[str, Any] = {"axes": "YX" if len(shape) == 2 else "YXS", "Description": text}
+        for axis, size in zip("XY", np.diag(_affine(text)), strict=True):
+            about |= {f"PhysicalSize{axis}": size, f"PhysicalSize{axis}Unit": "pixel"}
+        tags |= {"metadata": about, "description": None}
+    return tags
 
 
 def tiff_tiles(dtype: Any, side: int = 256) -> dict[str, Any]:
@@ -136,9 +188,8 @@ def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compr
     ome = is_ome_name(path)
     with tifffile.TiffWriter(path, bigtiff=big, ome=ome) as tiff:
         for pixels, text in pages:
-            options = tiff_tags(pixels.shape, text, embedded.icc) | (tiff_tiles(pixels.dtype) if compress else {})
-            options |= ome_tags(pixels.shape, text) if ome else {}
-            tiff.write(np.ascontiguousarray(pixels), **options)
+            tiles = tiff_tiles(pixels.dtype) if compress else {}
+            tiff.write(np.ascontiguousarray(pixels), **tiff_tags(pixels.shape, text, embedded.icc, ome), **tiles)
 
 
 def write_exr(path: Path, channels: dict[str, NDArray[np.float32]], text: str = "") -> None:
@@ -162,20 +213,34 @@ def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _comp
     write_exr(path, channels, text)
 
 
+def _in_colour(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Grey pixels with alpha as colours with alpha, others as they are."""
+    return np.ascontiguousarray(pixels[..., (0, 0, 0, 1)] if pixels.ndim == 3 and pixels.shape[2] == 2 else pixels)
+
+
 def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool) -> None:
     # By OpenCV: Pillow has no colours of 16 bits.
     import cv2
 
     ((pixels, text),) = pages
+    pixels = _in_colour(pixels)
     if pixels.ndim == 3:
-        colours = pixels[..., (0, 0, 0, 1)] if pixels.shape[2] == 2 else pixels
-        code = cv2.COLOR_RGB2BGR if colours.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
-        pixels = cv2.cvtColor(np.ascontiguousarray(colours), code)
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA)
     try:
         data = cv2.imencode(".png", pixels)[1].tobytes()
     except cv2.error as error:
         raise PictureError(f"{path}: cannot be written as .png ({error.err or error})") from error
-    path.write_bytes(embed_in_png(data, text, embedded))
+    chunks = _png_chunk(b"tEXt", b"Description\0" + text.encode("ascii"))
+    if embedded.icc:
+        chunks = _png_chunk(b"iCCP", b"ICC profile\0\0" + zlib.compress(embedded.icc)) + chunks
+    if embedded.exif:
+        chunks += _png_chunk(b"eXIf", embedded.exif.removeprefix(b"Exif\0\0"))
+    # Behind the signature and the header.
+    path.write_bytes(data[:33] + chunks + data[33:])
+
+
+def _png_chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
 def _write_small(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool) -> None:
@@ -183,24 +248,56 @@ def _write_small(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _com
     from PIL import Image
 
     ((pixels, text),) = pages
-    if pixels.ndim == 3 and pixels.shape[2] == 2:
-        pixels = pixels[..., (0, 0, 0, 1)]
     kind = "WEBP" if path.suffix.lower() == ".webp" else "JPEG"
     more: dict[str, Any] = {"icc_profile": embedded.icc, "exif": embedded.exif}
     more["comment"] = text.encode("ascii") if kind == "JPEG" else None
     stream = io.BytesIO()
     try:
         given = {name: value for name, value in more.items() if value}
-        Image.fromarray(np.ascontiguousarray(pixels)).save(stream, kind, quality=95, **given)
+        Image.fromarray(_in_colour(pixels)).save(stream, kind, quality=95, **given)
     except (OSError, ValueError) as error:
         size = f"{pixels.shape[1]} x {pixels.shape[0]} px"
         raise PictureError(f"{path}: {size} cannot be written as {path.suffix} ({error}); use .tif") from error
     path.write_bytes(stream.getvalue())
 
 
-_WHOLE = ("uint8", "uint16")
-_TIFF = PictureFormat((*_WHOLE, "float32"), _write_tiff, stack=True, tiles=True)
+def _write_ome_zarr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
+    """An OME-Zarr group with the array `0` (c, y, x) or (y, x); whole or not at all."""
+    import zarr
+
+    ((pixels, text),) = pages
+    array = np.moveaxis(pixels, -1, 0) if pixels.ndim == 3 else pixels
+    lead, affine = array.ndim - 2, _affine(text)
+    axes = [{"name": "c", "type": "channel"}] * lead + [{"name": name, "type": "space"} for name in "yx"]
+    moves = [
+        {"type": "scale", "scale": [1.0] * lead + np.diag(affine)[::-1].tolist()},
+        {"type": "translation", "translation": [0.0] * lead + affine[::-1, 2].tolist()},
+    ]
+    scales = [{"name": path.name, "axes": axes, "datasets": [{"path": "0", "coordinateTransformations": moves}]}]
+    made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            attributes = {"ome": {"version": "0.5", "multiscales": scales}, "description": text}
+            group = zarr.create_group(str(made), attributes=attributes, zarr_format=3)
+            chunks = (*array.shape[:lead], *(min(512, n) for n in array.shape[lead:]))
+            names = [axis["name"] for axis in axes]
+            group.create_array("0", data=np.ascontiguousarray(array), chunks=chunks, dimension_names=names)
+        made.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+_WHOLE, _ALL = ("uint8", "uint16"), ("uint8", "uint16", "float32")
+_TIFF = PictureFormat(_ALL, _write_tiff, stack=True, tiles=True)
 _JPEG = PictureFormat(("uint8",), _write_small, alpha=False)
+
+
+def _film(pixel_types: tuple[str, ...], encoder: str, options: dict[str, str] | None = None) -> PictureFormat:
+    return PictureFormat(pixel_types, film=(encoder, options or {}), package="av", extra="video")
+
+
 #: The formats by the suffix of their files.
 FORMATS = {
     ".exr": PictureFormat(("float32",), _write_exr, package="OpenEXR", extra="exr"),
@@ -208,16 +305,14 @@ FORMATS = {
     ".jpeg": _JPEG,
     ".jpg": _JPEG,
     # FFV1 loses nothing; every picture stands for itself and has a checksum.
-    ".mkv": PictureFormat(
-        _WHOLE, film=("ffv1", {"level": "3", "g": "1", "slicecrc": "1"}), package="av", extra="video"
-    ),
+    ".mkv": _film(_WHOLE, "ffv1", {"level": "3", "g": "1", "slicecrc": "1"}),
     # H.264 plays everywhere. The eye sees no difference at this rate factor (crf), and hardly any at twice that.
-    ".mp4": PictureFormat(("uint8",), film=("libx264", {"crf": "10", "preset": "fast"}), package="av", extra="video"),
+    ".mp4": _film(("uint8",), "libx264", {"crf": "10", "preset": "fast"}),
     ".png": PictureFormat(_WHOLE, _write_png, animation="PNG"),
     ".tif": _TIFF,
     ".tiff": _TIFF,
     ".webp": PictureFormat(("uint8",), _write_small, animation="WEBP"),
     # Raw planes, by default 4:2:0 of 10 bits, as coders of video take them.
-    ".yuv": PictureFormat(_WHOLE, film=("rawvideo", {}), package="av", extra="video"),
-    ".zarr": PictureFormat((*_WHOLE, "float32"), write_ome_zarr, folder=True, tiles=True, package="zarr", extra="zarr"),
+    ".yuv": _film(_WHOLE, "rawvideo"),
+    ".zarr": PictureFormat(_ALL, _write_ome_zarr, folder=True, tiles=True, package="zarr", extra="zarr"),
 }

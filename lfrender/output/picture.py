@@ -16,13 +16,9 @@ from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.rendering import Rendering
-from .formats import FORMATS, Page, PictureError, check_format
-from .metadata import EmbeddedMetadata
+from .formats import FORMATS, EmbeddedMetadata, Page, PictureError, check_format
 
-__all__ = [
-    "PictureError", "describe", "eight_bits", "needs_eight_bits", "with_alpha", "write_picture",
-    "write_stack",
-]  # fmt: skip
+__all__ = ["PictureError", "describe", "eight_bits", "needs_eight_bits", "with_alpha", "write_picture", "write_stack"]
 
 _NO_METADATA = EmbeddedMetadata()
 
@@ -98,12 +94,12 @@ def write_stack(
     texts = settings if settings is not None else [{}] * len(pictures)
     pages = [_page(target, *pair) for pair in zip(pictures, texts, strict=True)]
     if FORMATS[target.suffix.lower()].stack:
-        _write(target, pages, embedded, False)
+        _write(target, pages, embedded)
         return [target]
     digits = max(2, len(str(len(pictures))))
     paths = [target.with_stem(f"{target.stem}_{k + 1:0{digits}d}") for k in range(len(pictures))]
     for one, page in zip(paths, pages, strict=True):
-        _write(one, [page], embedded, False)
+        _write(one, [page], embedded)
     return paths
 
 
@@ -123,18 +119,16 @@ def eight_bits(picture: Any) -> Any:
     return replace(picture, image=to_eight_bits(picture.image, picture.white), white=None)
 
 
-def describe(picture: Any, settings: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The entries of the JSON text of a picture."""
-    affine = getattr(picture, "affine", None)
+def describe(affine: NDArray[np.float64] | None, settings: Mapping[str, Any] | None) -> str:
+    """The JSON text of a picture."""
     known = {} if affine is None else {"affine": np.asarray(affine, dtype=float).tolist()}
-    return {"software": "lfrender", **known, **(settings or {})}
+    return json.dumps({"software": "lfrender", **known, **(settings or {})})
 
 
 def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
     """`pixels` with `valid` as one more channel."""
     opaque = 1.0 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
-    mask = np.where(valid, opaque, 0).astype(pixels.dtype)
-    return np.dstack([pixels, mask])
+    return np.dstack([pixels, np.where(np.broadcast_to(valid, pixels.shape[:2]), opaque, 0).astype(pixels.dtype)])
 
 
 def _page(path: str | os.PathLike[str], picture: Any, settings: Mapping[str, Any] | None, alpha: bool = False) -> Page:
@@ -145,12 +139,11 @@ def _page(path: str | os.PathLike[str], picture: Any, settings: Mapping[str, Any
         raise PictureError(f"{path}: a picture has shape (h, w) or (h, w, 3), got {pixels.shape}")
     check_format(path, "picture", dtype=pixels.dtype, alpha=alpha)
     if alpha:
-        valid = getattr(picture, "valid", None)
-        pixels = with_alpha(pixels, np.ones(pixels.shape[:2], bool) if valid is None else np.asarray(valid))
-    return pixels, json.dumps(describe(picture, settings))
+        pixels = with_alpha(pixels, np.asarray(getattr(picture, "valid", True)))
+    return pixels, describe(getattr(picture, "affine", None), settings)
 
 
-def _write(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool) -> None:
+def _write(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool = False) -> None:
     kind = FORMATS[path.suffix.lower()]
     assert kind.picture is not None
     if kind.folder:

@@ -14,7 +14,6 @@ from lfcal.runtime.output_file import atomic_write, check_output
 from ..data.dense_depth import dense_depth
 from ..data.depth_map import DepthMap
 from ..flat.gray_flat import white_level
-from ..flat.lens_graph import nearest_lens
 from ..rendering.render import render
 
 __all__ = ["CLOUD_SUFFIXES", "point_cloud", "write_points"]
@@ -36,10 +35,8 @@ def point_cloud(
 
     Parameters
     ----------
-    flat : (H, W) or (H, W, C) array
-    calibration : Calibration
-    depth : DepthMap
-        Of this flat.
+    flat, calibration, depth
+        As for `render`.
     optics : Optics, optional
         Gives positions in metres; where its principal point is not known the axis of the main lens is taken to meet the
         middle of the flat. By default those of the calibration, if it has any.
@@ -59,30 +56,25 @@ def point_cloud(
     >>> point_cloud(*lfrender.data.example(), points_per_pitch=4).dtype.names
     ('x', 'y', 'z', 'red', 'green', 'blue')
     """
-    lattice = calibration.lattice
-    if depth.image_size != lattice.image_size or len(depth) != len(lattice):
+    if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
         raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
     optics = optics or calibration.optics
     scale = min(points_per_pitch, depth.pitch)
     picture = render(flat, calibration, depth, scale=scale)
     dense = dense_depth(depth, scale)
     # Virtual depth has a pole at s = 0.
-    v, u = np.nonzero(picture.valid & (np.abs(dense.patch_size) * 50 >= depth.pitch))
-    scene = np.column_stack([u, v, np.ones(len(u))]) @ dense.affine.T
-    resolved = depth.mode[nearest_lens(lattice, scene)] != 0
-    u, v, scene = u[resolved], v[resolved], scene[resolved]
+    v, u = np.nonzero(picture.valid & dense.resolved & (np.abs(dense.patch_size) * 50 >= depth.pitch))
+    scene, size = np.column_stack([u, v, np.ones(len(u))]) @ dense.affine.T, dense.patch_size[v, u]
     points = np.empty(len(u), _POINT)
     if optics is None:
-        points["x"], points["y"] = (scene / depth.pitch).T
-        points["z"] = depth.pitch / dense.patch_size[v, u]
+        places = np.column_stack([scene / depth.pitch, depth.pitch / size])
     else:
-        middle = (np.array(depth.image_size) - 1) / 2
-        places = optics.positions(scene, dense.patch_size[v, u] / depth.pitch, middle)
-        points["x"], points["y"], points["z"] = places.T
-    image = picture.image[..., None] if picture.image.ndim == 2 else picture.image
-    colours = image[v, u][:, [0, 1, 2] if image.shape[2] > 2 else [0, 0, 0]]
-    colours = np.clip(np.rint(colours * (255 / white_level(picture.image, calibration))), 0, 255)
-    points["red"], points["green"], points["blue"] = colours.T
+        places = optics.positions(scene, size / depth.pitch, (np.array(depth.image_size) - 1) / 2)
+    points["x"], points["y"], points["z"] = places.T
+    colours = picture.image[v, u].reshape(len(u), -1).astype(np.float64) * (
+        255 / white_level(picture.image, calibration)
+    )
+    points["red"], points["green"], points["blue"] = np.clip(np.rint(np.broadcast_to(colours, (len(u), 3))), 0, 255).T
     return points[np.isfinite(points["z"])]
 
 
@@ -102,18 +94,16 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
     check_output(path, CLOUD_SUFFIXES)
     if Path(path).suffix.lower() == ".pcd":
         # The colour is a whole number 0xRRGGBB.
-        packed = np.empty(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
-        for name in "xyz":
-            packed[name] = points[name]
         red, green, blue = (points[name].astype(np.uint32) for name in ("red", "green", "blue"))
-        packed["rgb"] = red << 16 | green << 8 | blue
+        place = np.column_stack([points[name] for name in "xyz"]).astype("<f4")
+        data = np.column_stack([place.view("<u4"), red << 16 | green << 8 | blue]).tobytes()
         header = [
             "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z rgb", "SIZE 4 4 4 4",
             "TYPE F F F U", "COUNT 1 1 1 1", f"WIDTH {len(points)}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0",
             f"POINTS {len(points)}", "DATA binary\n",
         ]  # fmt: skip
     else:
-        packed = points.astype(_POINT)
+        data = points.astype(_POINT).tobytes()
         virtual = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
         header = [
             "ply", "format binary_little_endian 1.0",
@@ -122,4 +112,4 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
             *(f"property uchar {name}" for name in ("red", "green", "blue")), "end_header\n",
         ]  # fmt: skip
     with atomic_write(path) as temporary:
-        temporary.write_bytes("\n".join(header).encode() + packed.tobytes())
+        temporary.write_bytes("\n".join(header).encode() + data)

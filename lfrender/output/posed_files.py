@@ -23,7 +23,6 @@ from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
-from .formats import write_exr
 from .picture import write_picture
 from .poses import ViewCamera, ViewRig, view_rig
 from .raw_video import check_raw_format, frame_bytes, yuv_frame
@@ -33,21 +32,22 @@ __all__ = ["POSE_FORMATS", "write_posed_views"]
 
 @dataclass(frozen=True)
 class _Posed:
-    """A view as it is written: its number, picture, depth (h, w), and camera."""
+    """A view as it is written: its name, picture, depth (h, w), and camera."""
 
-    number: int
+    name: str
     picture: Rendering
     depth: NDArray[np.float32]
     camera: ViewCamera
 
     @property
-    def stem(self) -> str:
-        return f"view_{self.number:03d}"
-
-    @property
     def known(self) -> NDArray[np.bool_]:
         """Pixels that were seen, at a finite distance."""
         return self.picture.valid & np.isfinite(self.depth) & (self.depth > 0)
+
+    @property
+    def centre(self) -> list[float]:
+        """Principal point where pixel (0, 0) reaches from 0 to 1."""
+        return [at + 0.5 for at in self.camera.principal_point]
 
 
 def write_posed_views(
@@ -62,15 +62,8 @@ def write_posed_views(
 ) -> ViewRig:
     """Write views with intrinsics, extrinsics, depth and masks; OutputError or PictureError if that fails.
 
-    Parameters
-    ----------
-    folder : path-like
-        Made where it does not exist.
-    kind : {"nerfstudio", "colmap", "rvs"}
-    views : iterable of (Rendering, (h, w) float32)
-        As `views_with_depth` yields them for `offsets` and `still`.
-    calibration, depth, offsets, still, optics
-        As for `view_rig`.
+    The folder is made where it does not exist; `kind` is `"nerfstudio"`, `"colmap"` or `"rvs"`. The views are as
+    `views_with_depth` yields them for `offsets` and `still`; the rest is as for `view_rig`.
 
     Examples
     --------
@@ -85,23 +78,20 @@ def write_posed_views(
     >>> len(rig.cameras)
     2
     """
-    target = Path(folder)
     if kind not in POSE_FORMATS:
         raise OutputError(f"{folder}: poses are written for {', '.join(POSE_FORMATS)}, not {kind!r}")
     if kind == "rvs":
         check_raw_format(folder, "yuv")
-    make_folder(target)
-    rig: ViewRig | None = None
-    posed = []
-    for number, (picture, sizes) in enumerate(views):
-        if rig is None:
-            height, width = sizes.shape
-            rig = view_rig(calibration, depth, offsets, picture.affine, (width, height), still, optics)
-        v, u = np.indices(sizes.shape)
-        places = np.stack([u, v, np.ones_like(u)], -1) @ picture.affine.T
-        places = places + np.array(offsets[number]) * (depth.pitch / still)
-        posed.append(_Posed(number, picture, rig.depth(number, sizes, places), rig.cameras[number]))
-    assert rig is not None
+    target, drawn = make_folder(folder), list(views)
+    affine, shape = drawn[0][0].affine, drawn[0][1].shape
+    rig = view_rig(calibration, depth, offsets, affine, shape[::-1], still, optics)
+    v, u = np.indices(shape)
+    places = np.stack([u, v, np.ones_like(u)], -1) @ affine.T
+    moved = [places + np.array(offset) * (depth.pitch / still) for offset in offsets]
+    posed = [
+        _Posed(f"view_{number:03d}", picture, rig.depth(number, sizes, at), rig.cameras[number])
+        for number, ((picture, sizes), at) in enumerate(zip(drawn, moved, strict=True))
+    ]
     POSE_FORMATS[kind](target, posed, rig.unit)
     return rig
 
@@ -113,19 +103,16 @@ def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
     largest = max((float(view.depth[view.known].max()) for view in views if view.known.any()), default=1.0)
     # Millimetres where 16 bits hold that.
     step = max(1e-3, largest / 65000)
+    exact = ".tif" if find_spec("OpenEXR") is None else ".exr"
     for view in views:
         shown = view.picture.image
         shown = shown if shown.dtype.kind == "u" else to_eight_bits(shown, view.picture.white)
-        write_picture(folder / "images" / f"{view.stem}.png", shown)
-        write_picture(folder / "masks" / mask.format(view.stem), view.picture.valid.astype(np.uint8) * np.uint8(255))
-        whole = np.where(view.known, view.depth / step, 0)
-        write_picture(folder / "depth" / f"{view.stem}.png", np.rint(np.minimum(whole, 65535)).astype(np.uint16))
-        exact = np.where(view.known, view.depth, np.inf).astype(np.float32)
-        if find_spec("OpenEXR") is None:
-            write_picture(folder / "depth" / f"{view.stem}.tif", exact)
-            continue
-        with atomic_write(folder / "depth" / f"{view.stem}.exr") as temporary:
-            write_exr(temporary, {"Z": exact})
+        write_picture(folder / "images" / f"{view.name}.png", shown)
+        write_picture(folder / "masks" / mask.format(view.name), view.picture.valid.astype(np.uint8) * np.uint8(255))
+        whole = np.minimum(np.where(view.known, view.depth / step, 0), 65535)
+        write_picture(folder / "depth" / f"{view.name}.png", np.rint(whole).astype(np.uint16))
+        distances = np.where(view.known, view.depth, np.inf).astype(np.float32)
+        write_picture(folder / "depth" / f"{view.name}{exact}", distances)
     return step
 
 
@@ -134,19 +121,16 @@ def _write_text(path: Path, text: str) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
-_NERFSTUDIO_FILES = {"file_path": "images", "depth_file_path": "depth", "mask_path": "masks"}
-
-
 def _write_nerfstudio(folder: Path, views: list[_Posed], unit: str) -> None:
     """`transforms.json`: axes x right, y up, z backwards, pixel (0, 0) from 0 to 1."""
     step = _write_files(folder, views, "{}.png")
+    places = {"file_path": "images", "depth_file_path": "depth", "mask_path": "masks"}
+    names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
     frames = []
     for view in views:
         camera, (x, y, z) = view.camera, view.camera.position.tolist()
-        x0, y0 = (at + 0.5 for at in camera.principal_point)
-        files = {kind: f"{place}/{view.stem}.png" for kind, place in _NERFSTUDIO_FILES.items()}
-        lens = {"fl_x": camera.focal[0], "fl_y": camera.focal[1], "cx": x0, "cy": y0}
-        lens |= dict(zip(("w", "h", "k1", "k2", "p1", "p2"), (*camera.size, *camera.distortion), strict=True))
+        files = {kind: f"{place}/{view.name}.png" for kind, place in places.items()}
+        lens = dict(zip(names, (*camera.focal, *view.centre, *camera.size, *camera.distortion), strict=True))
         pose = [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]]
         frames.append({**files, **lens, "transform_matrix": pose})
     model = {"camera_model": "OPENCV", "unit": unit, "depth_unit_scale_factor": step, "frames": frames}
@@ -159,14 +143,12 @@ def _write_colmap(folder: Path, views: list[_Posed], unit: str) -> None:
     sparse = folder / "sparse" / "0"
     sparse.mkdir(parents=True, exist_ok=True)
     cameras, images = [], []
-    for view in views:
-        camera, number = view.camera, view.number + 1
-        bent = any(camera.distortion)
-        values = [*camera.focal, *(p + 0.5 for p in camera.principal_point), *(camera.distortion if bent else ())]
-        size = f"{camera.size[0]} {camera.size[1]}"
-        cameras.append(f"{number} {'OPENCV' if bent else 'PINHOLE'} {size} {' '.join(f'{v:.12g}' for v in values)}")
-        place = " ".join(f"{-p:.12g}" for p in camera.position)
-        images.append(f"{number} 1 0 0 0 {place} {number} {view.stem}.png\n")
+    for number, view in enumerate(views, 1):
+        camera, bent = view.camera, any(view.camera.distortion)
+        values = " ".join(f"{v:.12g}" for v in (*camera.focal, *view.centre, *(camera.distortion if bent else ())))
+        kind, place = "OPENCV" if bent else "PINHOLE", " ".join(f"{-p:.12g}" for p in camera.position)
+        cameras.append(f"{number} {kind} {camera.size[0]} {camera.size[1]} {values}")
+        images.append(f"{number} 1 0 0 0 {place} {number} {view.name}.png\n")
     _write_text(sparse / "cameras.txt", "\n".join(cameras))
     _write_text(sparse / "images.txt", "\n".join(images))
     _write_text(sparse / "points3D.txt", _points(views[len(views) // 2]))
@@ -180,7 +162,7 @@ def _points(view: _Posed, step: int = 4) -> str:
     z = view.depth[v, u].astype(float)[:, None]
     slopes = (np.column_stack([u, v]) - camera.principal_point) / camera.focal
     points = np.hstack([slopes * z, z]) + camera.position
-    colours = image[v, u] if image.ndim == 3 else np.repeat(image[v, u][:, None], 3, 1)
+    colours = np.broadcast_to(image[v, u].reshape(len(u), -1), (len(u), 3))
     lines = (
         f"{n + 1} {p[0]:.9g} {p[1]:.9g} {p[2]:.9g} {c[0]} {c[1]} {c[2]} 0"
         for n, (p, c) in enumerate(zip(points.tolist(), colours.tolist(), strict=True))
@@ -191,26 +173,25 @@ def _points(view: _Posed, step: int = 4) -> str:
 def _write_rvs(folder: Path, views: list[_Posed], unit: str) -> None:
     """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the depths of each view."""
     cameras: list[dict[str, Any]] = []
-    for view in views:
+    for number, view in enumerate(views):
         texture = yuv_frame(view.picture.image, "yuv420p10", view.picture.white)
         width, height = texture.width, texture.height
-        size = f"{width}x{height}"
+        name, size = f"v{number:02d}", f"{width}x{height}"
         known = view.depth[view.known]
         near, far = np.quantile(known, (0, 0.999)).tolist() if known.size else (1.0, 2.0)
         near, far = 0.999 * near, 1.001 * far
         disparity = (1 / np.where(view.known, view.depth, far) - 1 / far) / (1 / near - 1 / far)
         whole = np.rint(np.clip(disparity, 0, 1) * 65535).astype("<u2")[:height, :width]
         grey = np.full(width * height // 2, 0x8000, "<u2")
-        name = f"v{view.number:02d}"
         with atomic_write(folder / f"{name}_texture_{size}_yuv420p10le.yuv") as temporary:
             temporary.write_bytes(frame_bytes(texture))
         with atomic_write(folder / f"{name}_depth_{size}_yuv420p16le.yuv") as temporary:
-            temporary.write_bytes(np.ascontiguousarray(whole).tobytes() + grey.tobytes())
+            temporary.write_bytes(whole.tobytes() + grey.tobytes())
         x, y, z = view.camera.position.tolist()
         cameras.append(
             {"Name": name, "Position": [z, -x, -y], "Rotation": [0.0, 0.0, 0.0], "Depthmap": 1, "Background": 0}
             | {"Depth_range": [near, far], "Resolution": [width, height], "Projection": "Perspective"}
-            | {"Focal": list(view.camera.focal), "Principle_point": [p + 0.5 for p in view.camera.principal_point]}
+            | {"Focal": list(view.camera.focal), "Principle_point": view.centre}
             | {"BitDepthColor": 10, "BitDepthDepth": 16, "ColorSpace": "YUV420", "DepthColorSpace": "YUV420"}
         )
     about = {"Converted_by": "lfrender", "Unit": unit}
@@ -220,7 +201,5 @@ def _write_rvs(folder: Path, views: list[_Posed], unit: str) -> None:
 
 #: Writers by the name of the program.
 POSE_FORMATS: dict[str, Callable[[Path, list[_Posed], str], None]] = {
-    "nerfstudio": _write_nerfstudio,
-    "colmap": _write_colmap,
-    "rvs": _write_rvs,
-}
+    "nerfstudio": _write_nerfstudio, "colmap": _write_colmap, "rvs": _write_rvs,
+}  # fmt: skip

@@ -29,18 +29,6 @@ Array = NDArray[np.float64]
 class ViewCamera:
     """A pinhole camera; its axes are x right, y down, z forward, those of all cameras of a rig.
 
-    Parameters
-    ----------
-    position : (3,) float64
-        In the unit of the rig.
-    focal : (float, float) [px]
-    principal_point : (float, float) [px]
-        Pixel centres at integers.
-    size : (int, int) [px]
-        Width and height.
-    distortion : (k1, k2, p1, p2)
-        As OpenCV has it.
-
     Examples
     --------
     >>> import numpy
@@ -49,35 +37,26 @@ class ViewCamera:
     array([[60., 40.]])
     """
 
-    position: Array
-    focal: tuple[float, float]
-    principal_point: tuple[float, float]
-    size: tuple[int, int]
-    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    position: Array  # (3,) in the unit of the rig
+    focal: tuple[float, float]  # [px]
+    principal_point: tuple[float, float]  # [px], pixel centres at integers
+    size: tuple[int, int]  # width and height [px]
+    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # k1, k2, p1, p2 as OpenCV has them
 
     def project(self, points: ArrayLike) -> Array:
         """(n, 2) pixels `u, v` at which points (n, 3) are seen."""
-        x, y, z = (np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.position).T
-        x, y = x / z, y / z
-        k1, k2, p1, p2 = self.distortion
-        square = x * x + y * y
-        gain = 1 + square * (k1 + square * k2)
-        across = x * gain + 2 * p1 * x * y + p2 * (square + 2 * x * x)
-        down = y * gain + p1 * (square + 2 * y * y) + 2 * p2 * x * y
-        return np.column_stack([across, down]) * self.focal + self.principal_point
+        import cv2
+
+        matrix = np.diag([*self.focal, 1.0])
+        matrix[:2, 2] = self.principal_point
+        places = np.asarray(points, dtype=np.float64).reshape(-1, 1, 3) - self.position
+        found = cv2.projectPoints(places, np.zeros(3), np.zeros(3), matrix, np.array(self.distortion))[0]
+        return np.asarray(found.reshape(-1, 2))
 
 
 @dataclass(frozen=True)
 class ViewRig:
     """The cameras of several views of one scene.
-
-    Parameters
-    ----------
-    cameras : tuple of ViewCamera
-    unit : str
-        `"m"`, or `"baseline"` of neighbouring views.
-    error : float [px]
-        RMS distance of what the cameras project from what the optics do; 0 where it is exact.
 
     Examples
     --------
@@ -90,8 +69,8 @@ class ViewRig:
     """
 
     cameras: tuple[ViewCamera, ...]
-    unit: str
-    error: float = 0.0
+    unit: str  # "m", or "baseline" of neighbouring views
+    error: float = 0.0  # RMS distance of what the cameras project from what the optics do [px]
     _pitch: float = field(default=1.0, repr=False)
     _offsets: Array = field(default_factory=lambda: np.zeros((0, 2)), repr=False)
     _optics: Optics | None = field(default=None, repr=False)
@@ -125,20 +104,10 @@ def view_rig(
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
-    """The cameras of the views that `lfrender.views` draws.
+    """The cameras of the views that `lfrender.views` draws for these `offsets` [px] and `still` [px].
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Its optics are used if no others are given.
-    depth : DepthMap
-    offsets : sequence of (float, float) [px]
-        As for `views`.
-    affine, size
-        Of all views: from pixel to scene coordinates, width and height [px].
-    still : float [px]
-        As for `views`.
-    optics : Optics, optional
+    All views have the `affine` from pixel to scene coordinates, and the width and height `size` [px]. The optics are
+    those of the calibration if no others are given.
 
     Examples
     --------
@@ -152,87 +121,57 @@ def view_rig(
     optics = optics or calibration.optics
     middle = (np.array(lattice.image_size) - 1) / 2
     where = np.array(offsets, dtype=float).reshape(-1, 2)
-    grid = _Grid(np.asarray(affine, float), where * (lattice.pitch / still), size)
+    step, moved = np.diag(affine), where * (lattice.pitch / still)
+    virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
+
+    def cameras(aside: Array, focal: float, centres: Array) -> tuple[ViewCamera, ...]:
+        """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the microlens plane."""
+        return tuple(
+            ViewCamera(np.array([*place, 0.0]), (focal / step[0], focal / step[1]), (x, y), size)
+            for place, (x, y) in zip(aside, ((centres - moved - affine[:, 2]) / step).tolist(), strict=True)
+        )
+
     if optics is None:
-        return _chosen_rig(depth, where, grid, middle)
+        # In units of the baseline: the focal length is the longer side, infinity a little behind the scene, where
+        # `D / s = beyond` is drawn at X + q beyond.
+        near, far = (float(v) for v in np.quantile(virtual, (0.01, 0.99)))
+        beyond, focal = far + 0.25 * max(far - near, 0.1), float(max(depth.image_size))
+        gaps = np.linalg.norm(where[:, None] - where, axis=-1)
+        unit = float(gaps[gaps > 0].min()) if (gaps > 0).any() else 1.0
+        made = cameras(where / unit, focal, middle + where * beyond)
+        return ViewRig(made, "baseline", 0.0, depth.pitch, where, None, middle, beyond, unit / focal)
     axis = np.array(optics.principal_point) if optics.principal_point is not None else middle
     far = optics.mla_distance
     spread = 1 + optics.sensor_distance / far
     # The lens at c is read at c + q: the ray crosses the main lens there.
     aside = where * optics.pixel * far / optics.sensor_distance
     centres = axis - spread / optics.pixel * aside * (1 - far / optics.focal_length)
-    cameras = grid.cameras(aside * 1e-3, spread * far / optics.pixel, centres)
-    rig = ViewRig(cameras, "m", 0.0, lattice.pitch, where, optics, middle)
-    bent = (*optics.radial, *optics.tangential, *optics.tilt, optics.curvature, optics.pupil)
-    return _fitted(rig, depth, grid) if any(bent) else rig
-
-
-@dataclass(frozen=True)
-class _Grid:
-    """The pixels of all views: from pixel to scene coordinates, how far each view is moved there, width and height."""
-
-    affine: Array
-    moved: Array  # (n, 2) [px]
-    size: tuple[int, int]
-
-    def pixels(self, view: int, places: Array) -> Array:
-        """(n, 2) pixels of a view that show places (n, 2) on the microlens plane."""
-        return (places - self.moved[view] - self.affine[:, 2]) / np.diag(self.affine)
-
-    def cameras(self, aside: Array, focal: float, centres: Array) -> tuple[ViewCamera, ...]:
-        """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the microlens plane."""
-        across, down = np.diag(self.affine).tolist()
-        made = []
-        for view, (place, centre) in enumerate(zip(aside, centres, strict=True)):
-            x, y = self.pixels(view, centre).tolist()
-            made.append(ViewCamera(np.array([*place, 0.0]), (focal / across, focal / down), (x, y), self.size))
-        return tuple(made)
-
-
-def _chosen_rig(depth: DepthMap, offsets: Array, grid: _Grid, middle: Array) -> ViewRig:
-    """Cameras in units of the baseline: the focal length is the longer side, infinity a little behind the scene."""
-    virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
-    near, far = (float(v) for v in np.quantile(virtual, (0.01, 0.99)))
-    beyond = far + 0.25 * max(far - near, 0.1)
-    focal = float(max(depth.image_size))
-    gaps = np.linalg.norm(offsets[:, None] - offsets, axis=-1)
-    unit = float(gaps[gaps > 0].min(initial=np.inf))
-    unit = unit if np.isfinite(unit) else 1.0
-    # A point at infinity, `D / s = beyond`, is drawn at X + q beyond.
-    cameras = grid.cameras(offsets / unit, focal, middle + offsets * beyond)
-    return ViewRig(cameras, "baseline", 0.0, depth.pitch, offsets, None, middle, beyond, unit / focal)
-
-
-def _fitted(rig: ViewRig, depth: DepthMap, grid: _Grid) -> ViewRig:
-    """The rig with cameras that come nearest to optics with distortion, tilt, curvature or a pupil."""
-    from scipy.optimize import least_squares
-
-    assert rig._optics is not None
-    virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
+    made = cameras(aside * 1e-3, spread * far / optics.pixel, centres)
+    rig = ViewRig(made, "m", 0.0, lattice.pitch, where, optics, middle)
+    if not any((*optics.radial, *optics.tangential, *optics.tilt, optics.curvature, optics.pupil)):
+        return rig
+    # Optics with distortion, tilt, curvature or a pupil: the cameras that come nearest.
     sides = [np.linspace(0.02, 0.98, 9) * side for side in depth.image_size]
     x, y, v = (axis.ravel() for axis in np.meshgrid(*sides, np.quantile(virtual, (0.02, 0.5, 0.98))))
     scene = np.column_stack([x, y])
-    points = rig._optics.positions(scene, 1 / v.astype(np.float64), rig._middle)
+    points = optics.positions(scene, 1 / v.astype(np.float64), middle)
     known = np.isfinite(points).all(1)
-    points, scene, v = points[known], scene[known], v[known]
-    cameras, squares = [], []
-    for view, camera in enumerate(rig.cameras):
-        drawn = grid.pixels(view, scene + rig._offsets[view] * v[:, None])
+    drawn = [(scene + q * v[:, None] - own - affine[:, 2]) / step for q, own in zip(where, moved, strict=True)]
+    fitted = [_fit(one, points[known], at[known]) for one, at in zip(made, drawn, strict=True)]
+    error = float(np.sqrt(np.mean([square for _, square in fitted])))
+    return replace(rig, cameras=tuple(camera for camera, _ in fitted), error=error)
 
-        def changed(step: Array, camera: ViewCamera = camera) -> ViewCamera:
-            ratio = 1 + step[3]
-            return replace(
-                camera,
-                position=camera.position + step[:3],
-                focal=(camera.focal[0] * ratio, camera.focal[1] * ratio),
-                principal_point=(camera.principal_point[0] + step[4], camera.principal_point[1] + step[5]),
-                distortion=tuple(step[6:].tolist()),
-            )
 
-        def residuals(step: Array, make: Any = changed, drawn: Array = drawn) -> Array:
-            return np.ravel(make(step).project(points) - drawn)
+def _fit(camera: ViewCamera, points: Array, pixels: Array) -> tuple[ViewCamera, float]:
+    """The camera that projects points (n, 3) most nearly to pixels (n, 2), and the mean squared distance."""
+    from scipy.optimize import least_squares
 
-        found = least_squares(residuals, np.zeros(10), x_scale="jac")
-        cameras.append(changed(found.x))
-        squares.append(float(np.mean(found.fun**2)) * 2)
-    return replace(rig, cameras=tuple(cameras), error=float(np.sqrt(np.mean(squares))))
+    def changed(step: Array) -> ViewCamera:
+        (fx, fy), (x, y) = camera.focal, camera.principal_point
+        return replace(
+            camera, position=camera.position + step[:3], focal=(fx * (1 + step[3]), fy * (1 + step[3])),
+            principal_point=(x + step[4], y + step[5]), distortion=tuple(step[6:].tolist()),
+        )  # fmt: skip
+
+    found = least_squares(lambda step: np.ravel(changed(step).project(points) - pixels), np.zeros(10), x_scale="jac")
+    return changed(found.x), float(np.mean(found.fun**2)) * 2

@@ -53,16 +53,16 @@ class Checkpoint:
             temporary.write_text(json.dumps(self._kept), encoding="utf-8")
 
     def reuse(self, file: str, key: str, load: Callable[[Path], _Result], compute: Callable[[], Any]) -> _Result:
-        """A result with a method `save`, read from a file of the folder, where it is computed first if necessary.
+        """A result with a method `save`, computed if it is not there, and always read from its file in the folder.
 
-        It is always read from the file, so that later results do not depend on whether a run was interrupted.
+        So later results do not depend on whether a run was interrupted.
         """
-        path, name = self.folder / file, Path(file).stem
-        if not (self.find(name, key) and path.exists()):
+        path = self.folder / file
+        if not (self.find(path.stem, key) and path.exists()):
             result = compute()
             self.open()
             result.save(path)
-            self.keep(name, key)
+            self.keep(path.stem, key)
         return load(path)
 
     def remove(self) -> None:
@@ -78,10 +78,8 @@ def file_identity(path: Path | None) -> list[Any]:
     """Path, size and time of an input file or Zarr folder: they change if another file takes its place."""
     if path is None:
         return []
-    file = path
-    if path.is_dir():
-        file = next((path / name for name in ("zarr.json", ".zarray", ".zgroup") if (path / name).exists()), path)
-    about = os.stat(file)
+    names = ("zarr.json", ".zarray", ".zgroup") if path.is_dir() else ()
+    about = os.stat(next((path / name for name in names if (path / name).exists()), path))
     return [str(path.absolute()), about.st_size, about.st_mtime_ns]
 
 
@@ -91,7 +89,7 @@ def fingerprint(*values: Any) -> str:
     for value in values:
         if isinstance(value, np.ndarray):
             digest.update(f"{value.dtype}{value.shape}".encode())
-            digest.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+            digest.update(np.ascontiguousarray(value).tobytes())
         else:
             digest.update(json.dumps(value, sort_keys=True).encode())
     return digest.hexdigest()

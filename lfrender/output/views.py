@@ -37,15 +37,8 @@ def write_grid(
 ) -> list[Path]:
     """Write views row by row as `row1_column1.tif` and so on, into a folder that is made where it does not exist.
 
-    Parameters
-    ----------
-    folder : path-like
-    pictures : iterable of Rendering
-        As `views` yields them for `grid_offsets`; one at a time is held in memory.
-    columns : int
-        Pictures per row.
-    suffix, **options
-        Format of the pictures; `settings` and `embedded` of `write_picture`, whose errors this raises.
+    `pictures` are as `views` yields them for `grid_offsets`, `columns` in a row; one at a time is held in memory.
+    `options` are `settings` and `embedded` of `write_picture`, whose errors this raises.
 
     Examples
     --------
@@ -118,14 +111,13 @@ def crop_view(picture: Rendering, roi: tuple[float, float, float, float], lattic
 
     ValueError if these lie outside the flat.
     """
-    corners = np.array(check_region(roi, lattice)).reshape(2, 2)
-    size = np.array(picture.image.shape[1::-1])
-    at = (corners - picture.affine[:, 2]) / np.diag(picture.affine)
-    low = np.clip(np.ceil(at[0]).astype(int), 0, size - 1)
-    high = np.clip(np.floor(at[1]).astype(int) + 1, low + 1, size)
-    part = np.s_[low[1] : high[1], low[0] : high[0]]
+    size, corners = np.array(picture.image.shape[1::-1]), np.array(check_region(roi, lattice)).reshape(2, 2)
+    low, high = (corners - picture.affine[:, 2]) / np.diag(picture.affine)
+    left, top = np.clip(np.ceil(low), 0, size - 1).astype(int)
+    right, bottom = np.clip(np.floor(high) + 1, (left + 1, top + 1), size).astype(int)
+    part = np.s_[top:bottom, left:right]
     affine = picture.affine.copy()
-    affine[:, 2] = picture.affine @ [*low, 1]
+    affine[:, 2] = picture.affine @ [left, top, 1]
     return replace(picture, image=picture.image[part], valid=picture.valid[part], affine=affine)
 
 
@@ -146,14 +138,8 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
 def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering], *, milliseconds: int = 80) -> None:
     """Write views as GIF, animated PNG or animated WebP that repeats without end; the file appears whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        The suffix chooses the format.
-    pictures : iterable of Rendering
-        One per frame, at least one; they are written with 8 bits.
-    milliseconds : int
-        How long a frame is shown.
+    The suffix of `path` chooses the format. At least one of the `pictures`, each shown so many `milliseconds`; they are
+    written with 8 bits.
 
     Examples
     --------

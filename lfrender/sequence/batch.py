@@ -63,8 +63,10 @@ def render_frames(
         Write pictures with 8 bits a channel, 0 to white in proportion; JPEG and WebP have no more anyway.
     segment, group : int
         Frames from one key frame to the next, and frames that are compared with the same one, the first of them.
-    client, threads
+    client : distributed.Client, optional
         As in `render_frames_on`.
+    threads : int, optional
+        Threads of the kernels in each worker of a cluster; None leaves it to the machine.
 
     Yields
     ------

@@ -6,8 +6,6 @@ import os
 from collections.abc import Generator, Iterable
 from typing import Any
 
-from lfcal import Calibration
-
 from .batch import render_frames
 from .frames import Frame
 from .job import FrameResult
@@ -17,26 +15,12 @@ __all__ = ["connect", "render_frames_on"]
 
 
 def render_frames_on(
-    client: Any,
-    frames: Iterable[Frame],
-    folder: str | os.PathLike[str],
-    calibration: Calibration | None = None,
-    *,
-    threads: int | None = None,
-    **options: Any,
+    client: Any, frames: Iterable[Frame], folder: str | os.PathLike[str], *more: Any, **options: Any
 ) -> Generator[FrameResult, None, None]:
-    """Render the frames of a sequence on a cluster; as `render_frames`, and the pictures are the same bit for bit.
+    """`render_frames` on a cluster with this `client` (distributed.Client); the pictures are the same bit for bit.
 
     Workers read image files themselves and write the pictures: inputs and `folder` must lie on storage that all of
     them see under the same path. Frames of videos are decoded here and sent. Work of a lost worker is done again.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    frames, folder, calibration, options
-        As in `render_frames`.
-    threads : int or None
-        Threads of the kernels in each worker; None leaves it to the machine.
 
     Examples
     --------
@@ -47,4 +31,4 @@ def render_frames_on(
     >>> for done in render_frames_on(client, frames, "/data/pictures"):  # doctest: +SKIP
     ...     print(done.name, done.outcome)
     """
-    return render_frames(frames, folder, calibration, client=client, threads=threads, **options)
+    return render_frames(frames, folder, *more, client=client, **options)

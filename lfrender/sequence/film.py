@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -31,9 +31,9 @@ from .job import FrameResult, load_camera
 
 __all__ = ["FilmFile", "render_film", "to_film_pixels", "write_moving"]
 
-# What PyAV calls arrays of so many channels and bytes, and how FFV1 stores them.
+# What PyAV calls arrays of so many dimensions and bytes, and how FFV1 stores them.
 _LAYOUTS = {
-    (1, 1): ("gray", "gray"), (3, 1): ("rgb24", "bgr0"), (1, 2): ("gray16le", "gray16le"),
+    (2, 1): ("gray", "gray"), (3, 1): ("rgb24", "bgr0"), (2, 2): ("gray16le", "gray16le"),
     (3, 2): ("rgb48le", "gbrp16le"),
 }  # fmt: skip
 
@@ -56,19 +56,10 @@ def render_film(
     which a run that was killed is continued. In place of a frame that fails the picture before it is repeated. Errors
     say that the film cannot be written (OutputError, PictureError), is there already, or has no picture (FlatError).
 
-    Parameters
-    ----------
-    frames : Frames
-        From `open_frames`.
-    path : path-like
-        `.mp4`: H.264 with 8 bits up to the white of the camera, nearly lossless; `.mkv`: FFV1, lossless, also with 16
-        bits; `.yuv`: raw planes, 4:2:0 of 10 bits. Needs the package `av`.
-    calibration, preset, scale, client, threads
-        As in `render_frames`.
-    rate : float, Fraction or None
-        Pictures a second; with None that of the first video, else 25.
-    overwrite : bool
-        Replace an existing film, and render all pictures again.
+    The suffix of `path` chooses the film: `.mp4` is H.264 with 8 bits up to the white of the camera, nearly lossless,
+    `.mkv` FFV1, lossless, also with 16 bits, `.yuv` raw planes, 4:2:0 of 10 bits; all need the package `av`. It has
+    `rate` pictures a second, with None those of the first video, else 25. `overwrite` replaces an existing film, and
+    renders all pictures again; the rest is as for `render_frames`.
 
     Examples
     --------
@@ -129,12 +120,6 @@ def write_moving(path: Path, pictures: Iterable[Rendering]) -> None:
             film.add(to_film_pixels(picture.image, film.eight_bits, picture.white))
 
 
-def _encoder_of(path: Path) -> tuple[str, dict[str, str]]:
-    film = FORMATS[path.suffix.lower()].film
-    assert film is not None
-    return film
-
-
 def to_film_pixels(pixels: NDArray[Any], only_eight_bits: bool = False, white: float | None = None) -> NDArray[Any]:
     """A picture in a pixel type that films hold: 8 bits if that is all, else its own type, and 16 bits for floats."""
     if only_eight_bits:
@@ -175,14 +160,16 @@ class FilmFile:
         PictureError if it is of another, OutputError if the film cannot be written.
         """
         if self._stream is None:
-            self._kind_of_first = pixels.shape, pixels.dtype
-            self._begin(pixels)
-        if (pixels.shape, pixels.dtype) != self._kind_of_first:
-            kinds = (self._kind_of_first, (pixels.shape, pixels.dtype))
-            told = " and ".join(f"{shape[1]} x {shape[0]} px of {kind}" for shape, kind in kinds)
+            self._first = pixels.shape, pixels.dtype
+        if (pixels.shape, pixels.dtype) != self._first:
+            told = " and ".join(
+                f"{shape[1]} x {shape[0]} px of {kind}" for shape, kind in (self._first, (pixels.shape, pixels.dtype))
+            )
             raise PictureError(f"{self._path}: the pictures of a film are of one kind, these are {told}")
         with self._output_errors():
             frame = self._frame(pixels)
+            if self._stream is None:
+                self._begin(frame)
             frame.pts, frame.time_base = self.count, 1 / self._rate
             self._file.mux(self._stream.encode(frame))
         self.count += 1
@@ -200,58 +187,45 @@ class FilmFile:
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
             self.close()
-        else:
-            # The error is raised already, and the file is incomplete.
-            with self._output_errors(silent=True):
-                self._file.close()
+            return
+        # The error is raised already, and the file is incomplete.
+        with suppress(OutputError), self._output_errors():
+            self._file.close()
 
-    def _begin(self, pixels: NDArray[Any]) -> None:
-        codec, options = _encoder_of(self._path)
-        height, width = pixels.shape[:2]
-        with self._output_errors():
-            self._stream = self._file.add_stream(codec, rate=self._rate, options=dict(options))
-            context = self._stream.codec_context
-            # A fixed number, so that the film is the same on every machine.
-            context.thread_count = 4
-            if self._kind == ".mp4":
-                context.width, context.height, context.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
-                # Codes of ITU-T H.273 for the colours of HD television (BT.709) and their limited range.
-                context.colorspace = context.color_primaries = context.color_trc = 1
-                context.color_range = 1
-            elif self._kind == ".yuv":
-                frame = yuv_frame(pixels, "yuv420p10")
-                context.width, context.height, context.pix_fmt = frame.width, frame.height, frame.format.name
-            else:
-                context.width, context.height, context.pix_fmt = width, height, _layout(pixels)[1]
+    def _begin(self, frame: Any) -> None:
+        film = FORMATS[self._kind].film
+        assert film is not None
+        self._stream = self._file.add_stream(film[0], rate=self._rate, options=dict(film[1]))
+        context = self._stream.codec_context
+        # A fixed number, so that the film is the same on every machine.
+        context.thread_count = 4
+        context.width, context.height, context.pix_fmt = frame.width, frame.height, frame.format.name
+        if self._kind == ".mp4":
+            # Codes of ITU-T H.273 for the colours of HD television (BT.709) and their limited range.
+            context.colorspace = context.color_primaries = context.color_trc = context.color_range = 1
 
     def _frame(self, pixels: NDArray[Any]) -> Any:
+        """The picture as it is encoded."""
         import av
 
         if self._kind == ".yuv":
             return yuv_frame(pixels, "yuv420p10")
-        given, stored = _layout(pixels)
-        if self._kind == ".mp4":
-            # Colours are stored for 2 x 2 pixels each: odd sizes get one more row or column.
-            odd = [(0, n % 2) for n in pixels.shape[:2]]
-            pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
+        given, stored = _LAYOUTS[pixels.ndim, pixels.dtype.itemsize]
+        if self._kind == ".mkv":
+            return av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=given).reformat(format=stored)
+        # Colours are stored for 2 x 2 pixels each: odd sizes get one more row or column.
+        odd = [(0, n % 2) for n in pixels.shape[:2]]
+        pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=given)
-        if self._kind == ".mp4":
-            return convert_frame(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
-        return frame.reformat(format=stored)
+        return convert_frame(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
 
     @contextmanager
-    def _output_errors(self, silent: bool = False) -> Iterator[None]:
+    def _output_errors(self) -> Iterator[None]:
         """Turn errors of the encoder into an OutputError."""
         import av
 
         try:
             yield
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            if silent:
-                return
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             raise OutputError(f"{self._path}: cannot be written ({reason})") from error
-
-
-def _layout(pixels: NDArray[Any]) -> tuple[str, str]:
-    return _LAYOUTS[3 if pixels.ndim == 3 else 1, pixels.dtype.itemsize]

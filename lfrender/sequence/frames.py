@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache, partial
@@ -48,14 +49,17 @@ class _Part:
             number = page if len(self.names) > 1 else None
             yield Frame(name, partial(read_flat, self.path, number, **dict(self.layout)), source)
 
-    def header(self, value: Callable[[Any], Any]) -> Any:
-        """A value of the header of a video, None where it has none."""
+    def header(self) -> tuple[int | None, Fraction | None]:
+        """Number of frames and frames a second by the header of a video, None where it has none."""
+        if self.names is not None:
+            return len(self.names), None
         av = import_av(self.path)
         try:
             with _open_video(self.path) as container:
-                return value(container.streams.video[0])
+                stream = container.streams.video[0]
+                return int(stream.frames) or None, stream.average_rate
         except (av.error.FFmpegError, FlatError, OSError):
-            return None
+            return None, None
 
 
 @dataclass(frozen=True)
@@ -78,14 +82,13 @@ class Frames:
     @property
     def count(self) -> int | None:
         """Number of frames, None if the header of a video does not have it."""
-        counts = [p.header(lambda s: int(s.frames) or None) if p.names is None else len(p.names) for p in self.parts]
-        return None if None in counts else sum(counts)
+        counts = [part.header()[0] for part in self.parts]
+        return None if None in counts else sum(counts)  # type: ignore[arg-type]
 
     @property
     def rate(self) -> Fraction | None:
         """Frames a second of the first video whose header has it, None if there is none."""
-        rates = (part.header(lambda stream: stream.average_rate) for part in self.parts if part.names is None)
-        return next((Fraction(rate) for rate in rates if rate), None)
+        return next((Fraction(rate) for _, rate in (part.header() for part in self.parts) if rate), None)
 
     @property
     def files(self) -> list[Path]:
@@ -183,28 +186,23 @@ def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
         return [part for file in sorted(files, key=_numeric_order) for part in _parts(file, layout)]
     if not path.exists():
         raise FlatError(f"{path}: no such file or folder")
-    if is_video(path):
+    suffix, pages, given = path.suffix.lower(), 1, tuple(layout.items()) if is_video(path) else ()
+    if given:
         import_av(path)
-        if path.suffix.lower() in VIDEO_FORMATS:
+        if suffix in VIDEO_FORMATS:
             return [_Part(path, None)]
-        return [_Part(path, _numbered(path.stem, count_pages(path, **layout)), tuple(layout.items()))]
-    pages = 1
-    if path.suffix.lower() in TIFF_SUFFIXES:
-        try:
+        pages = count_pages(path, **layout)
+    elif suffix in TIFF_SUFFIXES:
+        # Reading the frame will report what is wrong.
+        with suppress(FlatError):
             pages = count_pages(path)
-        except FlatError:
-            # Reading the frame will report what is wrong.
-            pages = 1
-    return [_Part(path, _numbered(path.stem, pages))]
+    names = (path.stem,) if pages == 1 else tuple(f"{path.stem}_{page:05d}" for page in range(pages))
+    return [_Part(path, names, given)]
 
 
 def _numeric_order(path: Path) -> Any:
     """Sort key that puts frame_2 before frame_10."""
     return [(not piece.isdigit(), int(piece) if piece.isdigit() else piece) for piece in re.split(r"(\d+)", path.name)]
-
-
-def _numbered(stem: str, pages: int) -> tuple[str, ...]:
-    return (stem,) if pages == 1 else tuple(f"{stem}_{page:05d}" for page in range(pages))
 
 
 def _open_video(path: Path) -> Any:
@@ -239,11 +237,9 @@ def _video_frames(path: Path) -> Iterator[Frame]:
 def _least_length(container: Any) -> int:
     """Least number of frames by the header of a video, 0 if it has none."""
     stream = container.streams.video[0]
-    if stream.frames:
-        return int(stream.frames)
     steady = stream.average_rate and stream.average_rate == stream.base_rate and len(container.streams) == 1
-    if not steady or not container.duration:
-        return 0
+    if stream.frames or not (steady and container.duration):
+        return int(stream.frames)
     # Durations [us] are rounded, and some reach only to the start of the last frame.
     return int(Fraction(container.duration, 1_000_000) * stream.average_rate - Fraction(1, 2))
 
@@ -259,19 +255,16 @@ def _decode(container: Any) -> Iterator[Any]:
     before = logging.get_level()
     for packet in container.demux(stream):
         try:
-            if not logged:
-                yield from packet.decode()
-                continue
-            logging.set_level(logging.ERROR)
-            try:
-                with logging.Capture(local=False) as log:
-                    pictures = packet.decode()
-            finally:
-                logging.set_level(before)
-            wrong = [text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR]
-            yield from [FlatError(wrong[0]) for _ in pictures] if wrong else pictures
+            logging.set_level(logging.ERROR if logged else before)
+            with logging.Capture(local=False) if logged else nullcontext([]) as log:
+                pictures = packet.decode()
         except Exception as error:
             yield error
+            continue
+        finally:
+            logging.set_level(before)
+        wrong = [text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR]
+        yield from [FlatError(wrong[0]) for _ in pictures] if wrong else pictures
 
 
 def _read_picture(path: Path, number: int, picture: Any) -> Callable[[], NDArray[Any]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from threading import RLock
 from time import perf_counter
@@ -26,8 +26,7 @@ from ..data.rendering import Rendering
 from ..depth.analyze import analyze
 from ..depth.incremental import load_reference_match, save_reference_match
 from ..flat.demosaicing import demosaic
-from ..output.formats import check_format
-from ..output.metadata import EmbeddedMetadata, read_metadata
+from ..output.formats import EmbeddedMetadata, check_format, read_metadata
 from ..output.picture import eight_bits, write_picture
 from ..rendering.render import render
 from ..rendering.viewpoints import still_depth
@@ -44,20 +43,6 @@ _Numbered = tuple[int, Frame]
 class FrameResult:
     """The outcome of one frame.
 
-    Parameters
-    ----------
-    name : str
-    path : Path
-        Its picture.
-    outcome : {"rendered", "kept", "failed"}
-        Kept pictures were there already.
-    message : str
-        Why it failed, else empty.
-    seconds : float
-        From the pixels to the picture.
-    still : float
-        Share of the lenses that kept the depth of an earlier frame.
-
     Examples
     --------
     >>> FrameResult("f1", Path("pictures/f1.tif"), "kept").outcome
@@ -65,11 +50,11 @@ class FrameResult:
     """
 
     name: str
-    path: Path
-    outcome: Literal["rendered", "kept", "failed"]
-    message: str = ""
-    seconds: float = 0.0
-    still: float = 0.0
+    path: Path  # of its picture
+    outcome: Literal["rendered", "kept", "failed"]  # kept pictures were there already
+    message: str = ""  # why it failed
+    seconds: float = 0.0  # from the pixels to the picture
+    still: float = 0.0  # share of the lenses that kept the depth of an earlier frame
 
 
 @dataclass
@@ -134,12 +119,11 @@ class Job:
         if self.views is None:
             check_format(self.folder / f"picture{self.suffix}", "picture")
         else:
-            self._output = ViewOutput(self.folder, self._hidden, self.views, self.suffix)
+            self._output = ViewOutput(self.folder, self._hidden, self.suffix)
             self._output.start(overwrite)
         if overwrite:
-            for pattern in ("depth_*.npz", "comparison_*.npz", "camera.json", "settings.json"):
-                for file in self._hidden.glob(pattern):
-                    file.unlink()
+            for file in (*self._hidden.glob("*.npz"), *self._hidden.glob("*.json")):
+                file.unlink()
         if self._settings_file.exists():
             self._resume()
 
@@ -152,9 +136,10 @@ class Job:
         return self._hidden / "settings.json"
 
     def _settings(self) -> dict[str, Any]:
-        """What pictures of one folder have in common, beside their camera and scale."""
-        views = None if self.views is None else {**self.views.to_dict(), "format": self.suffix}
-        return {"preset": self.preset, "eight_bits": self.eight_bits, "dark": self.dark, "views": views}
+        """What pictures of one folder have in common, beside their camera and scale; as JSON returns it."""
+        views = None if self.views is None else {**asdict(self.views), "format": self.suffix}
+        common = {"preset": self.preset, "eight_bits": self.eight_bits, "dark": self.dark, "views": views}
+        return dict(json.loads(json.dumps(common)))
 
     def _resume(self) -> None:
         """Take camera and scale from an earlier run."""
@@ -196,7 +181,7 @@ class Job:
             except OutputError:
                 raise
             except LightFieldError as error:
-                made.outcomes.append(self._failed(frame, error))
+                made.outcomes.append(self.failed(frame, error))
                 continue
             made.outcomes.append(None)
             made.missing.append((number, frame))
@@ -208,21 +193,20 @@ class Job:
         yield made
 
     def path_of(self, frame: Frame) -> Path:
-        if self._output is not None:
-            return self._output.path_of(frame.name)
-        return self.folder / f"{frame.name}{self.suffix}"
+        """Where the picture of a frame is."""
+        return self._output.path_of(frame.name) if self._output else self.folder / f"{frame.name}{self.suffix}"
 
     def is_missing(self, frame: Frame) -> bool:
-        if self._output is not None:
-            return self._output.is_missing(frame.name)
-        return not self.path_of(frame).exists()
+        """Whether a frame is still to be rendered."""
+        return self._output.is_missing(frame.name) if self._output else not self.path_of(frame).exists()
 
     def finish(self, names: list[str]) -> None:
         """Move what becomes whole with the last frame into place, once all frames of these names are done."""
         if self._output is not None:
             self._output.finish(names)
 
-    def _failed(self, frame: Frame, error: LightFieldError, seconds: float = 0.0) -> FrameResult:
+    def failed(self, frame: Frame, error: LightFieldError, seconds: float = 0.0) -> FrameResult:
+        """The outcome of a frame with an error."""
         return FrameResult(frame.name, self.path_of(frame), "failed", f"{frame.name}: {error}", seconds)
 
     def _depth_file(self, number: int) -> Path:
@@ -295,16 +279,13 @@ class Job:
         with atomic_write(self._settings_file) as temporary:
             temporary.write_text(json.dumps(settings), encoding="utf-8")
 
-    def _key_picture(self, key: _Reference) -> None:
-        # Locked: groups of one segment may be worked on at once.
-        with self._lock:
-            if key.picture is None and self._output is None:
-                key.picture = render(key.flat, self.camera(key.flat), key.depth, scale=self.scale)
-
     def first_of_group(self, number: int, frame: Frame, flat: NDArray[Any] | None, key: _Numbered) -> _Reference:
         """The first frame of a group with flat, depth and picture; it may be the key frame of its segment itself."""
         before = self._key(*key)
-        self._key_picture(before)
+        # Locked: groups of one segment may be worked on at once.
+        with self._lock:
+            if before.picture is None and self._output is None:
+                before.picture = render(before.flat, self.camera(before.flat), before.depth, scale=self.scale)
         if number == before.number:
             return before
         flat = self.read(frame) if flat is None else flat
@@ -354,6 +335,6 @@ def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
         except OutputError:
             raise
         except LightFieldError as error:
-            result = job._failed(frame, error, perf_counter() - start)
+            result = job.failed(frame, error, perf_counter() - start)
         outcomes[outcomes.index(None)] = result
     return [outcome for outcome in outcomes if outcome is not None]

@@ -1,4 +1,4 @@
-"""The views of a grid for every frame of a sequence, written as converters for lenslet video write them.
+"""Views of a grid for each frame, and the files that other converters for lenslet video write them to.
 
 Raw video (TLCT): a file for each view, `v000-1920x1080.yuv` and so on, into which frames are written at their place, so
 that several of them can be worked on at once and an interrupted run goes on. Pictures (RLC): a folder for each frame,
@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,20 +29,12 @@ from ..rendering.viewpoints import grid_offsets, views
 
 __all__ = ["ViewGrid", "ViewOutput"]
 
-_PARTS = "views"  # folder of unfinished files in the hidden folder of a run
+_VIDEOS = "v[0-9][0-9][0-9]-*x*.yuv"
 
 
 @dataclass(frozen=True)
 class ViewGrid:
     """A grid of viewpoints.
-
-    Parameters
-    ----------
-    rows, columns : int
-    aperture : float
-        Distance of its corners from the middle, as a part of the radius of the microimages.
-    size : (int, int) or None [px]
-        Width and height of the views; with None the scale of the run.
 
     Examples
     --------
@@ -59,17 +51,13 @@ class ViewGrid:
 
     rows: int = 5
     columns: int = 5
-    aperture: float = 0.7
-    size: tuple[int, int] | None = None
+    aperture: float = 0.7  # distance of its corners from the middle, as a part of the radius of the microimages
+    size: tuple[int, int] | None = None  # width and height of the views [px]; with None the scale of the run
 
     @property
     def count(self) -> int:
         """Number of views."""
         return self.rows * self.columns
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, as the settings of a run have them."""
-        return {**asdict(self), "size": None if self.size is None else list(self.size)}
 
     def draw(
         self, flat: NDArray[Any], calibration: Calibration, depth: DepthMap, scale: float | None, still: float
@@ -85,13 +73,12 @@ class ViewGrid:
 class ViewOutput:
     """The files of a run; `suffix` is one of pictures, or `yuv` with the pixel format of raw video."""
 
-    def __init__(self, folder: Path, hidden: Path, grid: ViewGrid, suffix: str) -> None:
-        self.folder, self.grid, self.suffix = folder, grid, suffix
-        self._parts = hidden / _PARTS
-        self._raw = "" if suffix.lstrip(".")[:3] not in ("yuv", "gra") else suffix.lstrip(".")
-        if self._raw:
-            self._raw = check_raw_format(folder, self._raw)
-        else:
+    def __init__(self, folder: Path, hidden: Path, suffix: str) -> None:
+        self.folder, self.suffix = folder, suffix
+        self._parts = hidden / "views"  # unfinished files
+        kind = suffix.lstrip(".")
+        self._raw = check_raw_format(folder, kind) if kind.startswith(("yuv", "gra")) else ""
+        if not self._raw:
             check_format(folder / f"image{suffix}", "picture")
 
     def path_of(self, name: str) -> Path:
@@ -104,12 +91,11 @@ class ViewOutput:
 
     def start(self, overwrite: bool) -> None:
         """Make the hidden folder; finished files of raw video are opened again, to which frames may be added."""
-        self._parts.mkdir(exist_ok=True)
         if overwrite:
-            shutil.rmtree(self._parts)
-            self._parts.mkdir()
-            for file in self.folder.glob("v[0-9][0-9][0-9]-*x*.yuv") if self._raw else ():
+            shutil.rmtree(self._parts, ignore_errors=True)
+            for file in self.folder.glob(_VIDEOS) if self._raw else ():
                 file.unlink()
+        self._parts.mkdir(exist_ok=True)
 
     def write(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
         """Write the views of frame `number`."""
@@ -133,45 +119,34 @@ class ViewOutput:
             if not path.exists() and finished.exists():
                 os.replace(finished, path)
             # Opened without truncation: frames are worked on at once.
-            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
-            with open(descriptor, "wb", closefd=True) as stream:
+            with open(os.open(path, os.O_WRONLY | os.O_CREAT, 0o666), "wb") as stream:
                 stream.seek(number * len(data))
                 stream.write(data)
         self._mark(name).write_text(f"{number}\n", encoding="utf-8")
 
     def finish(self, names: list[str]) -> None:
-        """Move the files of raw video into place; a frame that failed shows the one before it."""
-        if not self._raw:
+        """Move the files of raw video into place; a frame that failed shows the one before it, or the first of all."""
+        unfinished = sorted(self._parts.glob(_VIDEOS)) if self._raw else []
+        numbers = {name: number for number, name in enumerate(names)}
+        good = [number for name, number in numbers.items() if self._mark(name).exists()]
+        if not (unfinished and good):
             return
-        unfinished = sorted(self._parts.glob("v[0-9][0-9][0-9]-*x*.yuv"))
-        if not unfinished:
-            return
-        for number, name in enumerate(names):
-            mark = self._mark(name)
-            if mark.exists() and mark.read_text(encoding="utf-8").strip() != str(number):
+        for name, number in numbers.items():
+            if number in good and self._mark(name).read_text(encoding="utf-8").strip() != str(number):
                 raise OutputError(
                     f"{self.folder}: holds the frames of another sequence; give another folder, or render everything "
                     "again (--overwrite)"
                 )
-        failed = [number for number, name in enumerate(names) if not self._mark(name).exists()]
         for path in unfinished:
-            self._repeat(path, failed, len(names))
+            width, height = (int(n) for n in path.stem.partition("-")[2].split("x"))
+            size = len(frame_bytes(yuv_frame(np.zeros((height, width), np.uint8), self._raw)))
+            with path.open("r+b") as stream:
+                for number in set(numbers.values()) - set(good):
+                    stream.seek(max((n for n in good if n < number), default=good[0]) * size)
+                    data = stream.read(size)
+                    stream.seek(number * size)
+                    stream.write(data)
             os.replace(path, self.folder / path.name)
-
-    def _repeat(self, path: Path, failed: list[int], count: int) -> None:
-        """Fill in failed frames from the ones before them, at the start from the first that is there."""
-        if not failed:
-            return
-        width, height = (int(n) for n in path.stem.partition("-")[2].split("x"))
-        size = len(frame_bytes(yuv_frame(np.zeros((height, width), np.uint8), self._raw)))
-        good = sorted(set(range(count)) - set(failed))
-        with path.open("r+b") as stream:
-            for number in failed:
-                source = max((n for n in good if n < number), default=good[0])
-                stream.seek(source * size)
-                data = stream.read(size)
-                stream.seek(number * size)
-                stream.write(data)
 
     def _mark(self, name: str) -> Path:
         """The file that says that the views of a frame are written; it holds the number of the frame."""

@@ -42,27 +42,17 @@ class Workers:
         sent once to each worker of a cluster, which has a copy of its own.
         """
         if self._client is not None:
-            return self._map_there(task, shared, items, load)
-        return self._map_threads(task, shared, items) if self._at_once > 1 else _map_here(task, shared, items, load)
-
-    def _map_threads(self, task: Any, shared: Any, items: Iterable[Any]) -> Iterator[Any]:
-        import numba
-
-        limit = numba.set_num_threads, (numba.get_num_threads(),)
-        waiting: deque[Future[Any]] = deque()
-        with ThreadPoolExecutor(self._at_once, initializer=limit[0], initargs=limit[1]) as pool:
+            yield from self._map_there(task, shared, items, load)
+        elif self._at_once == 1:
+            for item, loaded in _ahead(lambda item: load(shared, item), items, 1):
+                yield task(shared, item, loaded)
+        else:
             try:
-                for number, item in enumerate(items):
-                    # The first one, in this thread, imports what all need.
-                    waiting.append(pool.submit(task, shared, item, None) if number else _done(task(shared, item, None)))
-                    while len(waiting) > self._at_once:
-                        yield waiting.popleft().result()
-                while waiting:
-                    yield waiting.popleft().result()
+                for _, result in _ahead(lambda item: task(shared, item, load(shared, item)), items, self._at_once):
+                    yield result
             finally:
                 # Where not all results are taken, tasks end as soon as they look at this.
                 shared.stopped = True
-                pool.shutdown(cancel_futures=True)
 
     def _map_there(self, task: Any, shared: Any, items: Iterable[Any], load: Any) -> Iterator[Any]:
         assert self._client is not None
@@ -83,23 +73,29 @@ class Workers:
             self._client.cancel([*waiting, *([sent] if sent else [])])
 
 
-def _map_here(task: Any, shared: Any, items: Iterable[Any], load: Any) -> Iterator[Any]:
-    waiting: tuple[Any, Future[Any]] | None = None
-    with ThreadPoolExecutor(1) as reader:
-        for item in items:
-            # The first one, in this thread, imports what reading needs.
-            following = item, reader.submit(load, shared, item) if waiting else _done(load(shared, item))
-            if waiting:
-                yield task(shared, waiting[0], waiting[1].result())
-            waiting = following
-        if waiting:
-            yield task(shared, waiting[0], waiting[1].result())
+def _ahead(function: Callable[[Any], Any], items: Iterable[Any], count: int) -> Iterator[tuple[Any, Any]]:
+    """Each item and what the function makes of it, `count` of them at a time in threads."""
+    import numba
 
-
-def _done(value: Any) -> Future[Any]:
-    future: Future[Any] = Future()
-    future.set_result(value)
-    return future
+    waiting: deque[tuple[Any, Future[Any]]] = deque()
+    with ThreadPoolExecutor(count, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)) as pool:
+        try:
+            for number, item in enumerate(items):
+                future: Future[Any] = Future()
+                if number:
+                    future = pool.submit(function, item)
+                else:
+                    # The first one, in this thread, imports what all need.
+                    future.set_result(function(item))
+                waiting.append((item, future))
+                while len(waiting) > count:
+                    done, future = waiting.popleft()
+                    yield done, future.result()
+            while waiting:
+                done, future = waiting.popleft()
+                yield done, future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 class _Worker:
@@ -118,7 +114,12 @@ def _work(task: Any, load: Any, shared: Any, item: Any, threads: int | None) -> 
     """The result of one part. An error of this toolkit is returned, not raised: Dask would only try it again."""
     with _Worker.lock:
         if threads is not None:
-            _limit_threads(threads)
+            import cv2
+            import numba
+
+            most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+            numba.set_num_threads(min(threads, most))
+            cv2.setNumThreads(threads)
         if _Worker.received is not shared:
             # A copy: values are cached in it while Dask may be sending the original to others.
             _Worker.received, _Worker.shared = shared, deepcopy(shared)
@@ -126,16 +127,6 @@ def _work(task: Any, load: Any, shared: Any, item: Any, threads: int | None) -> 
             return task(_Worker.shared, item, load(_Worker.shared, item))
         except LightFieldError as error:
             return error
-
-
-def _limit_threads(count: int) -> None:
-    """Limit the threads of everything that computes in this process."""
-    import cv2
-    import numba
-
-    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    numba.set_num_threads(min(count, most))
-    cv2.setNumThreads(count)
 
 
 def task_result(future: Any) -> Any:

@@ -114,12 +114,12 @@ def test_codecs_that_make_objects_are_refused_where_zarr_lets_them_pass(tmp_path
 
 def test_black_chunks_of_our_own_pictures_are_there(tmp_path):
     """Zarr leaves them out unless it is told not to."""
-    from lfrender.output.tiled_picture import new_writer
+    from lfrender.output.tiled_picture import TileWriter
 
     picture = np.zeros((40, 50, 3), np.uint8)
     picture[:20] = PICTURE[:20, :50]
     (tmp_path / "work").mkdir()
-    writer = new_writer(tmp_path / "p.zarr", tmp_path / "work", picture.shape, "uint8", (25, 20), "{}")
+    writer = TileWriter(tmp_path / "p.zarr", tmp_path / "work", picture.shape, "uint8", (25, 20), "{}")
     writer.open(fresh=True)
     for top in (0, 20):
         # As after a run that was killed.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from typing import get_args
 
 import pytest
 import tifffile
@@ -63,7 +62,7 @@ def test_a_large_flat_is_calibrated_analysed_and_rendered_and_an_interrupted_run
 ):
     flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
     ask = ("render", flat, "-c", camera, "-o", tmp_path / "picture.tif", "--preset", "fast", "--tile", "60")
-    writer = get_args(TileWriter)[0]
+    writer = TileWriter
     written = writer.write
 
     def stopped(self, tile, pixels):

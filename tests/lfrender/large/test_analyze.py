@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,11 +11,6 @@ import tifffile
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.depth.matching.shortcuts import Shortcuts
-from lfrender.depth.presets import PRESETS
-from lfrender.flat.gray_flat import make_gray_flat
-from lfrender.large.analyze import FlatContext
-from lfrender.large.tiles import TileReader, lens_tiles
 
 
 @functools.cache
@@ -62,29 +56,3 @@ def test_the_surface_of_every_place_comes_from_the_tile_it_lies_in(tmp_path):
     places = camera.lattice.centres()
     apart = np.abs(one.surface.at(places) - many.surface.at(places))
     assert np.median(apart) < 0.01
-
-
-def test_tiles_have_the_pixels_of_the_reduced_whole_flat(tmp_path):
-    """Bit for bit without vignetting correction, and to rounding with a gain per lens."""
-    shot, path = capture("house", (521, 471), 23.2), tmp_path / "flat.tif"
-    tifffile.imwrite(path, shot.flat, photometric="rgb")
-    plain = lfcal.Calibration(shot.truth.calibration.lattice)
-    known = lfcal.calibrate(shot.white, kind="white").gain_map
-    own = (1 + 0.2 * np.sin(np.arange(len(plain.lattice)))).astype(np.float32)
-    uneven = replace(plain, gain_map=replace(known, lens_gain=own))
-    for camera, tolerance in ((plain, 0.0), (uneven, 1e-5)):
-        with lfcal.open_flat(path) as source:
-            context = FlatContext(TileReader(source, camera), "fast", Shortcuts())
-        assert context.factor == 2
-        image = make_gray_flat(shot.flat, camera, 2).image
-        lenses = 0
-        for part in lens_tiles(camera.lattice, 2, PRESETS["fast"], memory=1.0):
-            left, top, right, bottom = part.rectangle
-            some = context.gray_tile(part, shot.flat[top:bottom, left:right]).image
-            x, y = part.corner
-            there = image[y : y + some.shape[0], x : x + some.shape[1]]
-            # Microimages at the border of a part are cut off by it.
-            inner = np.s_[16:-16, 16:-16]
-            assert np.abs(some - there)[inner].max() <= tolerance
-            lenses += part.inside.sum()
-        assert lenses == len(camera.lattice)

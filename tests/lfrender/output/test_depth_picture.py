@@ -32,8 +32,3 @@ def test_magnification_runs_from_blue_to_red_and_unresolved_is_grey(lattice):
     assert low[2] > low[0]
     assert high[0] > high[2]
     assert tuple(picture[10, 100]) == MODE_COLOURS[0]
-
-
-def test_a_map_without_any_resolved_lens_is_grey(lattice):
-    picture = magnification_picture(np.full(len(lattice), np.nan), lattice, AFFINE, SHAPE)
-    assert (picture == MODE_COLOURS[0]).all()

@@ -22,14 +22,6 @@ def test_each_use_accepts_exactly_its_suffixes_and_names_them(tmp_path, use):
             assert all(one in str(error.value) for one in accepted)
 
 
-def test_every_picture_format_names_the_pixel_types_that_it_refuses(tmp_path):
-    for suffix, kind in FORMATS.items():
-        for dtype in ("uint8", "uint16", "float32", "int64"):
-            if kind.picture and dtype not in kind.pixel_types and not kind.reduces(dtype):
-                with pytest.raises(PictureError, match=f"{suffix} cannot hold {dtype}"):
-                    check_format(tmp_path / f"file{suffix}", "picture", dtype=dtype)
-
-
 def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch):
     monkeypatch.setattr(formats, "find_spec", lambda name: None)
     with pytest.raises(PictureError, match=r"'OpenEXR'; pip install 'lfrender\[exr\]'"):

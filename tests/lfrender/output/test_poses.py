@@ -81,41 +81,6 @@ def test_points_are_projected_to_where_their_rays_are_drawn_to_a_hundredth_of_a_
             np.testing.assert_allclose((start + slope * z[:, None]) * 1e-3, points[:, :2], atol=1e-7)
 
 
-def test_a_mark_in_the_scene_is_seen_where_its_camera_projects_it():
-    """A small disc at a known place: its centre in all views lies within 0.2 px of the projection."""
-    from data_synth import Patch, Scene
-
-    camera = Camera.design(size=SIZE, pitch=PITCH)
-    scene = SCENES["plane"](camera, ratio=RATIO)
-    (plane,) = scene.surfaces
-    place = camera.place((190.0, 170.0), camera.depth_at(RATIO))
-    side = np.linalg.norm(camera.place((190.0 + 3 * PITCH, 170.0), place[2]) - place)
-    v, u = np.mgrid[-1:1:128j, -1:1:128j]
-    disc = np.full((128, 128, 3), 0.3, np.float32) + 0.6 * np.exp(-4 * (u * u + v * v))[..., None].astype(np.float32)
-    edge = np.array([side, 0, 0]), np.array([0, side, 0])
-    marked = Patch(place - [side / 2, side / 2, 0.1], *edge, disc)
-    capture = simulate(Scene("mark", (plane, marked)), camera, samples=48, seed=1)
-    calibration = capture.truth.calibration
-    depth = lfrender.analyze(capture.flat, calibration)
-    offsets, still = grid_offsets(3, 3, 0.7 * calibration.lattice.radius), still_depth(depth)
-    views = list(views_with_depth(capture.flat, calibration, depth, offsets=offsets, still=still))
-    grid = views[0][0].affine, views[0][0].image.shape[1::-1]
-    rig = view_rig(calibration, depth, offsets, *grid, still, optics_of(camera))
-    centre = (marked.corner + (edge[0] + edge[1]) / 2) * 1e-3
-    for number, (picture, sizes_shown) in enumerate(views):
-        expected = rig.cameras[number].project(centre[None])[0]
-        x, y = np.rint(expected).astype(int)
-        half = int(picture.scale)
-        part = picture.image[y - half : y + half + 1, x - half : x + half + 1].astype(np.float32).mean(2)
-        v, u = np.mgrid[-half : half + 1, -half : half + 1]
-        weight = np.clip(part - np.quantile(part, 0.6), 0, None)
-        found = np.array([x + (weight * u).sum() / weight.sum(), y + (weight * v).sum() / weight.sum()])
-        assert np.abs(found - expected).max() < 0.2, f"view {number} [px]"
-        places = np.full((*sizes_shown.shape, 2), [190.0, 170.0])
-        z = rig.depth(number, sizes_shown, places)[y, x]
-        assert z == pytest.approx(centre[2], rel=0.02), "distance [m]"
-
-
 def test_optics_with_distortion_are_fitted_to_a_tenth_of_a_pixel():
     camera, capture = shot()
     depth, offsets, still, views = drawn()

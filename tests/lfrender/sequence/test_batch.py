@@ -62,13 +62,6 @@ def test_frames_come_in_the_order_of_their_numbers_and_keep_depth_where_nothing_
     assert len(sizes) == 1
 
 
-def test_pictures_do_not_flicker_where_nothing_moves(whole):
-    pictures = [tifffile.imread(result.path) for result in whole[1]]
-    for before, after in ((0, 1), (1, 2), (3, 4)):
-        np.testing.assert_array_equal(pictures[after], pictures[before])
-    assert (pictures[3] != pictures[2]).any()
-
-
 def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house, tmp_path):
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     exif = Image.Exif()
@@ -92,29 +85,6 @@ def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole,
     # Of the others some may be there.
     assert [r.outcome for r in results[:2]] == ["kept", "rendered"]
     assert _pictures(tmp_path) == _pictures(whole[0])
-
-
-def test_frames_are_compared_with_the_depth_maps_in_the_folder_as_in_a_later_run(sequence, tmp_path, monkeypatch):
-    flats, against = [], []
-
-    def analyze(flat, *arguments, previous=None, **options):
-        flats.append(flat)
-        against.append(previous)
-        made.append(lfrender.analyze(flat, *arguments, previous=previous, **options))
-        return made[-1]
-
-    made = []
-    monkeypatch.setattr("lfrender.sequence.job.analyze", analyze)
-    results = _run(sequence, tmp_path, segment=4, group=2)
-    order = [read_flat(sequence[0] / f"{r.name}.png") for r in results]
-
-    def number(flat):
-        return next(k for k, other in enumerate(order) if np.array_equal(flat, other))
-
-    found = {number(flat): before and number(before[0]) for flat, before in zip(flats, against, strict=True)}
-    # Two segments, the first of two groups.
-    assert found == {0: None, 1: 0, 2: 0, 3: 2, 4: 0}
-    assert not any(previous[1] is depth for previous in against if previous for depth in made)
 
 
 def test_slow_changes_of_depth_from_key_frame_to_key_frame_are_found(drawn_flat, tmp_path):
@@ -268,18 +238,3 @@ def test_damaged_frames_of_videos_are_detected_and_do_not_stop_the_rest(tmp_path
     assert "film.mkv: frame 1: slice CRC" in found[1]
     np.testing.assert_array_equal(np.stack([found[k] for k in (0, 2, 3, 4, 5)]), pictures[[0, 2, 3, 0, 1]])
     assert "torn.mkv: ends after 2 of" in found[6] and "none.mp4" in found[7]
-
-
-def test_page_that_is_damaged_and_a_list_of_pages_that_is_cut_off_are_reported(tmp_path):
-    pages = np.random.default_rng(0).integers(0, 256, (4, 30, 40), dtype=np.uint8)
-    path = tmp_path / "stack.tif"
-    tifffile.imwrite(path, pages, photometric="minisblack", compression="zlib", metadata=None)
-    with tifffile.TiffFile(path) as tiff:
-        start, last = tiff.pages[1].dataoffsets[0], tiff.pages[3].offset
-    damaged = bytearray(path.read_bytes())
-    damaged[start + 20 : start + 60] = bytes(40)
-    path.write_bytes(damaged[: last + 4])
-    found = _outcomes(path)
-    assert [type(f) for f in found] == [np.ndarray, str, np.ndarray, str]
-    np.testing.assert_array_equal(found[2], pages[2])
-    assert "stack.tif: damaged" in found[1] and "cut off after 3" in found[3]

@@ -74,16 +74,6 @@ def test_interrupted_run_leaves_no_film_and_is_continued_from_its_pictures(frame
         next(render_film(frames, path, camera, preset="fast"))
 
 
-def test_pictures_made_with_other_settings_are_not_used_for_a_film(frames, house, tmp_path):
-    path, camera = tmp_path / "film.mkv", house.truth.calibration
-    started = render_film(frames, path, camera, preset="fast")
-    list(islice(started, 2))
-    started.close()
-    results = list(render_film(frames, path, camera, preset="fast", scale=5.0))
-    assert "kept" not in [r.outcome for r in results]
-    assert shown(path)[1][0].shape[1] == pytest.approx(5.0 * 520 / 20.3, abs=1)
-
-
 def test_sequence_without_a_frame_that_can_be_rendered_makes_no_film(frames, house, tmp_path):
     bad = lfrender.open_frames(frames.files[:1])
     run = render_film(bad, tmp_path / "film.mkv", house.truth.calibration, preset="fast")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import islice
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -126,30 +125,3 @@ def test_command_renders_raw_video_into_views_and_a_film(house, house_files, tmp
     assert (tmp_path / "sharp.yuv").stat().st_size % 6 == 0
     refused = CliRunner().invoke(main, [*words, "-o", str(tmp_path / "w"), "--format", "yuv"])
     assert refused.exit_code == 2 and "--views" in refused.stderr
-
-
-def test_raw_video_of_a_decoded_stream_has_the_bits_of_the_stream(tmp_path):
-    source = Path(__file__).parents[4] / "shared" / "captures" / "Fujita2.vvc"
-    if not source.exists():
-        pytest.skip("the real captures are not here")
-    path = tmp_path / "Fujita2_2048x2048_420p10.yuv"
-    with av.open(str(source), format="vvc") as film, path.open("wb") as raw:
-        frame = next(film.decode(video=0))
-        assert frame.format.name == "yuv420p10le"
-        for plane in frame.planes:
-            rows = np.frombuffer(plane, "<u2").reshape(plane.height, -1)
-            raw.write(rows[:, : plane.width].tobytes())
-    streamed = next(iter(lfrender.open_frames([source]))).read()
-    np.testing.assert_array_equal(lfcal.read_flat(path), streamed)
-    (frame,) = lfrender.open_frames([path])
-    np.testing.assert_array_equal(frame.read(), streamed)
-
-
-def test_cut_off_raw_video_gives_its_whole_frames_and_says_what_is_missing(tmp_path):
-    path = tmp_path / "cut_60x40_420p8.yuv"
-    path.write_bytes(bytes(60 * 40 * 3 // 2) * 2 + b"end")
-    frames = list(lfrender.open_frames([path]))
-    assert [frame.name for frame in frames] == [f"cut_60x40_420p8_{k:05d}" for k in range(3)]
-    assert frames[1].read().shape == (40, 60, 3)
-    with pytest.raises(lfcal.FlatError, match="frame 2 has 3 of 3600 bytes"):
-        frames[2].read()
