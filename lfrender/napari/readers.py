@@ -6,9 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lfcal import CameraFileError, LightFieldError, load, read_flat
+from lfcal import LightFieldError, load, read_flat
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX
 
+from .. import data
 from ..data.depth_map import DepthMap
 from ..data.plots import napari_layers
 
@@ -26,7 +27,7 @@ def get_reader(path: str | list[str]) -> Callable[[str], list[Layer]] | None:
         # Other programs have such files too: those are left to them.
         try:
             _read(str(first))
-        except LightFieldError:
+        except (LightFieldError, RecursionError):
             return None
         return _read
     return _read if suffix in {*IMAGE_SUFFIXES, RAW_SUFFIX, ".zarr"} else None
@@ -37,13 +38,10 @@ def _read(path: str | list[str]) -> list[Layer]:
     layers: list[Layer] = []
     for one in [path] if isinstance(path, str) else path:
         suffix = Path(one).suffix.lower()
-        if suffix in _CAMERAS:
-            try:
-                layers += napari_layers(calibration=load(one))
-            except RecursionError as error:
-                raise CameraFileError(f"{one}: is no camera file") from error
-        elif suffix == ".npz":
+        if suffix == ".npz":
             layers += napari_layers(depth=DepthMap.load(one))
+        elif suffix in _CAMERAS:
+            layers += napari_layers(calibration=load(one))
         else:
             layers += napari_layers(flat=read_flat(one))
     return layers
@@ -51,16 +49,11 @@ def _read(path: str | list[str]) -> list[Layer]:
 
 def house() -> list[Layer]:
     """The sample `house`: the flat, its true camera."""
-    return _sample("house")
+    sample = data.house()
+    return napari_layers(flat=sample.flat, calibration=sample.truth.calibration)
 
 
 def clutter() -> list[Layer]:
     """The sample `clutter`: the flat, its true camera."""
-    return _sample("clutter")
-
-
-def _sample(name: str) -> list[Layer]:
-    from .. import data
-
-    sample = getattr(data, name)()
+    sample = data.clutter()
     return napari_layers(flat=sample.flat, calibration=sample.truth.calibration)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,22 +27,6 @@ from .templates import fill
 
 __all__ = ["run_demo"]
 
-_PICTURES = {
-    "all_in_focus": "all in focus",
-    "telescopic": "one patch size, telescopic",
-    "binocular": "one patch size, binocular",
-}
-
-
-@dataclass(frozen=True)
-class _Results:
-    """Calibrations, depth and pictures made from the capture."""
-
-    from_scene: Calibration
-    from_white: Calibration
-    depth: DepthMap
-    pictures: ReportPictures
-
 
 def run_demo(
     folder: str | os.PathLike[str],
@@ -67,30 +49,7 @@ def run_demo(
         camera = Camera.design(flat_size, pitch=23.2, lattice="hex", rotation=0.7)
         # Noise of a pixel: a full well of 9000 electrons, and 5 of them when it is read.
         capture = simulate(SCENES["house"](camera), camera, samples=samples, seed=seed, noise=(9000.0, 5.0))
-    results = _process(capture, report)
-    with report.stage("compare with the truth"):
-        figures, reference = _measure(capture, results)
-    white = np.iinfo(capture.flat.dtype).max
-    truth = np.rint(reference * white).astype(capture.flat.dtype)
-    with report.stage("write"):
-        crop = _crop_of_both_modes(capture)
-        _write_pictures(target, capture, results, truth, crop)
-    figures = {**figures, "seconds": report.seconds}
-    urls, _ = data_urls({"reference": truth}, 2_000_000)
-    # Those that a user's own capture would take: without the simulation, its truth, and its white image.
-    stages = {"calibrate": "calibrate from the capture", "analyze": "analyze", "render": "render"}
-    processing = {name: report.seconds[stage] for name, stage in stages.items()}
-    write_report(
-        target / "index.html", capture.flat, results.from_scene, results.depth, results.pictures,
-        title="One capture, both modes, sharp everywhere", seconds=processing,
-        compare={"truth": truth},
-        further=_truth_section(figures, picture_url(crop, ".png"), urls["reference"]), command="lfrender demo",
-    )  # fmt: skip
-    return {"page": str(target / "index.html"), **figures}
-
-
-def _process(capture: Capture, report: Report) -> _Results:
-    flat = capture.flat
+    flat, truth = capture.flat, capture.truth
     with report.stage("calibrate from the capture"):
         from_scene = calibrate(flat, kind="scene")
     with report.stage("calibrate from the white image"):
@@ -99,40 +58,66 @@ def _process(capture: Capture, report: Report) -> _Results:
         depth = analyze(flat, from_scene)
     with report.stage("render"):
         pictures = draw_pictures(flat, from_scene, depth)
-    return _Results(from_scene, from_white, depth, pictures)
+    with report.stage("compare with the truth"):
+        sharp = pictures.sharp
+        reference, _ = resample(truth.reference, truth.reference_affine, sharp.image.shape[:2], sharp.affine)
+        figures = _measure(capture, {"scene": from_scene, "white": from_white}, depth, pictures)
+    with report.stage("write"):
+        true_picture = np.rint(reference * np.iinfo(flat.dtype).max).astype(flat.dtype)
+        crop = _crop_of_both_modes(capture)
+        grid = from_scene.lattice, sharp.affine, sharp.image.shape[:2]
+        written = {
+            "flat": flat, "flat_crop": crop, "traditional": pictures.traditional, **pictures.fixed,
+            "all_in_focus": sharp, "reference": true_picture,
+            "magnification": magnification_picture(depth.magnification, *grid),
+            "modes": mode_picture(depth.mode, *grid),
+        }  # fmt: skip
+        for name, picture in written.items():
+            write_picture(target / f"{name}.png", picture)
+    figures = {**figures, "seconds": report.seconds}
+    urls, _ = data_urls({"reference": true_picture}, 2_000_000)
+    # Those that a user's own capture would take: without the simulation, its truth, and its white image.
+    stages = {"calibrate": "calibrate from the capture", "analyze": "analyze", "render": "render"}
+    write_report(
+        target / "index.html", flat, from_scene, depth, pictures,
+        title="One capture, both modes, sharp everywhere",
+        seconds={name: report.seconds[stage] for name, stage in stages.items()}, compare={"truth": true_picture},
+        further=_truth_section(figures, picture_url(crop, ".png"), urls["reference"]), command="lfrender demo",
+    )  # fmt: skip
+    return {"page": str(target / "index.html"), **figures}
 
 
-def _measure(capture: Capture, results: _Results) -> tuple[dict[str, Any], NDArray[Any]]:
-    """All errors against the truth, and the reference on the grid of the all-in-focus picture."""
-    truth, sharp = capture.truth, results.pictures.sharp
-    true_lattice = truth.calibration.lattice
-    resolvable = truth.mode != 0
+def _measure(
+    capture: Capture, cameras: Mapping[str, Calibration], depth: DepthMap, pictures: ReportPictures
+) -> dict[str, Any]:
+    """All errors against the truth, but those of the camera from the capture itself in its own depth."""
+    truth, sharp = capture.truth, pictures.sharp
+    true_lattice, resolvable = truth.calibration.lattice, truth.mode != 0
     selections = {"all": resolvable, "one_depth": resolvable & ~truth.mixed}
-    lens = nearest_lens(results.from_scene.lattice, true_lattice.centres())
-    mode, size = np.asarray(results.depth.mode)[lens], np.asarray(results.depth.patch_size)[lens]
-    reference, _ = resample(truth.reference, truth.reference_affine, sharp.image.shape[:2], sharp.affine)
-    pictures = {"all_in_focus": sharp, **results.pictures.fixed}
-    figures = {
+    lens = nearest_lens(cameras["scene"].lattice, true_lattice.centres())
+    mode, size = np.asarray(depth.mode)[lens], np.asarray(depth.patch_size)[lens]
+    return {
         "flat_size": list(truth.calibration.image_size),
         "pitch": true_lattice.pitch,
         "lenses": len(true_lattice),
         "lenses_judged": int(resolvable.sum()),
         "calibration": {
             kind: {"centre_error": centre_error(c.lattice, true_lattice), "confidence": float(c.confidence)}
-            for kind, c in (("scene", results.from_scene), ("white", results.from_white))
+            for kind, c in cameras.items()
         },
         "mode_right": {name: mode_accuracy(mode, truth.mode, where) for name, where in selections.items()},
         "mode_wrong": {name: mode_accuracy(-mode, truth.mode, where) for name, where in selections.items()},
         "magnification_error": {
             name: magnification_error(size, truth.patch_size, where) for name, where in selections.items()
         },
-        "merit": {name: _compare(capture, picture) for name, picture in pictures.items()},
-        "fixed_patch_size": dict(results.pictures.patch_size),
+        "merit": {
+            name: _compare(capture, picture) for name, picture in {"all_in_focus": sharp, **pictures.fixed}.items()
+        },
+        "fixed_patch_size": dict(pictures.patch_size),
         "picture_size": list(sharp.image.shape[1::-1]),
         "scale": sharp.scale,
-        "warnings": list(results.from_scene.warnings),
+        "warnings": list(cameras["scene"].warnings),
     }
-    return figures, reference
 
 
 def _compare(capture: Capture, picture: Rendering, resolvable: float = 0.75) -> dict[str, float]:
@@ -143,26 +128,6 @@ def _compare(capture: Capture, picture: Rendering, resolvable: float = 0.75) -> 
     unresolvable, _ = resample((ratio > resolvable).astype(np.float64), truth.reference_affine, shape, picture.affine)
     quality = compare_pictures(picture.image, reference, inside & np.asarray(picture.valid) & (unresolvable < 1e-6))
     return {"psnr": quality.psnr, "ssim": quality.ssim}
-
-
-def _write_pictures(
-    folder: Path, capture: Capture, results: _Results, reference: NDArray[Any], crop: NDArray[Any]
-) -> None:
-    """Write all pictures as PNG files."""
-    lattice, depth, sharp = results.from_scene.lattice, results.depth, results.pictures.sharp
-    shape = sharp.image.shape[:2]
-    pictures: Mapping[str, Any] = {
-        "flat": capture.flat,
-        "flat_crop": crop,
-        "traditional": results.pictures.traditional,
-        **results.pictures.fixed,
-        "all_in_focus": sharp,
-        "reference": reference,
-        "magnification": magnification_picture(depth.magnification, lattice, sharp.affine, shape),
-        "modes": mode_picture(depth.mode, lattice, sharp.affine, shape),
-    }
-    for name, picture in pictures.items():
-        write_picture(folder / f"{name}.png", picture)
 
 
 def _crop_of_both_modes(capture: Capture) -> NDArray[Any]:
@@ -181,6 +146,7 @@ def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -
     quality, calibrations = figures["merit"], figures["calibration"]
     psnr = {name: quality[name]["psnr"] for name in quality}
     best_fixed = max(psnr[name] for name in figures["fixed_patch_size"])
+    names = {"all_in_focus": "all in focus"}
     sources = {"scene": "the capture itself", "white": "the white image"}
     depths = (
         ("mode_right", "mode is right", ".1%"),
@@ -198,7 +164,10 @@ def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -
             "error of M, median, all lenses": f"{figures['magnification_error']['all']:.1%}",
             "RMS error of centres, from the capture alone": f"{calibrations['scene']['centre_error']:.3f} px",
         },
-        pictures=[(_PICTURES[name], f"{m['psnr']:.1f} dB", f"{m['ssim']:.3f}") for name, m in quality.items()],
+        pictures=[
+            (names.get(name, f"one patch size, {name}"), f"{m['psnr']:.1f} dB", f"{m['ssim']:.3f}")
+            for name, m in quality.items()
+        ],
         calibrations=[
             (sources[kind], f"{c['centre_error']:.4f} px", f"{c['confidence']:.2f}") for kind, c in calibrations.items()
         ],

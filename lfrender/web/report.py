@@ -51,26 +51,9 @@ def write_report(
 ) -> None:
     """Write the report of a flat as one HTML file of at most 15 MB that opens offline.
 
-    OutputError if it cannot be written; FlatError and CalibrationError as `render`.
-
-    Parameters
-    ----------
-    path : path-like
-    flat : (H, W) or (H, W, C) array
-    calibration : Calibration
-    depth : DepthMap
-        Of this flat.
-    pictures : ReportPictures, optional
-        Drawn if not given.
-    title : str
-    seconds : mapping of str to float, optional
-        Time per stage.
-    compare : mapping of str to array, optional
-        Further pictures to compare with, by their names, on the grid of the all-in-focus one.
-    further : markupsafe.Markup
-        Sections to add.
-    command : str
-        The command that made the page, for its footer.
+    `pictures` are drawn if they are not given; `seconds` are those of each stage, `compare` further pictures by their
+    names, on the grid of the all-in-focus one, `further` sections to add, as HTML (`markupsafe.Markup`); `command` made
+    the page, for its footer. OutputError if it cannot be written; FlatError and CalibrationError as `render`.
 
     Examples
     --------

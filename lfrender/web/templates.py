@@ -17,16 +17,16 @@ def _environment() -> Any:
     return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
 
 
-def fill(template: str, **values: Any) -> Any:
-    """The text of a template with values in it, as `markupsafe.Markup`."""
-    return safe(_environment().get_template(template).render(**values))
-
-
 def safe(text: str) -> Any:
     """A text that is HTML already, as `markupsafe.Markup`."""
     from markupsafe import Markup
 
     return Markup(text)
+
+
+def fill(template: str, **values: Any) -> Any:
+    """The text of a template with values in it."""
+    return safe(_environment().get_template(template).render(**values))
 
 
 def read_asset(name: str) -> Any:

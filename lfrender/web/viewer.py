@@ -72,11 +72,9 @@ def write_viewer(
 ) -> Path:
     """Write the viewer as one page that holds everything, or as static files; returns the path of its page.
 
-    OutputError if it cannot be written; FlatError and CalibrationError as `render`. The page works where it is served,
-    and from a disk. To put it on a web page, use an `iframe`.
-
-    `folder` is one page, if it ends with `.html` or `.htm`; else the folder of the files, made if it does not exist,
-    where files of the same names are replaced. The other arguments are those of `viewer_files`.
+    The page works where it is served, and from a disk; to put it on a web page, use an `iframe`. `folder` is one page,
+    if it ends with `.html` or `.htm`; else the folder of the files, made if it does not exist, where files of the same
+    names are replaced. OutputError if it cannot be written; FlatError and CalibrationError as `render`.
 
     Examples
     --------

@@ -54,11 +54,15 @@ def viewer_scene(
             "view a part of it, or a smaller copy"
         )
     edge = edge_step(calibration.lattice.pitch)
-    even, gains, lights, step = _correct_vignetting(pixels, calibration)
+    (gains, *_), step = correction_tables(calibration)
+    rings, even = [gains, 1 / gains], pixels
+    if has_uneven_lenses(calibration, types=True):
+        # The flat is corrected if its lenses differ.
+        even, rings[0] = calibration.flatten(pixels), np.ones_like(gains)
     codes, central_codes = _occlusion_codes(calibration, depth, edge)
     scene = _tables(calibration, depth, edge, pixels)
     scene |= {"title": title, "size": [width, height], "metric": calibration.optics is not None}
-    scene["rings"] = {"step": step, "values": _base64(np.column_stack([gains, lights]), np.float32)}
+    scene["rings"] = {"step": step, "values": _base64(np.column_stack(rings), np.float32)}
     with_occlusion, white = [], white_level(pixels, calibration)
     for name, (x, y) in places.items():
         part = _cut(codes, x, y, side)
@@ -107,17 +111,6 @@ def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
     return np.pad(part, [*beyond, (0, 0)][: pixels.ndim], "edge") if np.any(beyond) else part
 
 
-def _correct_vignetting(
-    pixels: NDArray, calibration: Calibration
-) -> tuple[NDArray, NDArray[np.float32], NDArray[np.float32], float]:
-    """The flat, corrected if its lenses differ; gain and transmission over squared distance from a centre; its step."""
-    (gains, *_), step = correction_tables(calibration)
-    lights = (1 / gains).astype(np.float32)
-    if has_uneven_lenses(calibration, types=True):
-        pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
-    return pixels, gains, lights, step
-
-
 def _occlusion_codes(
     calibration: Calibration, depth: DepthMap, edge: float
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
@@ -153,37 +146,22 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
     cell, shares = focus_weights(calibration.lens_types)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
     ends, middle = _planes(depth)
+    moved = {"shape": list(displacements.shape[:2]), "low": low.tolist(), "values": _base64(displacements, np.float32)}
     return {
-        "pitch": lattice.pitch,
-        "radius": lattice.radius,
-        "origin": lattice.origin.tolist(),
-        "basis": lattice.basis.tolist(),
-        "inverse": np.linalg.inv(lattice.basis).tolist(),
-        "offsets": _base64(offsets, np.float32),
-        "displacements": {
-            "shape": list(displacements.shape[:2]),
-            "low": low.tolist(),
-            "values": _base64(displacements, np.float32),
-        },
+        "pitch": lattice.pitch, "radius": lattice.radius, "origin": lattice.origin.tolist(),
+        "basis": lattice.basis.tolist(), "inverse": np.linalg.inv(lattice.basis).tolist(),
+        "offsets": _base64(offsets, np.float32), "displacements": moved,
         "types": {"side": len(cell), "cell": cell.ravel().tolist(), "shares": _base64(shares, np.float32)},
         "surface": {
-            "shape": list(surface.patch_size.shape),
-            "first": list(surface.first),
-            "spacing": surface.spacing,
-            "edge": edge,
-            "virtual": [float(virtual.min()), float(virtual.max())],
+            "shape": list(surface.patch_size.shape), "first": list(surface.first), "spacing": surface.spacing,
+            "edge": edge, "virtual": [float(virtual.min()), float(virtual.max())],
         },
-        "blur": BLUR,
-        "scale": default_scale(depth),
+        "blur": BLUR, "scale": default_scale(depth), "agreement": AGREEMENT, "planes": ends, "plane": middle,
         "reach": {"sharp": REACH, "aside": VIEW_REACH, "wide": REFOCUS_REACH},
-        "agreement": AGREEMENT,
-        "planes": ends,
-        "plane": middle,
         "overlay": {
-            "limits": list(magnification_limits(depth.magnification)),
-            "ramp": _base64(colour_scale("turbo"), np.uint8),
+            "limits": list(magnification_limits(depth.magnification)), "ramp": _base64(colour_scale("turbo"), np.uint8)
         },
-    }
+    }  # fmt: skip
 
 
 def _planes(depth: DepthMap) -> tuple[list[float], float]:

@@ -56,29 +56,6 @@ def test_unresolved_lenses_are_grey_and_colours_have_a_bar(drawn):
     plt.close("all")
 
 
-def test_thousands_of_centres_are_plotted_as_a_crop():
-    plt = pytest.importorskip("matplotlib.pyplot", reason="Matplotlib is not installed")
-    plt.switch_backend("agg")
-    lattice = lfcal.Lattice([10, 10], [[14, 0], [7, 12.1]], (4000, 3000), 6.5)
-    axes = lfcal.Calibration(lattice).plot(plt.figure().gca())
-    assert 400 < len(axes.collections[0].get_offsets()) < 800
-    assert f"{len(lattice):,} microimages" in axes.get_title()
-    plt.close("all")
-
-
-def test_a_depth_file_keeps_the_centres(drawn, tmp_path):
-    depth = drawn[1]
-    depth.save(tmp_path / "depth.npz")
-    np.testing.assert_array_equal(lfrender.DepthMap.load(tmp_path / "depth.npz").centres, depth.centres)
-
-
-def test_a_warning_is_shown_with_html_escaped(drawn):
-    from dataclasses import replace
-
-    html = replace(drawn[0], warnings=("pitch < 6 px & <b>",))._repr_html_()
-    assert "pitch &lt; 6 px &amp; &lt;b&gt;" in html
-
-
 def test_plots_lie_on_scene_coordinates(drawn):
     plt = pytest.importorskip("matplotlib.pyplot", reason="Matplotlib is not installed")
     camera, depth, rendering = drawn

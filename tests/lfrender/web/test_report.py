@@ -13,11 +13,9 @@ from click.testing import CliRunner
 
 import lfrender
 from lfrender.cli.main import main
-from lfrender.flat.lens_graph import nearest_lens
-from lfrender.output.depth_picture import magnification_limits
 from lfrender.web.histogram import magnification_histogram
 from lfrender.web.report import write_report
-from lfrender.web.report_pictures import data_urls, draw_pictures, map_grid, maps
+from lfrender.web.report_pictures import data_urls, draw_pictures
 
 from ._browser import errors, start_browser, wait_for
 
@@ -98,35 +96,12 @@ def test_the_raw_flat_comes_first_and_the_comparison_opens_with_the_traditional_
         assert words in " ".join(page.split())
 
 
-def test_modes_that_do_not_occur_are_not_compared_with(captured, pictures):
-    flat, camera, depth = captured
-    assert sorted(pictures.fixed) == ["binocular", "telescopic"]
-    assert pictures.patch_size["telescopic"] == pytest.approx(6.1, abs=0.2)
-    one = np.where(depth.mode == 1, depth.patch_size, np.nan)
-    alone = draw_pictures(flat, camera, replace(depth, patch_size=one, reason=None))
-    assert list(alone.fixed) == ["telescopic"]
-
-
 def test_the_histogram_counts_every_resolved_lens_once(captured):
     depth = captured[2]
     counts = [
         int(n.replace(",", "")) for n in re.findall(r"<title>([\d,]+) \w+ lenses", magnification_histogram(depth))
     ]
     assert sum(counts) == np.sum(depth.mode != 0)
-
-
-def test_the_histogram_has_both_modes_on_either_side_and_marks_outliers(captured):
-    depth = captured[2]
-    drawn = magnification_histogram(depth)
-    axis = float(re.search(r'<path d="M[\d.]+ ([\d.]+)H', drawn).group(1))
-    bars = re.findall(r'y="([\d.]+)" width="[\d.]+" height="([\d.]+)"[^>]*><title>[\d,]+ (\w+) lenses', drawn)
-    assert {mode for *_, mode in bars} == {"telescopic", "binocular"}
-    for top, tall, mode in bars:
-        beside = float(top) + float(tall) if mode == "telescopic" else float(top)
-        assert beside == pytest.approx(axis, abs=0.2)
-    pale = re.findall(r'opacity=".45"><title>([\d,]+) \w+ lenses, M (?:below|above)', drawn)
-    low, high = magnification_limits(depth.magnification)
-    assert sum(int(n) for n in pale) == np.sum((depth.magnification < low) | (depth.magnification > high))
 
 
 @pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")
@@ -138,22 +113,6 @@ def test_a_depth_map_without_any_depth_has_a_report_too(captured, tmp_path):
     assert "100% of the lenses have no depth of their own" in text
     assert "Nothing was skipped" in text
     assert "doubtful (confidence 0.20)" in text
-
-
-def test_confidence_is_dark_where_it_is_nothing_and_light_where_it_is_one(captured):
-    _, camera, depth = captured
-    some = np.where(np.arange(len(depth)) % 2, 1.0, 0.0).astype(np.float32)
-    found = maps(replace(depth, confidence=some), camera.lattice)["confidence"].reshape(-1, 3)
-    affine, shape = map_grid(camera.lattice)
-    colours, counts = np.unique(found, axis=0, return_counts=True)
-    assert len(colours) == 2
-    assert colours.sum(1).max() > 3 * colours.sum(1).min()
-    light = found.sum(1).reshape(shape) > colours.sum(1).mean()
-    lens = nearest_lens(camera.lattice, np.array([[100.0, 100.0], [300.0, 250.0]]))
-    for point, sure in zip(((100, 100), (300, 250)), some[lens], strict=True):
-        column, row = np.rint((np.array(point) - affine[:, 2]) / affine[0, 0]).astype(int)
-        assert light[row, column] == (sure == 1)
-    assert counts.min() > 0.4 * counts.sum()
 
 
 def test_pictures_that_do_not_fit_lose_quality_first_and_size_then():

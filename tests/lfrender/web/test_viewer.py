@@ -226,18 +226,6 @@ def test_the_canvas_shows_the_picture_and_every_control_has_a_name(page):
     assert nameless == []
 
 
-def test_a_card_that_is_slow_draws_coarser_while_something_moves_and_in_full_at_rest(page):
-    page.execute_script("lightField.coarse = 1; lightField.set({ mode: 'sharp' })")
-    # Without a graphics card no picture of this size takes 15 ms.
-    wait_for(page, f"{RESTS} && lightField.coarse > 1.2")
-    page.execute_script(
-        "globalThis.least = Infinity; const turn = n => { lightField.look(0.01, 0); least = Math.min(least, "
-        "lightField.canvas.width); if (n) setTimeout(turn, 30, n - 1); }; turn(30)"
-    )
-    wait_for(page, "least < 0.8 * lightField.width")
-    wait_for(page, f"{RESTS} && lightField.canvas.width === lightField.width")
-
-
 def test_nothing_is_drawn_beyond_the_flat(page, captured):
     flat = captured[0]
     height, width = flat.shape[:2]
@@ -260,26 +248,6 @@ def test_wheel_zooms_about_the_pointer(page):
     assert page.execute_script("return lightField.frame.spacing") == pytest.approx(spacing * np.exp(-0.5), rel=1e-3)
     after = page.execute_script("return lightField.frame.at(300, 200, lightField.width, lightField.height)")
     assert after == pytest.approx(at, abs=0.5)
-
-
-def test_tiles_cover_the_flat_and_share_what_reading_them_needs(captured):
-    flat, camera, depth = captured
-    side = 200
-    files = dict(viewer_files(flat, camera, depth, tile=side))
-    around = np.pad(flat, ((1, 1), (1, 1), (0, 0)), "edge")
-    for row in range(2):
-        for column in range(3):
-            tile = handed_over(files[f"data/flat-{column}-{row}.png.js"])
-            x, y = column * (side - 3), row * (side - 3)
-            np.testing.assert_array_equal(tile, around[y : y + side, x : x + side])
-    assert "data/flat-3-0.png.js" not in files
-
-
-def handed_over(script):
-    import base64
-
-    text = script.decode().split('"')[3]
-    return cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
 
 
 def test_a_depth_map_of_another_flat_is_refused(captured):

@@ -85,11 +85,6 @@ def test_sliders_set_what_they_name_and_say_so(page):
     assert (shown(page, "aperture-value"), shown(page, "brightness-value")) == ("50 %", "−1.5 EV")
 
 
-def test_brightness_is_a_power_of_two_on_all_colours(page):
-    plain, dark = picture(page), picture(page, brightness=-1)
-    assert np.abs(dark - plain / 2).max() <= 1  # grey level
-
-
 def test_a_range_is_sharp_within_and_out_of_focus_beyond(page, captured):
     choose(page, "range")
     assert not page.find_element("id", "one-depth").is_displayed()
@@ -110,53 +105,6 @@ def test_a_range_is_sharp_within_and_out_of_focus_beyond(page, captured):
     assert inside.any() and outside.any()
     assert np.mean(np.abs(far - sharp).max(-1)[inside] <= 2) > 0.95
     assert np.mean(np.abs(far - beyond).max(-1)[outside] <= 2) > 0.95
-
-
-def test_the_ends_of_a_range_keep_their_order_and_follow_a_click(page):
-    choose(page, "range")
-    low, high = page.execute_script("return lightField.scene.planes")
-    slide(page, "from", low + 0.5 * (high - low))
-    slide(page, "to", low + 0.2 * (high - low))
-    assert settings(page)["range"] == pytest.approx([low + 0.2 * (high - low)] * 2)
-    slide(page, "to", low + 0.4 * (high - low))
-    mouse(page, (200, 200))
-    ends, s = settings(page)["range"], settings(page)["plane"]
-    pitch = page.execute_script("return lightField.scene.pitch")
-    assert np.mean(ends) == pytest.approx(s if s > 0 else s + 2 * pitch)
-    assert ends[1] - ends[0] == pytest.approx(0.2 * (high - low))
-
-
-def test_controls_that_do_nothing_are_off(page):
-    off = {}
-    for mode in ("focus", "range", "sharp", "tiles"):
-        choose(page, mode)
-        off[mode] = [name for name in ("plane", "aperture", "centre", "fit", "stereo", "save") if is_off(page, name)]
-    assert off == {
-        "focus": ["centre", "fit"], "range": ["centre", "fit"], "sharp": ["plane", "aperture", "centre", "fit"],
-        "tiles": ["aperture", "centre", "fit"],
-    }  # fmt: skip
-    wait_for(page, RESTS)
-    page.execute_script("lightField.set({ mode: 'sharp', q: [2, 0] }); lightField.zoom(1.5)")
-    assert not any(is_off(page, name) for name in ("plane", "centre", "fit"))
-    page.find_element("id", "centre").click()
-    page.find_element("id", "fit").click()
-    assert settings(page)["q"] == [0, 0] and is_off(page, "centre") and is_off(page, "fit")
-    page.find_element("id", "compare").click()
-    assert is_off(page, "stereo")
-
-
-def test_buttons_zoom(page):
-    zoom = "return lightField.frame.spacing"
-    before = page.execute_script(zoom)
-    page.find_element("id", "in").click()
-    assert page.execute_script(zoom) == pytest.approx(before / 1.25)
-    page.find_element("id", "out").click()
-    assert page.execute_script(zoom) == pytest.approx(before)
-    page.find_element("id", "full").click()
-    assert shown(page, "zoom") == "100 %"
-    assert page.execute_script("return lightField.scene.pitch / lightField.scene.scale") == pytest.approx(
-        page.execute_script(zoom)
-    )
 
 
 def test_magnification_is_laid_over_the_picture_with_its_legend(page):
@@ -201,20 +149,6 @@ def test_two_places_have_a_distance_in_metres_where_the_optics_are_known(page):
     assert shown(page, "status") == ""
 
 
-def test_focus_glides_through_the_depths_between(page):
-    low, high = page.execute_script("return lightField.scene.planes")
-    pitch = page.execute_script("return lightField.scene.pitch")
-    page.execute_script(
-        "globalThis.seen = new Set(); const apply = lightField.apply; lightField.apply = function (c) "
-        "{ apply.call(this, c); seen.add(this.settings.plane); };"
-        "lightField.set({ plane: arguments[0] }); lightField.glide(arguments[1])",
-        low, high - 2 * pitch,
-    )  # fmt: skip
-    wait_for(page, RESTS)
-    assert settings(page)["plane"] == pytest.approx(high - 2 * pitch)
-    assert page.execute_script("delete lightField.apply; return seen.size") >= 3
-
-
 def test_both_eyes_see_the_picture_side_by_side_or_in_colours(page):
     radius = page.execute_script("return lightField.scene.radius")
     page.execute_script(
@@ -251,21 +185,6 @@ def test_a_view_is_compared_with_the_one_that_was_kept(page):
         shown_here = view[part].any(-1)
         assert np.abs(both[part] - view[part])[shown_here].mean() < 0.5
     assert np.abs(views[0] - views[1]).mean() > 1
-
-
-def test_the_line_of_a_comparison_moves_with_mouse_and_keys(page):
-    from selenium.webdriver import ActionChains
-    from selenium.webdriver.common.keys import Keys
-
-    page.find_element("id", "compare").click()
-    line = page.find_element("id", "line")
-    width = page.execute_script("return lightField.canvas.clientWidth")
-    ActionChains(page, duration=20).drag_and_drop_by_offset(line, round(0.2 * width), 0).perform()
-    moved = page.execute_script("return lightField.line")
-    assert moved == pytest.approx(0.7, abs=0.02)
-    line.send_keys(Keys.ARROW_LEFT)
-    assert page.execute_script("return lightField.line") == pytest.approx(moved - 0.02)
-    page.execute_script("lightField.line = 0.5")
 
 
 def test_a_link_shows_the_same_view(page, served):
@@ -331,26 +250,6 @@ def test_a_film_is_recorded(page, tmp_path):
     assert len(frames) >= 20
     changes = [np.abs(a - frames[0]).mean() for a in frames]
     assert max(changes) > 2 * np.median(np.abs(np.diff(frames[:3], axis=0)))
-
-
-def test_full_screen_fills_the_screen_and_ends(page):
-    if page.execute_script("return document.getElementById('screen').hidden"):
-        pytest.skip("this browser has no full screen")
-    page.find_element("id", "screen").click()
-    wait_for(page, "document.fullscreenElement")
-    page.execute_script("lightField.fullScreen()")
-    wait_for(page, "!document.fullscreenElement")
-
-
-def test_keys_switch_range_comparison_and_distance(page):
-    canvas = page.find_element("id", "picture")
-    canvas.send_keys("r")
-    assert settings(page)["mode"] == "range"
-    canvas.send_keys("b", "d")
-    assert page.find_element("id", "compare").is_selected() and page.find_element("id", "measure").is_selected()
-    canvas.send_keys("r", "b", "d")
-    assert settings(page)["mode"] == "focus"
-    assert not page.find_element("id", "compare").is_selected()
 
 
 def touch(page, kind, *points):
