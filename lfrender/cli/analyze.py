@@ -82,11 +82,10 @@ def analyze(capture: CaptureInput, given: Any) -> None:
             from ..output.picture import write_picture
 
             low, high = found["colours"] = list(magnification_limits(depth.magnification))
-            picture = depth_picture(depth, calibration.lattice)
-            write_picture(forms["picture"], picture, settings={"magnification": [low, high]})
+            write_picture(forms["picture"], depth_picture(depth), settings={"magnification": [low, high]})
             closing = [
-                f"{forms['picture']}: magnification M from {low:.1f} (blue) to {high:.1f} (red), logarithmic; grey: "
-                "unresolved."
+                f"{forms['picture']}: magnification M from {low:.1f} (blue) to {high:.1f} (red), logarithmic; "
+                f"{_near_and_far(depth)}; grey: unresolved."
             ]
         if "ply" in forms and pixels is not None:
             from ..output.point_cloud import point_cloud, write_points
@@ -95,6 +94,14 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     written = dict.fromkeys(map(str, (output, *forms.values())))
     sentences = figures.capture_sentences(capture, calibration, depth, optics)
     report.finish(found, *sentences, f"{', '.join(written)} in {report.took}.", *closing)
+
+
+def _near_and_far(depth: DepthMap) -> str:
+    """Which colours are near: M falls toward the camera before the microlenses, and grows behind them."""
+    ends = {1: "blue is near, red is far", -1: "red is near, blue is far"}
+    shown = [mode for mode in ends if (depth.mode == mode).mean() > 0.01]
+    names = {1: " where telescopic", -1: " where binocular"}
+    return ", ".join(ends[mode] + (names[mode] if len(shown) > 1 else "") for mode in shown)
 
 
 def _write_dense(path: Path, depth: DepthMap, given: Any, optics: Any) -> None:

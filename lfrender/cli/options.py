@@ -114,7 +114,7 @@ TABLE = {
         "Pictures a second of a film. [default: as the input, or 25]"),
     "overwrite": _row("--overwrite", bool, "Render all frames again; else pictures already there are kept."),
     "dense": _row("--dense", _OUTPUT,
-        "Patch size [px] of every pixel of the picture, and where a lens has one (second page, or channel).",
+        "Patch size [px] of every pixel of the picture, its validity and standard error (pages, or channels).",
         metavar="DEPTH.tif|.pfm|.exr"),
     "unfilled": _row("--unfilled", bool,
         "Write NaN to --dense where no lens has a depth, not that of places around."),

@@ -56,20 +56,21 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     pixels = capture.read()
     check_format(output, *uses, dtype=pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
-    depth = capture.analyze(pixels, calibration) if at or stack else None
+    # Without --scale the picture lies on the grid of `lfrender render`, which the depth decides.
+    depth = capture.analyze(pixels, calibration) if at or stack or given.scale is None else None
     with report.stage("render"), option_errors():
         from .. import focal_stack
         from .. import refocus as run
         from ..rendering.refocus import stack_depths
 
-        drawing = {"aperture": given.aperture, "scale": given.scale}
+        drawing = {"aperture": given.aperture, "scale": given.scale, "depth": depth}
         if depth is not None and stack:
             sizes = stack_depths(depth, stack)
         if len(sizes) > 1:
             pictures = focal_stack(pixels, calibration, sizes, **drawing)
         else:
             one = sizes[0] if sizes else None
-            pictures = [run(pixels, calibration, one, position=at, depth=depth, **drawing)]
+            pictures = [run(pixels, calibration, one, position=at, **drawing)]
         pictures = [_cut(picture, capture, calibration) for picture in pictures]
     settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
     paths, stated = capture.write(output, pictures, settings, given.eight_bits)

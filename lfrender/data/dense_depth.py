@@ -16,17 +16,24 @@ from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.output_file import atomic_write, check_output
 
 from .depth_map import DepthMap, default_scale
-from .rendering import PictureGrid, check_scale
+from .rendering import Picture, PictureGrid, check_scale
 from .surface import edge_step, sample_surface_at
 
-__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "dense_distance", "write_dense"]
+__all__ = ["DENSE_FORMATS", "EDGE", "FILLED", "SEEN", "DenseDepth", "dense_depth", "dense_distance", "write_dense"]
 
 DENSE_FORMATS = (".tif", ".tiff", ".pfm", ".exr")
+#: Codes of `DenseDepth.validity`.
+FILLED, EDGE, SEEN = 0, 128, 255
+# Fields that are further pages of a TIFF, by what is said about them.
+_FURTHER = {
+    "255 where a lens has a depth, 128 beside a depth edge, 0 where it is filled in": "validity",
+    "standard error of s [px]": "standard_error",
+}
 
 
 @dataclass(frozen=True, eq=False)
-class DenseDepth(Frozen):
-    """Signed patch size on the grid of a picture, from `dense_depth`.
+class DenseDepth(Picture, Frozen):
+    """Signed patch size on the grid of a picture, from `dense_depth`; as an array, its patch sizes.
 
     Parameters
     ----------
@@ -35,8 +42,11 @@ class DenseDepth(Frozen):
     affine : (2, 3) float64
         From pixel `(u, v, 1)` to scene coordinates.
     pitch : float [px]
-    resolved : (h, w) bool
-        Where the nearest lens has a depth of its own.
+    validity : (h, w) uint8
+        255 where the nearest lens has a depth of its own, 128 where one has beside a depth edge, which may lie a pixel
+        or two elsewhere, 0 where the depth is filled in from around.
+    standard_error : (h, w) float32 [px of the flat]
+        Of `patch_size`, that of the nearest lens; inf where it is filled in.
 
     Examples
     --------
@@ -48,21 +58,24 @@ class DenseDepth(Frozen):
     patch_size: NDArray[np.float32]
     affine: NDArray[np.float64]
     pitch: float
-    resolved: NDArray[np.bool_]
+    validity: NDArray[np.uint8]
+    standard_error: NDArray[np.float32]
+
+    @property
+    def resolved(self) -> NDArray[np.bool_]:
+        """(h, w) bool: where the nearest lens has a depth of its own."""
+        return self.validity != FILLED
+
+    def _layers(self) -> dict[str, NDArray]:
+        return {"patch_size": self.patch_size, "validity": self.validity, "standard_error": self.standard_error}
 
 
 def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) -> DenseDepth:
     """Patch size at every pixel of the picture that `render` draws at `scale`, as the kernels read it.
 
     Between the grid values of `DepthMap.surface` it is linear on one surface, and the nearest across a depth edge.
-
-    Parameters
-    ----------
-    depth : DepthMap
-    scale : float, optional
-        Pixels per pitch; by default that of `render`. ValueError beyond four times the pitch.
-    fill : bool
-        Whether unresolved places have the depth of those around them; else NaN.
+    `scale` is in pixels per pitch, by default that of `render`; ValueError beyond four times the pitch. Unresolved
+    places have the depth of those around them if `fill`, else NaN.
 
     Examples
     --------
@@ -71,21 +84,25 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
     >>> dense.patch_size.shape, dense.pitch
     ((47, 62), 23.2)
     """
+    import cv2
+
     pitch = depth.pitch
     grid = PictureGrid(depth.image_size, pitch, check_scale(default_scale(depth) if scale is None else scale, pitch))
-    shape = grid.size[::-1]
-    place = shape, (grid.first, grid.first), grid.spacing
-    out = sample_surface_at(depth.surface, edge_step(pitch), *place)
-    resolved = ~depth.unresolved_places(*place)
+    shape, edge, around = grid.size[::-1], edge_step(pitch), np.ones((3, 3), np.uint8)
+    sizes = sample_surface_at(depth.surface, edge, shape, (grid.first, grid.first), grid.spacing)
+    lens = depth.nearest_lens(shape, (grid.first, grid.first), grid.spacing)
+    error = depth.standard_error[lens] if lens is not None else np.full(shape, np.inf, np.float32)
+    resolved = ~depth.filled[lens] if lens is not None else np.ones(shape, bool)
+    beside = cv2.dilate(sizes, around) - cv2.erode(sizes, around) >= edge
+    validity = np.where(resolved, np.where(beside, EDGE, SEEN), FILLED).astype(np.uint8)
     if not fill:
-        out[~resolved] = np.nan
-    return DenseDepth(out, grid.affine(), pitch, resolved)
+        sizes[~resolved] = np.nan
+    return DenseDepth(sizes, grid.affine(), pitch, validity, np.where(resolved, error, np.float32(np.inf)))
 
 
 def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
     """(h, w) float32 [m]: distance in front of the main lens at every pixel; NaN where nothing can be imaged there."""
-    height, width = dense.patch_size.shape
-    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    v, u = np.indices(dense.patch_size.shape)
     points = np.stack([u, v, np.ones_like(u)], axis=-1) @ dense.affine.T
     return optics.distance(dense.patch_size / dense.pitch, points).astype(np.float32)
 
@@ -93,8 +110,8 @@ def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
 def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArray[np.float32] | None = None) -> None:
     """Write the patch sizes [px] as 32-bit TIFF or OpenEXR, with the affine as JSON, or as PFM; whole or not at all.
 
-    With `distance`, as `dense_distance` makes it, that is written in their place. A second page of the TIFF, or a
-    channel "resolved" of OpenEXR, is not 0 where a lens has a depth; PFM has no room for it. OutputError if the ending
+    With `distance`, as `dense_distance` makes it, that is written in their place. Validity and standard errors [px] are
+    the second and third page of the TIFF, and channels of OpenEXR; PFM has no room for them. OutputError if the ending
     is none of these, the package OpenEXR is needed, or the folder cannot be written.
 
     Examples
@@ -111,12 +128,8 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArr
     suffix, values = path.suffix.lower(), dense.patch_size if distance is None else distance
     if suffix == ".exr" and find_spec("OpenEXR") is None:
         raise OutputError(f"{path}: .exr files need the package 'OpenEXR'; pip install 'lfrender[exr]'")
-    about = {
-        "software": "lfrender",
-        "content": "signed patch size [px]" if distance is None else "distance in front of the main lens [m]",
-        "pitch": dense.pitch,
-        "affine": dense.affine.tolist(),
-    }
+    content = "signed patch size [px]" if distance is None else "distance in front of the main lens [m]"
+    about = {"software": "lfrender", "content": content, "pitch": dense.pitch, "affine": dense.affine.tolist()}
     with atomic_write(path) as temporary:
         if suffix == ".pfm":
             height, width = values.shape
@@ -126,8 +139,14 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArr
         elif suffix == ".exr":
             import OpenEXR
 
-            kind = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+            kind = {
+                "compression": OpenEXR.ZIP_COMPRESSION,
+                "type": OpenEXR.scanlineimage,
+                "comments": json.dumps(about),
+            }
             channels = {"Y": np.ascontiguousarray(values), "resolved": dense.resolved.astype(np.float32)}
+            channels["validity"] = dense.validity.astype(np.float32) / np.float32(255)
+            channels["standard_error"] = dense.standard_error
             with OpenEXR.File(kind | {"comments": json.dumps(about)}, channels) as file:
                 file.write(str(temporary))
         else:
@@ -135,5 +154,7 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArr
 
             with tifffile.TiffWriter(temporary) as file:
                 file.write(values, description=json.dumps(about), metadata=None)
-                about["content"] = "255 where a lens has a depth, 0 where it is filled in"
-                file.write(255 * dense.resolved.astype(np.uint8), description=json.dumps(about), metadata=None)
+                for text, name in _FURTHER.items():
+                    # Deflated: readers would take pages of one kind for a stack.
+                    page, description = getattr(dense, name), json.dumps(about | {"content": text})
+                    file.write(page, description=description, metadata=None, compression="zlib")

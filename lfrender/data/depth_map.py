@@ -16,7 +16,7 @@ from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.quantiles import quantile
-from .flat_samples import is_same_flat, sample_flat, sample_source
+from .flat_samples import is_same_flat, sample_flat
 from .frame_state import FrameState
 from .surface import Surface
 
@@ -30,7 +30,7 @@ UNRESOLVED = 0
 REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the microlenses", "not analysed")
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
-# Arrays and numbers of a file that bear the name of their field; then those that a file need not have.
+# Arrays and numbers of a file that bear the name of their field.
 _SAVED = (
     "patch_size", "mode", "magnification", "confidence", "standard_error", "filled", "pitch", "image_size", "preset",
     "reason",
@@ -110,22 +110,21 @@ class DepthMap(Frozen):
 
     def __post_init__(self) -> None:
         n = len(self.patch_size)
-        for name in ("patch_size", "standard_error", "confidence", "filled_patch_size"):
-            values = np.array(getattr(self, name), dtype=np.float32)
-            if values.shape != (n,):
-                raise ValueError(f"{name} must have one value per lens ({n}), got shape {values.shape}")
-            self._set(**{name: values})
+        names = ("patch_size", "standard_error", "confidence", "filled_patch_size")
+        self._set(**{name: np.array(getattr(self, name), dtype=np.float32) for name in names})
         reason = self.reason
         if reason is None:
             reason = np.where(np.isfinite(self.patch_size), 0, np.where(self.confidence > 0, 2, 1))
-        reason = np.array(reason, dtype=np.int8)
-        if reason.shape != (n,) or ((reason == 0) != np.isfinite(self.patch_size)).any():
-            raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
+        self._set(reason=np.array(reason, np.int8), image_size=(int(self.image_size[0]), int(self.image_size[1])))
+        for name in (*names, "reason"):
+            if getattr(self, name).shape != (n,):
+                raise ValueError(f"{name} must have one value per lens ({n}), got shape {getattr(self, name).shape}")
         if self.centres is not None and self.centres.shape != (n, 2):
             raise ValueError(f"centres must have one place per lens ({n}), got shape {self.centres.shape}")
+        if ((self.reason == 0) != np.isfinite(self.patch_size)).any():
+            raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
         if not (np.isfinite(self.filled_patch_size).all() and np.isfinite(self.surface.patch_size).all()):
             raise ValueError("drawn and surface must be finite")
-        self._set(reason=reason, image_size=(int(self.image_size[0]), int(self.image_size[1])))
 
     def __len__(self) -> int:
         return len(self.patch_size)
@@ -152,28 +151,25 @@ class DepthMap(Frozen):
         """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
         return np.isnan(self.patch_size)
 
-    def unresolved_places(self, shape: tuple[int, int], first: ArrayLike, spacing: float) -> NDArray[np.bool_]:
-        """(h, w) bool: pixels of a picture whose nearest lens is unresolved; none if the centres are not known.
+    def nearest_lens(self, shape: tuple[int, int], first: ArrayLike, spacing: float) -> NDArray[np.int64] | None:
+        """(h, w) the lens nearest to each pixel of a picture; None if the centres are not known.
 
         Pixel (0, 0) lies at `first` (x, y), pixels are `spacing` [px of the flat] apart.
         """
         from scipy.spatial import cKDTree
 
-        if self.centres is None or not self.filled.any():
-            return np.zeros(shape, bool)
+        if self.centres is None:
+            return None
         v, u = np.indices(shape, np.float32)
         places = np.asarray(first) + spacing * np.stack([u, v], -1).reshape(-1, 2)
-        return self.filled[cKDTree(self.centres).query(places)[1]].reshape(shape)
+        return np.asarray(cKDTree(self.centres).query(places)[1]).reshape(shape)
 
     def is_of(self, flat: NDArray | FlatSource) -> bool:
         """Whether it was made from a flat (H, W) or (H, W, C), in any type or exposure; True where that is unknown.
 
         Flats of a colour filter mosaic are given in colour, as they were analysed.
         """
-        if self.flat_samples is None:
-            return True
-        samples = sample_source(flat) if isinstance(flat, FlatSource) else sample_flat(flat)
-        return is_same_flat(self.flat_samples, samples)
+        return self.flat_samples is None or is_same_flat(self.flat_samples, sample_flat(flat))
 
     def distance(self, camera: Optics | Calibration) -> NDArray[np.float64]:
         """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved.
@@ -181,7 +177,7 @@ class DepthMap(Frozen):
         A Calibration with `optics`, as made by `calibrate_metric`, also takes account of the tilt of its array and of
         the curvature of its field, which Optics alone cannot. CalibrationError if it has no optics.
         """
-        optics, points = _optics_and_centres(camera, len(self))
+        optics, points = self._optics(camera)
         return optics.distance(self.patch_size.astype(np.float64) / self.pitch, points)
 
     def distance_error(self, camera: Optics | Calibration) -> NDArray[np.float64]:
@@ -190,15 +186,22 @@ class DepthMap(Frozen):
         Errors of the calibration are shared by all lenses: they do not average out. inf where unknown, NaN where
         unresolved.
         """
-        optics, points = _optics_and_centres(camera, len(self))
+        optics, points = self._optics(camera)
         error = self.standard_error.astype(np.float64) / self.pitch
         return optics.distance_error(self.patch_size.astype(np.float64) / self.pitch, error, points)
 
-    def plot(self, ax: Any = None) -> Any:
-        """Draw the magnification over the scene on Matplotlib axes, by default the current ones; returns them.
+    def _optics(self, camera: Optics | Calibration) -> tuple[Optics, NDArray[np.float64] | None]:
+        """The optics, and the centres of the lenses if they are known."""
+        if isinstance(camera, Optics):
+            return camera, None
+        if camera.optics is None:
+            raise CalibrationError("the camera file holds no optics; measure them with 'lfcal metric FLAT...'")
+        if len(camera.lattice) != len(self):
+            raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+        return camera.optics, camera.lattice.centres()
 
-        Colours are on a logarithmic scale; unresolved lenses are grey.
-        """
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the magnification over the scene on Matplotlib axes, by default the current ones; returns them."""
         from .plots import plot_depth
 
         return plot_depth(self, ax)
@@ -220,27 +223,31 @@ class DepthMap(Frozen):
         fields["surface_first"], fields["surface_spacing"] = self.surface.first, self.surface.spacing
         fields["saved_by"] = np.array(list(self.saved), str)
         fields["saved"] = np.array(list(self.saved.values()), np.float64)
-        fields |= {name: getattr(self, name) for name in _OPTIONAL if getattr(self, name) is not None}
+        fields |= {name: value for name in _OPTIONAL if (value := getattr(self, name)) is not None}
         with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
             np.savez(stream, version=np.int64(_VERSION), **fields)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> DepthMap:
-        """Read a file written by `save`.
-
-        Raises
-        ------
-        DepthFileError
-            If the file is missing, is not such a file, or a field is wrong.
-        """
+        """Read a file written by `save`; DepthFileError if it is missing, is not such a file, or a field is wrong."""
         remedy = "make one with 'lfrender analyze'"
         try:
             # np.load leaves a damaged file open if it opened it itself.
-            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as data:
-                version = int(data["version"])
-                if version != _VERSION:
-                    raise DepthFileError(f"{path}: version {version} is not known (this is {_VERSION}); {remedy}")
-                return cls._of_file(data)
+            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+                data = dict(file)
+            version = int(data["version"])
+            if version != _VERSION:
+                raise DepthFileError(f"{path}: version {version} is not known (this is {_VERSION}); {remedy}")
+            surface = np.ascontiguousarray(data["surface"], np.float32)
+            saved = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True) if "saved" in data else ()
+            more = {name: data[name].astype(np.float32) for name in _OPTIONAL if name in data and data[name].size}
+            reason: Any = data.get("reason")
+            return cls(
+                data["patch_size"], data["standard_error"], data["confidence"], data["drawn"],
+                Surface(surface, tuple(data["surface_first"].tolist()), float(data["surface_spacing"])),
+                float(data["pitch"]), tuple(data["image_size"].tolist()), str(data["preset"]), reason,
+                dict(saved), **more,
+            )  # fmt: skip
         except DepthFileError:
             raise
         except OSError as error:
@@ -249,29 +256,6 @@ class DepthMap(Frozen):
         except Exception as error:
             text = " ".join(str(error).split())[:200] or type(error).__name__
             raise DepthFileError(f"{path}: not a whole depth file ({text}); {remedy}") from error
-
-    @classmethod
-    def _of_file(cls, data: Any) -> DepthMap:
-        first_x, first_y = data["surface_first"].tolist()
-        surface = np.ascontiguousarray(data["surface"], np.float32)
-        saved = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True) if "saved" in data else ()
-        more: Any = {name: np.asarray(data[name], np.float32) for name in _OPTIONAL if name in data and data[name].size}
-        return cls(
-            data["patch_size"], data["standard_error"], data["confidence"], data["drawn"],
-            Surface(surface, (first_x, first_y), float(data["surface_spacing"])),
-            float(data["pitch"]), tuple(data["image_size"].tolist()), str(data["preset"]),
-            data.get("reason"), dict(saved), **more,
-        )  # fmt: skip
-
-
-def _optics_and_centres(camera: Optics | Calibration, lenses: int) -> tuple[Optics, NDArray[np.float64] | None]:
-    if isinstance(camera, Optics):
-        return camera, None
-    if camera.optics is None:
-        raise CalibrationError("the camera file holds no optics; measure them with 'lfcal metric FLAT...'")
-    if len(camera.lattice) != lenses:
-        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
-    return camera.optics, camera.lattice.centres()
 
 
 def default_scale(depth: DepthMap) -> float:
@@ -283,8 +267,7 @@ def default_scale(depth: DepthMap) -> float:
     Examples
     --------
     >>> import lfrender
-    >>> flat, camera, depth = lfrender.data.example()
-    >>> bool(1 < default_scale(depth) < camera.lattice.pitch)
+    >>> bool(1 < default_scale(lfrender.data.example()[2]) < 23.2)
     True
     """
     sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])

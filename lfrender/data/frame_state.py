@@ -36,8 +36,7 @@ class FrameState:
     reference: LocalMatch | None = None
     kept: NDArray[np.bool_] | None = None  # (n,) lenses that have kept their depth from an earlier frame
     complete: LocalMatch | None = None  # the reference of all lenses; made when the first next frame needs it
-    # (n,) lenses that show something else than in the frame of `previous`
-    changed: NDArray[np.bool_] | None = None
+    changed: NDArray[np.bool_] | None = None  # (n,) lenses that show something else than in the frame of `previous`
     previous: weakref.ref[Any] | None = None  # weakref of DepthMap
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:

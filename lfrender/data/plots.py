@@ -53,9 +53,10 @@ def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
     from matplotlib.colors import LogNorm
 
     ax = ax or plt.gca()
-    shown, low, high = _magnification(depth)
-    shown[depth.unresolved_places(shown.shape, depth.surface.first, depth.surface.spacing)] = np.nan
-    surface = depth.surface
+    (shown, low, high), surface = _magnification(depth), depth.surface
+    lens = depth.nearest_lens(shown.shape, surface.first, surface.spacing)
+    if lens is not None:
+        shown[depth.filled[lens]] = np.nan
     left, top = (first - surface.spacing / 2 for first in surface.first)
     extent = (left, left + shown.shape[1] * surface.spacing, top + shown.shape[0] * surface.spacing, top)
     drawn = ax.imshow(shown, extent=extent, norm=LogNorm(low, high), cmap="turbo", interpolation="nearest")

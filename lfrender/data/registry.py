@@ -20,9 +20,6 @@ from .samples import cache_folder
 
 __all__ = ["Registry", "open_registry", "write_registry"]
 
-#: Name of the list in a folder: a line `NAME sha256:HASH` for each file.
-LIST_NAME = "registry.txt"
-
 
 @dataclass(frozen=True)
 class Registry:
@@ -65,12 +62,13 @@ class Registry:
             import pooch
         except ImportError as error:
             raise FlatError("registries need the package 'pooch'; pip install 'lfrender[samples]'") from error
-        place = hashlib.sha256(self.base.encode()).hexdigest()[:12]
         address = self.base.rstrip("/") + "/"
-        store = pooch.create(path=cache_folder() / "fetched" / place, base_url=address, registry=self.hashes)
+        place = cache_folder() / "fetched" / hashlib.sha256(self.base.encode()).hexdigest()[:12]
+        store = pooch.create(path=place, base_url=address, registry=self.hashes)
         pooch.get_logger().setLevel("WARNING")
+        copy = None if "://" in self.base else lambda url, target, _: shutil.copyfile(url, target)
         try:
-            return Path(store.fetch(name, downloader=None if _is_address(self.base) else _copy))
+            return Path(store.fetch(name, downloader=copy))
         except (OSError, ValueError) as error:
             raise FlatError(f"{address}{name}: cannot be fetched ({' '.join(str(error).split())})") from error
 
@@ -94,11 +92,24 @@ def open_registry(
     ['flat.png']
     """
     place = os.fspath(base)
-    if hashes is None:
-        if _is_address(place):
-            raise FlatError(f"{place}: give the list of hashes too (hashes='registry.txt'); write_registry makes it")
-        hashes = Path(place) / LIST_NAME
-    return Registry(place, dict(hashes) if isinstance(hashes, Mapping) else _read_list(Path(hashes)))
+    if isinstance(hashes, Mapping):
+        return Registry(place, dict(hashes))
+    if hashes is None and "://" in place:
+        raise FlatError(f"{place}: give the list of hashes too (hashes='registry.txt'); write_registry makes it")
+    path = Path(place) / "registry.txt" if hashes is None else Path(hashes)
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FlatError(f"{path}: cannot be read as a list of hashes ({error})") from error
+    found = {}
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        name, _, value = line.rpartition(" ")
+        if not re.fullmatch(r"sha256:[0-9a-f]{64}", value) or ".." in Path(name).parts or Path(name).is_absolute():
+            raise FlatError(f"{path}: line {number} is not 'NAME sha256:HASH'; write_registry makes the list")
+        found[name] = value
+    return Registry(place, found)
 
 
 def write_registry(folder: str | os.PathLike[str]) -> Path:
@@ -111,38 +122,12 @@ def write_registry(folder: str | os.PathLike[str]) -> Path:
     ...     lfrender.data.write_registry(folder).name
     'registry.txt'
     """
-    place = Path(folder)
-    lines = []
-    for path in sorted(place.rglob("*")):
-        name = path.relative_to(place)
-        if path.is_file() and name.name != LIST_NAME and not any(part.startswith(".") for part in name.parts):
+    target, lines = Path(folder) / "registry.txt", []
+    for path in sorted(Path(folder).rglob("*")):
+        name = path.relative_to(folder)
+        if path.is_file() and path != target and not any(part.startswith(".") for part in name.parts):
             with path.open("rb") as stream:
                 lines.append(f"{name.as_posix()} sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}\n")
-    with atomic_write(place / LIST_NAME) as temporary:
+    with atomic_write(target) as temporary:
         temporary.write_text("".join(lines), encoding="utf-8")
-    return place / LIST_NAME
-
-
-def _is_address(base: str) -> bool:
-    return re.match(r"[a-z]+://", base) is not None
-
-
-def _read_list(path: Path) -> dict[str, str]:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FlatError(f"{path}: cannot be read as a list of hashes ({error})") from error
-    found = {}
-    for number, line in enumerate(text.splitlines(), 1):
-        if not line.strip() or line.startswith("#"):
-            continue
-        name, _, value = line.rpartition(" ")
-        if not re.fullmatch(r"sha256:[0-9a-f]{64}", value) or ".." in Path(name).parts or Path(name).is_absolute():
-            raise FlatError(f"{path}: line {number} is not 'NAME sha256:HASH'; write_registry makes the list")
-        found[name] = value
-    return found
-
-
-def _copy(url: str, output_file: Any, _pooch: Any) -> None:
-    """Downloader of pooch for folders."""
-    shutil.copyfile(url, output_file)
+    return target

@@ -14,8 +14,10 @@ from lfcal.runtime.arrays import Frozen
 if TYPE_CHECKING:
     from lfcal import Calibration
 
-__all__ = ["Part", "PictureGrid", "Rendering", "check_patch_size", "check_scale", "convert_to_dtype", "finish_picture"]
-
+__all__ = [
+    "Part", "Picture", "PictureGrid", "Rendering", "check_patch_size", "check_scale", "convert_to_dtype",
+    "finish_picture",
+]  # fmt: skip
 
 #: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
 Part = tuple[int, int, int, int]
@@ -23,20 +25,11 @@ Part = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class PictureGrid:
-    """The pixels of a picture of all that a flat shows.
+    """The pixels of a picture of all that a flat shows."""
 
-    Parameters
-    ----------
-    image_size : (int, int) [px]
-        Width and height of the flat.
-    pitch : float [px]
-    scale : float
-        Pixels of the picture per pitch.
-    """
-
-    image_size: tuple[int, int]
-    pitch: float
-    scale: float
+    image_size: tuple[int, int]  # width and height of the flat [px]
+    pitch: float  # [px]
+    scale: float  # pixels of the picture per pitch
 
     @property
     def spacing(self) -> float:
@@ -79,17 +72,13 @@ class PictureGrid:
 
     def border(self, part: Part, wide: int) -> Iterator[Part]:
         """What a part has in common with the four strips, `wide` pixels, along the border of the whole picture."""
-        (columns, rows), (left, top, right, bottom) = self.size, part
-        strips = (
-            (0, 0, columns, wide),
-            (0, rows - wide, columns, rows),
-            (0, 0, wide, rows),
-            (columns - wide, 0, columns, rows),
-        )
-        for strip in strips:
-            both = max(left, strip[0]), max(top, strip[1]), min(right, strip[2]), min(bottom, strip[3])
-            if both[0] < both[2] and both[1] < both[3]:
-                yield both
+        columns, rows = self.size
+        top_down = (0, 0, columns, wide), (0, rows - wide, columns, rows)
+        for strip in (*top_down, (0, 0, wide, rows), (columns - wide, 0, columns, rows)):
+            left, top = (max(pair) for pair in zip(part[:2], strip[:2], strict=True))
+            right, bottom = (min(pair) for pair in zip(part[2:], strip[2:], strict=True))
+            if left < right and top < bottom:
+                yield left, top, right, bottom
 
     def part_of_region(self, roi: tuple[float, float, float, float]) -> Part:
         """Columns and rows whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
@@ -119,9 +108,39 @@ def check_patch_size(patch_size: float, pitch: float) -> None:
         raise ValueError(f"patch_size must lie between 0 and the pitch {pitch:.1f} px, got {patch_size:g}")
 
 
+class Picture:
+    """Base of what lies on the grid of a picture: stands for its pixels where an array is needed."""
+
+    affine: NDArray[np.float64]
+
+    def _layers(self) -> dict[str, NDArray]:
+        """The pixels first, then arrays (h, w) about each of them, by name."""
+        raise NotImplementedError
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+        pixels = next(iter(self._layers().values()))
+        return np.array(pixels, dtype) if copy else np.asarray(pixels, dtype)
+
+    def to_xarray(self) -> Any:
+        """An `xarray.DataArray` with scene coordinates `x, y` [px of the flat]; the other arrays are coordinates too.
+
+        ImportError without the package `xarray` (`pip install 'lfrender[xarray]'`).
+        """
+        import xarray
+
+        (name, pixels), *others = self._layers().items()
+        height, width = pixels.shape[:2]
+        places = {
+            "y": self.affine[1, 2] + self.affine[1, 1] * np.arange(height),
+            "x": self.affine[0, 2] + self.affine[0, 0] * np.arange(width),
+        }
+        about = {key: (("y", "x"), values) for key, values in others}
+        return xarray.DataArray(pixels, {**places, **about}, ("y", "x", "channel")[: pixels.ndim], name)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Rendering(Frozen):
-    """A picture drawn from a flat.
+class Rendering(Picture, Frozen):
+    """A picture drawn from a flat; as an array, its image.
 
     Parameters
     ----------
@@ -155,6 +174,9 @@ class Rendering(Frozen):
     scale: float
     white: float | None = None
     noise: float | None = None
+
+    def _layers(self) -> dict[str, NDArray]:
+        return {"image": self.image, "valid": self.valid}
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the picture over scene coordinates on Matplotlib axes, by default the current ones; returns them."""

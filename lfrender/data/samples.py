@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 __all__ = ["board", "cache_folder", "clutter", "example", "house", "periodic", "plane", "ramp", "slope"]
 
 _Made = TypeVar("_Made")
-#: Environment variable that names another folder for the cache; it changes no result.
-CACHE_VARIABLE = "LFRENDER_CACHE"
 
 
 def cache_folder() -> Path:
@@ -44,12 +42,9 @@ def cache_folder() -> Path:
     >>> lfrender.data.cache_folder().name
     'lfrender'
     """
-    given = os.environ.get(CACHE_VARIABLE)
-    if given:
-        return Path(given)
     import platformdirs
 
-    return Path(platformdirs.user_cache_dir("lfrender", appauthor=False))
+    return Path(os.environ.get("LFRENDER_CACHE") or platformdirs.user_cache_dir("lfrender", appauthor=False))
 
 
 def _scene(name: str, about: str) -> Callable[..., Capture]:
@@ -72,21 +67,10 @@ def _scene(name: str, about: str) -> Callable[..., Capture]:
     make.__name__ = make.__qualname__ = name
     make.__doc__ = f"""{about}
 
-    Parameters
-    ----------
-    size : (int, int) [px]
-        Width and height of the flat.
-    pitch : float [px]
-        Distance between neighbouring microimages.
-    samples, seed : int
-        Rays per pixel and microlens; seed of the scene, of sampling and noise.
-    **camera
-        Further arguments of `data_synth.Camera.design`, such as `lattice="square"` or `rotation=3`.
-
-    Returns
-    -------
-    data_synth.Capture
-        With `flat`, `white`, `camera`, and the `truth`. OutputError if the cache cannot be written.
+    `size` is width and height of the flat, `pitch` the distance between neighbouring microimages [px]; `samples` are
+    rays per pixel and microlens, `seed` is that of the scene, of sampling and noise; `camera` are further arguments of
+    `data_synth.Camera.design`, such as `lattice="square"` or `rotation=3`. Returns a `data_synth.Capture` with `flat`,
+    `white`, `camera` and the `truth`. OutputError if the cache cannot be written.
 
     Examples
     --------
@@ -129,10 +113,7 @@ def board(
 ) -> BoardShoot:  # fmt: skip
     """Photographs of a checkerboard in random poses, for metric calibration; arguments as of `house`.
 
-    Returns
-    -------
-    data_synth.BoardShoot
-        With `flats`, `white`, `camera`, and the poses.
+    Returns a `data_synth.BoardShoot` with `flats`, `white`, `camera`, and the poses.
 
     Examples
     --------
@@ -149,7 +130,7 @@ def board(
 
 
 def _cached(
-    name: str, camera: Camera, recipe: dict[str, Any], load: Callable[[Path], _Made], make: Callable[[], _Made]
+    name: str, camera: Camera, recipe: dict[str, Any], load: Callable[[Path], _Made], make: Callable[[], Any]
 ) -> _Made:
     """A sample from its folder in the cache, made and saved there if it is not whole."""
     about = json.dumps([_simulator_digest(), dataclasses.asdict(camera), recipe], sort_keys=True, default=list)
@@ -160,21 +141,19 @@ def _cached(
         except (OSError, ValueError, KeyError):
             # Damaged, or left by a run that was killed: made again.
             shutil.rmtree(folder, ignore_errors=True)
-    sample = make()
     unfinished = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
+    sample = make()
     try:
         unfinished.parent.mkdir(parents=True, exist_ok=True)
-        sample.save(unfinished)  # type: ignore[attr-defined]
-        try:
+        sample.save(unfinished)
+        # Another process may have been faster; its files are the same.
+        if not folder.is_dir():
             unfinished.replace(folder)
-        except OSError:
-            # Another process was faster; its files are the same.
-            if not folder.is_dir():
-                raise
     except OSError as error:
-        raise OutputError(
-            f"{folder}: cannot be written ({error.strerror or error}); set {CACHE_VARIABLE} to another folder"
-        ) from error
+        if not folder.is_dir():
+            raise OutputError(
+                f"{folder}: cannot be written ({error.strerror or error}); set LFRENDER_CACHE to another folder"
+            ) from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
     # Read again, so that the first call and all later ones give the same.
@@ -186,11 +165,8 @@ def _simulator_digest() -> str:
     """SHA-256 of the sources of the simulator: what another version makes is another sample."""
     import data_synth
 
-    digest = hashlib.sha256()
-    for source in sorted(files(data_synth).iterdir(), key=lambda item: item.name):
-        if source.name.endswith(".py"):
-            digest.update(source.read_bytes())
-    return digest.hexdigest()
+    sources = sorted((item for item in files(data_synth).iterdir() if item.name.endswith(".py")), key=lambda s: s.name)
+    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
 
 
 def _load_board(folder: Path) -> BoardShoot:
@@ -198,8 +174,7 @@ def _load_board(folder: Path) -> BoardShoot:
     from lfcal import read_flat
 
     about = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    poses = about["poses"]
-    flats = tuple(read_flat(folder / pose["file"]) for pose in poses)
-    turns, shifts = (np.array([pose[key] for pose in poses]) for key in ("R", "t_mm"))
+    flats = tuple(read_flat(folder / pose["file"]) for pose in about["poses"])
+    turns, shifts = (np.array([pose[key] for pose in about["poses"]]) for key in ("R", "t_mm"))
     camera = Camera(**about["camera"])
     return BoardShoot(flats, read_flat(folder / "white.png"), turns, shifts, about["board"]["square_mm"], camera)

@@ -21,17 +21,10 @@ class Viewpoint:
 
     A pixel at `q + delta` in lens `c` shows the scene point `X = c - (q + delta) D / s`. Seen from `q`, `X` is drawn
     at `X + q D / s`, where every lens is read about `q` instead of about its centre.
-
-    Parameters
-    ----------
-    offset : (float, float) [px]
-        `q`, order `x, y`, relative to the centres of the microimages.
-    still : float
-        Signed virtual depth `D / s` of scene points that keep their place in all views.
     """
 
-    offset: tuple[float, float] = (0.0, 0.0)
-    still: float = 0.0
+    offset: tuple[float, float] = (0.0, 0.0)  # `q` [px], order `x, y`, relative to the centres of the microimages
+    still: float = 0.0  # signed virtual depth `D / s` of scene points that keep their place in all views
 
     def max_parallax(self, surface: Surface, lattice: Lattice) -> float:
         """Largest displacement of a point of `surface` [px]."""

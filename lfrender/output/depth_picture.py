@@ -25,12 +25,16 @@ MODES = {1: "telescopic", -1: "binocular", 0: "unresolved"}
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 
 
-def depth_picture(depth: DepthMap, lattice: Lattice, scale: float | None = None) -> Rendering:
-    """The magnification in colours on the grid of the picture that `render` draws; valid where a lens has a depth."""
+def depth_picture(depth: DepthMap, scale: float | None = None) -> Rendering:
+    """The magnification of every pixel of the picture that `render` draws, in colours; grey where no lens has a depth.
+
+    Colours are those of `magnification_picture`; valid are pixels whose nearest lens has a depth.
+    """
     scale = default_scale(depth) if scale is None else scale
-    grid = dense_depth(depth, scale)
-    image = magnification_picture(depth.magnification, lattice, grid.affine, grid.patch_size.shape)
-    return Rendering(image, grid.affine, grid.resolved, scale)
+    dense = dense_depth(depth, scale, fill=False)
+    with np.errstate(divide="ignore"):
+        image = _colours(depth.pitch / np.abs(dense.patch_size), *magnification_limits(depth.magnification))
+    return Rendering(image, dense.affine, dense.resolved, scale)
 
 
 def magnification_limits(magnification: NDArray[Any]) -> tuple[float, float]:
@@ -55,11 +59,15 @@ def magnification_picture(
 
     The ends of the scale are `magnification_limits`. `affine` (2, 3) leads from pixel to scene coordinates.
     """
-    low, high = magnification_limits(magnification)
+    colours = _colours(magnification, *magnification_limits(magnification))
+    return colours[_lens_of_pixels(lattice, affine, shape)]
+
+
+def _colours(magnification: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
     share = np.clip(np.log(magnification / low) / np.log(high / low), 0, 1)
     colours = colour_scale("turbo")[np.nan_to_num(share * 255).astype(np.uint8)]
     colours[~np.isfinite(magnification)] = MODE_COLOURS[0]
-    return colours[_lens_of_pixels(lattice, affine, shape)]
+    return colours
 
 
 def mode_picture(mode: ArrayLike, lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]) -> NDArray[np.uint8]:

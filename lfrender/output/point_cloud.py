@@ -64,7 +64,8 @@ def point_cloud(
     dense = dense_depth(depth, scale)
     # Virtual depth has a pole at s = 0.
     v, u = np.nonzero(picture.valid & dense.resolved & (np.abs(dense.patch_size) * 50 >= depth.pitch))
-    scene, size = np.column_stack([u, v, np.ones(len(u))]) @ dense.affine.T, dense.patch_size[v, u]
+    scene = np.column_stack([u, v, np.ones(len(u))]).astype(np.float64) @ dense.affine.T
+    size = dense.patch_size[v, u]
     points = np.empty(len(u), _POINT)
     if optics is None:
         places = np.column_stack([scene / depth.pitch, depth.pitch / size])

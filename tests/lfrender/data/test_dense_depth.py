@@ -14,7 +14,7 @@ import lfcal
 import lfrender
 from lfcal import OutputError
 from lfrender.cli.main import main
-from lfrender.data.dense_depth import dense_depth, write_dense
+from lfrender.data.dense_depth import EDGE, FILLED, SEEN, dense_depth, write_dense
 from lfrender.output.point_cloud import point_cloud
 
 
@@ -59,7 +59,12 @@ def test_places_without_a_depth_are_marked_or_nan(depth, tmp_path):
     np.testing.assert_array_equal(np.isnan(bare.patch_size), ~dense.resolved)
     np.testing.assert_array_equal(bare.patch_size[dense.resolved], dense.patch_size[dense.resolved])
     write_dense(tmp_path / "d.tif", dense)
-    np.testing.assert_array_equal(tifffile.imread(tmp_path / "d.tif", key=1), 255 * dense.resolved)
+    validity, error = (tifffile.imread(tmp_path / "d.tif", key=page) for page in (1, 2))
+    np.testing.assert_array_equal(validity, dense.validity)
+    assert set(np.unique(validity)) == {FILLED, EDGE, SEEN}
+    np.testing.assert_array_equal(np.isfinite(error), dense.resolved)
+    steep = np.abs(np.diff(dense.patch_size, axis=1))[validity[:, 1:] == SEEN]
+    assert steep.max() < 0.03 * depth.pitch + 0.01, "[px] where nothing is called an edge"
 
 
 def test_dense_files_of_another_kind_are_refused(depth, tmp_path):
@@ -98,12 +103,3 @@ def test_analyze_writes_every_form_that_is_asked_for(house_files, tmp_path):
     assert count > 5000
     assert len(body) == 15 * count
     assert sorted(p.name for p in tmp_path.iterdir()) == ["d.npz", "d.pfm", "d.ply", "d.png"]
-
-
-def test_forms_with_a_wrong_ending_are_refused_before_any_work(house_files, tmp_path):
-    for option, name in (("--dense", "d.png"), ("--picture", "d.tif"), ("--ply", "d.obj")):
-        arguments = ["analyze", "missing.png", "-c", "c.json", "-o", tmp_path / "d.npz", option, tmp_path / name]
-        result = CliRunner().invoke(main, [str(a) for a in arguments], catch_exceptions=False)
-        assert result.exit_code == 2
-        assert name in result.stderr
-    assert list(tmp_path.iterdir()) == []

@@ -24,10 +24,3 @@ def test_depth_file_knows_its_flat_in_other_types_and_no_other_flat(tmp_path):
     assert depth.is_of(flat / np.float32(255))
     assert not depth.is_of(_flat(2))
     assert not depth.is_of(flat[:, ::-1])
-
-
-def test_depth_without_fingerprint_fits_any_flat(tmp_path):
-    depth = analyze(_flat(1), _CAMERA, "fast")
-    object.__setattr__(depth, "flat_samples", None)
-    depth.save(tmp_path / "depth.npz")
-    assert DepthMap.load(tmp_path / "depth.npz").is_of(_flat(2))

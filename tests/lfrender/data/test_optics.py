@@ -98,7 +98,7 @@ def test_distances_of_a_tilted_camera_have_errors_of_its_calibration():
 def test_dense_depth_is_written_in_metres(tmp_path):
     dense = DenseDepth(
         np.full((4, 5), -0.3 * CAMERA.pitch, np.float32), np.array([[2.0, 0, 0], [0, 2.0, 0]]), CAMERA.pitch,
-        np.ones((4, 5), bool),
+        np.full((4, 5), 255, np.uint8), np.full((4, 5), 0.01, np.float32),
     )  # fmt: skip
     distance = dense_distance(dense, optics_of(CAMERA))
     np.testing.assert_allclose(distance, CAMERA.depth_at(-0.3) / 1000, rtol=1e-6)

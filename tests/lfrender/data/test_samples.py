@@ -11,7 +11,6 @@ import pytest
 
 import lfcal
 import lfrender
-from lfrender.data import samples
 
 SMALL = {"size": (120, 90), "samples": 1}
 
@@ -41,13 +40,6 @@ def test_other_arguments_are_another_sample_and_damaged_ones_are_made_again(cach
     for folder in folders:
         (folder / "truth.json").write_text("{")
     np.testing.assert_array_equal(lfrender.data.house(**SMALL).flat, one.flat)
-
-
-def test_another_simulator_makes_its_own_sample(cache, monkeypatch):
-    lfrender.data.plane(**SMALL)
-    monkeypatch.setattr(samples, "_simulator_digest", lambda: "other")
-    lfrender.data.plane(**SMALL)
-    assert len(list((cache / "samples").iterdir())) == 2
 
 
 def test_board_comes_with_its_poses():

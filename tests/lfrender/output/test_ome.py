@@ -10,7 +10,7 @@ import tifffile
 
 import lfcal
 import lfrender
-from lfrender.data.dense_depth import DenseDepth, write_dense
+from lfrender.data.dense_depth import FILLED, SEEN, DenseDepth, write_dense
 from lfrender.output.point_cloud import write_points
 
 AFFINE = np.array([[3.2, 0.0, 1.1], [0.0, 3.2, 1.1]])
@@ -61,10 +61,12 @@ def test_ome_zarr_is_read_by_its_reference_reader(tmp_path):
 def test_dense_depth_as_openexr_is_read_by_its_library(tmp_path):
     OpenEXR = pytest.importorskip("OpenEXR", reason="OpenEXR needs lfrender[exr]")
     sizes = np.linspace(-9, -4, 30 * 40, dtype=np.float32).reshape(30, 40)
-    write_dense(tmp_path / "d.exr", DenseDepth(sizes, AFFINE, 23.2, sizes > -5))
+    validity = np.where(sizes > -5, SEEN, FILLED).astype(np.uint8)
+    write_dense(tmp_path / "d.exr", DenseDepth(sizes, AFFINE, 23.2, validity, np.full_like(sizes, 0.02)))
     with OpenEXR.File(str(tmp_path / "d.exr"), separate_channels=True) as file:
         np.testing.assert_array_equal(file.channels()["Y"].pixels, sizes)
         np.testing.assert_array_equal(file.channels()["resolved"].pixels, sizes > -5)
+        np.testing.assert_array_equal(file.channels()["standard_error"].pixels, np.float32(0.02))
         assert json.loads(file.header()["comments"])["pitch"] == 23.2
 
 
