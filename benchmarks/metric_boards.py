@@ -18,14 +18,12 @@ import numpy as np
 import lfcal
 from lfcal import Board, MetricCalibration, calibrate_metric, locate_board
 from lfcal.boards.detection import DetectedBoard
-from lfcal.metric.bundle_adjustment import Poses, adjust
+from lfcal.metric.bundle_adjustment import Observations, Poses, adjust
 from lfcal.metric.calibrate import DEFAULT_PIXEL
-from lfcal.metric.calibrate import _pose as pose_of
-from lfcal.metric.camera_model import to_internal
 from lfcal.metric.model_order import BASE, select_order
-from lfcal.metric.observations import Observations
+from lfcal.metric.result import pose_of
 from lfcal.metric.start import first_camera
-from lfcal.metric.uncertainty import describe_degeneracies, optics_of, pose_factor
+from lfcal.metric.uncertainty import describe_degeneracies, internal_camera, optics_of, pose_factor
 
 __all__ = ["cramer_rao", "joint_misfit", "main", "ray_traced", "real_r12"]
 
@@ -67,7 +65,7 @@ def ray_traced(folder: Path) -> None:
 def cramer_rao(found: MetricCalibration) -> np.ndarray:
     """(m, 6) least standard errors of the poses, in the order of theirs, that the noise of the corners allows."""
     optics, board = found.optics, found.board
-    camera = np.concatenate([to_internal(optics.parameters[:3], optics.pixel)[0], optics.parameters[3:]])
+    camera, _ = internal_camera(optics)
     turns = np.array([pose.rotation for pose in found.poses])
     shifts = np.array([pose.translation + pose.rotation @ board.middle for pose in found.poses])
     points, seen = board.points - board.middle, found.observations
@@ -144,7 +142,7 @@ def real_r12(folder: Path) -> None:
     fitted = adjust(start[0], DEFAULT_PIXEL, start[1], points, seen, BASE)
     chosen = select_order(fitted, DEFAULT_PIXEL, points, seen)
     for one in (fitted, chosen):
-        factor = pose_factor(one, DEFAULT_PIXEL, seen)
+        factor = pose_factor(one)
         optics = optics_of(replace(one, covariance=one.covariance * factor), DEFAULT_PIXEL)
         errors = optics.standard_errors
         print(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from ..runtime.errors import BoardError
 __all__ = ["PATTERNS", "Board", "BoardPattern"]
 
 BoardPattern = Literal["checkerboard", "charuco", "circles"]
-PATTERNS = ("checkerboard", "charuco", "circles")
+PATTERNS = get_args(BoardPattern)
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,8 @@ class Board:
     def __post_init__(self) -> None:
         if self.pattern not in PATTERNS:
             raise ValueError(f"pattern must be {', '.join(PATTERNS)}, got {self.pattern!r}")
-        for name in ("columns", "rows"):
-            if not 2 <= getattr(self, name) <= 200:
-                raise BoardError(f"a board has 2 to 200 inner corners each way, got {self.columns} x {self.rows}")
+        if not (2 <= self.columns <= 200 and 2 <= self.rows <= 200):
+            raise BoardError(f"a board has 2 to 200 inner corners each way, got {self.columns} x {self.rows}")
         if self.pattern == "checkerboard" and min(self.columns, self.rows) < 3:
             raise BoardError(f"a checkerboard needs 3 x 3 inner corners or more, got {self.columns} x {self.rows}")
         if not 0 < self.square < np.inf:
@@ -74,11 +73,6 @@ class Board:
     def middle(self) -> NDArray[np.float64]:
         """(3,) mean of the points [mm]."""
         return self.points.mean(0)
-
-    @property
-    def half_turn(self) -> bool:
-        """Whether the board looks the same turned by 180 degrees, so that its first corner is a matter of choice."""
-        return self.pattern == "checkerboard" and (self.columns + self.rows) % 2 == 0
 
     def charuco(self) -> Any:
         """OpenCV's ChArUco board."""

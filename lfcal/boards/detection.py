@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from .board import Board
 from .focus_sweep import FocusedPicture
 
-__all__ = ["DetectedBoard", "detect"]
+__all__ = ["DetectedBoard", "detect", "other_size"]
 
 
 @dataclass(frozen=True)
@@ -38,16 +37,19 @@ class DetectedBoard:
 def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
     """Find the points of a board, or None where it is not found whole (ChArUco: not enough of it)."""
     best: DetectedBoard | None = None
-    for image, zoom in _versions(picture.image):
-        found = _FINDERS[board.pattern](image, board)
-        if found is None:
+    low, high = np.percentile(picture.image[picture.image > 0], (1, 99)) if (picture.image > 0).any() else (0, 1)
+    grey = np.clip((picture.image - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
+    # Detectors need squares of 8 px.
+    for zoom in (1, 2):
+        large: Any = cv2.resize(grey, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC) if zoom > 1 else grey
+        corner, pixels = _FINDERS[board.pattern](large, board)
+        if len(corner) < 6:
             continue
-        corner, pixels = found
-        pixels = (pixels + 0.5) / zoom - 0.5
-        if _mirrored(board.points[corner, :2], pixels):
+        pixels = (pixels.reshape(-1, 2).astype(np.float64) + 0.5) / zoom - 0.5
+        if _is_mirrored(board.points[corner, :2], pixels):
             continue
-        if board.half_turn or (board.pattern == "checkerboard" and not _dark_corner(picture.image, board, pixels)):
-            pixels = _turned(board, pixels)
+        if board.pattern == "checkerboard":
+            pixels = _ordered(picture.image, board, pixels)
         if best is None or len(corner) > len(best.corner):
             best = DetectedBoard(corner, pixels * picture.step, _plane(picture, pixels))
         if len(best.corner) == len(board.points):
@@ -55,86 +57,81 @@ def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
     return best
 
 
-def _versions(image: NDArray[np.float32]) -> Iterator[tuple[NDArray[np.uint8], float]]:
-    """8-bit pictures of rising size and contrast."""
-    finite = image[image > 0] if (image > 0).any() else image.ravel()
-    low, high = np.percentile(finite, (1, 99))
-    grey = np.clip((image - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
-    # Detectors need squares of 8 to 80 px.
-    for zoom in (1.0, 2.0, 0.5):
-        size = (round(grey.shape[1] * zoom), round(grey.shape[0] * zoom))
-        yield cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC if zoom > 1 else cv2.INTER_AREA), zoom
+def other_size(image: NDArray[np.float32], board: Board, larger: bool) -> str:
+    """The number of corners of another checkerboard, where there is one; or only of a `larger` one."""
+    if board.pattern != "checkerboard":
+        return ""
+    grey = np.clip(image * (255 / max(float(np.percentile(image, 99)), 1e-6)), 0, 255).astype(np.uint8)
+    # Of three corners each way a board is found in noise.
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_LARGER
+    found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (4, 4), flags)
+    own, seen = sorted((board.columns, board.rows)), sorted(meta.shape) if found else []
+    if not found or own == seen or (larger and (seen[0] < own[0] or seen[1] < own[1])):
+        return ""
+    return f"{seen[1]} x {seen[0]}" if board.columns >= board.rows else f"{seen[0]} x {seen[1]}"
 
 
-def _checkerboard(image: NDArray[np.uint8], board: Board) -> tuple[NDArray[Any], NDArray[Any]] | None:
+_Points = tuple[NDArray[Any], NDArray[Any]]
+_NONE: _Points = np.zeros(0, np.int64), np.zeros((0, 2))
+
+
+def _checkerboard(image: NDArray[np.uint8], board: Board) -> _Points:
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     found, pixels = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
-    if not found:
-        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, pixels = cv2.findChessboardCorners(image, (board.columns, board.rows), flags=flags)
-    if not found:
-        return None
-    return np.arange(board.columns * board.rows), pixels.reshape(-1, 2).astype(np.float64)
+    return (np.arange(board.columns * board.rows), pixels) if found else _NONE
 
 
-def _charuco(image: NDArray[np.uint8], board: Board) -> tuple[NDArray[Any], NDArray[Any]] | None:
+def _charuco(image: NDArray[np.uint8], board: Board) -> _Points:
     pixels, corner, _, _ = cv2.aruco.CharucoDetector(board.charuco()).detectBoard(image)
-    if pixels is None or len(pixels) < 6:
-        return None
-    return corner.ravel().astype(np.int64), pixels.reshape(-1, 2).astype(np.float64)
+    return _NONE if pixels is None else (corner.ravel().astype(np.int64), pixels)
 
 
-def _circles(image: NDArray[np.uint8], board: Board) -> tuple[NDArray[Any], NDArray[Any]] | None:
+def _circles(image: NDArray[np.uint8], board: Board) -> _Points:
+    flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
     for inverted in (image, 255 - image):
-        for flags in (0, cv2.CALIB_CB_CLUSTERING):
-            found, pixels = cv2.findCirclesGrid(
-                inverted, (board.columns, board.rows), flags=cv2.CALIB_CB_ASYMMETRIC_GRID | flags
-            )
-            if found:
-                return np.arange(board.columns * board.rows), pixels.reshape(-1, 2).astype(np.float64)
-    return None
+        found, pixels = cv2.findCirclesGrid(inverted, (board.columns, board.rows), flags=flags)
+        if found:
+            return np.arange(board.columns * board.rows), pixels
+    return _NONE
 
 
 _FINDERS = {"checkerboard": _checkerboard, "charuco": _charuco, "circles": _circles}
 
 
-def _mirrored(points: NDArray[np.float64], pixels: NDArray[np.float64]) -> bool:
+def _is_mirrored(points: NDArray[np.float64], pixels: NDArray[np.float64]) -> bool:
     """Whether the picture shows the points in the other sense of rotation: another board, or a wrong detection."""
     affine = np.linalg.lstsq(np.column_stack([points, np.ones(len(points))]), pixels, rcond=None)[0]
     return bool(np.linalg.det(affine[:2]) <= 0)
 
 
-def _dark_corner(image: NDArray[np.float32], board: Board, pixels: NDArray[np.float64]) -> bool:
-    """Whether the squares up-left of the corners in even places are the dark ones, as at corner 0."""
+def _ordered(image: NDArray[np.float32], board: Board, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of a checkerboard, the first one at the end where the square up-left of it is dark.
+
+    Boards that look the same turned by 180 degrees begin at the end that is farther up and left.
+    """
+    if (board.columns + board.rows) % 2 == 0:
+        return pixels if pixels[0].sum() <= pixels[-1].sum() else pixels[::-1]
     grid = pixels.reshape(board.rows, board.columns, 2)
     middles = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
-    x, y = np.rint(middles).astype(int).reshape(-1, 2).T
+    x, y = np.rint(middles).astype(int).transpose(2, 0, 1)
     light = image[np.clip(y, 0, image.shape[0] - 1), np.clip(x, 0, image.shape[1] - 1)]
-    row, column = np.mgrid[: board.rows - 1, : board.columns - 1].reshape(2, -1)
-    even = (row + column) % 2 == 0
+    even = np.indices(light.shape).sum(0) % 2 == 0
     # The square between corners (0, 0) and (1, 1) has the colour of the one up-left of (0, 0).
-    return bool(light[even].mean() < light[~even].mean())
-
-
-def _turned(board: Board, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points in the other order; of boards that look the same both ways, with the first corner up and to the left."""
-    if board.half_turn and pixels[0].sum() <= pixels[-1].sum():
-        return pixels
-    return pixels[::-1]
+    return pixels if light[even].mean() < light[~even].mean() else pixels[::-1]
 
 
 def _plane(picture: FocusedPicture, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
     """`D / s` at the pixels, of the plane that fits their patch sizes: `1 / s` of a plane is linear in `X`."""
-    from scipy.optimize import least_squares
-
     x, y = np.rint(pixels).astype(int).T
     height, width = picture.ratio.shape
     ratio = picture.ratio[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float64)
     inverse = 1 / np.where(np.abs(ratio) < 1e-3, np.nan, ratio)
     kept = np.isfinite(inverse) & (np.sign(inverse) == np.sign(np.nanmedian(inverse)))
     design = np.column_stack([np.ones(len(x)), pixels - pixels.mean(0)])
-    found = least_squares(
-        lambda plane: (inverse - design @ plane)[kept], [np.median(inverse[kept]), 0, 0],
-        lambda _plane: -design[kept], x_scale="jac", loss="soft_l1", f_scale=0.05 * abs(np.median(inverse[kept])),
-    )  # fmt: skip
-    return np.asarray(design @ found.x)
+    plane = np.array([np.median(inverse[kept]), 0, 0])
+    for _ in range(4):
+        # Huber's weights.
+        off = np.abs(inverse - design @ plane)
+        weight = kept / np.sqrt(np.maximum(off / (0.05 * abs(plane[0])), 1))
+        plane = np.linalg.lstsq(design * weight[:, None], np.where(kept, inverse, 0) * weight, rcond=None)[0]
+    return np.asarray(design @ plane)

@@ -21,9 +21,8 @@ def write_board(path: str | os.PathLike[str], board: Board) -> None:
     is.
     """
     check_output(path, {".svg", ".pdf"})
-    kind = Path(path).suffix.lower()[1:]
     with atomic_write(path) as temporary:
-        draw_board(board).savefig(temporary, format=kind)
+        draw_board(board).savefig(temporary, format=Path(path).suffix.lower()[1:])
 
 
 def draw_board(board: Board) -> Any:
@@ -46,7 +45,7 @@ def draw_board(board: Board) -> Any:
         squares = ((c, r) for r in range(board.rows + 1) for c in range(r % 2, board.columns + 1, 2))
         shapes += [Rectangle(((c - 1) * side + shift[0], (r - 1) * side + shift[1]), side, side) for c, r in squares]
     if board.pattern == "charuco":
-        shapes += [Rectangle((x, y), module, module) for x, y, module in _marker_modules(board, shift - side)]
+        shapes += [Rectangle(place, module, module) for place, module in _marker_modules(board, shift - side)]
     figure = Figure((page[0] / 25.4, page[1] / 25.4))
     axes = figure.add_axes((0, 0, 1, 1), xlim=(0, page[0]), ylim=(page[1], 0))
     axes.axis("off")
@@ -55,8 +54,8 @@ def draw_board(board: Board) -> Any:
     return figure
 
 
-def _marker_modules(board: Board, origin: np.ndarray) -> list[tuple[float, float, float]]:
-    """Left, top and side [mm] of the black modules of all markers."""
+def _marker_modules(board: Board, origin: np.ndarray) -> list[tuple[Any, float]]:
+    """Top left corner and side [mm] of the black modules of all markers."""
     import cv2
 
     target = board.charuco()
@@ -65,9 +64,7 @@ def _marker_modules(board: Board, origin: np.ndarray) -> list[tuple[float, float
     module = float(board.marker or 0) / side
     found = []
     for number, corners in zip(target.getIds().ravel(), target.getObjPoints(), strict=True):
-        left, top = np.asarray(corners)[:, :2].min(0) + origin
+        corner = np.asarray(corners)[:, :2].min(0) + origin
         picture = cv2.aruco.generateImageMarker(dictionary, int(number), side, borderBits=1)
-        found += [
-            (left + c * module, top + r * module, module) for r, c in zip(*np.nonzero(picture < 128), strict=True)
-        ]
+        found += [(corner + module * np.array(place[::-1]), module) for place in np.argwhere(picture < 128)]
     return found

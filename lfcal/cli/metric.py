@@ -77,7 +77,9 @@ def metric(report: cl.Report, given: Any) -> None:
         from .. import calibrate_metric
 
         pixel = None if given.pixel is None else given.pixel / 1000
-        found = calibrate_metric(pixels, calibration, board, pixel=pixel, names=[flat.name for flat in flats])
+        names = [flat.name for flat in flats]
+        with report.progress("boards") as step:
+            found = calibrate_metric(pixels, calibration, board, pixel=pixel, names=names, progress=step)
     with report.stage("write"):
         _write(found, given)
     optics = found.optics

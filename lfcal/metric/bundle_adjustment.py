@@ -1,28 +1,68 @@
-"""Robust bundle adjustment of the camera, the poses of the boards and their shape, with the covariance of both.
+"""Robust bundle adjustment of the camera, the poses of the boards and their shape, with the covariance of all.
 
 `scipy.optimize.minimize` in a trust region, on the normal equations, with a Cauchy loss, then without the outliers.
 These are a dense matrix of a hundred unknowns, solved exactly: iterative solvers stop short along the weak directions
-that focal length and distances have, and `least_squares` takes a singular value decomposition of all observations.
+that focal length and distances have, and `least_squares` takes a singular value decomposition of all observations. An
+observation depends on 25 of the unknowns alone: 14 of the camera, 6 of its pose, 5 of the shape of the board.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .board_shape import SHAPE, deform, shape_derivatives
-from .camera_model import INTERNAL, project, project_positions
-from .observations import Observations
+from ..runtime.arrays import Frozen
+from .camera_model import INTERNAL, SHAPE, project, project_derivatives, shape_derivatives
 
-__all__ = ["Adjusted", "Poses", "adjust", "inverse", "linearise", "unknowns"]
+__all__ = [
+    "POSE", "Adjusted", "Observations", "Poses", "adjust", "eliminate", "gather", "inverse", "linearise",
+    "pose_unknowns", "unknowns",
+]  # fmt: skip
 
 Array = NDArray[Any]
 _OWN, _LAST = len(INTERNAL), len(SHAPE)
+#: Places of the six of the pose among the 25 unknowns of an observation: turn [rad], shift [mm].
+POSE = np.arange(_OWN, _OWN + 6)
+
+
+@dataclass(frozen=True, eq=False)
+class Observations(Frozen):
+    """Corners seen in microimages, sorted by pose.
+
+    Parameters
+    ----------
+    pose : (n,) int64
+        Which flat.
+    corner : (n,) int64
+        Which point of the board.
+    centre : (n, 2) float64 [px]
+        Of the microimage.
+    position : (n, 2) float64 [px]
+        Where on the flat the corner is seen.
+    error : (n,) float64 [px]
+        Standard error of `position` along each axis; 1 where only ratios are known.
+    """
+
+    pose: NDArray[np.int64]
+    corner: NDArray[np.int64]
+    centre: NDArray[np.float64]
+    position: NDArray[np.float64]
+    error: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        order = np.argsort(self.pose, kind="stable")
+        whole = {"pose": np.int64, "corner": np.int64}
+        names = ("pose", "corner", "centre", "position", "error")
+        self._set(**{name: np.asarray(getattr(self, name), whole.get(name, np.float64))[order] for name in names})
+
+    def __len__(self) -> int:
+        return len(self.pose)
 
 
 @dataclass(frozen=True)
@@ -51,7 +91,7 @@ class Adjusted:
     camera : (14,) float64
         The parameters `INTERNAL`.
     free : tuple of str
-        Those that were fitted.
+        Those of `INTERNAL` and `SHAPE` that were fitted.
     poses : Poses
     shape : (5,) float64 [mm]
         Of the board, `SHAPE`; 0 where it is taken to be flat.
@@ -67,6 +107,8 @@ class Adjusted:
         Factor, at least 1, by which errors that the microimages of a corner share widen the covariance.
     covariance : (14 + 6 m + 5, 14 + 6 m + 5) float64
         Of camera, poses and shape, `noise` and `cluster` included; 0 of what was not fitted.
+    normal, right : (m, 25, 25), (m, 25) float64
+        Normal equations of each pose.
     """
 
     camera: Array
@@ -79,16 +121,13 @@ class Adjusted:
     noise: float
     cluster: float
     covariance: Array
+    normal: Array
+    right: Array
 
     @property
     def rms(self) -> float:
         """Of the distances between observed and predicted positions [px], outliers included."""
         return float(np.sqrt((self.residual**2).sum(1).mean()))
-
-    def linearise(self, pixel: float, observations: Observations) -> Array:
-        """`linearise` at these values, 0 for outliers."""
-        rows = linearise(self.camera, pixel, self.poses, self.board, observations)
-        return rows * self.weight[:, None, None]
 
 
 def unknowns(free: Sequence[str], poses: int) -> NDArray[np.int64]:
@@ -99,35 +138,25 @@ def unknowns(free: Sequence[str], poses: int) -> NDArray[np.int64]:
 
 
 def linearise(
-    camera: Array,
-    pixel: float,
-    poses: Poses,
-    board: Array,
-    observations: Observations,
-    turns: Array | None = None,
-    free: Sequence[int] = range(_OWN),
+    camera: Array, pixel: float, poses: Poses, board: Array, observations: Observations, turns: Array | None = None
 ) -> Array:
-    """(n, 2, 14 + 6 m + 5) derivatives of the predicted positions over their errors by all unknowns.
+    """(n, 2, 25) derivatives of the predicted positions over their errors by camera, pose and shape.
 
-    `turns` (m, 3) [rad] are the turns that led to `poses`, where derivatives are taken by those; by default none. Those
-    by parameters of the camera that are not in places `free` are left 0.
+    `turns` (m, 3) [rad] are the turns that led to `poses`, where derivatives are taken by those; by default none.
     """
-    o, count = observations, len(poses.rotation)
+    o = observations
     turned = np.einsum("nij,nj->ni", poses.rotation[o.pose], board[o.corner])
-    seen = project(camera, pixel, turned + poses.translation[o.pose], o.centre, free)
-    turns = np.zeros((count, 3)) if turns is None else turns
+    points = turned + poses.translation[o.pose]
+    by_camera, by_point = project_derivatives(camera, pixel, points, o.centre)
+    turns = np.zeros((len(poses.rotation), 3)) if turns is None else turns
     # d(exp(w) y) / dw of y = exp(-w) turned.
     bend = [
         np.einsum("kij,lj->ikl", jacobian.reshape(3, 3, 3), rotation)
         for rotation, jacobian in (cv2.Rodrigues(turn) for turn in turns)
     ]
     by_turn = np.einsum("nikl,nl->nik", np.array(bend)[o.pose], turned)
-    rows = np.zeros((len(o), 2, _OWN + 6 * count + _LAST))
-    rows[:, :, :_OWN] = seen.by_camera
-    rows[:, :, -_LAST:] = seen.by_point @ (poses.rotation[o.pose] @ shape_derivatives(board)[o.corner])
-    by_pose = np.concatenate([seen.by_point @ by_turn, seen.by_point], axis=2)
-    for k in range(6):
-        rows[np.arange(len(o)), :, _OWN + 6 * o.pose + k] = by_pose[:, :, k]
+    by_shape = poses.rotation[o.pose] @ shape_derivatives(board)[o.corner]
+    rows = np.concatenate([by_camera, by_point @ by_turn, by_point, by_point @ by_shape], axis=2)
     return rows / o.error[:, None, None]
 
 
@@ -158,8 +187,9 @@ def adjust(
     shape : (5,) float64 [mm], optional
         Start; by default the board is flat.
     """
-    problem = _Problem(poses, pixel, board, observations, unknowns(free, len(poses.rotation)))
-    values = np.concatenate([camera, np.zeros(6 * len(poses.rotation)), np.zeros(_LAST) if shape is None else shape])
+    count, chosen = len(poses.rotation), unknowns(free, len(poses.rotation))
+    problem = _Problem(poses, pixel, board, observations, chosen)
+    values = np.concatenate([camera, np.zeros(6 * count), np.zeros(_LAST) if shape is None else shape])
     everything = np.ones(len(observations))
     for _ in range(2):
         values = problem.solve(values, everything, 3 * _robust_noise(problem.residual(values)))
@@ -168,16 +198,20 @@ def adjust(
     found = problem.residual(values)
     weight = (np.hypot(*found.T) < 4.5 * _robust_noise(found)).astype(np.float64)
     values = problem.solve(values, weight, None)
-    camera, poses, board = problem.state(values)
+    camera, poses, shaped = problem.state(values)
     found = problem.residual(values)
-    noise = float(np.sqrt((weight @ found**2).sum() / max(2 * weight.sum() - len(problem.chosen), 1.0)))
+    noise = float(np.sqrt((weight @ found**2).sum() / max(2 * weight.sum() - len(chosen), 1.0)))
     cluster = _cluster_factor(found, weight, noise, observations)
-    rows = linearise(camera, pixel, poses, board, observations) * weight[:, None, None]
-    rows = rows.reshape(-1, rows.shape[2])[:, problem.chosen]
+    normal, right = _normal_equations(
+        linearise(camera, pixel, poses, shaped, observations), found, weight, observations.pose, count
+    )
     covariance = np.zeros((len(values), len(values)))
-    covariance[np.ix_(problem.chosen, problem.chosen)] = inverse(rows.T @ rows) * noise**2 * cluster
+    whole = gather(normal, right)[0][np.ix_(chosen, chosen)]
+    covariance[np.ix_(chosen, chosen)] = inverse(whole) * noise**2 * cluster
     off = found * observations.error[:, None]
-    return Adjusted(camera, tuple(free), poses, values[-_LAST:], board, off, weight, noise, cluster, covariance)
+    return Adjusted(
+        camera, tuple(free), poses, values[-_LAST:], shaped, off, weight, noise, cluster, covariance, normal, right
+    )
 
 
 @dataclass(frozen=True)
@@ -192,23 +226,32 @@ class _Problem:
 
     def state(self, values: Array) -> tuple[Array, Poses, Array]:
         """Camera, poses and board."""
-        steps = values[_OWN:-_LAST].reshape(-1, 6)
-        return values[:_OWN], self.poses.moved(steps), deform(self.board, values[-_LAST:])
+        steps, shape = values[_OWN:-_LAST].reshape(-1, 6), values[-_LAST:]
+        return values[:_OWN], self.poses.moved(steps), self.board + shape_derivatives(self.board) @ shape
 
     def residual(self, values: Array) -> Array:
         """(n, 2) observed minus predicted positions over their errors."""
         camera, poses, board = self.state(values)
         o = self.observations
-        seen = project_positions(camera, self.pixel, poses.of_board(board[o.corner], o.pose), o.centre)
-        return (o.position - seen) / o.error[:, None]
+        return (o.position - project(camera, self.pixel, poses.of_board(board[o.corner], o.pose), o.centre)) / o.error[
+            :, None
+        ]
+
+    def normal(self, values: Array, weight: Array) -> tuple[Array, Array]:
+        """Normal equations of what is fitted."""
+        turns = values[_OWN:-_LAST].reshape(-1, 6)[:, :3]
+        camera, poses, board = self.state(values)
+        rows = linearise(camera, self.pixel, poses, board, self.observations, turns)
+        pose, count = self.observations.pose, len(turns)
+        normal, right = gather(*_normal_equations(rows, self.residual(values), weight, pose, count))
+        return normal[np.ix_(self.chosen, self.chosen)], right[self.chosen]
 
     def solve(self, values: Array, weight: Array, scale: float | None) -> Array:
         """The values that minimise the weighted squares of residuals, or their Cauchy loss of this `scale`."""
         from scipy.optimize import minimize
 
-        start = self._rows(values)
         # Unknowns of very different size: in units in which each changes the residuals as much.
-        unit = 1 / np.maximum(np.linalg.norm(start.reshape(-1, start.shape[2]), axis=0), 1e-150)
+        unit = 1 / np.sqrt(np.maximum(np.diag(self.normal(values, np.ones_like(weight))[0]), 1e-300))
         last = [np.inf]
 
         def full(x: Array) -> Array:
@@ -222,39 +265,68 @@ class _Problem:
                 square = scale**2 * np.log1p(square / scale**2)
             return float(weight @ square) / 2
 
-        def derivatives(x: Array) -> tuple[Array, Array]:
+        @lru_cache(2)
+        def derivatives(x: bytes) -> tuple[Array, Array]:
             """Gradient, and the Hessian of Gauss and Newton."""
-            found = self.residual(full(x))
-            share = weight if scale is None else weight / (1 + (found**2).sum(1) / scale**2)
-            rows = (self._rows(full(x)) * (np.sqrt(share)[:, None, None] * unit)).reshape(-1, len(unit))
-            return -rows.T @ (found * np.sqrt(share)[:, None]).ravel(), rows.T @ rows
+            at = full(np.frombuffer(x))
+            share = weight if scale is None else weight / (1 + (self.residual(at) ** 2).sum(1) / scale**2)
+            normal, right = self.normal(at, share)
+            return -right * unit, normal * np.outer(unit, unit)
 
         def stop(intermediate_result: Any) -> None:
             before, last[0] = last[0], float(intermediate_result.fun)
             if 0 < before - last[0] <= (1e-9 if scale is None else 1e-4) * last[0]:
                 raise StopIteration
 
-        known: dict[bytes, tuple[Array, Array]] = {}
-
-        def remembered(x: Array) -> tuple[Array, Array]:
-            if x.tobytes() not in known:
-                known.clear()
-                known[x.tobytes()] = derivatives(x)
-            return known[x.tobytes()]
-
         found = minimize(
-            loss, np.zeros(len(unit)), jac=lambda x: remembered(x)[0], hess=lambda x: remembered(x)[1],
-            method="trust-exact", callback=stop,
+            loss, np.zeros(len(unit)), callback=stop, method="trust-exact",
+            jac=lambda x: derivatives(x.tobytes())[0], hess=lambda x: derivatives(x.tobytes())[1],
             options={"initial_trust_radius": 1e4, "max_trust_radius": 1e9, "gtol": 1e-6, "maxiter": 60},
         )  # fmt: skip
         return full(found.x)
 
-    def _rows(self, values: Array) -> Array:
-        """(n, 2, k) derivatives of predicted positions over their errors by what is fitted."""
-        camera, poses, board = self.state(values)
-        turns = values[_OWN:-_LAST].reshape(-1, 6)[:, :3]
-        free = self.chosen[self.chosen < _OWN].tolist()
-        return linearise(camera, self.pixel, poses, board, self.observations, turns, free)[:, :, self.chosen]
+
+def _normal_equations(
+    rows: Array, residual: Array, weight: Array, pose: NDArray[np.int64], count: int
+) -> tuple[Array, Array]:
+    """(m, 25, 25) and (m, 25): weighted normal equations of the observations of each pose, which are sorted by it."""
+    size = rows.shape[2]
+    normal, right = np.zeros((count, size, size)), np.zeros((count, size))
+    ends = np.searchsorted(pose, np.arange(count + 1))
+    for m in range(count):
+        own = slice(ends[m], ends[m + 1])
+        part, w = rows[own].reshape(-1, size), np.repeat(weight[own], 2)
+        normal[m], right[m] = part.T @ (part * w[:, None]), part.T @ (residual[own].ravel() * w)
+    return normal, right
+
+
+def gather(normal: Array, right: Array) -> tuple[Array, Array]:
+    """The normal equations of all poses together, in the order of the unknowns."""
+    count = len(normal)
+    whole, total = np.zeros((_OWN + 6 * count + _LAST,) * 2), np.zeros(_OWN + 6 * count + _LAST)
+    for m in range(count):
+        places = pose_unknowns(m, count)
+        whole[np.ix_(places, places)] += normal[m]
+        total[places] += right[m]
+    return whole, total
+
+
+def pose_unknowns(m: int, count: int) -> NDArray[np.int64]:
+    """Places among the unknowns of the 25 that pose `m` of `count` depends on."""
+    first, last = _OWN + 6 * m, _OWN + 6 * count
+    return np.r_[:_OWN, first : first + 6, last : last + _LAST]
+
+
+def eliminate(normal: Array, right: Array, kept: NDArray[np.int64], gone: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Normal equations of the unknowns `kept`, without what those that are `gone` take up (Schur complement)."""
+    taken = normal[np.ix_(kept, gone)] @ inverse(normal[np.ix_(gone, gone)])
+    return normal[np.ix_(kept, kept)] - taken @ normal[np.ix_(gone, kept)], right[kept] - taken @ right[gone]
+
+
+def inverse(matrix: Array) -> Array:
+    """Of a normal matrix, whose unknowns have scales of their own."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    return np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
 
 
 def _robust_noise(residual: Array) -> float:
@@ -272,9 +344,3 @@ def _cluster_factor(residual: Array, weight: Array, noise: float, observations: 
     # Poses take up six of the means of a board.
     freedom = max(2 * kept.sum() - 6 * len(np.unique(o.pose)), 1)
     return max(1.0, float((sums**2 / total[kept, None]).sum() / freedom / noise**2))
-
-
-def inverse(matrix: Array) -> Array:
-    """Of a normal matrix, whose unknowns have scales of their own."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    return np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 from typing import Any
 
@@ -14,17 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..boards.board import Board
 from ..boards.detection import DetectedBoard
+from ..boards.focus_sweep import FocusSweep
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
 from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_type
-from .bundle_adjustment import Adjusted, Poses, adjust
-from .camera_model import INTERNAL, to_internal
+from .bundle_adjustment import POSE, Adjusted, Observations, Poses, adjust, inverse
+from .camera_model import INTERNAL
 from .model_order import BASE, select_order
-from .observations import Observations
 from .observe import BoardFlat, measure, prepare
-from .result import BoardPose, MetricCalibration
+from .result import BoardPose, MetricCalibration, pose_of
 from .start import first_camera, planar_poses
-from .uncertainty import describe_degeneracies, optics_of, pose_factor, rim_covariance
+from .uncertainty import describe_degeneracies, internal_camera, optics_of, pose_factor, rim_covariance
 
 __all__ = ["DEFAULT_PIXEL", "calibrate_metric", "locate_board"]
 
@@ -42,6 +42,7 @@ def calibrate_metric(
     *,
     pixel: float | None = None,
     names: Sequence[str] | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
 ) -> MetricCalibration:
     """Measure main lens, distances, distortion and tilt of a camera on flats of a board in several poses.
 
@@ -61,6 +62,8 @@ def calibrate_metric(
         `calibration.optics`, or 0.0055 with a warning.
     names : sequence of str, optional
         Of the flats, for messages and poses.
+    progress : function of two numbers and a name, optional
+        Called after the board was searched for on a flat: flats done, all flats, name.
 
     Returns
     -------
@@ -104,26 +107,39 @@ def calibrate_metric(
         warnings.append(f"the size of a pixel is not given: {pixel * 1000:.3g} um is assumed; F, L and b scale with it")
     if not 0 < pixel < 1:
         raise ValueError(f"pixel must be a positive number of mm below 1, got {pixel!r}")
-    found, missing = _prepare_all(flats, names, calibration, board)
-    warnings += [f"{flat.name}: {flat.reason or 'too few corners'}; left out" for flat in missing]
+    found, missing = _prepare_all(flats, names, calibration, board, progress)
+    warnings += [f"{flat.name}: {flat.reason}; left out" for flat in missing]
     points = board.points - board.middle
     camera, poses = _first([flat.detected for flat in found if flat.detected], calibration, board)
-    # At first in a few lenses, until the camera is about known; then from where this camera shows the corners.
-    observations = measure(found, calibration, board, camera, pixel, poses, most_lenses=8)
-    _check_seen(observations, found)
+    # Where a first camera expects the corners, then from where the fitted one shows them.
+    for _ in range(2):
+        observations = measure(found, calibration, board, camera, pixel, poses)
+        _check_seen(observations, found)
+        fitted = adjust(camera, pixel, poses, points, observations, BASE)
+        camera, poses = fitted.camera, fitted.poses
+    # Blur and light differ by pose, and so does how far corners lie from the model.
+    square = (fitted.residual**2).sum(1) / observations.error**2 * fitted.weight
+    noise = np.sqrt(np.bincount(observations.pose, square) / (2 * np.bincount(observations.pose, fitted.weight)))
+    observations = replace(observations, error=observations.error * noise[observations.pose])
     fitted = adjust(camera, pixel, poses, points, observations, BASE)
-    poses = _without_mirrored_poses(fitted, pixel, points, found, observations)
-    observations = measure(found, calibration, board, fitted.camera, pixel, poses)
-    _check_seen(observations, found)
-    fitted = adjust(fitted.camera, pixel, poses, points, observations, BASE)
-    observations = _with_noise_of_poses(fitted, observations)
-    fitted = adjust(fitted.camera, pixel, fitted.poses, points, observations, BASE)
     fitted = select_order(fitted, pixel, points, observations)
-    _check_one_camera(fitted, found, observations)
+    lost = [flat.name for m, flat in enumerate(found) if (fitted.weight[observations.pose == m] == 0).mean() > 0.4]
+    if lost:
+        raise BoardError(
+            f"{', '.join(lost)}: the board does not fit the camera of the other flats; were focus, zoom or camera "
+            "changed, or is it another board? Leave these flats out"
+        )
     if fitted.noise > 6:  # of the noise of the pixels
         warnings.append(
             f"corners lie {fitted.noise:.0f} times as far from the model as their noise explains; is the board flat, "
             "are squares and pixel right, was nothing moved?"
+        )
+    if fitted.shape.any():
+        off = fitted.board - points
+        warnings.append(
+            f"the board is not flat and square (bent by {np.ptp(off[:, 2]):.2g} mm, points "
+            f"{np.hypot(*off[:, :2].T).max():.2g} mm aside), which is reckoned with; one on glass or "
+            "aluminium measures better"
         )
     return _result(fitted, pixel, calibration, board, found, observations, tuple(warnings))
 
@@ -154,17 +170,13 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
     optics = calibration.optics
     if optics is None or optics.principal_point is None:
         raise BoardError("the camera has no measured optics; make them with calibrate_metric")
-    prepared = prepare(_checked(flat, name, calibration), name, calibration, board)
+    prepared = prepare(_checked(flat, name, calibration), name, calibration, board, FocusSweep(calibration.lattice))
     if prepared.detected is None:
         raise BoardError(f"{name}: {prepared.reason}")
-    camera = np.concatenate([to_internal(optics.parameters[:3], optics.pixel)[0], optics.parameters[3:]])
-    points = board.points - board.middle
-    detected = prepared.detected
-    options = planar_poses(detected.scene, points[detected.corner], camera[0], camera[3:5])
-    if not options:
-        raise BoardError(f"{name}: the board shows no pose; move it or tilt it less")
+    camera, change = internal_camera(optics)
+    points, detected = board.points - board.middle, prepared.detected
     tried = []
-    for turn, shift in options:
+    for turn, shift in planar_poses(detected.scene, points[detected.corner], camera[0], camera[3:5]):
         pose = Poses(turn[None], shift[None])
         for _ in range(2):
             observations = measure([prepared], calibration, board, camera, optics.pixel, pose)
@@ -172,10 +184,16 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
             found = adjust(camera, optics.pixel, pose, points, observations, ())
             pose = found.poses
         tried.append((found.noise * np.sqrt(found.cluster), found, observations))
+    if not tried:
+        raise BoardError(f"{name}: the board shows no pose; move it or tilt it less")
     _, found, observations = min(tried, key=lambda one: one[0])
-    shared = rim_covariance(found, optics.pixel, observations, calibration.lattice.radius)
-    found = replace(found, covariance=found.covariance + shared)
-    return _pose(found, 0, board, observations, name, _camera_share(found, optics, observations))
+    covariance = found.covariance + rim_covariance(found, optics.pixel, observations, calibration.lattice.radius)
+    if optics.covariance is not None:
+        # What comes from the errors of the camera.
+        normal, own = found.normal[0], len(INTERNAL)
+        by_optics = inverse(normal[np.ix_(POSE, POSE)]) @ normal[POSE, :own] @ change
+        covariance[np.ix_(POSE, POSE)] += by_optics @ optics.covariance @ by_optics.T
+    return pose_of(replace(found, covariance=covariance), 0, board, observations, name)
 
 
 def _checked(flat: ArrayLike, name: str, calibration: Calibration) -> Array:
@@ -188,17 +206,25 @@ def _checked(flat: ArrayLike, name: str, calibration: Calibration) -> Array:
 
 
 def _prepare_all(
-    flats: Sequence[ArrayLike], names: Sequence[str], calibration: Calibration, board: Board
+    flats: Sequence[ArrayLike],
+    names: Sequence[str],
+    calibration: Calibration,
+    board: Board,
+    progress: Callable[[int, int, str], None] | None,
 ) -> tuple[list[BoardFlat], list[BoardFlat]]:
     """Flats with the board, and those without."""
     checked = [_checked(flat, name, calibration) for flat, name in zip(flats, names, strict=True)]
+    sweep = FocusSweep(calibration.lattice)
     with ThreadPoolExecutor(max(1, min(len(checked), os.cpu_count() or 1, 8))) as pool:
-        prepared = list(
-            pool.map(lambda one: prepare(one[0], one[1], calibration, board), zip(checked, names, strict=True))
-        )
-    few = min(10, len(board.points))
-    found = [f for f in prepared if f.detected is not None and len(f.detected.corner) >= few]
-    missing = [f for f in prepared if f not in found]
+        jobs = [
+            pool.submit(prepare, flat, name, calibration, board, sweep)
+            for flat, name in zip(checked, names, strict=True)
+        ]
+        for done, job in enumerate(as_completed(jobs), 1):
+            if progress is not None:
+                progress(done, len(jobs), f"{job.result().name}: {job.result().reason or 'board found'}")
+    prepared = [job.result() for job in jobs]
+    found, missing = ([f for f in prepared if (f.reason == "") == good] for good in (True, False))
     others = Counter(f.other for f in prepared if f.other)
     size, number = others.most_common(1)[0] if others else ("", 0)
     # Few flats of something else may show a small board by chance.
@@ -208,7 +234,7 @@ def _prepare_all(
             f"{board.rows}: give the number of its inner corners"
         )
     if len(found) < 3:
-        reasons = "; ".join(f"{flat.name}: {flat.reason or 'too few corners'}" for flat in missing)
+        reasons = "; ".join(f"{flat.name}: {flat.reason}" for flat in missing)
         raise BoardError(
             f"the {board} was found on {len(found)} of {len(prepared)} flats, 3 are needed ({reasons}); show all of "
             "the board, well lit and in focus, and check the number of its inner corners"
@@ -244,39 +270,6 @@ def _check_seen(observations: Observations, flats: Sequence[BoardFlat]) -> None:
         )
 
 
-def _with_noise_of_poses(fitted: Adjusted, observations: Observations) -> Observations:
-    """Stated errors scaled by how far the corners of each pose lie from the model: blur and light differ by pose."""
-    square = (fitted.residual**2).sum(1) / observations.error**2 * fitted.weight
-    noise = np.sqrt(np.bincount(observations.pose, square) / (2 * np.bincount(observations.pose, fitted.weight)))
-    return replace(observations, error=observations.error * noise[observations.pose])
-
-
-def _without_mirrored_poses(
-    fitted: Adjusted, pixel: float, points: Array, flats: Sequence[BoardFlat], observations: Observations
-) -> Poses:
-    """The poses, each or the other one that a plane may have, whichever fits the corners better."""
-    turns, shifts, o = fitted.poses.rotation.copy(), fitted.poses.translation.copy(), observations
-    for m, flat in enumerate(flats):
-        assert flat.detected is not None
-        mine = o.pose == m
-        part = Observations(o.pose[mine] * 0, o.corner[mine], o.centre[mine], o.position[mine], o.error[mine])
-        options = planar_poses(flat.detected.scene, points[flat.detected.corner], fitted.camera[0], fitted.camera[3:5])
-        starts = [Poses(turns[m][None], shifts[m][None]), *(Poses(turn[None], shift[None]) for turn, shift in options)]
-        tried = [adjust(fitted.camera, pixel, start, points, part, ()) for start in starts]
-        best = min(tried, key=lambda one: float(np.median(np.hypot(*one.residual.T))))
-        turns[m], shifts[m] = best.poses.rotation[0], best.poses.translation[0]
-    return Poses(turns, shifts)
-
-
-def _check_one_camera(fitted: Adjusted, flats: Sequence[BoardFlat], observations: Observations) -> None:
-    lost = [flat.name for m, flat in enumerate(flats) if (fitted.weight[observations.pose == m] == 0).mean() > 0.4]
-    if lost:
-        raise BoardError(
-            f"{', '.join(lost)}: the board does not fit the camera of the other flats; were focus, zoom or camera "
-            "changed, or is it another board? Leave these flats out"
-        )
-
-
 def _result(
     fitted: Adjusted,
     pixel: float,
@@ -286,7 +279,7 @@ def _result(
     observations: Observations,
     warnings: tuple[str, ...],
 ) -> MetricCalibration:
-    factor = pose_factor(fitted, pixel, observations)
+    factor = pose_factor(fitted)
     shared = rim_covariance(fitted, pixel, observations, calibration.lattice.radius)
     widened = replace(fitted, covariance=fitted.covariance * factor + shared)
     optics = optics_of(widened, pixel)
@@ -294,7 +287,7 @@ def _result(
     return MetricCalibration(
         calibration=replace(calibration, optics=optics),
         board=board,
-        poses=tuple(_pose(widened, m, board, observations, flat.name) for m, flat in enumerate(flats)),
+        poses=tuple(pose_of(widened, m, board, observations, flat.name) for m, flat in enumerate(flats)),
         fitted=fitted.free,
         observations=observations,
         residual=fitted.residual,
@@ -302,50 +295,9 @@ def _result(
         noise=float(np.median(observations.error)) * fitted.noise,
         widening=fitted.cluster * factor,
         degeneracies=describe_degeneracies(optics),
-        warnings=warnings + _shape_warnings(fitted, board.points - board.middle),
+        warnings=warnings,
         board_shape=fitted.shape,
     )
-
-
-def _shape_warnings(fitted: Adjusted, points: Array) -> tuple[str, ...]:
-    if not fitted.shape.any():
-        return ()
-    off = fitted.board - points
-    bend, aside = np.ptp(off[:, 2]), np.hypot(*off[:, :2].T).max()
-    return (
-        f"the board is not flat and square (bent by {bend:.2g} mm, points {aside:.2g} mm aside), which is "
-        "reckoned with; one on glass or aluminium measures better",
-    )
-
-
-def _pose(
-    found: Adjusted, m: int, board: Board, observations: Observations, name: str, more: Array | None = None
-) -> BoardPose:
-    turn, shift = found.poses.rotation[m], found.poses.translation[m]
-    first = len(INTERNAL) + 6 * m
-    covariance = found.covariance[first : first + 6, first : first + 6]
-    if more is not None:
-        covariance = covariance + more
-    middle = turn @ board.middle
-    x, y, z = middle
-    change = np.eye(6)
-    change[3:, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
-    used = (observations.pose == m) & (found.weight > 0)
-    rms = float(np.sqrt((found.residual[used] ** 2).sum(1).mean()))
-    return BoardPose(name, turn, shift - middle, change @ covariance @ change.T, rms, int(used.sum()))
-
-
-def _camera_share(found: Adjusted, optics: Optics, observations: Observations) -> Array | None:
-    """(6, 6) covariance of the pose that comes from that of the camera."""
-    if optics.covariance is None:
-        return None
-    rows, own = found.linearise(optics.pixel, observations), len(INTERNAL)
-    rows = rows.reshape(-1, rows.shape[2])
-    by_internal = -np.linalg.lstsq(rows[:, own : own + 6], rows[:, :own], rcond=None)[0]
-    change = np.eye(own)
-    change[:3, :3] = to_internal(optics.parameters[:3], optics.pixel)[1]
-    by_optics = by_internal @ change
-    return by_optics @ optics.covariance @ by_optics.T
 
 
 def _microlenses(optics: Optics, calibration: Calibration) -> tuple[float, ...]:

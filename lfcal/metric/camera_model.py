@@ -1,4 +1,4 @@
-"""Where a microimage shows a point in space, and the derivatives of that: main lens, tilted array, sensor.
+"""Where a microimage shows a point in space: main lens, tilted array, sensor; and the shape of boards.
 
 A thin main lens images a point at depth `Z` and slope `g = (x, y) / Z` to the distance `v` and slope `t` behind it,
 
@@ -9,21 +9,23 @@ chief ray of the microlens: over one microimage it is that straight to 0.05 px. 
 array projects the image point onto the sensor behind it: a pinhole. Without tilt that is the formula of
 docs/geometry.md, `p = c - (X - c) s / D` with `D / s = slope_at_infinity + slope_per_depth / Z`. Model of the array
 after Nousias, Chadebecq, Pichat, Keane, Ourselin, Bergeles 2017 (corners in microimages) and Labussiere, Teuliere,
-Bernardin, Ait-Aider 2022 (tilted array). Derivatives are exact to rounding: the model is evaluated with a tiny
-imaginary step of each parameter (complex-step derivatives, Squire and Trapp 1998).
+Bernardin, Ait-Aider 2022 (tilted array).
+
+Boards may be bent by a quadratic surface, and stretched along one diagonal or axis against the other, which does not
+change their size. A bend of a twohundredth of the width looks like a focal length that is several per cent off
+(deformable calibration targets: Strobl and Hirzinger 2011).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.optics import object_slopes, turn_to_array
 
-__all__ = ["INTERNAL", "Projection", "from_internal", "project", "project_positions", "to_internal"]
+__all__ = ["INTERNAL", "SHAPE", "from_internal", "project", "project_derivatives", "shape_derivatives", "to_internal"]
 
 Array = NDArray[Any]
 
@@ -33,14 +35,9 @@ INTERNAL = (
     "focal_px", "at_infinity", "per_depth", "principal_x", "principal_y", "k1", "k2", "k3", "p1", "p2", "tilt_x",
     "tilt_y", "curvature", "pupil",
 )  # fmt: skip
-
-
-class Projection(NamedTuple):
-    """Positions in microimages with their derivatives."""
-
-    position: Array  # (n, 2) [px]
-    by_camera: Array  # (n, 2, 14) by the parameters `INTERNAL`
-    by_point: Array  # (n, 2, 3) [px/mm] by the point in the frame of the camera
+#: Displacements [mm] at the ends of the longer side of a board, of points at `x, y` of -1..1: away from the camera by
+#: `x^2, x y, y^2`; in the plane by `(x, -y)` and `(y, x)`.
+SHAPE = ("bend_xx", "bend_xy", "bend_yy", "stretch", "shear")
 
 
 def to_internal(lengths: Array, pixel: float) -> tuple[Array, Array]:
@@ -65,28 +62,11 @@ def from_internal(values: Array, pixel: float) -> Array:
     return np.array([mla / (1 + values[1] * sensor / whole), mla, sensor])
 
 
-def project(
-    camera: Array, pixel: float, points: Array, centres: Array, free: Sequence[int] = range(len(INTERNAL))
-) -> Projection:
-    """Where the microimages with centres (n, 2) [px] show points (n, 3) [mm], one point each.
+def project(camera: Array, pixel: float, points: Array, centres: Array) -> Array:
+    """Where the microimages with centres (n, 2) [px] show points (n, 3) [mm], one each: (n, 2) [px].
 
-    `camera` (14,) are the parameters `INTERNAL`; derivatives by those that are not `free` are left 0.
+    `camera` (14,) are the parameters `INTERNAL`. Analytic, so that arguments may be complex.
     """
-    step = 1e-20
-    by_camera = np.zeros((len(points), 2, len(INTERNAL)))
-    for k in free:
-        moved = camera + 1j * step * np.eye(len(INTERNAL))[k]
-        by_camera[:, :, k] = project_positions(moved, pixel, points, centres).imag / step
-    by_point = [project_positions(camera, pixel, points + 1j * step * k, centres) for k in np.eye(3)]
-    return Projection(
-        project_positions(camera, pixel, points, centres),
-        by_camera,
-        np.stack(by_point, axis=2).imag / step,
-    )
-
-
-def project_positions(camera: Array, pixel: float, points: Array, centres: Array) -> Array:
-    """The positions (n, 2) [px] of `project`; analytic, so that arguments may be complex."""
     focal, mla, sensor = from_internal(camera[:3], pixel)
     principal, coefficients, tilt, curvature, pupil = camera[3:5], camera[5:10], camera[10:12], camera[12], camera[13]
     slope = _image_slopes(points[:, :2] / points[:, 2:], (centres - principal) / camera[0], coefficients)
@@ -98,6 +78,27 @@ def project_positions(camera: Array, pixel: float, points: Array, centres: Array
     lens = (centres - principal) * (pixel / (1 + sensor / far))
     across = lens * (1 / near - 1 / far) - local[:, :2] / near - turn[:2, 2] / turn[2, 2]
     return np.asarray(centres + across * (sensor / pixel))
+
+
+def project_derivatives(camera: Array, pixel: float, points: Array, centres: Array) -> tuple[Array, Array]:
+    """Derivatives of `project` by the camera (n, 2, 14) and by the point (n, 2, 3) [px/mm].
+
+    Exact to rounding: the model is evaluated with a tiny imaginary step (complex-step derivatives, Squire and Trapp
+    1998).
+    """
+    step = 1e-20j
+    by_camera = [project(camera + step * k, pixel, points, centres) for k in np.eye(len(INTERNAL))]
+    by_point = [project(camera, pixel, points + step * k, centres) for k in np.eye(3)]
+    scale = 1 / step.imag
+    return np.stack(by_camera, axis=2).imag * scale, np.stack(by_point, axis=2).imag * scale
+
+
+def shape_derivatives(board: Array) -> Array:
+    """(k, 3, 5) displacements of the points (k, 3) [mm] of a board, about its middle, by `SHAPE`."""
+    x, y = board[:, :2].T / max(float(np.abs(board[:, :2]).max()), 1e-12)
+    zero = np.zeros_like(x)
+    columns = [[zero, zero, x * x], [zero, zero, x * y], [zero, zero, y * y], [x, -y, zero], [y, x, zero]]
+    return np.stack([np.stack(column, axis=1) for column in columns], axis=2)
 
 
 def _image_slopes(seen: Array, start: Array, coefficients: Array) -> Array:

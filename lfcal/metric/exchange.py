@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +26,6 @@ from .result import MetricCalibration
 __all__ = ["Pinhole", "equivalent_pinhole", "read_libpleno", "write_libpleno", "write_pinhole"]
 
 Array = NDArray[Any]
-_PINHOLE_FORMATS = (".yml", ".yaml", ".xml", ".json")
 
 
 @dataclass(frozen=True)
@@ -55,19 +55,17 @@ def equivalent_pinhole(calibration: Calibration, scale: float | None = None) -> 
 
     Its centre is that of the entrance pupil of the main lens. CameraFileError if the camera has no optics.
     """
-    import cv2
     from scipy.optimize import least_squares
 
-    optics = _optics(calibration)
-    principal = optics.principal_point
-    assert principal is not None
+    optics = calibration.optics
+    if optics is None or optics.principal_point is None:
+        raise CameraFileError("the camera holds no measured optics; make them with 'lfcal metric FLAT...'")
     width, height = calibration.image_size
     zoom = 1.0 if scale is None else scale / calibration.lattice.pitch
     focal = (optics.mla_distance + optics.sensor_distance) / optics.pixel
-    x, y = np.meshgrid(np.linspace(0, width - 1, 25), np.linspace(0, height - 1, 19))
-    pixels = np.column_stack([x.ravel(), y.ravel()])
-    slopes = object_slopes((pixels - principal) / focal, (*optics.radial, *optics.tangential))
-    points = np.column_stack([slopes, np.ones(len(slopes))])
+    pixels = np.stack(np.meshgrid(np.linspace(0, width - 1, 25), np.linspace(0, height - 1, 19)), -1).reshape(-1, 2)
+    bent = (*optics.radial, *optics.tangential)
+    points = np.column_stack([object_slopes((pixels - optics.principal_point) / focal, bent), np.ones(len(pixels))])
 
     def matrix(p: Array) -> Array:
         return np.array([[p[0], 0, p[1]], [0, p[0], p[2]], [0, 0, 1.0]])
@@ -76,23 +74,19 @@ def equivalent_pinhole(calibration: Calibration, scale: float | None = None) -> 
         seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix(p), p[3:])[0].reshape(-1, 2)
         return (seen - pixels).ravel()
 
-    bent = any((*optics.radial, *optics.tangential))
-    start = np.array([focal, *principal, 0, 0, 0, 0, 0])
-    found = least_squares(off, start, x_scale=[focal, 1, 1, 1, 1, 1e-3, 1e-3, 1]).x if bent else start
+    start = np.array([focal, *optics.principal_point, 0, 0, 0, 0, 0])
+    found = least_squares(off, start, x_scale=[focal, 1, 1, 1, 1, 1e-3, 1e-3, 1]).x if any(bent) else start
     error = float(np.hypot(*off(found).reshape(-1, 2).T).max()) * zoom
-    scaled = matrix(found)
-    scaled[:2] *= zoom
+    scaled = matrix(found) * [[zoom], [zoom], [1]]
     return Pinhole(scaled, found[3:], (round(width * zoom), round(height * zoom)), error)
 
 
 def write_pinhole(path: str | os.PathLike[str], calibration: Calibration, scale: float | None = None) -> None:
     """Write `equivalent_pinhole` as `.yml`, `.xml` or `.json` as `cv2.FileStorage` reads it."""
-    import cv2
-
     pinhole = equivalent_pinhole(calibration, scale)
-    suffix = Path(path).suffix.lower()
-    if suffix not in _PINHOLE_FORMATS:
-        raise CameraFileError(f"{path}: unknown format of a pinhole camera; use {', '.join(_PINHOLE_FORMATS)}")
+    suffix, known = Path(path).suffix.lower(), (".yml", ".yaml", ".xml", ".json")
+    if suffix not in known:
+        raise CameraFileError(f"{path}: unknown format of a pinhole camera; use {', '.join(known)}")
     # Written in memory: the writer goes by the ending, which a temporary name does not have.
     storage = cv2.FileStorage(f"camera{suffix}", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", pinhole.size[0])
@@ -112,31 +106,34 @@ def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> N
     microimages (`mia`) is left to its own precalibration.
     """
     calibration, optics = result.calibration, result.optics
-    principal = optics.principal_point
+    inverse = equivalent_pinhole(calibration).distortion[[0, 1, 4, 2, 3]]
+    far, near, pixel, principal = optics.mla_distance, optics.sensor_distance, optics.pixel, optics.principal_point
     assert principal is not None
-    far, near, pixel = optics.mla_distance, optics.sensor_distance, optics.pixel
     width, height = calibration.image_size
     pitch = calibration.lattice.pitch * pixel / (1 + near / far)
     # Axes of the array; turning both frames upside down leaves a rotation as it is.
     axes = turn_to_array(optics.tilt).T
     start = [-(size - 1 - at) * pixel for size, at in zip((width, height), principal, strict=True)]
-    shape = 1 if len(calibration.lattice.steps) == 6 else 0
+    types = calibration.lens_types
+    # Focused on images in front of them; where nothing is known, behind them.
+    focus = types.focus[np.isfinite(types.focus)] if types is not None and types.focus is not None else np.zeros(0)
+    front = len(focus) > 0 and float(np.median(focus)) >= 0
     data = {
         "D": far,
         "d": near,
         "I": len(optics.microlens_focal_lengths),
-        "distortions": _distortion_mm(equivalent_pinhole(calibration).distortion[[0, 1, 4, 2, 3]], far),
+        "distortions": _distortion_mm(inverse, far),
         "distortions_inverse": _distortion_mm(np.array([*optics.radial, *optics.tangential]), far),
         "main_lens": {"f": optics.focal_length, "pose": _pose(np.eye(3), np.zeros(3))},
         "mla": {
             "focal_lengths": list(optics.microlens_focal_lengths),
             "mesh": {
-                "geometry": shape,
+                "geometry": 1 if len(calibration.lattice.steps) == 6 else 0,
                 "pitch": [[pitch, pitch]],
                 "pose": _pose(axes, np.array([*start, -far])),
             },
         },
-        "mode": 2 if _binocular(calibration) else 1,
+        "mode": 1 if front else 2,
         "pp": [list(principal)],
         "sensor": {
             "width": width,
@@ -145,13 +142,12 @@ def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> N
             "pose": _pose(axes, np.array([*start, -(far + near)])),
         },
     }
-    _write_js(path, data)
-    target = Path(path)
+    _write_js(Path(path), data)
     poses = [
         {"frame": pose.name, "pose": _pose(pose.rotation.T, -pose.rotation.T @ pose.translation)}
         for pose in result.poses
     ]
-    _write_js(target.with_name(f"{target.stem}-poses{target.suffix}"), {"poses": poses})
+    _write_js(Path(path).with_stem(f"{Path(path).stem}-poses"), {"poses": poses})
 
 
 def read_libpleno(path: str | os.PathLike[str]) -> Optics:
@@ -162,22 +158,26 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
     CameraFileError
         If the file cannot be read, or a number is missing.
     """
+
+    def row(values: Any) -> list[float]:
+        """The numbers of a vector, which libpleno writes as the row of a matrix."""
+        return [float(v) for v in (values[0] if values and isinstance(values[0], list) else values)]
+
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
-        far, near = float(data["D"]), float(data["d"])
-        bent = data.get("distortions_inverse", {})
-        radial = [float(k) * far ** (2 * n + 2) for n, k in enumerate(_flat(bent.get("radial", (0, 0, 0))))]
-        along, across = (-float(p) * far for p in _flat(bent.get("tangential", (0, 0))))
-        principal = [float(v) for v in _flat(data["pp"])] if "pp" in data else None
+        far, bent = float(data["D"]), data.get("distortions_inverse", {})
+        k1, k2, k3 = (k * far ** (2 * n + 2) for n, k in enumerate(row(bent.get("radial", (0, 0, 0)))))
+        along, across = (-p * far for p in row(bent.get("tangential", (0, 0))))
+        principal = row(data["pp"]) if "pp" in data else None
         return Optics(
             float(data["main_lens"]["f"]),
             far,
-            near,
+            float(data["d"]),
             float(data["sensor"]["scale"]),
             principal_point=None if principal is None else (principal[0], principal[1]),
-            radial=(radial[0], radial[1], radial[2]),
+            radial=(k1, k2, k3),
             tangential=(across, along),
-            microlens_focal_lengths=tuple(float(f) for f in data.get("mla", {}).get("focal_lengths", ())),
+            microlens_focal_lengths=tuple(row(data.get("mla", {}).get("focal_lengths", ()))),
         )
     except OSError as error:
         raise CameraFileError(f"{path}: cannot be read ({error.strerror or error})") from error
@@ -185,11 +185,6 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
         raise CameraFileError(
             f"{path}: not the intrinsics of libpleno ({type(error).__name__}: {error}); give its intrinsics.js"
         ) from error
-
-
-def _flat(values: Any) -> list[Any]:
-    """The numbers of a vector, which libpleno writes as the row of a matrix."""
-    return list(values[0]) if values and isinstance(values[0], list) else list(values)
 
 
 def _distortion_mm(coefficients: Array, far: float) -> dict[str, Any]:
@@ -203,25 +198,11 @@ def _distortion_mm(coefficients: Array, far: float) -> dict[str, Any]:
     }
 
 
-def _binocular(calibration: Calibration) -> bool:
-    """Whether the lens types are focused on images behind them, or nothing is known about it."""
-    types = calibration.lens_types
-    if types is None or types.focus is None or not np.isfinite(types.focus).any():
-        return True
-    return float(np.nanmedian(types.focus)) < 0
-
-
-def _optics(calibration: Calibration) -> Optics:
-    if calibration.optics is None or calibration.optics.principal_point is None:
-        raise CameraFileError("the camera holds no measured optics; make them with 'lfcal metric FLAT...'")
-    return calibration.optics
-
-
 def _pose(rotation: Array, translation: Array) -> dict[str, Any]:
-    return {"rotation": np.asarray(rotation).tolist(), "translation": [np.asarray(translation).tolist()]}
+    return {"rotation": rotation.tolist(), "translation": [translation.tolist()]}
 
 
-def _write_js(path: str | os.PathLike[str], data: dict[str, Any]) -> None:
+def _write_js(path: Path, data: dict[str, Any]) -> None:
     def as_strings(value: Any) -> Any:
         if isinstance(value, dict):
             return {name: as_strings(one) for name, one in value.items()}

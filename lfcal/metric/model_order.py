@@ -8,31 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .board_shape import SHAPE
-from .bundle_adjustment import Adjusted, adjust, unknowns
-from .camera_model import INTERNAL
-from .observations import Observations
+from .bundle_adjustment import Adjusted, Observations, adjust, eliminate, gather, unknowns
+from .camera_model import INTERNAL, SHAPE
 
 __all__ = ["BASE", "select_order"]
-
-Array = NDArray[Any]
 
 #: Always fitted.
 BASE = INTERNAL[:6]
 # Groups that are fitted together, and what has to be fitted before.
-_GROUPS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
-    (("k2",), ()),
-    (("k3",), ("k2",)),
-    (("p1", "p2"), ()),
-    (("tilt_x", "tilt_y"), ()),
-    (("curvature",), ()),
-    (("pupil",), ()),
-    (SHAPE[:3], ()),
-    (SHAPE[3:], ()),
-)
+_GROUPS: dict[tuple[str, ...], tuple[str, ...]] = {
+    ("k2",): (), ("k3",): ("k2",), ("p1", "p2"): (), ("tilt_x", "tilt_y"): (), ("curvature",): (), ("pupil",): (),
+    SHAPE[:3]: (), SHAPE[3:]: (),
+}  # fmt: skip
 
 
-def select_order(start: Adjusted, pixel: float, board: Array, observations: Observations) -> Adjusted:
+def select_order(start: Adjusted, pixel: float, board: NDArray[Any], observations: Observations) -> Adjusted:
     """Add groups of parameters to an adjusted camera as long as the likelihood gains more than noise would.
 
     Each group's gain is that of one Gauss-Newton step on the normal equations of all parameters (Rao's score test); the
@@ -41,12 +31,9 @@ def select_order(start: Adjusted, pixel: float, board: Array, observations: Obse
     found = start
     corners = len(np.unique(np.stack([observations.pose, observations.corner]), axis=1).T)
     while True:
-        rows = found.linearise(pixel, observations)
-        rows = rows.reshape(-1, rows.shape[2])
-        residual = (found.residual / observations.error[:, None]).ravel()
         gains = {
-            group: _gain(found, rows, residual, group) / len(group)
-            for group, before in _GROUPS
+            group: _gain(found, group) / len(group)
+            for group, before in _GROUPS.items()
             if group[0] not in found.free and set(before) <= set(found.free)
         }
         best = max(gains, key=lambda group: gains[group], default=None)
@@ -58,17 +45,15 @@ def select_order(start: Adjusted, pixel: float, board: Array, observations: Obse
         found = tried
 
 
-def _gain(found: Adjusted, rows: Array, residual: Array, group: tuple[str, ...]) -> float:
+def _gain(found: Adjusted, group: tuple[str, ...]) -> float:
     """Expected fall of -2 log likelihood if `group` is fitted too."""
-    count = len(found.poses.rotation)
-    fitted = unknowns(found.free, count)
-    own = rows[:, fitted] / np.maximum(np.linalg.norm(rows[:, fitted], axis=0), 1e-150)
-    new = rows[:, np.setdiff1d(unknowns(group, count), unknowns((), count))]
-    new = new / np.maximum(np.linalg.norm(new, axis=0), 1e-150)
+    normal, right = gather(found.normal, found.right)
+    count = len(found.normal)
+    new = np.setdiff1d(unknowns(group, count), unknowns((), count))
     # What the fitted parameters cannot take up.
-    new = new - own @ np.linalg.lstsq(own, new, rcond=None)[0]
-    left = new.T @ new
+    left, pull = eliminate(normal, right, new, unknowns(found.free, count))
+    scale = 1 / np.sqrt(np.maximum(np.diag(normal)[new], 1e-300))
+    left, pull = left * np.outer(scale, scale), pull * scale
     if np.linalg.eigvalsh(left)[0] < 1e-9:
         return 0.0
-    right = new.T @ residual
-    return float(right @ np.linalg.solve(left, right)) / (found.noise**2 * found.cluster)
+    return float(pull @ np.linalg.solve(left, pull)) / (found.noise**2 * found.cluster)

@@ -15,10 +15,10 @@ from ..camera.calibration import Calibration
 from ..camera.optics import Optics
 from ..runtime.arrays import Frozen
 from ..runtime.output_file import atomic_write
-from .board_shape import SHAPE
-from .observations import Observations
+from .bundle_adjustment import Adjusted, Observations
+from .camera_model import INTERNAL, SHAPE
 
-__all__ = ["BoardPose", "MetricCalibration"]
+__all__ = ["BoardPose", "MetricCalibration", "pose_of"]
 
 Array = NDArray[Any]
 
@@ -112,7 +112,7 @@ class MetricCalibration(Frozen):
         Parameters that hardly separate, and what is well known instead.
     warnings : tuple of str
     board_shape : (5,) float64 [mm]
-        By how much the board is not flat and square, as `lfcal.metric.board_shape.SHAPE`: 0 where the data did not ask.
+        By how much the board is not flat and square, as `camera_model.SHAPE`: 0 where the data did not ask.
 
     Examples
     --------
@@ -169,3 +169,15 @@ class MetricCalibration(Frozen):
         }
         with atomic_write(path) as temporary:
             temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def pose_of(found: Adjusted, m: int, board: Board, observations: Observations, name: str) -> BoardPose:
+    """Pose `m` of an adjusted camera, about the first corner of the board instead of its middle."""
+    turn, shift = found.poses.rotation[m], found.poses.translation[m]
+    own = slice(len(INTERNAL) + 6 * m, len(INTERNAL) + 6 * m + 6)
+    x, y, z = middle = turn @ board.middle
+    change = np.eye(6)
+    change[3:, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+    used = (observations.pose == m) & (found.weight > 0)
+    rms = float(np.sqrt((found.residual[used] ** 2).sum(1).mean()))
+    return BoardPose(name, turn, shift - middle, change @ found.covariance[own, own] @ change.T, rms, int(used.sum()))

@@ -7,6 +7,7 @@ start of the bundle adjustment. No start has to be given, and no pose can end mi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -25,10 +26,9 @@ Array = NDArray[Any]
 def planar_poses(scene: Array, board: Array, focal: float, principal: Array) -> list[tuple[Array, Array]]:
     """The poses, two at most, of a flat board (k, 3) [mm] seen at scene coordinates (k, 2) [px] by a pinhole."""
     matrix = np.array([[focal, 0, principal[0]], [0, focal, principal[1]], [0, 0, 1.0]])
+    points = np.ascontiguousarray(board), np.ascontiguousarray(scene)
     try:
-        _, turns, shifts, _ = cv2.solvePnPGeneric(
-            np.ascontiguousarray(board), np.ascontiguousarray(scene), matrix, None, flags=cv2.SOLVEPNP_IPPE
-        )
+        _, turns, shifts, _ = cv2.solvePnPGeneric(*points, matrix, None, flags=cv2.SOLVEPNP_IPPE)
     except cv2.error:
         return []
     found = [(cv2.Rodrigues(turn)[0], shift.ravel()) for turn, shift in zip(turns, shifts, strict=True)]
@@ -37,7 +37,9 @@ def planar_poses(scene: Array, board: Array, focal: float, principal: Array) -> 
     ]
 
 
-def first_camera(boards: list[DetectedBoard], points: Array, image_size: tuple[int, int]) -> tuple[Array, Poses] | None:
+def first_camera(
+    boards: Sequence[DetectedBoard], points: Array, image_size: tuple[int, int]
+) -> tuple[Array, Poses] | None:
     """Camera (14,) and poses to start from, or None where no focal length explains the corners.
 
     `points` (k, 3) [mm] are those of the board about its middle.
@@ -49,55 +51,40 @@ def first_camera(boards: list[DetectedBoard], points: Array, image_size: tuple[i
 
 
 def _with_focal(
-    boards: list[DetectedBoard], points: Array, image_size: tuple[int, int], focal: float
+    boards: Sequence[DetectedBoard], points: Array, image_size: tuple[int, int], focal: float
 ) -> tuple[float, Array, Poses] | None:
     """Cost, camera and poses with a focal length [px]."""
     principal = (np.array(image_size) - 1) / 2
     options = [planar_poses(board.scene, points[board.corner], focal, principal) for board in boards]
     if not all(options):
         return None
-
-    def inverse_depth(m: int, option: int) -> Array:
-        turn, shift = options[m][option]
-        return 1 / (points[boards[m].corner] @ turn.T + shift)[:, 2]
-
-    measured = np.concatenate([board.inverse_ratio for board in boards])
+    # Of each board and pose: inverse depths of the corners, and the cost of their places, detected to half a pixel.
+    inverse, cost = [], []
+    for board, own in zip(boards, options, strict=True):
+        places = [points[board.corner] @ turn.T + shift for turn, shift in own]
+        off = [board.scene - principal - focal * place[:, :2] / place[:, 2:] for place in places]
+        inverse.append([1 / place[:, 2] for place in places])
+        cost.append([float((one**2).sum()) / 0.5**2 for one in off])
     # `s / D` is right to 0.02 about the same everywhere; of single corners the error of `D / s` is not known better.
-    error = np.concatenate([np.full(len(b.corner), 0.02 * np.median(b.inverse_ratio) ** 2) for b in boards])
-    chosen = [0] * len(boards)
+    error = [0.02 * float(np.median(board.inverse_ratio)) ** 2 for board in boards]
+    weight = np.concatenate([np.full(len(b.corner), 1 / e) for b, e in zip(boards, error, strict=True)])
+    chosen, total = [0] * len(boards), np.inf
     for _ in range(4):
-        line = _line(np.concatenate([inverse_depth(m, k) for m, k in enumerate(chosen)]), measured, error)
-        chosen = [
-            min(
-                range(len(options[m])),
-                key=lambda k: float(((board.inverse_ratio - line[0] - line[1] * inverse_depth(m, k)) ** 2).sum()),
-            )
-            for m, board in enumerate(boards)
+        over = np.concatenate([depths[k] for depths, k in zip(inverse, chosen, strict=True)])
+        measured = np.concatenate([board.inverse_ratio for board in boards])
+        line = np.polynomial.Polynomial.fit(over, measured, 1, w=weight).convert().coef
+        costs = [
+            [
+                placed + float(((board.inverse_ratio - line[0] - line[1] * depth) ** 2).sum()) / e**2
+                for depth, placed in zip(depths, own, strict=True)
+            ]
+            for board, depths, own, e in zip(boards, inverse, cost, error, strict=True)
         ]
+        chosen = [int(np.argmin(one)) for one in costs]
+        total = sum(min(one) for one in costs)
     if line[1] >= 0:
         return None
-    over = np.concatenate([inverse_depth(m, k) for m, k in enumerate(chosen)])
-    cost = float((((measured - line[0] - line[1] * over) / error) ** 2).sum())
-    for m, board in enumerate(boards):
-        turn, shift = options[m][chosen[m]]
-        place = points[board.corner] @ turn.T + shift
-        # Detected to half a pixel.
-        cost += float((((board.scene - principal - focal * place[:, :2] / place[:, 2:]) / 0.5) ** 2).sum())
-    turns, shifts = zip(*(options[m][k] for m, k in enumerate(chosen)), strict=True)
+    turns, shifts = (np.array([poses[k][n] for poses, k in zip(options, chosen, strict=True)]) for n in (0, 1))
     camera = np.zeros(len(INTERNAL))
     camera[:5] = focal, *line, *principal
-    return cost, camera, Poses(np.array(turns), np.array(shifts))
-
-
-def _line(x: Array, y: Array, error: Array) -> Array:
-    """Offset and slope of `y` over `x` of least absolute residuals."""
-    from scipy.optimize import least_squares
-
-    design = np.column_stack([np.ones_like(x), x])
-    start = np.linalg.lstsq(design / error[:, None], y / error, rcond=None)[0]
-    scale = float(np.median(np.abs(y - design @ start) / error)) + 1e-12
-    found = least_squares(
-        lambda line: (y - design @ line) / error, start, lambda _line: -design / error[:, None],
-        x_scale="jac", loss="soft_l1", f_scale=scale,
-    )  # fmt: skip
-    return np.asarray(found.x)
+    return total, camera, Poses(turns, shifts)

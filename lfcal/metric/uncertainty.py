@@ -8,48 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.optics import OPTICS_PARAMETERS, Optics
-from .bundle_adjustment import Adjusted, unknowns
+from .bundle_adjustment import POSE, Adjusted, Observations, eliminate, linearise, pose_unknowns, unknowns
 from .camera_model import INTERNAL, from_internal, to_internal
-from .observations import Observations
 
-__all__ = ["describe_degeneracies", "optics_of", "pose_factor", "rim_covariance"]
+__all__ = ["describe_degeneracies", "internal_camera", "optics_of", "pose_factor", "rim_covariance"]
 
 Array = NDArray[Any]
 
-_CLOSE = 0.98  # correlation from which on two parameters are said to hardly separate
-_NAMES = {
-    "focal_length": "F",
-    "mla_distance": "L",
-    "sensor_distance": "b",
-    "principal_x": "principal point (x)",
-    "principal_y": "principal point (y)",
-}
 
-
-def pose_factor(found: Adjusted, pixel: float, observations: Observations) -> float:
+def pose_factor(found: Adjusted) -> float:
     """How much more the gradients of single poses scatter than those of independent errors would.
 
     Variance factor, at least 1, of the fitted parameters: the cluster-robust (sandwich) covariance with poses as
     clusters, over what it is expected to be, as the mean over all directions (MacKinnon, Nielsen and Webb 2023). Errors
     of the model show here.
     """
-    count, own = len(found.poses.rotation), len(INTERNAL)
-    chosen = np.setdiff1d(unknowns(found.free, count), unknowns((), count))
-    if count <= 3 or not len(chosen):
+    chosen = np.setdiff1d(unknowns(found.free, 1), POSE)
+    if len(found.normal) <= 3 or not len(chosen):
         return 1.0
-    rows, shares, gradients = found.linearise(pixel, observations), [], []
-    scale = 1 / np.maximum(np.linalg.norm(rows[:, :, chosen], axis=(0, 1)), 1e-150)
-    for m in range(count):
-        mine = observations.pose == m
-        part = rows[mine].reshape(-1, rows.shape[2])
-        residual = (found.residual[mine] / observations.error[mine, None]).ravel()
-        of_pose, of_camera = part[:, own + 6 * m : own + 6 * m + 6], part[:, chosen] * scale
-        # What the pose takes up tells nothing about the camera.
-        left = of_camera - of_pose @ (np.linalg.pinv(of_pose) @ of_camera)
-        shares.append(left.T @ left)
-        gradients.append(left.T @ residual)
+    # What the pose takes up tells nothing about the camera.
+    left = [eliminate(*equations, chosen, POSE) for equations in zip(found.normal, found.right, strict=True)]
+    scale = 1 / np.sqrt(sum(np.diag(normal)[chosen] for normal in found.normal))
+    shares = [share * np.outer(scale, scale) for share, _ in left]
     total = np.linalg.pinv(np.sum(shares, axis=0), hermitian=True)
-    measured = sum(float(gradient @ total @ gradient) for gradient in gradients)
+    measured = sum(float((pull * scale) @ total @ (pull * scale)) for _, pull in left)
     # Of independent errors; the gradients of all poses add up to nothing.
     expected = sum(float(np.trace(total @ (share - share @ total @ share))) for share in shares)
     return max(1.0, measured / max(expected, 1e-300) / (found.noise**2 * found.cluster))
@@ -62,58 +44,59 @@ def rim_covariance(found: Adjusted, pixel: float, observations: Observations, ra
     0.005) that all poses share, and by an error of the same size that the corners of each pose share, as blur and
     light differ; nearer to the centre in proportion.
     """
-    rows = found.linearise(pixel, observations)
-    outward = (observations.position - observations.centre) * (0.003 / radius / observations.error)[:, None]
-    pulls = [np.einsum("nij,ni->j", rows[mine], outward[mine]) for mine in _by_pose(observations)]
+    o, count = observations, len(found.normal)
+    rows = linearise(found.camera, pixel, found.poses, found.board, o) * found.weight[:, None, None]
+    outward = (o.position - o.centre) * (0.003 / radius / o.error)[:, None]
+    pulls = np.zeros((len(found.covariance), count))
+    for m in range(count):
+        pulls[pose_unknowns(m, count), m] = np.einsum("nij,ni->j", rows[o.pose == m], outward[o.pose == m])
     # The unknowns follow the gradient by the inverse of the normal matrix, which the covariance holds.
-    steps = found.covariance / (found.noise**2 * found.cluster) @ np.stack(pulls, axis=1)
+    steps = found.covariance / (found.noise**2 * found.cluster) @ pulls
     total = steps.sum(1, keepdims=True)
     return np.asarray(steps @ steps.T + total @ total.T)
-
-
-def _by_pose(observations: Observations) -> list[NDArray[np.bool_]]:
-    return [observations.pose == m for m in range(int(observations.pose.max()) + 1)]
 
 
 def optics_of(found: Adjusted, pixel: float) -> Optics:
     """The fitted camera as optics, with its covariance."""
     lengths = from_internal(found.camera[:3], pixel)
-    change = np.eye(len(INTERNAL))
+    change, own = np.eye(len(INTERNAL)), len(INTERNAL)
     change[:3, :3] = np.linalg.inv(to_internal(lengths, pixel)[1])
-    own = len(INTERNAL)
     covariance = change @ found.covariance[:own, :own] @ change.T
     blank = Optics(1.0, 1.0, 1.0, pixel, principal_point=(0.0, 0.0), covariance=(covariance + covariance.T) / 2)
     return blank.with_parameters(np.concatenate([lengths, found.camera[3:]]))
 
 
+def internal_camera(optics: Optics) -> tuple[Array, Array]:
+    """(14,) the parameters `INTERNAL` of optics, and their (14, 14) derivatives by those of the optics."""
+    change = np.eye(len(INTERNAL))
+    lengths, change[:3, :3] = to_internal(optics.parameters[:3], optics.pixel)
+    return np.concatenate([lengths, optics.parameters[3:]]), change
+
+
 def describe_degeneracies(optics: Optics) -> tuple[str, ...]:
     """Parameters that hardly separate, and the combinations of F, L and b that are well known."""
-    errors, values = optics.standard_errors, optics.parameters
+    errors, values, covariance = optics.standard_errors, optics.parameters, optics.covariance
     fitted = np.flatnonzero(errors > 0)
-    if optics.covariance is None or not len(fitted):
+    if covariance is None or not len(fitted):
         return ()
     scale = np.where(errors > 0, errors, np.inf)
-    correlation = optics.covariance / np.outer(scale, scale)
+    # From this correlation on two parameters are said to hardly separate.
+    close = np.abs(covariance / np.outer(scale, scale)) > 0.98
     notes = []
     lengths = [k for k in (0, 1, 2) if errors[k] > 0]
-    weak = [k for k in lengths if errors[k] > 0.01 * values[k]]
-    close = len(lengths) > 1 and abs(correlation[lengths[0], lengths[1]]) > _CLOSE
-    if weak or close:
-        stated = ", ".join(f"{_NAMES[OPTICS_PARAMETERS[k]]} = {values[k]:.4g} +- {errors[k]:.2g} mm" for k in lengths)
+    if any(errors[k] > 0.01 * values[k] for k in lengths) or (len(lengths) > 1 and close[lengths[0], lengths[1]]):
+        stated = ", ".join(f"{'FLb'[k]} = {values[k]:.4g} +- {errors[k]:.2g} mm" for k in lengths)
         internal, derivatives = to_internal(values[:3], optics.pixel)
-        sure = np.sqrt(np.maximum(np.diag(derivatives @ optics.covariance[:3, :3] @ derivatives.T), 0))
+        sure = np.sqrt(np.maximum(np.diag(derivatives @ covariance[:3, :3] @ derivatives.T), 0))
         notes.append(
             f"F, L and b hardly separate ({stated}); well known are (L + b) / pixel = {internal[0]:.6g} +- "
             f"{sure[0]:.2g} px and D / s = A + B / Z with A = {internal[1]:.5g} +- {sure[1]:.2g}, "
             f"B = {internal[2]:.6g} +- {sure[2]:.2g} mm, on which distances rest; boards at very "
             "different distances part them"
         )
-    for n, k in enumerate(fitted):
-        for j in fitted[:n]:
-            if k > 2 and j > 2 and abs(correlation[k, j]) > _CLOSE:
-                first, second = (_NAMES.get(OPTICS_PARAMETERS[i], OPTICS_PARAMETERS[i]) for i in (j, k))
-                notes.append(
-                    f"{first} and {second} hardly separate (correlation {correlation[k, j]:+.3f}); boards in all "
-                    "corners of the field part them"
-                )
-    return tuple(notes)
+    names = [name.replace("principal_", "principal point ") for name in OPTICS_PARAMETERS]
+    return (*notes, *(
+        f"{names[j]} and {names[k]} hardly separate (correlation {covariance[k, j] / scale[j] / scale[k]:+.3f}); "
+        "boards in all corners of the field part them"
+        for k in fitted for j in fitted if 2 < j < k and close[k, j]
+    ))  # fmt: skip

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 
 from lfcal.boards.detection import DetectedBoard
-from lfcal.metric.bundle_adjustment import Poses
-from lfcal.metric.camera_model import INTERNAL, project_positions, to_internal
-from lfcal.metric.observations import Observations
+from lfcal.metric.bundle_adjustment import Observations, Poses
+from lfcal.metric.camera_model import INTERNAL, project, to_internal
 
 PIXEL = 0.0055
 BOARD = np.array([[k % 9 - 4, k // 9 - 2.5, 0] for k in range(54)]) * 7.0
@@ -41,7 +40,7 @@ def observe(values, where, rng, noise, pitch=28.3, radius=11.5, size=(1600, 1200
     rows = []
     for m in range(len(where.rotation)):
         for k, point in enumerate(board @ where.rotation[m].T + where.translation[m]):
-            seen = project_positions(values, PIXEL, np.repeat(point[None], len(centres), 0), centres)
+            seen = project(values, PIXEL, np.repeat(point[None], len(centres), 0), centres)
             kept = np.hypot(*(seen - centres).T) < radius
             rows += [(m, k, *c, *p) for c, p in zip(centres[kept], seen[kept], strict=True)]
     table = np.array(rows)

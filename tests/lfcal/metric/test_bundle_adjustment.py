@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lfcal.metric.bundle_adjustment import adjust
+from lfcal.metric.bundle_adjustment import Observations, adjust
 from lfcal.metric.camera_model import INTERNAL
-from lfcal.metric.observations import Observations
 from lfcal.metric.start import first_camera
 
 from ._cameras import BOARD, PIXEL, camera, detect, observe, poses

@@ -9,6 +9,7 @@ import pytest
 
 import lfcal
 from lfcal import Board, BoardError, Calibration, FlatError, Lattice, calibrate_metric, locate_board
+from lfcal.boards.focus_sweep import FocusSweep
 from lfcal.metric.calibrate import _first
 from lfcal.metric.observe import prepare
 
@@ -81,7 +82,7 @@ def test_poses_that_are_alike_are_named():
 
 
 def test_another_number_of_squares_is_named(boards):
-    flat = prepare(boards[2](11), "b.png", boards[1], Board(11, 7, 7.0))
+    flat = prepare(boards[2](11), "b.png", boards[1], Board(11, 7, 7.0), FocusSweep(boards[1].lattice))
     assert flat.detected is None
     assert "9 x 6" in flat.reason
 

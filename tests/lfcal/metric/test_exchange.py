@@ -11,8 +11,8 @@ import pytest
 
 from lfcal import Board, BoardPose, Calibration, CameraFileError, Lattice, MetricCalibration, Optics
 from lfcal.camera.optics import object_slopes
+from lfcal.metric.bundle_adjustment import Observations
 from lfcal.metric.exchange import equivalent_pinhole, read_libpleno, write_libpleno, write_pinhole
-from lfcal.metric.observations import Observations
 
 OPTICS = Optics(
     49.9,
