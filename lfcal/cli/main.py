@@ -258,7 +258,7 @@ def convert(report: cl.Report, given: Any) -> None:
     camera = _read(given.camera, _read_size(given))
     if mode is None and image is not None and output.suffix.lower() == ".cfg":
         from .. import read_flat
-        from ..lens_types.scene_mode import find_scene_mode
+        from ..lens_types.coarse_disparity import find_scene_mode
 
         mode = find_scene_mode(read_flat(image), camera.lattice)
     run(camera, output, mode=mode)

@@ -8,7 +8,8 @@ the same lenses: wave vectors that no mosaic of types has.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,16 +28,12 @@ _FEWEST_LENSES = 100
 
 __all__ = ["MIN_RADIUS", "find_lens_types", "is_in_step"]
 
-# Period n and steps p, q of mosaics in which lens (i, j) is of type (p * i + q * j) mod n.
-_MOSAICS: tuple[tuple[int, ...], ...] = ((3, 1, -1), (3, 1, 1), (3, 1, 0), (3, 0, 1), (2, 1, 1), (2, 1, 0), (2, 0, 1))
+# Period n and steps p, q of mosaics in which lens (i, j) is of type (p * i + q * j) mod n, but for their signs.
+_MOSAICS = [(3, 1, 2), *((n, p, q) for n in (3, 2) for p, q in product(range(2), repeat=2) if p + q > 0)]
 _VECTORS = np.array([(p / period, q / period) for period, p, q in _MOSAICS])
 
 
-def find_lens_types(
-    picture: NDArray[np.float32] | StackedCrops,
-    lattice: Lattice,
-    white: bool,
-) -> LensTypes | None:
+def find_lens_types(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, white: bool) -> LensTypes | None:
     """Classify the lenses of an array by type, where there are several.
 
     Mosaics with a period of three lenses (three types, as in hexagonal multi-focus arrays) and of two lenses (two or
@@ -56,7 +53,8 @@ def find_lens_types(
     LensTypes or None
         None where the flat shows no difference between lenses: one type, or too little to see.
     """
-    if lattice.radius < MIN_RADIUS:
+    others = _other_patterns(lattice)
+    if lattice.radius < MIN_RADIUS or len(others) < 24:
         return None
     crops = StackedCrops.of(picture)
     sample = sample_lenses(lattice, crops)
@@ -64,112 +62,103 @@ def find_lens_types(
     sharpness = sample.subtract_neighbours(features.sharpness)
     if np.isfinite(sharpness).sum() < _FEWEST_LENSES:
         return None
-    disparity = np.full(len(sharpness), np.nan)
-    if not white:
-        disparity = estimate_coarse_disparity(crops.picture, sample)
-    if len(_other_patterns(lattice)) < 24:
-        return None
-    spectrum = _PatternSpectrum.measure(sample, features, disparity, white)
-    strength = np.array([spectrum.strength(k) for k in range(len(_MOSAICS))])
+    disparity = np.full(len(sharpness), np.nan) if white else estimate_coarse_disparity(crops.picture, sample)
+    strength = _strengths(sample, features, disparity, white, others)
     if not strength.any():
         return None
     strongest = int(strength.argmax())
-    period = _MOSAICS[strongest][0]
-    found = [m[1:] for m, power in zip(_MOSAICS, strength, strict=True) if power > 0 and m[0] == period]
-    cell = _cell(period, found if period == 2 else [_MOSAICS[strongest][1:]])
-    beats = _beats(_VECTORS[[strongest]], lattice)[0]
+    period, p, q = _MOSAICS[strongest]
+    i, j = np.mgrid[0:period, 0:period]
+    # Two patterns of pairs at once are four types.
+    pairs = period == 2 and sum(n == 2 and power > 0 for (n, *_), power in zip(_MOSAICS, strength, strict=True)) > 1
+    cell = i * period + j if pairs else (p * i + q * j) % period
     inner_loss = sample.subtract_neighbours(features.inner_loss)
+    beats = _beats(_VECTORS[[strongest]], lattice)[0]
     outer_light = inner_loss if beats else sample.subtract_neighbours(features.outer_light)
     order = find_focus_order(sample, cell, sharpness, disparity, outer_light, inner_loss, features.rim_ratio)
     types = np.argsort(order.sequence)[cell]
     return LensTypes(types.astype(np.int8), order.known, order.focus[order.sequence], 1 - 1 / float(strength.max()))
 
 
-@dataclass(frozen=True)
-class _PatternSpectrum:
-    """Power of patterns in several features of the lenses of a sample."""
+class _Feature(NamedTuple):
+    """A feature that patterns are searched in."""
 
-    values: NDArray[np.float64]  # (f, n) each feature less that of the neighbours, 0 where it is not known
-    waves: NDArray[np.complex128]  # (n, v) the patterns: first the mosaics, then others
-    power: NDArray[np.float64]  # (f, v) 1 on average for noise
-    least: NDArray[np.float64]  # (f, mosaics) difference between types below which a feature does not count
-    usable: NDArray[np.bool_]  # (f, mosaics) features that can show a mosaic
-    # (mosaics,) power in the gradients, which do not depend on types: the scene repeats
-    scene_power: NDArray[np.float64]
-    white: bool  # the flat is a white image
+    values: NDArray[np.float64]  # (n,) less that of the neighbours, 0 where it is not known
+    least: NDArray[np.float64]  # (mosaics,) difference between types below which it does not count
+    usable: NDArray[np.bool_]  # (mosaics,) whether it can show a mosaic
 
-    @classmethod
-    def measure(
-        cls,
-        sample: LensSample,
-        features: LensFeatures,
-        disparity: NDArray[np.float64],
-        white: bool,
-    ) -> _PatternSpectrum:
-        lattice = sample.lattice
-        vectors = np.vstack([_VECTORS, _other_patterns(lattice)])
-        waves = _waves(sample.inner, vectors) / _gain(vectors, lattice)
-        beats = _beats(_VECTORS, lattice)
-        # Two colours of a mosaic, or pixels that fall on edges in two ways, look like two types.
-        regular = np.any([_beats(_VECTORS, lattice, step, 2.0) for step in (1.0, 0.5)], axis=0)
-        sound = ~(regular & [period == 2 for period, _, _ in _MOSAICS])
 
-        def differences(feature: NDArray[np.float64]) -> NDArray[np.float64]:
-            return _clip_outliers(sample.subtract_neighbours(feature))
-
-        def threshold(usual: float, beating: float) -> NDArray[np.float64]:
-            return np.where(beats, beating, usual)
-
-        # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side can be used; on
-        # white images it can in any case, where it shows radii that differ, and no scene.
-        found = [
-            (differences(features.outer_light), threshold(0.012, 0.07), sound),
-            (differences(features.inner_loss), np.full(len(beats), 0.015), (beats | white) & sound),
-        ]
-        if white:
-            found.append((differences(features.level), np.full(len(beats), 0.004), sound))
-        else:
-            sharpness, least = differences(features.sharpness), threshold(0.04, 0.07)
-            found.append((sharpness, least, sound))
-            spread = np.nanstd(disparity) if np.isfinite(disparity).sum() >= _FEWEST_LENSES else 0.0
-            if spread > MIN_SPREAD:
-                # Which type is sharper changes with depth, and may cancel over a whole flat.
-                depth = np.clip(np.nan_to_num((disparity - np.nanmean(disparity)) / spread), -2, 2)
-                found.append((sharpness * depth, least, sound))
-        values, least, usable = (np.array(one) for one in zip(*found, strict=True))
-        gradient = np.array([differences(one) for one in features.gradient])
-        count = len(_MOSAICS)
-        scene_power = np.zeros(count) if white else _power(gradient, waves[:, :count]).max(0)
-        return cls(values, waves, _power(values, waves), least, usable, scene_power, white)
-
-    def strength(self, mosaic: int) -> float:
-        """Power of a mosaic over that of the strongest other pattern, 0 where it is not significant."""
-        sound = [int(k) for k in np.flatnonzero(self.usable[:, mosaic]) if self._repeats(int(k), mosaic)]
-        found = []
+def _strengths(
+    sample: LensSample, features: LensFeatures, disparity: NDArray[np.float64], white: bool,
+    others: NDArray[np.float64],
+) -> NDArray[np.float64]:  # fmt: skip
+    """(mosaics,) power of each over that of the strongest other pattern, 0 where it is not significant."""
+    vectors = np.vstack([_VECTORS, others])
+    waves = _waves(sample.inner, vectors) / _gain(vectors, sample.lattice)
+    found = _list_features(sample, features, disparity, white)
+    count = len(_MOSAICS)
+    # (f, v) 1 on average for noise.
+    power = _power(np.array([feature.values for feature in found]), waves)
+    gradient = np.array([_differences(sample, one) for one in features.gradient])
+    # Gradients do not depend on types: where they have power, the scene repeats.
+    scene = np.zeros(count) if white else _power(gradient, waves[:, :count]).max(0)
+    strength = np.zeros(count)
+    for mosaic in range(count):
+        sound = [
+            k for k, one in enumerate(found)
+            if one.usable[mosaic] and _repeats(one.values, waves[:, mosaic], one.least[mosaic])
+        ]  # fmt: skip
+        ratios = []
         # Each feature by itself, and all together: on a small flat one alone may be too weak.
         for chosen in [[k] for k in sound] + ([sound] if len(sound) > 1 else []):
-            power = self.power[chosen].sum(0)
-            here, elsewhere = float(power[mosaic]), float(power[len(_MOSAICS) :].max())
+            total = power[chosen].sum(0)
+            here, elsewhere = float(total[mosaic]), float(total[count:].max())
             # Noise reaches twelve times its mean power by exp(-12); detail of scenes is no noise.
-            if here > max(12, 3 * elsewhere) and self.scene_power[mosaic] < 0.3 * here:
-                found.append(here / elsewhere)
+            if here > max(12, 3 * elsewhere) and scene[mosaic] < 0.3 * here:
+                ratios.append(here / elsewhere)
         # Detail of a scene makes pairs more easily than threes: they must show in two features.
-        needed = 2 if _MOSAICS[mosaic][0] == 2 and not self.white else 1
-        return max(found) if len(found) >= needed else 0.0
-
-    def _repeats(self, feature: int, mosaic: int) -> bool:
-        """Whether a mosaic is strong enough in a feature to matter, and the same in two halves of the sample."""
-        values, wave = self.values[feature], self.waves[:, mosaic]
-        half = np.arange(len(values)) * 16 // len(values) % 2 == 0
-        first, second = complex(values[half] @ wave[half]), complex(values[~half] @ wave[~half])
-        # Twice the amplitude of a wave is about the spread of the types.
-        if 2 * abs(first + second) < self.least[feature, mosaic] * int((values != 0).sum()):
-            return False
-        return (first * second.conjugate()).real > 0.7 * abs(first) * abs(second)
+        if len(ratios) >= (2 if _MOSAICS[mosaic][0] == 2 and not white else 1):
+            strength[mosaic] = max(ratios)
+    return strength
 
 
-def _clip_outliers(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values within `outlier_limit`, and 0 for NaN."""
+def _list_features(
+    sample: LensSample, features: LensFeatures, disparity: NDArray[np.float64], white: bool
+) -> list[_Feature]:
+    beats = _beats(_VECTORS, sample.lattice)
+    # Two colours of a mosaic, or pixels that fall on edges in two ways, look like two types.
+    regular = np.any([_beats(_VECTORS, sample.lattice, step, 2.0) for step in (1.0, 0.5)], axis=0)
+    sound = ~(regular & [period == 2 for period, _, _ in _MOSAICS])
+    # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side can be used; on white
+    # images it can in any case, where it shows radii that differ, and no scene.
+    found = [
+        _Feature(_differences(sample, features.outer_light), np.where(beats, 0.07, 0.012), sound),
+        _Feature(_differences(sample, features.inner_loss), np.full(len(beats), 0.015), (beats | white) & sound),
+    ]
+    if white:
+        return [*found, _Feature(_differences(sample, features.level), np.full(len(beats), 0.004), sound)]
+    sharpness, least = _differences(sample, features.sharpness), np.where(beats, 0.07, 0.04)
+    found.append(_Feature(sharpness, least, sound))
+    spread = np.nanstd(disparity) if np.isfinite(disparity).sum() >= _FEWEST_LENSES else 0.0
+    if spread > MIN_SPREAD:
+        # Which type is sharper changes with depth, and may cancel over a whole flat.
+        depth = np.clip(np.nan_to_num((disparity - np.nanmean(disparity)) / spread), -2, 2)
+        found.append(_Feature(sharpness * depth, least, sound))
+    return found
+
+
+def _repeats(values: NDArray[np.float64], wave: NDArray[np.complex128], least: float) -> bool:
+    """Whether a mosaic is strong enough in a feature to matter, and the same in two halves of the sample."""
+    half = np.arange(len(values)) * 16 // len(values) % 2 == 0
+    first, second = complex(values[half] @ wave[half]), complex(values[~half] @ wave[~half])
+    # Twice the amplitude of a wave is about the spread of the types.
+    strong = 2 * abs(first + second) >= least * int((values != 0).sum())
+    return strong and (first * second.conjugate()).real > 0.7 * abs(first) * abs(second)
+
+
+def _differences(sample: LensSample, feature: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) a feature of lenses less that of their neighbours, within `outlier_limit`, and 0 where it is not known."""
+    values = sample.subtract_neighbours(feature)
     limit = outlier_limit(values[np.isfinite(values)])
     return np.clip(np.nan_to_num(values), -limit, limit)
 
@@ -229,12 +218,3 @@ def is_in_step(cell: NDArray[np.int8], lattice: Lattice) -> bool:
 def _apart(difference: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance of wave vectors along each axis, modulo whole periods."""
     return np.abs((difference + 0.5) % 1 - 0.5)
-
-
-def _cell(period: int, steps: list[tuple[int, ...]]) -> NDArray[np.int64]:
-    """(period, period) provisional types of the lenses of one cell."""
-    i, j = np.mgrid[0:period, 0:period]
-    if len(steps) > 1:
-        return i * period + j
-    p, q = steps[0]
-    return (p * i + q * j) % period

@@ -1,19 +1,22 @@
-"""Coarse disparity of single lenses, to sort them by depth.
+"""Coarse disparity of single lenses, to sort them by depth and to tell the mode of a scene.
 
 Adjacent microimages are correlated over a grid of signed patch sizes; correlations are summed over 3 x 3 lenses.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..images.preprocessing import sqrt_luminance
+from ..lattice.lattice import Lattice
 from ..runtime.kernels import FAST, kernel
-from .lens_sample import LensSample
+from .lens_sample import LensSample, sample_lenses
 
-__all__ = ["estimate_coarse_disparity"]
+__all__ = ["estimate_coarse_disparity", "find_scene_mode"]
 
 
 @kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres), fastmath=FAST)
@@ -71,16 +74,17 @@ def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) 
     ratios = np.linspace(-0.6, 0.6, 25)
     steps = (lattice.steps @ lattice.basis)[: len(lattice.steps) // 2]
     # Every other lens is enough, as sums are over 3 x 3 lenses.
-    chosen = np.flatnonzero((sample.whole & (sample.index.sum(-1) % 2 == 0)).ravel())
-    sums = np.zeros((2, len(chosen), len(ratios)))
-    centres = sample.centre.reshape(-1, 2)[chosen]
-    _correlate(picture, centres, steps, ratios, radius, max(1.0, radius / 4), *sums)
-    full = np.zeros((2, sample.whole.size, len(ratios)))
+    chosen = sample.whole & (sample.index.sum(-1) % 2 == 0)
+    sums = np.zeros((2, int(chosen.sum()), len(ratios)))
+    _correlate(picture, sample.place[chosen], steps, ratios, radius, max(1.0, radius / 4), *sums)
+    full = np.zeros((2, *sample.whole.shape, len(ratios)))
     full[:, chosen] = sums
-    covariance, variance = full.reshape(2, *sample.whole.shape, len(ratios))
-    correlation = _sum_3x3(covariance) / (_sum_3x3(variance) + 1e-5)
-    best = correlation.argmax(-1)
-    highest = correlation.max(-1)
+    blocks = full.reshape(-1, *full.shape[-3:])
+    covariance, variance = np.array(
+        [cv2.boxFilter(block, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT) for block in blocks]
+    ).reshape(full.shape)
+    correlation = covariance / (variance + 1e-5)
+    best, highest = correlation.argmax(-1), correlation.max(-1)
     apart = np.abs(np.arange(len(ratios)) - best[..., None]) > 2
     second = np.where(apart, correlation, -1.0).max(-1)
     inside = (best > 0) & (best < len(ratios) - 1)
@@ -88,14 +92,24 @@ def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) 
     return np.where(known, ratios[best], np.nan)[:, 1:-1, 1:-1].ravel()
 
 
-def _sum_3x3(values: NDArray[Any]) -> NDArray[Any]:
-    """Sums over 3 x 3 lenses of (m, a, b, k), within each block."""
-    for axis in (1, 2):
-        ahead: list[Any] = [slice(None)] * 4
-        behind = ahead.copy()
-        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-        total = values.copy()
-        total[tuple(behind)] += values[tuple(ahead)]
-        total[tuple(ahead)] += values[tuple(behind)]
-        values = total
-    return values
+def find_scene_mode(flat: NDArray, lattice: Lattice) -> Literal["telescopic", "binocular"] | None:
+    """The mode in which the lenses of a sample see a scene: the sign of their coarse disparity.
+
+    Parameters
+    ----------
+    flat : (h, w) or (h, w, 3) array
+    lattice : Lattice
+        Of the same image size.
+
+    Returns
+    -------
+    str or None
+        None where too few lenses show a disparity, or a part of them the other mode.
+    """
+    ratio = estimate_coarse_disparity(sqrt_luminance(flat), sample_lenses(lattice))
+    known = ratio[np.isfinite(ratio) & (ratio != 0)]
+    telescopic = float((known > 0).mean()) if len(known) else 0.5
+    # Of a scene in one mode, 1 to 9 % of the lenses show the other.
+    if len(known) < 100 or min(telescopic, 1 - telescopic) > 0.2:
+        return None
+    return "telescopic" if telescopic > 0.5 else "binocular"

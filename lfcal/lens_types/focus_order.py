@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,25 +18,21 @@ MIN_SPREAD = 0.02
 
 __all__ = ["FLATTENED", "MIN_SPREAD", "FocusOrder", "TypeMeans", "find_focus_order"]
 
+Array = NDArray[np.float64]
 
-@dataclass(frozen=True)
-class FocusOrder:
+
+class FocusOrder(NamedTuple):
     """Lens types in the order of their focus."""
 
     sequence: NDArray[np.int64]  # (count,) provisional types, from focus at the largest `|s|` to the smallest
     known: bool  # the sequence is measured, not just the provisional one
-    focus: NDArray[np.float64]  # (count,) `s / D` at which each provisional type is sharpest, NaN where not known
+    focus: Array  # (count,) `s / D` at which each provisional type is sharpest, NaN where not known
 
 
 def find_focus_order(
-    sample: LensSample,
-    cell: NDArray[np.int64],
-    sharpness: NDArray[np.float64],
-    disparity: NDArray[np.float64],
-    outer_light: NDArray[np.float64],
-    inner_loss: NDArray[np.float64],
-    rim_ratio: float,
-) -> FocusOrder:
+    sample: LensSample, cell: NDArray[np.int64], sharpness: Array, disparity: Array, outer_light: Array,
+    inner_loss: Array, rim_ratio: float,
+) -> FocusOrder:  # fmt: skip
     """Sort provisional lens types by their focus.
 
     Parameters
@@ -57,10 +53,8 @@ def find_focus_order(
     rim = _rim_softness(outer_light, inner_loss, types) if rim_ratio < FLATTENED else None
     if trend is not None:
         slope, focus, sign = trend
-        if rim is not None:
-            # Rims tell better which end of the order has the larger |s|.
-            sign = float(np.sign(slope @ rim))
-        return FocusOrder(np.argsort(-sign * slope), True, focus)
+        # Rims tell better which end of the order has the larger |s|.
+        return FocusOrder(np.argsort(-slope * (sign if rim is None else np.sign(slope @ rim))), True, focus)
     unknown = np.full(count, np.nan)
     if rim is not None:
         # The rim is the image of the main aperture, at s = 0: the farther a focus from that, the softer the rim.
@@ -68,33 +62,24 @@ def find_focus_order(
     return FocusOrder(np.arange(count), False, unknown)
 
 
-def _unmixing(sample: LensSample, cell: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(count, count) from differences between types and their neighbours to values of the types, of mean zero."""
-    count = int(cell.max()) + 1
-    m = len(cell)
-    matrix = np.eye(count)
-    for kind in range(count):
-        i, j = np.argwhere(cell == kind)[0]
-        for a, b in sample.lattice.steps:
-            matrix[kind, cell[(i + a) % m, (j + b) % m]] -= 1 / len(sample.lattice.steps)
-    return np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class TypeMeans:
-    """Type (n,) of the inner lenses, and what turns differences from neighbours into values of types."""
+class TypeMeans(NamedTuple):
+    """Type (n,) of the inner lenses, and what turns differences from neighbours into values of types, of mean zero."""
 
     of: NDArray[np.int64]
-    unmixing: NDArray[np.float64]
+    unmixing: Array
 
     @classmethod
     def from_sample(cls, sample: LensSample, cell: NDArray[np.int64]) -> TypeMeans:
         """For the lenses of a sample whose types repeat after a `cell` (m, m)."""
-        return cls(cell[tuple((sample.inner % len(cell)).T)], _unmixing(sample, cell))
+        m, steps = len(cell), sample.lattice.steps
+        matrix = np.eye(int(cell.max()) + 1)
+        for kind in range(len(matrix)):
+            i, j = np.argwhere(cell == kind)[0]
+            for a, b in steps:
+                matrix[kind, cell[(i + a) % m, (j + b) % m]] -= 1 / len(steps)
+        return cls(cell[tuple((sample.inner % m).T)], np.asarray(np.linalg.pinv(matrix), np.float64))
 
-    def fit_lines(
-        self, values: NDArray[np.float64], places: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    def fit_lines(self, values: Array, places: Array) -> tuple[Array, Array] | None:
         """Line through the values of each type: (count, 2) height and slope, and (2,) errors of differences.
 
         None where a type has too few known values.
@@ -115,38 +100,31 @@ class TypeMeans:
             errors[kind] = scatter, scatter / np.sqrt(variance) if variance > 0 else np.inf
         return self.unmixing @ lines, np.sqrt(2) * float(np.linalg.norm(self.unmixing, 2)) * errors.max(0)
 
-    def fit_means(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
+    def fit_means(self, values: Array) -> tuple[Array, float] | None:
         """Robust mean of each type, and the standard error of their differences; None where a type has too few."""
         fit = self.fit_lines(values, np.where(np.isfinite(values), 0.0, np.nan))
         return fit and (fit[0][:, 0], fit[1][0])
 
 
-def _rim_softness(
-    outer_light: NDArray[np.float64], inner_loss: NDArray[np.float64], types: TypeMeans
-) -> NDArray[np.float64] | None:
+def _rim_softness(outer_light: Array, inner_loss: Array, types: TypeMeans) -> Array | None:
     """(count,) softness of the rims of each type, mean 0; None where that is not clear."""
     beyond, before = types.fit_means(outer_light), types.fit_means(inner_loss)
-    if beyond is None or before is None:
-        return None
     # 1.5 % of the light may be due to how pixels fall on the rims.
-    if not _are_distinct(*beyond) or np.ptp(beyond[0]) < 0.015:
+    if beyond is None or before is None or not _are_distinct(*beyond, 4.0) or np.ptp(beyond[0]) < 0.015:
         return None
     soft = beyond[0] - beyond[0].mean()
-    # Light beyond a soft edge is missing before it; a brighter neighbour adds light beyond the rim too, but takes none.
+    # Light beyond a soft edge is missing before it (0.3 to 1 for real rims); a brighter neighbour adds light beyond the
+    # rim too, but takes none.
     loss = float(before[0] @ soft) / float(soft @ soft)
-    error = 2 * before[1] / float(np.linalg.norm(soft))
-    # 0.3 to 1 for real rims.
-    return soft if loss + error > 0.1 else None
+    return soft if loss + 2 * before[1] / float(np.linalg.norm(soft)) > 0.1 else None
 
 
-def _are_distinct(values: NDArray[np.float64], error: float, clear: float = 4.0) -> bool:
+def _are_distinct(values: Array, error: float, clear: float) -> bool:
     """Whether neighbours in the order are so many standard errors apart; with four it is wrong once in 10,000."""
     return bool(np.diff(np.sort(values)).min() > clear * error)
 
 
-def _order_over_depth(
-    sharpness: NDArray[np.float64], disparity: NDArray[np.float64], types: TypeMeans
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
+def _order_over_depth(sharpness: Array, disparity: Array, types: TypeMeans) -> tuple[Array, Array, float] | None:
     """Slope of the sharpness of each type over `s / D`, focus of each, and the sign of `s` at which they are focused.
 
     None where the slopes are not clearly different.
@@ -170,25 +148,23 @@ def _order_over_depth(
         return None
     # Types change places at the mean of the foci; lines are bent by lenses far from all foci.
     middle = float(focus.mean()) if seen else -float(height @ slope) / float(slope @ slope)
-    sign = float(np.sign(middle))
     low, median, high = np.quantile(disparity[known], (0.1, 0.5, 0.9))
     # Far from all foci differences fade and slopes reverse: types must change places within the range of the scene.
-    if not low < middle < high or sign != np.sign(median):
+    if not low < middle < high or np.sign(middle) != np.sign(median):
         return None
-    return slope, focus, sign
+    return slope, focus, float(np.sign(middle))
 
 
-def _find_foci(sharpness: NDArray[np.float64], disparity: NDArray[np.float64], types: TypeMeans) -> NDArray[np.float64]:
+def _find_foci(sharpness: Array, disparity: Array, types: TypeMeans) -> Array:
     """(count,) `s / D` where each of three types is sharpest, NaN where that is not seen.
 
     Two types are equally sharp half-way between their foci, whatever the law by which sharpness falls with defocus.
     """
-    near, count = 0.12, len(types.unmixing)
-    unknown = np.full(count, np.nan)
-    if count != 3:
+    near, sums = 0.12, np.zeros(3)
+    unknown = np.full(len(types.unmixing), np.nan)
+    if len(unknown) != 3:
         return unknown
     low, high = np.nanquantile(disparity, (0.02, 0.98))
-    sums = np.zeros(3)
     for pair, other in (((0, 1), 2), ((1, 2), 0), ((2, 0), 1)):
         meet, error = float(np.nanmedian(disparity)), np.inf
         for _ in range(5):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +20,8 @@ __all__ = ["LensFeatures", "LensSample", "measure_lens_features", "outlier_limit
 
 # Lenses along a block without its border; whole periods of 2, 3 and 4 lenses.
 _SIDE = 12
-# Steps of the distance to the centre in which light is summed.
-_RINGS = 40
-# Blocks of 144 lenses: patterns of a tenth of the scatter stand out by six standard errors.
-_BLOCKS = 48
-# Zones, as shares of the usable radius. The last two are for a rim whose outer side cannot be used.
-_CORE, _BEFORE_RIM, _BEYOND_RIM, _MIDDLE, _EDGE = (0.0, 0.5), (0.75, 0.95), (1.03, 1.12), (0.5, 0.75), (0.8, 0.97)
-# Smallest squared contrast of an 8-bit picture of mean 1.
-_NOISE = (1 / 256) ** 2
+# [radius] to which light is summed, over the distance to the centre.
+_REACH = 1.12
 
 
 @dataclass(frozen=True)
@@ -42,7 +35,7 @@ class LensSample:
     # (m, side + 2, side + 2, 2) [px] centre in the picture that is read, the flat or crops of it
     place: NDArray[np.float64]
 
-    @cached_property
+    @property
     def inner(self) -> NDArray[np.int64]:
         """(m * side**2, 2) lattice indices of the lenses without the borders."""
         return self.index[:, 1:-1, 1:-1].reshape(-1, 2)
@@ -75,57 +68,30 @@ def outlier_limit(values: NDArray[np.float64]) -> float:
 
 
 def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSample:
-    """Blocks of 12 x 12 lenses, evenly spread over the flat or its crops; all lenses of a small flat."""
-    if crops is not None and len(crops) > 1:
-        return _sample_crops(lattice, crops)
-    blocks, count = _blocks(lattice.indices())
-    if len(blocks) > _BLOCKS:
+    """48 blocks of 12 x 12 lenses, evenly spread over the flat or its crops; all lenses of a small flat."""
+    reach = _REACH * lattice.radius
+    if crops is None:
+        crops = StackedCrops(np.zeros((0, 0), np.float32), np.zeros((1, 2), np.int64), lattice.image_size)
+    indices, _, crop = crops.lenses(lattice, 0)
+    each, blocks, home = -(-48 // len(crops)), [], []
+    for number in np.unique(crop):
+        found, count = np.unique(indices[crop == number] // _SIDE, axis=0, return_counts=True)
         full = 4 * count >= _SIDE**2
-        blocks = blocks[full] if full.sum() >= _BLOCKS else blocks
-        blocks = blocks[np.unique(np.linspace(0, len(blocks) - 1, _BLOCKS).round().astype(int))]
-    index, centre = _block_lenses(lattice, blocks)
-    return LensSample(lattice, index, centre, _lie_inside(centre, lattice.image_size, lattice), centre)
-
-
-def _block_lenses(lattice: Lattice, blocks: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Indices and centres of the lenses of blocks (m, 2), with their borders."""
+        found = found[full] if full.sum() >= each else found
+        chosen = np.unique(np.linspace(0, len(found) - 1, min(each, len(found))).round().astype(int))
+        blocks.append(found[chosen])
+        home += [number] * len(chosen)
     steps = np.arange(-1, _SIDE + 1)
     within = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
-    index = _SIDE * blocks[:, None, None, :] + within
-    return index, lattice.points(index.reshape(-1, 2)).reshape(index.shape)
-
-
-def _lie_inside(places: NDArray[np.float64], size: tuple[int, int], lattice: Lattice) -> NDArray[np.bool_]:
-    """Whether microimages at places (..., 2) lie inside a picture of `size` (width, height) as a whole."""
-    reach = _BEYOND_RIM[1] * lattice.radius
-    return np.asarray(((places >= reach) & (places <= np.array(size) - 1 - reach)).all(-1))
-
-
-def _blocks(indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Blocks (m, 2) of 12 x 12 lenses that lenses (n, 2) are in, in order, and their number in each."""
-    own = indices // _SIDE
-    low = own.min(0)
-    columns = int(own[:, 1].max() - low[1]) + 1
-    key, count = np.unique((own[:, 0] - low[0]) * columns + own[:, 1] - low[1], return_counts=True)
-    return np.column_stack(np.divmod(key, columns)) + low, count
-
-
-def _sample_crops(lattice: Lattice, crops: StackedCrops) -> LensSample:
-    """The fullest blocks of each crop."""
-    indices, _, crop = crops.lenses(lattice, _BEYOND_RIM[1] * lattice.radius)
-    each = -(-_BLOCKS // len(crops))
-    blocks, home = [], []
-    for number in np.unique(crop):
-        found, count = _blocks(indices[crop == number])
-        blocks.append(found[np.argsort(-count, kind="stable")[:each]])
-        home += [number] * len(blocks[-1])
-    index, centre = _block_lenses(lattice, np.concatenate(blocks))
-    whole = _lie_inside(centre - crops.corners[home][:, None, None], crops.size, lattice)
+    index = _SIDE * np.concatenate(blocks)[:, None, None, :] + within
+    centre = lattice.points(index.reshape(-1, 2)).reshape(index.shape)
+    corner = centre - crops.corners[home][:, None, None]
+    whole = np.asarray(((corner >= reach) & (corner <= np.array(crops.size) - 1 - reach)).all(-1))
     return LensSample(lattice, index, centre, whole, centre - crops.offsets[home][:, None, None])
 
 
 @kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres))
-def _accumulate(begin, end, picture, centres, radius, inside, lag, rows, energy, gradient, light, count):
+def _accumulate(begin, end, picture, centres, radius, inside, lag, energy, gradient, light, count):
     """Squared differences and gradients within `inside`, and light by distance to the centre, of each lens."""
     height, width = picture.shape
     rings = light.shape[1]
@@ -133,7 +99,7 @@ def _accumulate(begin, end, picture, centres, radius, inside, lag, rows, energy,
     for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
         pairs, square, across, down = 0, 0.0, 0.0, 0.0
-        for y in range(max(0, math.ceil(cy - radius)), min(height - 1, math.floor(cy + radius)) + 1, rows):
+        for y in range(max(0, math.ceil(cy - radius)), min(height - 1, math.floor(cy + radius)) + 1, lag):
             dy = y - cy
             half = math.sqrt(max(radius * radius - dy * dy, 0.0))
             for x in range(max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1):
@@ -167,20 +133,36 @@ def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> L
     """
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
-    centres = sample.place.reshape(-1, 2)[chosen]
-    # The finest detail of a microlens.
-    lag = rows = max(1, round(radius / 14))
+    centres, rings = sample.place.reshape(-1, 2)[chosen], 40
     energy, gradient = np.zeros(len(chosen)), np.zeros((2, len(chosen)))
-    light, count = np.zeros((2, len(chosen), _RINGS))
-    _accumulate(picture, centres, _BEYOND_RIM[1] * radius, 0.7 * radius, lag, rows, energy, gradient, light, count)
-    rings = _Rings(light, count)
-    level = rings.mean(_CORE)
+    light, count = np.zeros((2, len(chosen), rings))
+    # The finest detail of a microlens.
+    lag = max(1, round(radius / 14))
+    _accumulate(picture, centres, _REACH * radius, 0.7 * radius, lag, energy, gradient, light, count)
+    # Smallest squared contrast of an 8-bit picture of mean 1.
+    noise = (1 / 256) ** 2
+
+    def zone(low: float, high: float) -> slice:
+        return slice(round(low / _REACH * rings), round(high / _REACH * rings))
+
+    def mean(own: slice) -> NDArray[np.float64]:
+        return light[:, own].sum(1) / np.maximum(count[:, own].sum(1), 1) + noise
+
+    def ratio(own: slice, other: slice) -> tuple[NDArray[np.float64], float]:
+        """Light in a zone over that in another, less that of the mean profile, and its mean over all lenses."""
+        relative, pixels = light[:, own] / mean(other)[:, None], count[:, own]
+        # Which pixels fall on a ring differs from lens to lens; the mean profile allows for that.
+        expected = pixels * (relative.sum(0) / np.maximum(pixels.sum(0), 1))
+        share = float(expected.sum() / max(pixels.sum(), 1))
+        return (relative - expected).sum(1) / np.maximum(pixels.sum(1), 1), share
+
+    level = mean(zone(0, 0.5))
     # Darker lenses show noise.
     lit = level > 0.03 * np.median(level) if len(level) else np.zeros(0, bool)
-    rings = _Rings(light[lit], count[lit])
     chosen, level, energy, gradient = chosen[lit], level[lit], energy[lit], gradient[:, lit]
-    outer, rim_ratio = rings.ratio(_BEYOND_RIM, _BEFORE_RIM)
-    inner, _ = rings.ratio(_EDGE, _MIDDLE)
+    light, count = light[lit], count[lit]
+    outer, rim_ratio = ratio(zone(1.03, _REACH), zone(0.75, 0.95))
+    inner, _ = ratio(zone(0.8, 0.97), zone(0.5, 0.75))
 
     def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
         full = np.full((*values.shape[:-1], sample.whole.size), np.nan)
@@ -188,35 +170,10 @@ def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> L
         return full.reshape(values.shape[:-1] + sample.whole.shape)
 
     return LensFeatures(
-        sharpness=spread(np.log(energy + _NOISE)),
+        sharpness=spread(np.log(energy + noise)),
         outer_light=spread(outer),
         inner_loss=spread(-inner),
         level=spread(np.log(level) / 2),
         gradient=spread(gradient / np.sqrt(level)),
         rim_ratio=rim_ratio,
     )
-
-
-@dataclass(frozen=True)
-class _Rings:
-    """Light and number of pixels (n, rings) of lenses, up to beyond their rims."""
-
-    light: NDArray[np.float64]
-    count: NDArray[np.float64]
-
-    def _zone(self, zone: tuple[float, float]) -> slice:
-        return slice(*(round(share / _BEYOND_RIM[1] * _RINGS) for share in zone))
-
-    def mean(self, zone: tuple[float, float]) -> NDArray[np.float64]:
-        """(n,) mean light of each lens in a zone."""
-        rings = self._zone(zone)
-        return self.light[:, rings].sum(1) / np.maximum(self.count[:, rings].sum(1), 1) + _NOISE
-
-    def ratio(self, zone: tuple[float, float], other: tuple[float, float]) -> tuple[NDArray[np.float64], float]:
-        """(n,) light in a zone over that in another, less that of the mean profile, and its mean over all lenses."""
-        rings = self._zone(zone)
-        relative, count = self.light[:, rings] / self.mean(other)[:, None], self.count[:, rings]
-        # Which pixels fall on a ring differs from lens to lens; the mean profile allows for that.
-        expected = count * (relative.sum(0) / np.maximum(count.sum(0), 1))
-        share = float(expected.sum() / max(count.sum(), 1))
-        return (relative - expected).sum(1) / np.maximum(count.sum(1), 1), share

@@ -22,10 +22,7 @@ __all__ = ["find_rim_conflict", "find_type_conflict"]
 
 
 def find_type_conflict(
-    picture: NDArray[np.float32],
-    lattice: Lattice,
-    types: LensTypes,
-    rims_known: bool = False,
+    picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, rims_known: bool = False
 ) -> str | None:
     """What contradicts the lens types of a camera, None where nothing does.
 
@@ -45,7 +42,9 @@ def find_type_conflict(
         if found.ordered and types.ordered and (seen or not rims_known):
             same = np.array_equal(_numbers(found, types), _numbers(types, found))
             return None if same else "the lens types of the camera are in another order than on the flat"
-        if found.confidence > 0.9 and not _is_same_partition(found, types):
+        # Lenses are alike in one pattern where they are in the other, whatever their numbers.
+        pairs = np.unique(np.stack([_numbers(found, types).ravel(), _numbers(types, found).ravel()]), axis=1)
+        if found.confidence > 0.9 and pairs.shape[1] != found.count:
             return "the lens types of the camera lie at other lenses than on the flat"
     if types.ordered and types.count == 3 and _is_refuted(picture, lattice, types, rims_known):
         return "the lens types of the camera are in another order than on the flat"
@@ -74,22 +73,8 @@ def _numbers(types: LensTypes, other: LensTypes) -> NDArray[np.int8]:
     return types.of(np.stack(np.meshgrid(np.arange(period), np.arange(period), indexing="ij"), axis=-1))
 
 
-def _is_same_partition(one: LensTypes, other: LensTypes) -> bool:
-    """Whether lenses are alike in one pattern where they are in the other, whatever their numbers."""
-    pairs = np.unique(np.stack([_numbers(one, other).ravel(), _numbers(other, one).ravel()]), axis=1)
-    return pairs.shape[1] == one.count
-
-
-def _order_ratio(softness: NDArray[np.float64], error: float) -> float:
-    """Twice the logarithm of the likelihood ratio of the best order of three types and the given one.
-
-    Softness is expected to fall by equal steps; `error` is that of differences.
-    """
-    given = max(float(softness[0] - softness[-1]), 0.0)
-    return (float(np.ptp(softness)) ** 2 - given**2) / max(error, 1e-12) ** 2
-
-
 def _is_refuted(picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, rims_known: bool) -> bool:
+    """Whether rims or sharpness of three types contradict their order."""
     if lattice.radius < MIN_RADIUS:
         return False
     sample = sample_lenses(lattice)
@@ -98,9 +83,12 @@ def _is_refuted(picture: NDArray[np.float32], lattice: Lattice, types: LensTypes
     rim = features.inner_loss if is_in_step(types.cell, lattice) else features.outer_light
     if features.rim_ratio < FLATTENED and not rims_known:
         softness = means.fit_means(sample.subtract_neighbours(rim))
-        # 24 right cameras had 13 at most.
-        if softness is not None and _order_ratio(*softness) > 20:
-            return True
+        if softness is not None:
+            # Twice the logarithm of the likelihood ratio of the best order and the given one; softness is expected to
+            # fall by equal steps. 24 right cameras had 13 at most.
+            given = max(float(softness[0][0] - softness[0][2]), 0.0)
+            if float(np.ptp(softness[0])) ** 2 - given**2 > 20 * max(softness[1], 1e-12) ** 2:
+                return True
     sharpness = means.fit_means(sample.subtract_neighbours(features.sharpness))
     if sharpness is None:
         return False

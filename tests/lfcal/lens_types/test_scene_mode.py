@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data_synth import SCENES, Camera, simulate
-from lfcal.lens_types.scene_mode import find_scene_mode
+from lfcal.lens_types.coarse_disparity import find_scene_mode
 
 
 @pytest.mark.parametrize("ratio, mode", [(0.35, "telescopic"), (-0.3, "binocular")])
