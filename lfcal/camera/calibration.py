@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..gain.defects import Defects
-from ..gain.gain_map import GainMap, RegionGain
+from ..gain.gain_map import GainMap
+from ..gain.rows import RegionGain
 from ..gain.vignetting import Vignetting
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
@@ -240,7 +241,7 @@ class Calibration(Frozen):
 
         (h, w) float32, NaN where it is unknown: in gaps, where microimages are cut off, in unlit lenses.
         """
-        return self._gain_map().gain(self.lattice)
+        return self.region_gain().at(0, 0, *self.image_size)
 
     def flatten(self, flat: ArrayLike) -> NDArray[Any]:
         """Divide a flat by the gain of the camera, so that a white image of it becomes even.
@@ -269,7 +270,7 @@ class Calibration(Frozen):
                 f"flat is {pixels.shape[1]} x {pixels.shape[0]} px, the camera is for "
                 f"{self.image_size[0]} x {self.image_size[1]} px; calibrate on a flat of that size"
             )
-        return self._gain_map().flatten(pixels, self.lattice)
+        return self.region_gain().flatten(pixels)[0]
 
     def region_gain(self) -> RegionGain:
         """The gain of parts of a flat, for flats too large for `gain` and `flatten`."""

@@ -353,7 +353,7 @@ def _fit_offsets(
     calibration: Calibration, reduced: _Reduced, found: Lattice | None, misfit: _Misfit | None
 ) -> FitCheck:
     """`check_fit` on a reduced flat, from the found lattice where that of the camera is far off."""
-    from ..gain.gain_map import RegionGain
+    from ..gain.rows import RegionGain
 
     lattice, factor, gain = calibration.lattice, reduced.factor, calibration.gain_map
     width, height = lattice.image_size

@@ -8,38 +8,16 @@ centre, stretched in each direction to the rim there, cut by a second disc where
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Frozen, decode_array, encode_array
+from .kernel import RIM_START, Shape, evaluate_light
 
-#: Share of the light of a lens below which the gain is unknown: mostly noise and stray light.
-LEAST_LIGHT = 0.25
-
-__all__ = ["LEAST_LIGHT", "GainMap", "MicroimageShape", "RegionGain", "count_terms", "field_frame"]
-
-
-class MicroimageShape(NamedTuple):
-    """Shape of all microimages of a flat, as kernels take it; fields as in `GainMap` unless described here.
-
-    Parameters
-    ----------
-    frame : (3,) float64 [px]
-        `field_frame` of the flat.
-    cut : (6,) float64
-        The five of `GainMap.cut`, 0 if there is no cutting disc, and `GainMap.stray_light`.
-    """
-
-    frame: NDArray[np.float64]
-    radius: float
-    profile: NDArray[np.float64]
-    step: float
-    shading: NDArray[np.float64]
-    rim: NDArray[np.float64]
-    cut: NDArray[np.float64]
+__all__ = ["GainMap", "count_terms", "field_monomials", "field_place", "nearest_half"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,32 +105,57 @@ class GainMap(Frozen):
         none = np.zeros(0, np.float32)
         return cls(profile, step, radius, np.zeros(1), none, np.zeros((5, 1)), np.zeros((1, 1)), np.array(cut))
 
-    def gain(self, lattice: Lattice) -> NDArray[np.float32]:
-        """(h, w) relative illumination of every pixel of the flat, NaN where it is unknown."""
-        return RegionGain(self, lattice).at(0, 0, *lattice.image_size)
+    def light(self, centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+        """(n,) light of lenses at centres (n, 2) [px] by the polynomial of the field."""
+        return np.exp(field_monomials(centres, lattice, len(self.level)) @ self.level)
 
-    def flatten(self, flat: NDArray[Any], lattice: Lattice) -> NDArray[Any]:
-        """`flat` (h, w) or (h, w, c) divided by the gain; pixels of unknown gain keep their values."""
-        return RegionGain(self, lattice).flatten(flat)[0]
+    def describe(self, centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+        """(n, s) lenses at centres (n, 2) [px] as kernels take them: see `kernel`."""
+        lenses = np.zeros((len(centres), RIM_START + len(self.rim)))
+        unit = np.array([1.0, 1, 2, 2, 2])
+        lenses[:, :5] = field_monomials(centres, lattice, self.shading.shape[1]) @ self.shading.T / self.radius**unit
+        if len(self.cut):
+            lenses[:, 5:7] = self.cut[:2] + self.cut[2] * field_place(centres, lattice)
+        lenses[:, RIM_START:] = field_monomials(centres, lattice, self.rim.shape[1]) @ self.rim.T / self.radius
+        return lenses
 
-    def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
-        """(n,) largest distance [px] within which a lens has half its light in every direction; 0 if it is unlit."""
-        from .kernel import find_usable_radius
-
-        centres = lattice.centres()
-        limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
-        out = np.zeros(len(centres))
-        lens_gain = self.lens_gain if len(self.lens_gain) else np.ones(len(centres), np.float32)
-        find_usable_radius(centres, lens_gain, limit, out, self.shape(lattice))
-        return out
-
-    def shape(self, lattice: Lattice) -> MicroimageShape:
-        """The shape of the microimages of a flat with this lattice."""
+    @property
+    def shape(self) -> Shape:
+        """What all microimages have in common, as kernels take it."""
         cut = np.zeros(6)
         cut[: len(self.cut)] = self.cut
         cut[5] = self.stray_light
-        frame = field_frame(lattice)
-        return MicroimageShape(frame, self.radius, self.profile, self.step, self.shading, self.rim, cut)
+        return Shape(self.profile, self.step, cut)
+
+    def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
+        """(n,) largest distance [px] within which a lens has half its light in every direction; 0 if it is unlit."""
+        limit = nearest_half(lattice)
+        lenses, least = self.describe(lattice.centres(), lattice), np.full(len(lattice), limit)
+        # In parts, so that memory does not grow with the flat.
+        for part in np.array_split(np.arange(len(lenses)), len(lenses) // 500 + 1):
+            light = self.sample(lenses[part], int(limit / self.step) + 2)
+            first = np.maximum((light < 0.5).argmax(2), 1)[..., None]
+            before, after = (np.take_along_axis(light, first - k, 2)[..., 0] for k in (1, 0))
+            place = first[..., 0] - (0.5 - after) / np.maximum(before - after, 1e-9)
+            crossed = np.where((light < 0.5).any(2), place * self.step, limit)
+            least[part] = np.clip(np.where(light[..., 0] < 0.5, 0, crossed).min(1), 0, limit)
+        return np.where(self.lens_gain == 0, 0, least) if len(self.lens_gain) else least
+
+    def evaluate(self, lenses: NDArray[np.float64], lens: NDArray[np.int64], x: Any, y: Any) -> NDArray[np.float64]:
+        """(3, p) at places `x, y` (p,) [px] from the centres of described lenses, in rows `lens` (p,).
+
+        Relative light, distance on the profile [px], share that the cutting disc leaves.
+        """
+        out = np.empty((3, len(lens)))
+        evaluate_light(lens, x, y, lenses, self.shape, out)
+        return out
+
+    def sample(self, lenses: NDArray[np.float64], rings: int) -> NDArray[np.float64]:
+        """(n, 32, rings) light of described lenses in 32 directions at distances `0, step, ...`."""
+        lens, direction, ring = np.indices((len(lenses), 32, rings)).reshape(3, -1)
+        angle = direction * (2 * np.pi / 32)
+        x, y = (ring * self.step * wave for wave in (np.cos(angle), np.sin(angle)))
+        return self.evaluate(lenses, lens, x, y)[0].reshape(-1, 32, rings)
 
     @property
     def profiles(self) -> NDArray[np.float64]:
@@ -197,72 +200,27 @@ class GainMap(Frozen):
         )  # fmt: skip
 
 
-class RegionGain:
-    """Gain of rectangular regions of a flat; its tables are made once for all of them.
-
-    Parameters
-    ----------
-    gain_map : GainMap
-    lattice : Lattice
-    """
-
-    def __init__(self, gain_map: GainMap, lattice: Lattice) -> None:
-        from .rows import make_row_tables
-
-        tables = make_row_tables(lattice, gain_map.lens_gain, gain_map.type_cell)
-        self._model = tables, gain_map.level, gain_map.shape(lattice), gain_map.profiles
-
-    def at(self, left: int, top: int, width: int, height: int, least_light: float = LEAST_LIGHT) -> NDArray[np.float32]:
-        """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is below `least_light` of
-        the light of the lens: mostly noise and stray light."""
-        from .rows import fill_gain
-
-        out = np.empty((height, width), np.float32)
-        fill_gain(out, top, left, least_light, *self._model)
-        return out
-
-    def flatten(self, pixels: NDArray[Any], left: int = 0, top: int = 0) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Divide a region of a flat by its gain.
-
-        Parameters
-        ----------
-        pixels : (h, w) or (h, w, c) unsigned integers or floats
-        left, top : int [px]
-            Flat coordinates of the first pixel.
-
-        Returns
-        -------
-        even : array of the shape and type of `pixels`
-            As in `Calibration.flatten`.
-        unknown : (h, w) bool
-            Pixels of unknown gain, which keep their values.
-        """
-        from .kernel import flatten_rows
-        from .rows import fill_gain
-
-        deep = pixels.reshape(*pixels.shape[:2], -1)
-        out, unknown = np.empty_like(deep), np.empty(deep.shape[:2], np.bool_)
-        highest = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 0.0
-        # In bands of rows, so that memory does not grow with the flat.
-        band = np.empty((min(512, len(deep)), deep.shape[1]), np.float32)
-        for first in range(0, len(deep), len(band)):
-            rows = slice(first, first + len(band))
-            gain = band[: len(deep[rows])]
-            fill_gain(gain, top + first, left, LEAST_LIGHT, *self._model)
-            flatten_rows(deep[rows], gain, out[rows], highest)
-            np.isnan(gain, out=unknown[rows])
-        return out.reshape(pixels.shape), unknown
-
-
 def count_terms(degree: int) -> int:
     """Number of terms of a polynomial of the field."""
     return (degree + 1) * (degree + 2) // 2
 
 
-def field_frame(lattice: Lattice) -> NDArray[np.float64]:
-    """(3,) middle x, y and half diagonal of the flat [px]: origin and unit of field coordinates."""
-    width, height = lattice.image_size
-    return np.array([(width - 1) / 2, (height - 1) / 2, np.hypot(width, height) / 2])
+def nearest_half(lattice: Lattice) -> float:
+    """Half the distance [px] to the nearest microimage."""
+    return float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
+
+
+def field_place(points: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+    """(n, 2) flat positions [px] from the middle of the flat, in half diagonals."""
+    size = np.array(lattice.image_size)
+    return np.asarray((points - (size - 1) / 2) / (np.hypot(*size) / 2))
+
+
+def field_monomials(points: NDArray[np.float64], lattice: Lattice, terms: int) -> NDArray[np.float64]:
+    """(n, terms) `1, X, Y, X^2, X*Y, Y^2, ...` at flat positions (n, 2) [px]."""
+    degree = next(degree for degree in range(99) if count_terms(degree) >= terms)
+    xs, ys = (np.vander(v, degree + 1, increasing=True) for v in field_place(points, lattice).T)
+    return np.column_stack([xs[:, d - b] * ys[:, b] for d in range(degree + 1) for b in range(d + 1)])
 
 
 def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[Any]:

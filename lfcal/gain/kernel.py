@@ -1,79 +1,39 @@
-"""Gain model of one lens: the coefficients of its shape, and the relative light at a place in it (kernels).
+"""Gain model of one lens: the relative light at a place in it (kernels).
 
 A lens is described by an array: factors of `u, v, u^2, uv, v^2` of its shading [1/px, 1/px^2], displacement x, y of its
-cutting disc [px], then the harmonics of its rim [share of the radius] from `RIM_START` on.
+cutting disc [px], then the harmonics of its rim [share of the radius] from `RIM_START` on; `GainMap.describe` makes it.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from ..runtime.kernels import kernel
 
-__all__ = [
-    "RIM_START", "evaluate_level", "evaluate_levels", "evaluate_shape", "find_usable_radius",
-    "flatten_rows", "radial_mean", "relative_light",
-]  # fmt: skip
+__all__ = ["RIM_START", "Shape", "evaluate_light", "flatten_rows", "relative_light"]
 
 RIM_START = 7
-_ROOT_HALF = math.sqrt(0.5)
-# In which the usable radius and the mean over directions are evaluated.
-_DIRECTIONS = 32
 
 
-@njit(error_model="numpy", fastmath=False)
-def _monomials(x, y, count, out):
-    """1, x, y, x^2, x*y, y^2 ...: each degree is the one before times x, and its last term times y."""
-    out[0] = 1.0
-    before, done, degree = 0, 1, 1
-    while done < count:
-        start = done
-        for k in range(degree):
-            out[done + k] = out[before + k] * x
-        out[done + degree] = out[start - 1] * y
-        done += degree + 1
-        before = start
-        degree += 1
+class Shape(NamedTuple):
+    """What the microimages of a flat have in common.
 
+    Parameters
+    ----------
+    profile : (k,) float64
+    step : float [px]
+    cut : (6,) float64
+        The five of `GainMap.cut`, 0 if there is no cutting disc, and `GainMap.stray_light`.
+    """
 
-@njit(error_model="numpy", fastmath=False)
-def evaluate_shape(cx, cy, shape, powers, lens):
-    """Write the description of the lens at `(cx, cy)` into `lens`; `powers` gets the monomials of the field."""
-    field, radius, shading, rim, cut = shape.frame, shape.radius, shape.shading, shape.rim, shape.cut
-    x, y = (cx - field[0]) / field[2], (cy - field[1]) / field[2]
-    _monomials(x, y, max(shading.shape[1], rim.shape[1]), powers)
-    for row in range(5):
-        total = 0.0
-        for t in range(shading.shape[1]):
-            total += shading[row, t] * powers[t]
-        lens[row] = total / (radius if row < 2 else radius * radius)
-    lens[5], lens[6] = cut[0] + cut[2] * x, cut[1] + cut[2] * y
-    for row in range(rim.shape[0]):
-        total = 0.0
-        for t in range(rim.shape[1]):
-            total += rim[row, t] * powers[t]
-        lens[RIM_START + row] = total / radius
-
-
-@njit(error_model="numpy")
-def evaluate_level(cx, cy, field, level, powers):
-    """Exponential of a polynomial of the field at one place; `powers` gets the monomials of the field."""
-    _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
-    total = 0.0
-    for t in range(len(level)):
-        total += level[t] * powers[t]
-    return math.exp(total)
-
-
-@kernel(error_model="numpy", share=lambda centres, *_: len(centres))
-def evaluate_levels(begin, end, centres, field, level, out):
-    """`evaluate_level` at places (n, 2)."""
-    powers = np.empty(64)
-    for n in range(begin, end):
-        out[n] = evaluate_level(centres[n, 0], centres[n, 1], field, level, powers)
+    profile: NDArray[np.float64]
+    step: float
+    cut: NDArray[np.float64]
 
 
 @njit(error_model="numpy", inline="always")
@@ -107,10 +67,18 @@ def relative_light(dx, dy, lens, profile, step, cut):
         if depth < -4:
             through = 0.0
         elif depth < 4:
-            through = 0.5 * (1 + math.erf(depth * _ROOT_HALF))
+            through = 0.5 * (1 + math.erf(depth * math.sqrt(0.5)))
         value = cut[5] + (value - cut[5]) * through
     value *= 1 + dx * (lens[0] + lens[2] * dx + lens[3] * dy) + dy * (lens[1] + lens[4] * dy)
     return value, stretched, through
+
+
+@kernel(error_model="numpy", share=lambda lens, *_: len(lens))
+def evaluate_light(begin, end, lens, dx, dy, lenses, shape, out):
+    """Write `relative_light` at places (p,) in lenses, rows `lens` of `lenses` (n, s), into `out` (3, p)."""
+    profile, step, cut = shape.profile, shape.step, shape.cut
+    for p in range(begin, end):
+        out[0, p], out[1, p], out[2, p] = relative_light(dx[p], dy[p], lenses[lens[p]], profile, step, cut)
 
 
 @kernel(error_model="numpy", share=lambda flat, gain, out, *_: len(out))
@@ -127,45 +95,3 @@ def flatten_rows(begin, end, flat, gain, out, highest):
                     if highest > 0:
                         even = min(even + 0.5, highest)
                     out[y, x, k] = even
-
-
-@kernel(error_model="numpy")
-def find_usable_radius(centres, lens_gain, limit, out, shape):
-    """Least distance [px] over all directions at which the light of each lens falls below one half, up to `limit`."""
-    profile, step, cut = shape.profile, shape.step, shape.cut
-    for n in range(centres.shape[0]):
-        if lens_gain[n] == 0:
-            continue
-        powers = np.empty(64)
-        lens = np.empty(RIM_START + shape.rim.shape[0])
-        evaluate_shape(centres[n, 0], centres[n, 1], shape, powers, lens)
-        least = limit
-        for d in range(_DIRECTIONS):
-            c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
-            before, r = relative_light(0.0, 0.0, lens, profile, step, cut)[0], 0.0
-            if before < 0.5:
-                least = 0.0
-            while r < least:
-                r += step
-                after = relative_light(r * c, r * s, lens, profile, step, cut)[0]
-                if after < 0.5:
-                    least = min(least, r - step * (0.5 - after) / max(before - after, 1e-9))
-                    break
-                before = after
-        out[n] = least
-
-
-@kernel(error_model="numpy")
-def radial_mean(centres, out, shape):
-    """Relative light at distances `0, step, ...`, averaged over all directions of each lens; `out` is (n, k)."""
-    profile, step, cut = shape.profile, shape.step, shape.cut
-    for n in range(centres.shape[0]):
-        powers = np.empty(64)
-        lens = np.empty(RIM_START + shape.rim.shape[0])
-        evaluate_shape(centres[n, 0], centres[n, 1], shape, powers, lens)
-        for k in range(out.shape[1]):
-            total = 0.0
-            for d in range(_DIRECTIONS):
-                c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
-                total += relative_light(k * step * c, k * step * s, lens, profile, step, cut)[0]
-            out[n, k] = total / _DIRECTIONS

@@ -7,7 +7,7 @@ to search for its lens.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -15,20 +15,70 @@ from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
 from ..runtime.kernels import kernel
-from .kernel import RIM_START, evaluate_level, evaluate_shape, relative_light
+from .gain_map import GainMap
+from .kernel import flatten_rows, relative_light
 
-__all__ = ["RowTables", "fill_gain", "make_row_tables"]
+__all__ = ["RegionGain"]
 
 
-class RowTables(NamedTuple):
+class RegionGain:
+    """Gain of rectangular regions of a flat; its tables are made once for all of them.
+
+    Parameters
+    ----------
+    gain_map : GainMap
+    lattice : Lattice
+    """
+
+    def __init__(self, gain_map: GainMap, lattice: Lattice) -> None:
+        self._model = _make_row_tables(lattice, gain_map), gain_map.shape, gain_map.profiles
+
+    def at(self, left: int, top: int, width: int, height: int, least_light: float = 0.25) -> NDArray[np.float32]:
+        """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is below `least_light` of
+        the light of the lens: mostly noise and stray light."""
+        out = np.empty((height, width), np.float32)
+        _fill_gain(out, top, left, least_light, *self._model)
+        return out
+
+    def flatten(self, pixels: NDArray[Any], left: int = 0, top: int = 0) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Divide a region of a flat by its gain.
+
+        Parameters
+        ----------
+        pixels : (h, w) or (h, w, c) unsigned integers or floats
+        left, top : int [px]
+            Flat coordinates of the first pixel.
+
+        Returns
+        -------
+        even : array of the shape and type of `pixels`
+            As in `Calibration.flatten`.
+        unknown : (h, w) bool
+            Pixels of unknown gain, which keep their values.
+        """
+        deep = pixels.reshape(*pixels.shape[:2], -1)
+        out, unknown = np.empty_like(deep), np.empty(deep.shape[:2], np.bool_)
+        highest = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 0.0
+        # In bands of rows, so that memory does not grow with the flat.
+        for first in range(0, len(deep), 512):
+            rows = slice(first, first + 512)
+            gain = self.at(left, top + first, deep.shape[1], len(deep[rows]))
+            flatten_rows(deep[rows], gain, out[rows], highest)
+            np.isnan(gain, out=unknown[rows])
+        return out.reshape(pixels.shape), unknown
+
+
+class _RowTables(NamedTuple):
     """Tables for going from lens to lens along the rows of a flat.
 
     Parameters
     ----------
     centres : (b, a, 2) float64 [px]
         Of all lenses on the flat and some around it, by lattice index.
-    lens_gain : (b, a) float32
-        As in `GainMap`.
+    light : (b, a) float64
+        Of each lens.
+    lenses : (b, a, s) float32
+        Their descriptions.
     types : (b, a) int8
         Types of the lenses, 0 where they do not differ.
     starts : (h, 2) int64
@@ -38,44 +88,42 @@ class RowTables(NamedTuple):
     """
 
     centres: NDArray[np.float64]
-    lens_gain: NDArray[np.float32]
+    light: NDArray[np.float64]
+    lenses: NDArray[np.float32]
     types: NDArray[np.int8]
     starts: NDArray[np.int64]
     ahead: NDArray[np.int64]
 
 
-# Slots of the cache of lenses: enough for a row of them and the next one.
-_SLOTS = 2048
-
-
-def make_row_tables(lattice: Lattice, lens_gain: NDArray[np.float32], type_cell: NDArray[np.int8]) -> RowTables:
-    """Tables of a flat; `lens_gain` and `type_cell` as in `GainMap`. ValueError if there are other lenses."""
+def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
+    """Tables of a flat. ValueError if the gain map is of other lenses."""
     width, height = lattice.image_size
-    rows = np.arange(height, dtype=np.float64)
-    starts = np.rint(lattice.to_index(np.column_stack([np.zeros(height), rows]))).astype(np.int64)
-    ends = np.rint(lattice.to_index(np.column_stack([np.full(height, width - 1.0), rows]))).astype(np.int64)
-    indices = lattice.indices()
-    if len(lens_gain) and len(lens_gain) != len(indices):
-        raise ValueError(f"the gain map is of {len(lens_gain)} lenses, the lattice has {len(indices)}")
-    # Each column by itself: NumPy takes ten times as long over rows of two.
-    every = [np.concatenate([of[:, axis] for of in (starts, ends, indices)]) for axis in (0, 1)]
+    rows, indices = np.arange(height, dtype=np.float64), lattice.indices()
+    if len(gain.lens_gain) not in (0, len(indices)):
+        raise ValueError(f"the gain map is of {len(gain.lens_gain)} lenses, the lattice has {len(indices)}")
+    starts, ends = (
+        np.rint(lattice.to_index(np.column_stack([np.full(height, column), rows]))).astype(np.int64)
+        for column in (0.0, width - 1)
+    )
     # Rows begin and end in lenses around the flat.
-    low = np.array([np.min(of) for of in every]) - 4
-    high = np.array([np.max(of) for of in every]) + 4
-    centres = lattice.grid(*(np.arange(low[axis], high[axis] + 1) for axis in (0, 1)))
-    gains = np.ones(centres.shape[:2], np.float32)
-    if len(lens_gain):
-        gains[indices[:, 1] - low[1], indices[:, 0] - low[0]] = lens_gain
-    types = np.zeros(centres.shape[:2], np.int8)
-    if type_cell.size:
-        i, j = (np.arange(low[axis], high[axis] + 1) % len(type_cell) for axis in (0, 1))
-        types[:] = type_cell[i[None, :], j[:, None]]
+    every = [np.concatenate([of[:, axis] for of in (starts, ends, indices)]) for axis in (0, 1)]
+    low, high = np.array([of.min() for of in every]) - 4, np.array([of.max() for of in every]) + 4
+    i, j = (np.arange(low[axis], high[axis] + 1) for axis in (0, 1))
+    centres = lattice.grid(i, j)
+    points = centres.reshape(-1, 2)
+    light = gain.light(points, lattice).reshape(centres.shape[:2])
+    if len(gain.lens_gain):
+        light[indices[:, 1] - low[1], indices[:, 0] - low[0]] *= gain.lens_gain
+    types, cell = np.zeros(light.shape, np.int8), gain.type_cell
+    if cell.size:
+        types[:] = cell[i[None, :] % len(cell), j[:, None] % len(cell)]
     # With the shorter diagonal: cells have at most six sides.
     cross = min(((1, 1), (1, -1)), key=lambda step: float(np.hypot(*(step @ lattice.basis))))
     sides = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), cross, (-cross[0], -cross[1])])
     # A distortion may turn a step a little backwards.
     ahead = sides[(sides @ lattice.basis)[:, 0] > -0.2 * lattice.pitch]
-    return RowTables(centres, gains, types, np.ascontiguousarray(starts - low), ahead)
+    lenses = gain.describe(points, lattice).astype(np.float32).reshape(*light.shape, -1)
+    return _RowTables(centres, light, lenses, types, np.ascontiguousarray(starts - low), ahead)
 
 
 @njit(error_model="numpy")
@@ -112,43 +160,26 @@ def _find_next_lens(y, a, b, width, centres, ahead):
     return min(max(math.ceil(cx + least), 0), width), p, q
 
 
-@njit(error_model="numpy")
-def _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens):
-    """Light of the lens `(a, b)`; its description is written into `lens`, from the cache `keys`, `lenses` if there."""
-    centres = tables.centres
-    # Lenses above each other are a prime number of slots apart, so that the cache fills evenly.
-    slot, key = (a + 701 * b) % _SLOTS, a + b * centres.shape[1]
-    if keys[slot] != key:
-        keys[slot] = key
-        cx, cy = centres[b, a, 0], centres[b, a, 1]
-        evaluate_shape(cx, cy, shape, powers, lenses[slot, :-1])
-        lenses[slot, -1] = tables.lens_gain[b, a] * evaluate_level(cx, cy, shape.frame, level, powers)
-    # Copied: a view of the row would cost more than these few numbers.
-    for k in range(len(lens)):
-        lens[k] = lenses[slot, k]
-    return lenses[slot, -1]
-
-
 @kernel(error_model="numpy", share=lambda out, *_: len(out))
-def fill_gain(begin, end, out, top, left, least, tables, level, shape, profiles):
+def _fill_gain(begin, end, out, top, left, least, tables, shape, profiles):
     """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where there is less than
     `least` of the light of a lens; `profiles` (t, k) are those of the types of lenses."""
-    size = RIM_START + shape.rim.shape[0]
-    keys, powers, lens, lenses = np.full(_SLOTS, -1), np.empty(64), np.empty(size), np.empty((_SLOTS, size + 1))
+    lens = np.empty(tables.lenses.shape[2])
     right = left + out.shape[1]
-    centres, starts, ahead, types = tables.centres, tables.starts, tables.ahead, tables.types
-    step, cut = shape.step, shape.cut
+    centres, ahead, step, cut = tables.centres, tables.ahead, shape.step, shape.cut
     for row in range(begin, end):
         y = top + row
-        a, b = _find_first_lens(y, starts[y, 0], starts[y, 1], centres)
+        a, b = _find_first_lens(y, tables.starts[y, 0], tables.starts[y, 1], centres)
         x = 0
         while x < right:
             stop, p, q = _find_next_lens(y, a, b, right, centres, ahead)
             if stop > left:
-                bright = _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens)
-                cx, cy = centres[b, a, 0], centres[b, a, 1]
-                profile = profiles[types[b, a]]
+                # Copied: a view of the row would cost more than these few numbers.
+                for k in range(len(lens)):
+                    lens[k] = tables.lenses[b, a, k]
+                light, cx, cy = tables.light[b, a], centres[b, a, 0], centres[b, a, 1]
+                profile = profiles[tables.types[b, a]]
                 for at in range(max(x, left), stop):
-                    value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
-                    out[row, at - left] = value * bright if value >= least else np.nan
+                    value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if light > 0 else 0.0
+                    out[row, at - left] = value * light if value >= least else np.nan
             x, a, b = max(x, stop), p, q

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gain.defects import Defects
-from ..gain.gain_map import RegionGain
+from ..gain.rows import RegionGain
 from ..lattice.lattice import Lattice
 from .lens_light import LensLights
 

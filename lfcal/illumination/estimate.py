@@ -14,26 +14,24 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gain.gain_map import GainMap, count_terms, field_frame
+from ..gain.gain_map import GainMap, count_terms, field_monomials, field_place, nearest_half
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..white_fit.cat_eye import CatEye
-from .residuals import DIRECTIONS, GainResiduals, ResidualOptions, collect_residuals
+from .profiles import fit_scene_profile
+from .residuals import Residuals, collect_residuals
 from .sample import draw_sample
-from .scene_profile import fit_scene_profile
 
-__all__ = ["clipping_luminance", "estimate_gain", "field_monomials"]
+__all__ = ["estimate_gain"]
 
-# [px] between samples of the profile; a rim is about one pixel soft.
-_STEP = 0.25
-# Harmonics of the rim over the direction: squares and hexagons with their corners.
-_HARMONICS = 12
+Array = NDArray[Any]
 
 
 def estimate_gain(
@@ -51,65 +49,51 @@ def estimate_gain(
     cat_eye : CatEye or None
         The cutting disc if known.
     """
-    crops = StackedCrops.of(picture)
-    picture = crops.picture
-    sample = draw_sample(lattice, 3e5, crops)
-    limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
-    rings = int(Cell.of(lattice).circumradius / _STEP) + 3
+    sample = draw_sample(lattice, picture, 1.5e5, scene)
+    # [px] between samples of the profile; a rim is about one pixel soft.
+    step = 0.25
+    rings = int(Cell.of(lattice).circumradius / step) + 3
     cut = () if cat_eye is None else (*cat_eye.shift, cat_eye.growth, cat_eye.radius, cat_eye.blur)
-    gain = GainMap.round(np.ones(rings), _STEP, limit, cut)
-    core, brightest = (0.6 if scene else 0.5) * limit, clipping_luminance(picture, scene)
-    spread = np.full(rings, np.inf)
+    gain = GainMap.round(np.ones(rings), step, nearest_half(lattice), cut)
+    largest = np.full(rings, np.inf)
     # The profile alone has to be about right before the rest is fitted.
     for terms in (False, False, True, True):
-        options = ResidualOptions(core, scene, brightest, (TUKEY_CUTOFF * spread) ** 2, terms)
-        residuals = collect_residuals(picture, lattice, gain, sample, options)
+        residuals = collect_residuals(sample, gain, scene, largest)
         if terms:
-            gain = replace(gain, rim=_fit_rim(residuals, gain, sample.middle, lattice))
+            rims = _select_rims(residuals, gain)
+            gain = replace(gain, rim=_fit_rim(residuals, gain, *rims, scene))
             if not scene:
-                gain = replace(gain, shading=_fit_shading(residuals, gain, sample.middle, lattice))
-            spread = _estimate_noise(residuals)
+                gain = replace(gain, shading=_fit_shading(residuals, gain, rims[0]))
+            largest = TUKEY_CUTOFF * _estimate_noise(residuals, rings)
         gain = _correct_profile(gain, residuals)
         if terms and len(gain.cut):
             # From new residuals: where the two rims coincide, both would else be moved to correct the same error.
-            gain = replace(gain, cut=_fit_cut(collect_residuals(picture, lattice, gain, sample, options), gain))
-    return replace(gain, profile=fit_scene_profile(picture, lattice, gain, brightest)) if scene else gain
+            gain = replace(gain, cut=_fit_cut(collect_residuals(sample, gain, scene, largest), gain))
+    return replace(gain, profile=fit_scene_profile(picture, lattice, gain)) if scene else gain
 
 
-def clipping_luminance(picture: NDArray[np.float32], scene: bool) -> float:
-    """Luminance from which on pixels count as clipped; a white image can be as even as if it were."""
-    return 0.995 * float(picture.max()) ** 2 if scene else math.inf
-
-
-def _estimate_noise(residuals: GainResiduals) -> NDArray[np.float64]:
+def _estimate_noise(residuals: Residuals, rings: int) -> Array:
     """(k,) standard deviation of pixels over the distance to the centre."""
-    square, count = residuals.rings[2].sum(0), residuals.rings[3].sum(0)
+    square = np.bincount(residuals.ring, residuals.weight * residuals.error**2, rings)
+    count = np.bincount(residuals.ring, residuals.weight, rings)
     few = max(1e-4 * count.sum(), 1e-12)
     near = np.convolve(square, np.ones(5), "same") + few * square.sum() / max(count.sum(), 1e-12)
     return np.sqrt(np.maximum(near / (np.convolve(count, np.ones(5), "same") + few), 1e-12))
 
 
-def _correct_profile(gain: GainMap, residuals: GainResiduals) -> GainMap:
+def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
     """The map with its profile, 1 at its brightest, and its stray light corrected."""
-    up, down = residuals.rings[:2]
-    pixels = down.sum(0)
-    found = np.maximum(gain.profile + up.sum(0) / np.maximum(pixels, 1e-300), 0.0)
+    r, rings = residuals, len(gain.profile)
+    bright = r.weight * r.through * r.plane * (r.through > 0.5)
+    pixels = r.spread(bright * r.through * r.plane, rings)
+    found = np.maximum(gain.profile + r.spread(bright * r.error, rings) / np.maximum(pixels, 1e-300), 0.0)
     # Rings with hardly any pixel are interpolated.
-    at, filled = np.arange(len(found)), pixels > 1e-3 * pixels.max()
+    at, filled = np.arange(rings), pixels > 1e-3 * pixels.max()
     profile = np.interp(at, at[filled], found[filled]) if filled.any() else gain.profile
-    behind, weight = residuals.dark.sum(0)
-    stray = max(float(gain.stray_light + behind / weight if weight > 0 else profile.min()), 0.0)
+    stray = max(profile.min() if math.isnan(r.stray) else gain.stray_light + r.stray, 0.0)
     smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
     brightest = max(float(smooth[at * gain.step < gain.radius].max()), 1e-9)
     return replace(gain, profile=profile / brightest, stray_light=stray / brightest)
-
-
-def field_monomials(points: NDArray[np.float64], lattice: Lattice, degree: int) -> NDArray[np.float64]:
-    """(n, t) terms of a polynomial of the field at flat positions `points` (n, 2), in the order of `GainMap`."""
-    middle_x, middle_y, reach = field_frame(lattice)
-    x, y = ((points - (middle_x, middle_y)) / reach).T
-    xs, ys = (np.vander(v, degree + 1, increasing=True) for v in (x, y))
-    return np.column_stack([xs[:, d - b] * ys[:, b] for d in range(degree + 1) for b in range(d + 1)])
 
 
 def _fit_significant(
@@ -142,81 +126,101 @@ def _fit_significant(
     return [factors[a:b] * keep[a:b] for a, b in pairwise(ends)]
 
 
-def _fit_rim(
-    residuals: GainResiduals, gain: GainMap, middle: NDArray[np.float64], lattice: Lattice
-) -> NDArray[np.float64]:
+def _select_rims(residuals: Residuals, gain: GainMap) -> tuple[NDArray[np.bool_], Array]:
+    """Pixels (q,) of rims, and how their light falls towards the outside there, over the radius."""
+    r, slope = residuals, np.gradient(gain.profile, gain.step)
+    far = np.hypot(r.sample.x, r.sample.y) / gain.radius
+    steep = (slope[r.ring] * (1 - r.part) + slope[r.ring + 1] * r.part) * r.through * r.plane * far
+    return np.abs(steep) > 0.02, steep
+
+
+def _fit_rim(residuals: Residuals, gain: GainMap, rims: NDArray[np.bool_], steep: Array, scene: bool) -> Array:
     """New polynomials of the rim: harmonics of the direction times monomials of the field, the significant ones.
 
     Only the mean and the first three harmonics may change over the field, and the mean rim of the whole field is in
-    the profile.
+    the profile. Of scenes, whose content leaks into them, none changes.
     """
-    # 0 for a window or direction without rim.
-    weight = residuals.rims[1].ravel()
-    angle = np.tile(np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS, len(middle))
-    degree = 2 if len(middle) > 2 * count_terms(2) else 0
-    field = np.repeat(field_monomials(middle, lattice, degree), DIRECTIONS, axis=0)
-    old = np.zeros((1 + 2 * _HARMONICS, count_terms(degree)))
-    old[: gain.rim.shape[0], : gain.rim.shape[1]] = gain.rim[:, : old.shape[1]]
-    rows = [[0]] + [[2 * k - 1, 2 * k] for k in range(1, _HARMONICS + 1)]
-    waves = np.ones((1 + 2 * _HARMONICS, len(angle)))
-    for k in range(1, _HARMONICS + 1):
-        waves[2 * k - 1], waves[2 * k] = np.cos(k * angle), np.sin(k * angle)
-    where = [
-        [(row, c) for row in pair for c in range(field.shape[1] if k <= 3 else 1) if (row, c) != (0, 0)]
-        for k, pair in enumerate(rows)
-    ]
-    where = [cells for cells in where if cells]
-    blocks = [np.column_stack([waves[row] * field[:, c] for row, c in cells]) for cells in where]
-    # What the map holds already is fitted again, so that its significance is tested again.
-    target = residuals.rims[0].ravel() / np.maximum(weight, 1e-30)
-    for block, cells in zip(blocks, where, strict=True):
-        target = target + block @ np.array([old[cell] for cell in cells])
-    rim = np.zeros_like(old)
-    factors = _fit_significant(blocks, np.where(weight > 0, target, 0.0), weight)
-    for values, cells in zip(factors, where, strict=True):
-        for value, cell in zip(values, cells, strict=True):
-            rim[cell] = value
+    sample, directions, harmonics = residuals.sample, 48, 12  # squares and hexagons with their corners
+    # Sums over the pixels of the rims in each direction of each window: how far they should move.
+    bins = np.floor(np.arctan2(sample.y[rims], sample.x[rims]) / (2 * np.pi) * directions + 0.5).astype(np.int64)
+    bins = bins % directions + directions * sample.window[sample.lens[rims]]
+    size, steep = sample.windows * directions, steep[rims]
+    weight: Array = np.bincount(bins, residuals.weight[rims] * steep**2, size)
+    pull: Array = np.bincount(bins, -residuals.weight[rims] * steep * residuals.error[rims], size)
+    target = pull / np.maximum(weight, 1e-30)
+    angle = np.tile(np.arange(directions) * 2 * np.pi / directions, sample.windows)
+    terms = count_terms(2) if sample.windows > 2 * count_terms(2) and not scene else 1
+    field = np.repeat(field_monomials(sample.middle, sample.lattice, terms), directions, axis=0)
+    old, rim = np.zeros((2, 1 + 2 * harmonics, terms))
+    old[: len(gain.rim), : gain.rim.shape[1]] = gain.rim
+    blocks, places = [], []
+    for k in range(harmonics + 1):
+        waves = {2 * k: np.sin(k * angle), 2 * k - 1: np.cos(k * angle)} if k else {0: np.ones_like(angle)}
+        own = [(row, c) for row in sorted(waves) for c in range(terms if k <= 3 else 1) if (row, c) != (0, 0)]
+        if own:
+            places.append(tuple(np.array(own).T))
+            blocks.append(np.column_stack([waves[row] * field[:, c] for row, c in own]))
+            # What the map holds already is fitted again, so that its significance is tested again.
+            target = target + blocks[-1] @ old[places[-1]]
+    for place, factors in zip(places, _fit_significant(blocks, np.where(weight > 0, target, 0), weight), strict=True):
+        rim[place] = factors
     last = int(np.flatnonzero(rim.any(1)).max(initial=0) + 1) // 2
     return rim[: 1 + 2 * last]
 
 
-def _fit_cut(residuals: GainResiduals, gain: GainMap) -> NDArray[np.float64]:
-    """One Gauss-Newton step of the cutting disc."""
-    normal = residuals.cut_normal.sum(0)
-    normal += np.tril(normal, -1).T
+def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
+    """One Gauss-Newton step of the cutting disc: shift (2), growth, radius and softness."""
+    edge = np.flatnonzero((residuals.through > 0.001) & (residuals.through < 0.999))
+    sample, light, through, plane, error, weight = (
+        residuals.sample.select(edge),
+        *(v[edge] for v in (residuals.light, residuals.through, residuals.plane, residuals.error, residuals.weight)),
+    )
+    field, cut = field_place(sample.centres, sample.lattice)[sample.lens], gain.cut
+    offset = np.stack([sample.x, sample.y], axis=1) - cut[:2] - cut[2] * field
+    far = np.hypot(*offset.T)
+    depth = (cut[3] - far) / cut[4]
+    push = (light - gain.stray_light) / through * np.exp(-0.5 * depth**2) / (math.sqrt(2 * math.pi) * cut[4]) * plane
+    shift = push[:, None] * offset / far[:, None]
+    rows = np.column_stack([shift, (shift * field).sum(1), push, -push * depth])
+    normal = rows.T @ (rows * weight[:, None])
     normal += 1e-6 * np.trace(normal) * np.eye(5) + 1e-12 * np.eye(5)
-    radius, soft = gain.cut[3:]
+    radius, soft = cut[3:]
     # Steps beyond the range of the linear model are shortened.
     most = np.array([1, 1, 1, 1, 0.3]) * soft
-    cut = gain.cut + np.clip(np.linalg.solve(normal, residuals.cut_right.sum(0)), -most, most)
+    cut = cut + np.clip(np.linalg.solve(normal, rows.T @ (weight * error)), -most, most)
     cut[3], cut[4] = max(cut[3], 0.3 * radius), np.clip(cut[4], 0.2, 0.2 + 0.1 * radius)
     return cut
 
 
-def _fit_shading(
-    residuals: GainResiduals, gain: GainMap, middle: NDArray[np.float64], lattice: Lattice
-) -> NDArray[np.float64]:
+def _fit_shading(residuals: Residuals, gain: GainMap, rims: NDArray[np.bool_]) -> Array:
     """New polynomials of the shading: least squares on the normal equations of all windows."""
-    windows = len(middle)
-    degree = next((d for d in (3, 1) if windows > 2 * count_terms(d)), 0)
-    field = field_monomials(middle, lattice, degree)
-    shading = np.zeros((5, field.shape[1]))
-    shading[:, : gain.shading.shape[1]] = gain.shading[:, : field.shape[1]]
-    # The light of a window is eliminated (Schur complement); the mean curvature is in the profile.
-    whole = residuals.normal + np.tril(residuals.normal, -1).transpose(0, 2, 1)
-    own = np.maximum(whole[:, 5, 5], 1e-30)
-    mixed = whole[:, :5, 5]
-    normal = whole[:, :5, :5] - mixed[:, :, None] * mixed[:, None, :] / own[:, None, None]
-    right = residuals.right[:, :5] - mixed * (residuals.right[:, 5] / own)[:, None]
-    cells = [(row, c) for row in range(5) for c in range(field.shape[1] if row < 2 else min(6, field.shape[1]))]
-    design = np.zeros((windows, 5, len(cells)))
-    for k, (row, c) in enumerate(cells):
-        design[:, row, k] = field[:, c]
+    inside = np.flatnonzero(~rims & (residuals.light > 0.7) & (residuals.through > 0.95))
+    sample, light, error, weight = (
+        residuals.sample.select(inside), *(v[inside] for v in (residuals.light, residuals.error, residuals.weight))
+    )  # fmt: skip
+    u, v = sample.x / gain.radius, sample.y / gain.radius
+    rows = light[:, None] * np.column_stack([u, v, u * u, u * v, v * v, np.ones_like(u)])
+    windows, window = sample.windows, sample.window[sample.lens]
+    terms = next((count_terms(d) for d in (3, 1) if windows > 2 * count_terms(d)), 1)
+    field = field_monomials(sample.middle, sample.lattice, terms)
+    shading = np.zeros((5, terms))
+    shading[:, : gain.shading.shape[1]] = gain.shading[:, :terms]
+    cells = [(row, c) for row in range(5) for c in range(terms if row < 2 else min(6, terms))]
+    matrix, right = np.zeros((len(cells), len(cells))), np.zeros(len(cells))
+    for k in range(windows):
+        own = rows[window == k]
+        weighted = own.T * weight[window == k]
+        normal, pull = weighted @ own, weighted @ error[window == k]
+        # The light of a window is eliminated (Schur complement).
+        mixed = normal[:5, 5] / max(normal[5, 5], 1e-30)
+        normal, pull = normal[:5, :5] - np.outer(mixed, normal[5, :5]), pull[:5] - mixed * pull[5]
+        design = np.zeros((5, len(cells)))
+        for column, (row, c) in enumerate(cells):
+            design[row, column] = field[k, c]
+        matrix += design.T @ normal @ design
+        right += design.T @ pull
+    # The mean curvature is in the profile.
     curvature = np.array([1.0 * (cell in ((2, 0), (4, 0))) for cell in cells])
-    matrix = np.einsum("wap,wab,wbq->pq", design, normal, design, optimize=True)
-    ridge = (1e-9 * np.trace(matrix) + 1e-12) * np.eye(len(cells))
-    matrix += np.outer(curvature, curvature) * np.trace(matrix) + ridge
-    change = np.linalg.solve(matrix, np.einsum("wap,wa->p", design, right))
-    for value, cell in zip(change, cells, strict=True):
-        shading[cell] += value
+    matrix += np.outer(curvature, curvature) * np.trace(matrix) + (1e-9 * np.trace(matrix) + 1e-12) * np.eye(len(cells))
+    shading[tuple(np.array(cells).T)] += np.linalg.solve(matrix, right)
     return shading

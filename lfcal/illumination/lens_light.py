@@ -13,14 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gain.gain_map import GainMap, count_terms, field_frame
-from ..gain.kernel import RIM_START, evaluate_levels, evaluate_shape, relative_light
+from ..gain.gain_map import GainMap, count_terms, field_monomials
+from ..gain.kernel import relative_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.kernels import kernel
-from .estimate import field_monomials
 
 __all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]
 
@@ -60,16 +59,15 @@ class _LensMeasurements(NamedTuple):
 
 
 @kernel(error_model="numpy", share=lambda picture, top, chosen, *_: len(chosen))
-def _measure_lenses(begin, end, picture, top, chosen, centres, cell, stride, shape, profile, out):
+def _measure_lenses(begin, end, picture, top, chosen, centres, lenses, cell, stride, shape, profile, out):
     """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n); `picture` begins at row `top` of the flat."""
     height, width = picture.shape
-    powers, lens = np.empty(64), np.empty(RIM_START + shape.rim.shape[0])
+    lens = np.empty(lenses.shape[1])
     step, cut, reach = shape.step, shape.cut, cell.circumradius
     for k in range(begin, end):
         n = chosen[k]
-        cx, cy = centres[n, 0], centres[n, 1]
-        evaluate_shape(cx, cy, shape, powers, lens)
-        cy -= top
+        lens[:] = lenses[n]
+        cx, cy = centres[n, 0], centres[n, 1] - top
         total = squares = inside = every = light = largest = shapes = shapes2 = product = light2 = 0.0
         for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
             dy = y - cy
@@ -110,12 +108,12 @@ def _measure(
     """Measure all lenses in about 48 pixels of each, or 12 where there are very many."""
     cell, out = Cell.of(lattice), np.zeros((7, len(centres)), np.float32)
     stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / (48 if len(centres) < 1e6 else 12))))
-    shape, kinds = gain.shape(lattice), _types_of(gain, lattice)
+    lenses, kinds = gain.describe(centres, lattice), _types_of(gain, lattice)
 
     def measure(part: NDArray[np.float32], top: int, chosen: NDArray[np.int64]) -> None:
         for kind, profile in enumerate(gain.profiles):
             own = chosen[kinds[chosen] == kind] if len(gain.profiles) > 1 else chosen
-            _measure_lenses(part, top, own, centres, cell, stride, shape, profile, out)
+            _measure_lenses(part, top, own, centres, lenses, cell, stride, gain.shape, profile, out)
 
     if not callable(picture):
         measure(picture, 0, np.arange(len(centres)))
@@ -164,8 +162,7 @@ def measure_lens_lights(picture: NDArray[np.float32] | ReadCrop, lattice: Lattic
     if not lit[few].any():
         return LensLights(gain, 1.0, np.zeros(0, np.int64))
     level = _fit_level(light, lit & (found.number > 0.3 * np.median(found.number[few][seen[few]])), centres, lattice)
-    smooth = np.empty(len(centres), np.float32)
-    evaluate_levels(centres, field_frame(lattice), level, smooth)
+    smooth = replace(gain, level=level).light(centres, lattice).astype(np.float32)
     # Far from all light a polynomial can be close to 0; squares of the ratio stay finite.
     np.maximum(smooth, np.float32(1e-9) * np.max(light), out=smooth)
     ratio = light / smooth
@@ -191,7 +188,7 @@ def _fit_level(
     rows = rows[:: max(1, len(rows) // 4000)]
     log = np.log(np.maximum(lights[rows], 1e-12))
     degree = next((d for d in (6, 4, 2) if len(rows) >= 12 * count_terms(d)), 0)
-    table, weight = field_monomials(centres[rows], lattice, degree), np.ones(len(rows))
+    table, weight = field_monomials(centres[rows], lattice, count_terms(degree)), np.ones(len(rows))
     level: NDArray[np.float64] = np.zeros(table.shape[1])
     for _ in range(5):
         weighted = weight[:, None] * table

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
 from ..gain.defects import Defects
-from ..gain.gain_map import GainMap
-from ..gain.kernel import radial_mean
+from ..gain.gain_map import GainMap, nearest_half
 from ..gain.vignetting import Vignetting
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
@@ -20,7 +19,7 @@ from ..white_fit.cat_eye import CatEye
 from .defect_search import find_defects
 from .estimate import estimate_gain
 from .lens_light import find_unlit_in_scene, measure_lens_lights
-from .type_profiles import fit_type_profiles, order_by_rims
+from .profiles import fit_type_profiles, order_by_rims
 
 __all__ = ["Illumination", "measure_illumination"]
 
@@ -115,11 +114,9 @@ def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     """Vignetting of the average microimage, and its usable radius."""
     every = max(1, len(lattice) // 64)
     centres = np.ascontiguousarray(lattice.points(lattice.indices()[::every]))
-    limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
+    limit = nearest_half(lattice)
     rings = int(limit / gain.step) + 2
-    light = np.zeros((len(centres), rings))
-    radial_mean(centres, light, gain.shape(lattice))
-    relative = light.mean(0)
+    relative = gain.sample(gain.describe(centres, lattice), rings).mean((0, 1))
     if not relative.max() > 0:
         raise CalibrationError("no light is left in the average microimage; give a white image")
     relative = np.clip(relative / relative.max(), 0, 1)

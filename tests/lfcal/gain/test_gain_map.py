@@ -14,6 +14,7 @@ import lfcal
 from lfcal import Lattice
 from lfcal.cli.main import main
 from lfcal.gain.gain_map import GainMap
+from lfcal.gain.rows import RegionGain
 
 
 def inside_discs(truth, camera, margin):
@@ -83,7 +84,7 @@ def test_lenses_have_the_profile_of_their_type_also_after_saving():
     typed = replace(
         GainMap.round(np.ones(60), 0.25, 9), type_light=[np.full(60, 0.9), np.full(60, 1.1)], type_cell=cell
     )
-    gain = GainMap.from_dict(typed.to_dict()).gain(lattice)
+    gain = RegionGain(GainMap.from_dict(typed.to_dict()), lattice).at(0, 0, *lattice.image_size)
     assert np.abs(gain[10, 10] - 0.9) < 1e-6 and np.abs(gain[10, 30] - 1.1) < 1e-6 and np.abs(gain[30, 30] - 0.9) < 1e-6
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 import lfcal
 from lfcal.gain.gain_map import GainMap
+from lfcal.gain.rows import RegionGain
 from lfcal.lattice.distortion import Distortion
 
 
@@ -17,7 +18,7 @@ def test_gain_of_a_distorted_lattice_is_that_of_the_nearest_lens():
     bend = Distortion(np.array([150.0, 120.0]), 0.01, 0.0, 192.0, general, np.array([150.0, 120.0]))
     lattice = lfcal.Lattice((12.0, 9.0), np.array([[15.2, 0.4], [7.2, 13.3]]), size, 7.0, bend)
     profile = np.linspace(1.0, 0.3, 64)
-    gain = GainMap.round(profile, 0.25, 7.0).gain(lattice)
+    gain = RegionGain(GainMap.round(profile, 0.25, 7.0), lattice).at(0, 0, *size)
     y, x = np.mgrid[: size[1], : size[0]]
     points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
     i, j = np.meshgrid(np.arange(-20, 40), np.arange(-10, 40))

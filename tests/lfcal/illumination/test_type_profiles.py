@@ -5,7 +5,8 @@ import pytest
 
 from lfcal import Lattice, LensTypes
 from lfcal.gain.gain_map import GainMap
-from lfcal.illumination.type_profiles import fit_type_profiles, order_by_rims
+from lfcal.gain.rows import RegionGain
+from lfcal.illumination.profiles import fit_type_profiles, order_by_rims
 
 _TYPES = LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 _LATTICE = Lattice([10, 10], [[20, 0], [10, 17.3]], (600, 400), 9)
@@ -23,7 +24,9 @@ def _typed(difference: float) -> GainMap:
 def _flat(gain: GainMap, contrast: float) -> np.ndarray:
     rng = np.random.default_rng(0)
     scene = np.kron(1 + contrast * rng.standard_normal((40, 60)), np.ones((10, 10)))
-    return np.sqrt(np.maximum(0.5 * scene * gain.gain(_LATTICE), 0)).astype(np.float32)
+    return np.sqrt(np.maximum(0.5 * scene * RegionGain(gain, _LATTICE).at(0, 0, *_LATTICE.image_size), 0)).astype(
+        np.float32
+    )
 
 
 @pytest.mark.parametrize(("contrast", "error"), [(0.02, 0.005), (0.1, 0.015)])

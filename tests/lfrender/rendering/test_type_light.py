@@ -8,6 +8,7 @@ import pytest
 import lfrender
 from lfcal import Calibration, Lattice, LensTypes
 from lfcal.gain.gain_map import GainMap
+from lfcal.gain.rows import RegionGain
 from lfcal.gain.vignetting import Vignetting
 from lfrender.flat.gray_flat import make_gray_flat
 from lfrender.rendering.traditional import traditional
@@ -25,7 +26,7 @@ def wall():
         type_cell=types.cell,
     )
     camera = Calibration(lattice, Vignetting(np.ones(60), 0.25), lens_types=types, gain_map=gain)
-    return camera, np.rint(150 * gain.gain(lattice)).astype(np.uint8)
+    return camera, np.rint(150 * RegionGain(gain, lattice).at(0, 0, *lattice.image_size)).astype(np.uint8)
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.float32])

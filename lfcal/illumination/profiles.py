@@ -1,0 +1,156 @@
+"""Profiles of microimages from sums over many lenses: of scene captures, and of the types of a multi-focus array.
+
+On the average a scene is as bright at the rims of microimages as in their middles. The ratio of the summed light at one
+distance to that at others is free of it. The mean of ratios within lenses is not: a lens with something bright in its
+middle is darker around it more often than not. Microlenses of another focal length blur the image of the main aperture,
+and so the rims of their microimages, in another way: their sums in one part of the field, where all types see the same,
+are compared.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.lens_types import LensTypes
+from ..gain.gain_map import GainMap
+from ..lattice.lattice import Lattice
+from ..lattice.lens_subset import StackedCrops
+from .residuals import clipping_luminance
+from .sample import Sample, draw_sample
+
+__all__ = ["fit_scene_profile", "fit_type_profiles", "order_by_rims"]
+
+Array = NDArray[np.float64]
+
+
+def _sum_windows(
+    sample: Sample, gain: GainMap, scene: bool, types: NDArray[np.int8], core: float
+) -> tuple[Array, Array, Array]:
+    """Light over that of the core (w, t, k), its weight, and the level of the core (w, t), of windows that have some.
+
+    `core` [px] is its radius; `types` (n,) are those of the lenses.
+    """
+    _, stretched, through = sample.evaluate(gain)
+    lit = through >= 0.5
+    clipped = (sample.value >= clipping_luminance(sample.value, scene)) & lit
+    whole = sample.add(clipped.astype(np.float64)) * 20 <= sample.add(lit.astype(np.float64))
+    chosen = np.flatnonzero(lit & whole[sample.lens])
+    shape = sample.windows, int(types.max(initial=0)) + 1, len(gain.profile)
+    place = stretched[chosen] / gain.step
+    ring = np.minimum(place.astype(np.int64), shape[2] - 2)
+    part = np.minimum(place - ring, 1.0)
+    ring += shape[2] * (types[sample.lens[chosen]] + shape[1] * sample.window[sample.lens[chosen]])
+    light, weight = (
+        np.bincount(ring, v * (1 - part), math.prod(shape)) + np.bincount(ring + 1, v * part, math.prod(shape))
+        for v in (sample.value[chosen], through[chosen])
+    )
+    light, weight = light.reshape(shape), weight.reshape(shape)
+    radii = np.arange(shape[2]) * gain.step
+    number = weight[..., radii < core].sum(-1)
+    level = light[..., radii < core].sum(-1) / np.maximum(number, 1e-12)
+    bright = (number > 0).all(1) & (level.min(1) > 0.02 * level.mean())
+    # A lens has few pixels in its middle: their mean would be noisier than those around it.
+    for sums in (light, weight):
+        sums[..., radii < 1.5] = sums[..., radii < 1.5].mean(-1, keepdims=True)
+    return light[bright] / level[bright][..., None], weight[bright], level[bright]
+
+
+def _shrunk_mean(values: Array, weight: Array) -> Array:
+    """(...) means of values (w, ...) over windows of the field, shrunk by their errors (James and Stein 1961)."""
+    total = np.maximum(weight.sum(0), 1e-12)
+    mean = (values * weight).sum(0) / total
+    windows = max(len(values), 2)
+    error = np.sqrt((((values - mean) * weight) ** 2).sum(0) * windows / (windows - 1)) / total
+    return np.asarray(mean * np.maximum(1 - (2 * error / np.maximum(np.abs(mean), 1e-12)) ** 2, 0))
+
+
+def fit_scene_profile(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, gain: GainMap) -> Array:
+    """(k,) profile of a gain map with known rims, from a scene capture; 1 wherever that cannot be excluded.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        Square root of the luminance (`images.preprocessing`).
+    lattice : Lattice [px]
+    gain : GainMap
+        Its profile is returned if the capture is too dark.
+    """
+    sample = draw_sample(lattice, picture, 1e6, True)
+    types = np.zeros(len(sample.centres), np.int8)
+    light, weight, _ = _sum_windows(sample, gain, True, types, 0.6 * gain.radius)
+    if not len(light):
+        return gain.profile
+    rings, pixels = np.arange(len(gain.profile)), weight.sum((0, 1))
+    filled = pixels > 1e-3 * pixels.max()
+    away = _shrunk_mean(light[:, 0] / np.maximum(weight[:, 0], 1e-12) - 1, weight[:, 0])
+    profile = 1 + np.interp(rings, rings[filled], away[filled])
+    smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
+    return np.asarray(profile / smooth[rings * gain.step < gain.radius].max())
+
+
+def fit_type_profiles(
+    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, gain: GainMap, types: LensTypes | None, scene: bool
+) -> GainMap:
+    """The gain map with the light of each type of lens, or as it is if types do not differ significantly.
+
+    Parameters
+    ----------
+    picture : (h, w) float32, or crops of a white image
+        Square root of the luminance (`images.preprocessing`).
+    lattice : Lattice [px]
+        With the usable radius of the microimages.
+    gain : GainMap
+    types : LensTypes or None
+    scene : bool
+        Whether the flat is a scene capture; on a white image, the light of each lens is in the map.
+    """
+    if types is None or types.count == 1:
+        return gain
+    sample = draw_sample(lattice, picture, 1e6, True)
+    kinds = types.of(np.rint(lattice.to_index(sample.centres)).astype(np.int64))
+    light, weight, level = _sum_windows(sample, gain, scene, kinds, 0.5 * lattice.radius)
+    if level.shape[1] != types.count or len(level) < 4:
+        return gain
+    # Over 1.25 px.
+    wide = np.ones(2 * (round(1.25 / gain.step) // 2) + 1)
+    light, weight = (np.apply_along_axis(_smooth, -1, sums, wide) for sums in (light, weight))
+    radii, least = np.arange(len(gain.profile)) * gain.step, weight.min(1, keepdims=True)
+    ratio = light / np.maximum(weight, 1e-12)
+    factor = 1 + _shrunk_mean(ratio / np.maximum(ratio.mean(1, keepdims=True), 1e-12) - 1, least)
+    # Rims are measured as far as there is light in them.
+    last = np.flatnonzero((weight.sum((0, 1)) > 0) & (gain.profile > 0.25))[-1]
+    factor[:, last:] = factor[:, [last]]
+    if scene:
+        number = least[..., radii < 0.5 * lattice.radius].sum(-1)
+        factor *= 1 + _shrunk_mean(level / level.mean(1, keepdims=True) - 1, number)[:, None]
+    factor = np.clip(factor, 0.5, 2)
+    if np.abs(factor[:, radii < lattice.radius] - 1).max() < 0.005:
+        return gain
+    return replace(gain, type_light=factor, type_cell=types.cell)
+
+
+def _smooth(values: Array, window: Array) -> Array:
+    """Mean over neighbouring rings."""
+    return np.convolve(np.pad(values, len(window) // 2, "edge"), window / len(window), "valid")
+
+
+def order_by_rims(types: LensTypes | None, gain: GainMap, radius: float) -> tuple[LensTypes | None, GainMap]:
+    """The `ordered` types of a white image and their gain map, from the softest rims to the hardest where these differ.
+
+    Rims are images of the main aperture, at `s = 0`: the farther from that a type is focused, the softer is its rim,
+    and the less light is left before it (`radius` [px]: usable).
+    """
+    if types is None or not types.ordered or not gain.type_light.size:
+        return types, gain
+    rims = gain.type_rims(radius)
+    rims = rims[:, np.ptp(rims, axis=0).argmax()]
+    order = np.argsort(rims)
+    if np.diff(rims[order]).min() < 0.005:
+        return types, gain
+    cell = np.argsort(order)[types.cell].astype(np.int8)
+    ordered = LensTypes(cell, True, types.focus[order] if types.focus is not None else None, types.confidence)
+    return ordered, replace(gain, type_light=gain.type_light[order], type_cell=cell)
