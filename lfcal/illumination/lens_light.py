@@ -183,11 +183,11 @@ def measure_lens_lights(picture: NDArray[np.float32] | ReadCrop, lattice: Lattic
 def _fit_level(
     lights: NDArray[np.float32], use: NDArray[np.bool_], centres: NDArray[np.float64], lattice: Lattice
 ) -> NDArray[np.float64]:
-    """Robust polynomial through the logarithms of the lights of lenses, of the sixth degree if there are enough."""
+    """Robust polynomial through the logarithms of the lights of lenses, of the fourth degree if there are enough."""
     rows = np.flatnonzero(use)
     rows = rows[:: max(1, len(rows) // 4000)]
     log = np.log(np.maximum(lights[rows], 1e-12))
-    degree = next((d for d in (6, 4, 2) if len(rows) >= 12 * count_terms(d)), 0)
+    degree = next((d for d in (4, 2) if len(rows) >= 12 * count_terms(d)), 0)
     table, weight = field_monomials(centres[rows], lattice, count_terms(degree)), np.ones(len(rows))
     level: NDArray[np.float64] = np.zeros(table.shape[1])
     for _ in range(5):

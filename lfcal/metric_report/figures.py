@@ -44,11 +44,12 @@ def draw_field(found: MetricCalibration) -> str:
     kept = count >= 5
     figure = Figure((7, 7 * height / width), layout="constrained")
     axes = figure.subplots()
-    axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xlabel="x [px]", ylabel="y [px]")
+    # The title keeps room for the key.
+    axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xlabel="x [px]", ylabel="y [px]", title=" ")
     arrows = axes.quiver(*((key[kept] + 0.5) * side).T, *means[kept].T, angles="xy", color="firebrick")
     if kept.any():
         largest = float(np.hypot(*means[kept].T).max())
-        axes.quiverkey(arrows, 0.9, 1.03, largest, f"{largest:.2g} px")
+        axes.quiverkey(arrows, 0.9, 1.03, largest, f"{largest:.2g} px", labelpos="W")
     return _svg(figure)
 
 

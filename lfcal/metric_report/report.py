@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from html import escape
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.optics import OPTICS_PARAMETERS
 from ..metric.result import MetricCalibration
@@ -18,12 +16,10 @@ from .next_pose import suggest_poses
 
 __all__ = ["write_metric_report"]
 
-Array = NDArray[Any]
-_LENGTHS = {"focal_length", "mla_distance", "sensor_distance", "pupil"}
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
 table { border-collapse: collapse; margin: 1rem 0; } td, th { padding: .2rem .9rem; text-align: right; }
-th { border-bottom: 1px solid #999; } td:first-child, th:first-child { text-align: left; }
+th { border-bottom: 1px solid #999; } td:first-child, th:first-child { text-align: left; white-space: nowrap; }
 svg { max-width: 100%; height: auto; } .note { color: #555; }
 """
 
@@ -33,9 +29,12 @@ def write_metric_report(
 ) -> None:
     """Write the report of a metric calibration as one HTML file; it appears whole or not at all."""
     check_output(path, {".html"})
+    near, far = (f(pose.translation[2] for pose in found.poses) / 1000 for f in (min, max))
     parts = [
         f"<h1>{escape(title)}</h1>",
-        _summary(found),
+        f"<p>{len(found.poses)} flats of a {escape(str(found.board))}, squares of {found.board.square:g} mm, at "
+        f"{near:.3g} to {far:.3g} m; {int(found.used.sum())} corners in single microimages, "
+        f"{int((~found.used).sum())} outliers; RMS distance {found.rms:.4f} px.</p>",
         "<h2>Optics</h2>",
         _parameters(found),
         *(f'<p class="note">{escape(note)}.</p>' for note in (*found.warnings, *found.degeneracies)),
@@ -61,75 +60,48 @@ def write_metric_report(
         temporary.write_text(page, encoding="utf-8")
 
 
-def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     cells = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     return f"<table><tr>{''.join(f'<th>{escape(name)}</th>' for name in head)}</tr>{cells}</table>"
 
 
-def _summary(found: MetricCalibration) -> str:
-    near, far = (f(pose.translation[2] for pose in found.poses) / 1000 for f in (min, max))
-    return (
-        f"<p>{len(found.poses)} flats of a {escape(str(found.board))}, squares of {found.board.square:g} mm, at "
-        f"{near:.3g} to {far:.3g} m; {int(found.used.sum())} corners in single microimages, "
-        f"{int((~found.used).sum())} outliers; RMS distance {found.rms:.4f} px.</p>"
-    )
-
-
 def _parameters(found: MetricCalibration) -> str:
-    optics = found.optics
-    rows = []
+    optics, rows = found.optics, []
     for name, value, error in zip(OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True):
         if error > 0:
-            unit = "mm" if name in _LENGTHS else "px" if name.startswith("principal") else ""
+            unit = "mm" if name.endswith(("length", "distance", "pupil")) else "px" if "principal" in name else ""
             if name.startswith("tilt"):
                 value, error, unit = np.rad2deg(value), np.rad2deg(error), "degrees"
             rows.append((name.replace("_", " "), f"{value:.6g}", f"{error:.2g}", unit))
-    rows += [
-        (f"focal length of lens type {k}", f"{f:.5g}", "", "mm") for k, f in enumerate(optics.microlens_focal_lengths)
-    ]
+    focal = enumerate(optics.microlens_focal_lengths)
+    rows += [(f"focal length of lens type {k}", f"{f:.5g}", "", "mm") for k, f in focal]
     return _table(("", "value", "standard error", ""), rows)
 
 
 def _poses_table(found: MetricCalibration) -> str:
     rows = []
     for pose in found.poses:
-        errors = pose.standard_errors
-        bound = errors / np.sqrt(found.widening)
-        tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
-        rows.append(
-            (
-                pose.name,
-                f"{pose.translation[2]:.2f}",
-                f"{errors[5]:.3f}",
-                f"{np.hypot(*errors[3:5]):.3f}",
-                f"{np.rad2deg(np.linalg.norm(errors[:3])):.4f}",
-                f"{bound[5]:.3f}",
-                f"{tilt:.1f}",
-                f"{pose.rms:.4f}",
-                str(pose.observations),
-            )
-        )
+        errors, tilt = pose.standard_errors, np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
+        figures = (
+            f"{pose.translation[2]:.2f}", f"{errors[5]:.3f}", f"{np.hypot(*errors[3:5]):.3f}",
+            f"{np.rad2deg(np.linalg.norm(errors[:3])):.4f}", f"{errors[5] / np.sqrt(found.widening):.3f}",
+            f"{tilt:.1f}", f"{pose.rms:.4f}", str(pose.observations),
+        )  # fmt: skip
+        rows.append((pose.name, *figures))
     head = ("flat", "distance [mm]", "+-", "sideways +-", "turn +- [deg]", "Cramer-Rao bound of the distance")
     return _table((*head, "tilt [deg]", "RMS [px]", "corners"), rows)
 
 
 def _depth_table(found: MetricCalibration) -> str:
     rows = []
-    order = np.argsort([pose.translation[2] for pose in found.poses])
-    for m in order:
+    for m in np.argsort([pose.translation[2] for pose in found.poses]):
         mine = (found.observations.pose == m) & found.used
         mean = found.residual[mine].mean(0)
         # Along the baseline: a wrong patch size moves corners away from, or towards, the middle of the lenses.
         offset = found.observations.position[mine] - found.observations.centre[mine]
-        stretch = float((offset * found.residual[mine]).sum() / max((offset**2).sum(), 1e-12))
-        rows.append(
-            (
-                f"{found.poses[m].translation[2]:.1f}",
-                f"{found.poses[m].rms:.4f}",
-                f"{mean[0]:+.4f}, {mean[1]:+.4f}",
-                f"{100 * stretch:+.4f} %",
-            )
-        )
+        stretch = 100 * float((offset * found.residual[mine]).sum() / max((offset**2).sum(), 1e-12))
+        pose, shift = found.poses[m], f"{mean[0]:+.4f}, {mean[1]:+.4f}"
+        rows.append((f"{pose.translation[2]:.1f}", f"{pose.rms:.4f}", shift, f"{stretch:+.4f} %"))
     return _table(("distance [mm]", "RMS [px]", "mean [px]", "residual patch size"), rows)
 
 
