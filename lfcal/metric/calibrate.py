@@ -42,7 +42,7 @@ def calibrate_metric(
     *,
     pixel: float | None = None,
     names: Sequence[str] | None = None,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> MetricCalibration:
     """Measure main lens, distances, distortion and tilt of a camera on flats of a board in several poses.
 
@@ -62,8 +62,8 @@ def calibrate_metric(
         `calibration.optics`, or 0.0055 with a warning.
     names : sequence of str, optional
         Of the flats, for messages and poses.
-    progress : function of two numbers and a name, optional
-        Called after the board was searched for on a flat: flats done, all flats, name.
+    progress : function of two numbers, optional
+        Called after the board was searched for on a flat, with the numbers of flats done and of all.
 
     Returns
     -------
@@ -210,7 +210,7 @@ def _prepare_all(
     names: Sequence[str],
     calibration: Calibration,
     board: Board,
-    progress: Callable[[int, int, str], None] | None,
+    progress: Callable[[int, int], None] | None,
 ) -> tuple[list[BoardFlat], list[BoardFlat]]:
     """Flats with the board, and those without."""
     checked = [_checked(flat, name, calibration) for flat, name in zip(flats, names, strict=True)]
@@ -220,9 +220,9 @@ def _prepare_all(
             pool.submit(prepare, flat, name, calibration, board, sweep)
             for flat, name in zip(checked, names, strict=True)
         ]
-        for done, job in enumerate(as_completed(jobs), 1):
+        for done, _ in enumerate(as_completed(jobs), 1):
             if progress is not None:
-                progress(done, len(jobs), f"{job.result().name}: {job.result().reason or 'board found'}")
+                progress(done, len(jobs))
     prepared = [job.result() for job in jobs]
     found, missing = ([f for f in prepared if (f.reason == "") == good] for good in (True, False))
     others = Counter(f.other for f in prepared if f.other)
