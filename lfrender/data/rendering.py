@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfcal import LightFieldError
 from lfcal.runtime.arrays import Frozen
 
 if TYPE_CHECKING:
@@ -124,10 +125,13 @@ class Picture:
     def to_xarray(self) -> Any:
         """An `xarray.DataArray` with scene coordinates `x, y` [px of the flat]; the other arrays are coordinates too.
 
-        ImportError without the package `xarray` (`pip install 'lfrender[xarray]'`).
+        LightFieldError if the package `xarray` is not installed.
         """
-        import xarray
-
+        try:
+            import xarray
+        except ImportError as error:
+            message = "arrays with coordinates need the package 'xarray'; pip install 'lfrender[xarray]'"
+            raise LightFieldError(message) from error
         (name, pixels), *others = self._layers().items()
         height, width = pixels.shape[:2]
         places = {

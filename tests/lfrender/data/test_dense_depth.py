@@ -12,7 +12,6 @@ from click.testing import CliRunner
 
 import lfcal
 import lfrender
-from lfcal import OutputError
 from lfrender.cli.main import main
 from lfrender.data.dense_depth import EDGE, FILLED, SEEN, dense_depth, write_dense
 from lfrender.output.point_cloud import point_cloud
@@ -65,13 +64,6 @@ def test_places_without_a_depth_are_marked_or_nan(depth, tmp_path):
     np.testing.assert_array_equal(np.isfinite(error), dense.resolved)
     steep = np.abs(np.diff(dense.patch_size, axis=1))[validity[:, 1:] == SEEN]
     assert steep.max() < 0.03 * depth.pitch + 0.01, "[px] where nothing is called an edge"
-
-
-def test_dense_files_of_another_kind_are_refused(depth, tmp_path):
-    with pytest.raises(OutputError, match=r"\.pfm"):
-        write_dense(tmp_path / "d.jpg", dense_depth(depth, 2))
-    with pytest.raises(ValueError, match="scale"):
-        dense_depth(depth, 0)
 
 
 def test_points_lie_at_their_signed_virtual_depth_with_the_colours_of_the_scene(house, depth):

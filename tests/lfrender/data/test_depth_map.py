@@ -21,10 +21,6 @@ def test_mode_and_magnification_follow_from_the_signed_patch_size(depth):
     assert depth.filled.tolist() == [False, False, True]
 
 
-def test_curvature_is_the_inverse_squared_standard_error(depth):
-    np.testing.assert_allclose(depth.curvature, [100, 25, 0], rtol=1e-5)
-
-
 def test_save_and_load_give_the_same_map(depth, tmp_path):
     depth.save(tmp_path / "d.npz")
     again = DepthMap.load(tmp_path / "d.npz")
@@ -48,11 +44,3 @@ def test_a_damaged_file_is_refused_by_name(content, tmp_path):
     path.write_bytes(content)
     with pytest.raises(DepthFileError, match=r"bad\.npz"):
         DepthMap.load(path)
-
-
-def test_a_file_whose_lenses_may_be_in_another_order_is_refused(depth, tmp_path):
-    depth.save(tmp_path / "d.npz")
-    with np.load(tmp_path / "d.npz") as data:
-        np.savez(tmp_path / "old.npz", **{**data, "version": 1})
-    with pytest.raises(DepthFileError, match="version 1 is not known"):
-        DepthMap.load(tmp_path / "old.npz")

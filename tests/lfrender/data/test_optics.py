@@ -30,14 +30,6 @@ def test_distances_are_those_that_the_simulator_places_scenes_at():
     np.testing.assert_allclose(optics_of(CAMERA).distance(ratios), CAMERA.depth_at(ratios) / 1000, rtol=1e-9)
 
 
-def test_image_points_without_an_object_have_no_distance():
-    camera = CAMERA
-    limit = camera.patch_size(1e12) / camera.pitch
-    found = optics_of(camera).distance([limit + 1e-3, limit - 1e-3, np.nan])
-    assert found[0] > 0
-    assert np.isnan(found[1:]).all()
-
-
 def test_a_plane_is_measured_in_metres_and_its_points_lie_on_it(tmp_path):
     shot = simulate(plane(CAMERA, ratio=-0.3), CAMERA, samples=24, seed=1)
     depth = lfrender.analyze(shot.flat, shot.truth.calibration)

@@ -11,9 +11,9 @@ import pytest
 import tifffile
 from PIL import Image, ImageCms
 
-from lfcal import OutputError, read_flat
+from lfcal import read_flat
 from lfrender.data.rendering import Rendering
-from lfrender.output.formats import EmbeddedMetadata, check_format, read_metadata
+from lfrender.output.formats import read_metadata
 from lfrender.output.picture import PictureError, write_picture, write_stack
 
 AFFINE = np.array([[2.5, 0.0, 1.25], [0.0, 2.5, -3.0]])
@@ -104,12 +104,6 @@ def test_pixels_that_a_format_cannot_hold_are_written_with_8_bits_up_to_white(tm
             assert np.abs(found - 255 * ramp).max() <= most  # grey levels: in proportion, no tone curve
 
 
-def test_unknown_endings_and_folders_are_refused_beforehand(tmp_path):
-    for name in ("picture.gif", "picture", "no/picture.tif"):
-        with pytest.raises(OutputError):
-            check_format(tmp_path / name, "picture")
-
-
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".webp", ".tif"])
 def test_profile_and_camera_data_of_the_flat_are_kept(tmp_path, rendering, extension):
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
@@ -124,11 +118,6 @@ def test_profile_and_camera_data_of_the_flat_are_kept(tmp_path, rendering, exten
         assert written.info["icc_profile"] == profile
         if extension != ".tif":
             assert written.getexif()[0x010F] == "Raytrix" and 0x0100 not in written.getexif()
-
-
-def test_damaged_and_absent_camera_data_leave_the_picture_without(tmp_path):
-    (tmp_path / "flat.jpg").write_bytes(b"\xff\xd8\xff\xe1\x00\x10Exif\0\0damaged")
-    assert read_metadata(tmp_path / "flat.jpg") == EmbeddedMetadata() == read_metadata(tmp_path / "none.png")
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])

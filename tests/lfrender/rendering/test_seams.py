@@ -165,15 +165,3 @@ def test_a_white_capture_gives_views_and_lens_means_without_lattice(kind):
     camera = camera_of(None)
     picture = KINDS[kind](shaded_white(), camera, depth_of(None))
     assert off_a_parabola(picture) < 0.01 * picture.image.mean()
-
-
-def test_a_blank_capture_is_uniform_although_its_depth_is_unknown():
-    white, camera = shaded_white(), camera_of(None)
-    depth = lfrender.analyze(white, camera)
-    assert not depth.mode.any()
-    for picture in (
-        lfrender.render(white, camera, depth, scale=7.0),
-        next(lfrender.views(white, camera, depth, offsets=[(3.0, -5.0)], scale=7.0)),
-    ):
-        inner = picture.image[7:-7, 7:-7]
-        assert inner.std() < 0.005 * inner.mean()

@@ -195,24 +195,3 @@ def test_the_command_writes_a_grid_a_stereo_pair_and_an_animation(files, tmp_pat
     assert run(*files, "-o", tmp_path / "round.gif", "--animation", 4, "--quiet").exit_code == 0
     with Image.open(tmp_path / "round.gif") as file:
         assert file.n_frames == 4
-
-
-@pytest.mark.parametrize(
-    ("output", "options", "word"),
-    [
-        ("grid", ("--grid", "5"), "ROWSxCOLUMNS"),
-        ("grid", ("--grid", "0x3"), "ROWSxCOLUMNS"),
-        ("pair.png", ("--stereo", "--animation", "4"), "exclude"),
-        ("pair.xyz", ("--stereo",), "unknown output format"),
-        ("round.tif", ("--animation", "4"), "unknown output format"),
-        ("grid", ("--aperture", "1.5"), "aperture"),
-        ("grid", ("--format", "xyz"), "unknown output format"),
-        ("pair.png", ("--stereo", "--scale", "1000"), "four times the pitch"),
-    ],
-)
-def test_what_cannot_be_written_is_refused_in_one_line(files, tmp_path, output, options, word):
-    result = run(*files, "-o", tmp_path / output, *options)
-    assert result.exit_code == 2, result.output
-    assert word in result.stderr
-    assert result.stderr.count("\n") == 1
-    assert not list(tmp_path.iterdir())

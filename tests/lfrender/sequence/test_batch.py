@@ -87,18 +87,6 @@ def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole,
     assert _pictures(tmp_path) == _pictures(whole[0])
 
 
-def test_slow_changes_of_depth_from_key_frame_to_key_frame_are_found(drawn_flat, tmp_path):
-    sizes, inputs = 7.0 + 0.08 * np.arange(14), tmp_path / "in"
-    inputs.mkdir()
-    for k, s in enumerate(sizes):
-        gray, lattice, _, inner = drawn_flat(s, noise=0.003, detail=0.7)
-        cv2.imwrite(str(inputs / f"f{k:02d}.png"), np.clip(np.rint(255 * gray.image), 0, 255).astype(np.uint8))
-    frames, out = lfrender.open_frames([inputs]), tmp_path / "out"
-    list(lfrender.render_frames(frames, out, lfcal.Calibration(lattice), preset="fast", segment=1))
-    depth = lfrender.DepthMap.load(out / ".lfrender" / f"depth_{len(sizes) - 1:06d}.npz")
-    assert abs(np.nanmedian(depth.patch_size[inner]) - sizes[-1]) < 0.5
-
-
 def test_other_settings_are_refused_unless_everything_is_rendered_again(sequence, whole):
     with pytest.raises(lfcal.OutputError, match="overwrite"):
         _run(sequence, whole[0], scale=3.0)
@@ -144,20 +132,6 @@ def test_dark_frame_is_subtracted_from_every_frame_and_another_one_is_refused(ho
     np.testing.assert_array_equal(read_flat(tmp_path / "out" / "a.tif"), expected.image)
     refused = CliRunner().invoke(main, command)
     assert refused.exit_code == 2 and "another camera, dark frame" in refused.output
-
-
-def test_depths_of_another_version_are_refused_unless_everything_is_rendered_again(sequence, tmp_path):
-    frames, camera = sequence
-    one = lfrender.open_frames([frames / "f8.png"])
-    list(lfrender.render_frames(one, tmp_path, camera, preset="fast"))
-    file = tmp_path / ".lfrender" / "depth_000000.npz"
-    with np.load(file) as data:
-        np.savez(file, **{**data, "version": np.int64(1)})
-    (tmp_path / "f8.tif").unlink()
-    with pytest.raises(lfcal.OutputError, match=r"depth_000000.*--overwrite"):
-        list(lfrender.render_frames(one, tmp_path, camera, preset="fast"))
-    list(lfrender.render_frames(one, tmp_path, camera, preset="fast", overwrite=True))
-    assert (tmp_path / "f8.tif").exists()
 
 
 def test_bad_frame_is_reported_and_the_others_are_rendered(sequence, tmp_path):

@@ -7,7 +7,6 @@ import os
 import signal
 from contextlib import contextmanager
 from itertools import islice
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -20,7 +19,6 @@ import lfrender
 from lfcal import OutputError
 from lfrender.cli.main import main
 from lfrender.sequence.cluster import connect, render_frames_on
-from lfrender.sequence.workers import task_result
 
 pytest.importorskip("distributed")
 
@@ -140,17 +138,6 @@ def test_flats_that_workers_cannot_read_are_reported(flat, client):
         path.write_bytes(path.read_bytes()[:-1000])
         with pytest.raises(lfcal.FlatError, match=r"flat\.tif: truncated TIFF"):
             lfrender.analyze_large(source, camera, "fast", client=client)
-
-
-def test_work_that_kills_every_worker_is_one_line(client):
-    from distributed.scheduler import KilledWorker
-
-    class Given:
-        def result(self):
-            raise KilledWorker("part", SimpleNamespace(address="tcp://host:1"), 3)
-
-    with pytest.raises(OutputError, match="given up a part of the work"):
-        task_result(Given())
 
 
 def test_unreachable_scheduler_is_one_line():

@@ -131,15 +131,6 @@ def test_lossless_film_holds_pixels_of_all_kinds_bit_for_bit(tmp_path, kind, cha
         assert np.abs(stored / 65535 - whole).max() < 1e-5
 
 
-def test_film_of_8_bits_is_as_bright_as_the_flats_whatever_bits_they_have(house, tmp_path):
-    for name, flat in (("bytes", house.flat), ("twelve", house.flat.astype(np.uint16) << 4)):
-        tifffile.imwrite(tmp_path / f"{name}.tif", flat)
-        frames = lfrender.open_frames([tmp_path / f"{name}.tif"])
-        list(render_film(frames, tmp_path / f"{name}.mp4", preset="fast", scale=5.0))
-    ((of_bytes,), (of_twelve,)) = (shown(tmp_path / f"{name}.mp4")[1] for name in ("bytes", "twelve"))
-    np.testing.assert_allclose(of_twelve.mean((0, 1)), of_bytes.mean((0, 1)), atol=1.0)
-
-
 def test_pictures_of_a_film_must_be_of_one_kind(tmp_path):
     with FilmFile(tmp_path / "film.mkv", Fraction(25), "") as film:
         film.add(np.full((20, 30, 3), 50, np.uint8))

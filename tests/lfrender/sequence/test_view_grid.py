@@ -100,12 +100,6 @@ def test_colours_of_raw_video_are_those_of_the_picture(tmp_path):
         assert np.abs(again - smooth)[2:-2, 2:-2].max() <= limit, name
 
 
-def test_twelve_bits_in_sixteen_are_white_at_their_white_level():
-    full = np.full((8, 8, 3), 4095, np.uint16)
-    samples = np.frombuffer(frame_bytes(yuv_frame(full, "yuv420p10", white=4095.0)), "<u2")
-    assert samples[0] == 940  # white of limited range in 10 bits
-
-
 def test_command_renders_raw_video_into_views_and_a_film(house, house_files, tmp_path):
     flat = lfcal.read_flat(house_files / "flat.png")
     height, width = flat.shape[:2]

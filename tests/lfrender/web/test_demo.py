@@ -7,10 +7,8 @@ import re
 from html.parser import HTMLParser
 
 import pytest
-from click.testing import CliRunner
 
 import lfcal
-from lfrender.cli.main import main
 from lfrender.web.demo import run_demo
 
 from ._browser import start_browser
@@ -81,10 +79,3 @@ def test_figures_are_those_of_a_working_chain(demo):
         assert figures["calibration"][kind]["centre_error"] < 0.2
     assert figures["fixed_patch_size"]["telescopic"] > 0 > figures["fixed_patch_size"]["binocular"]
     assert figures["seconds"]["analyze"] > 0
-
-
-def test_folder_that_cannot_be_made_is_one_line(tmp_path):
-    (tmp_path / "file").touch()
-    result = CliRunner().invoke(main, ["demo", "-o", str(tmp_path / "file" / "demo")])
-    assert result.exit_code == 2
-    assert result.stderr.count("\n") == 1

@@ -13,7 +13,6 @@ from click.testing import CliRunner
 
 import lfrender
 from lfrender.cli.main import main
-from lfrender.web.histogram import magnification_histogram
 from lfrender.web.report import write_report
 from lfrender.web.report_pictures import data_urls, draw_pictures
 
@@ -94,14 +93,6 @@ def test_the_raw_flat_comes_first_and_the_comparison_opens_with_the_traditional_
         "Magnification M = D / |s|",
     ):
         assert words in " ".join(page.split())
-
-
-def test_the_histogram_counts_every_resolved_lens_once(captured):
-    depth = captured[2]
-    counts = [
-        int(n.replace(",", "")) for n in re.findall(r"<title>([\d,]+) \w+ lenses", magnification_histogram(depth))
-    ]
-    assert sum(counts) == np.sum(depth.mode != 0)
 
 
 @pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")

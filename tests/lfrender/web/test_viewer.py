@@ -226,17 +226,6 @@ def test_the_canvas_shows_the_picture_and_every_control_has_a_name(page):
     assert nameless == []
 
 
-def test_nothing_is_drawn_beyond_the_flat(page, captured):
-    flat = captured[0]
-    height, width = flat.shape[:2]
-    affine = np.array([[1.0, 0.0, -20.0], [0.0, 1.0, -20.0]])
-    shown = pixels(page, (height + 40, width + 40), affine, mode="sharp", background=[1, 0, 1]) == [255, 0, 255]
-    beyond = np.ones(shown.shape[:2], bool)
-    beyond[20 : 20 + height, 20 : 20 + width] = False
-    np.testing.assert_array_equal(shown.all(-1)[beyond], True)
-    assert shown.all(-1)[~beyond].mean() < 0.01
-
-
 def test_wheel_zooms_about_the_pointer(page):
     at = page.execute_script("return lightField.frame.at(300, 200, lightField.width, lightField.height)")
     spacing = page.execute_script("return lightField.frame.spacing")
