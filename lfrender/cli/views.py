@@ -212,7 +212,7 @@ def _holds_eight_bits(given: Any) -> bool:
 
 def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering], preset: str) -> list[str]:
     """Write the views; returns what is to be said about them."""
-    from ..output.metadata import read_metadata
+    from ..output.formats import read_metadata
     from ..output.picture import write_picture
     from ..output.raw_video import write_view_videos
     from ..output.views import stereo_pair, write_grid, write_quilt

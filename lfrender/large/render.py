@@ -111,12 +111,8 @@ def render_large(
     text, suffix = describe(grid.affine(), settings), output.suffix.lower()
     channels = reader.channels + alpha
     shape = (*grid.size[::-1], channels) if channels > 1 else grid.size[::-1]
-    # Tiles of an earlier run are used if all that the picture depends on is the same.
-    key = fingerprint(
-        file_identity(source.path), file_identity(source.dark), calibration.to_dict(), text,
-        [patch_size] if depth is None else [fingerprint(depth.patch_size, depth.surface.patch_size)],
-        [source.page, grid.scale, drawing.blend, drawing.noise, *side, alpha, compress, suffix, str(source.dtype)],
-    )  # fmt: skip
+    choices = [patch_size, grid.scale, drawing.blend, drawing.noise, *side, alpha, compress, suffix, text]
+    key = _identity(source, calibration, depth, choices)
     checkpoint, direct = Checkpoint(output), FORMATS[suffix].tiles
     writer = TileWriter(
         output if direct else output.with_suffix(".tif"), checkpoint.open(), shape, source.dtype, side, text,
@@ -149,6 +145,14 @@ def render_large(
     checkpoint.remove()
     valid_share = sum(done.values()) / (shape[0] * shape[1])
     return LargePicture(output, grid.size, grid.affine(), grid.scale, valid_share, len(parts), kept)
+
+
+def _identity(source: FlatSource, calibration: Calibration, depth: DepthMap | None, choices: list[Any]) -> str:
+    """Of all that a picture depends on: tiles of an earlier run are used if it is the same."""
+    return fingerprint(
+        file_identity(source.path), file_identity(source.dark), [source.page, str(source.dtype)], choices,
+        calibration.to_dict(), [fingerprint(depth.patch_size, depth.surface.patch_size) if depth is not None else ""],
+    )  # fmt: skip
 
 
 def _store_beside(numbers: Iterable[int], drawn: Iterable[Any], store: Callable[..., None]) -> Iterator[None]:
