@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from ..images.preprocessing import sqrt_luminance
 from ..lattice.lattice import Lattice
@@ -79,11 +79,8 @@ def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) 
     _correlate(picture, sample.place[chosen], steps, ratios, radius, max(1.0, radius / 4), *sums)
     full = np.zeros((2, *sample.whole.shape, len(ratios)))
     full[:, chosen] = sums
-    blocks = full.reshape(-1, *full.shape[-3:])
-    covariance, variance = np.array(
-        [cv2.boxFilter(block, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT) for block in blocks]
-    ).reshape(full.shape)
-    correlation = covariance / (variance + 1e-5)
+    covariance, variance = (uniform_filter(sums, (0, 3, 3, 0), mode="constant") for sums in full)
+    correlation = covariance / (variance + 1e-5 / 9)
     best, highest = correlation.argmax(-1), correlation.max(-1)
     apart = np.abs(np.arange(len(ratios)) - best[..., None]) > 2
     second = np.where(apart, correlation, -1.0).max(-1)

@@ -109,19 +109,16 @@ class TypeMeans(NamedTuple):
 def _rim_softness(outer_light: Array, inner_loss: Array, types: TypeMeans) -> Array | None:
     """(count,) softness of the rims of each type, mean 0; None where that is not clear."""
     beyond, before = types.fit_means(outer_light), types.fit_means(inner_loss)
-    # 1.5 % of the light may be due to how pixels fall on the rims.
-    if beyond is None or before is None or not _are_distinct(*beyond, 4.0) or np.ptp(beyond[0]) < 0.015:
+    if beyond is None or before is None:
+        return None
+    # Four standard errors apart an order is wrong once in 10,000; 1.5 % of the light may be due to how pixels fall.
+    if np.diff(np.sort(beyond[0])).min() <= 4 * beyond[1] or np.ptp(beyond[0]) < 0.015:
         return None
     soft = beyond[0] - beyond[0].mean()
     # Light beyond a soft edge is missing before it (0.3 to 1 for real rims); a brighter neighbour adds light beyond the
     # rim too, but takes none.
     loss = float(before[0] @ soft) / float(soft @ soft)
     return soft if loss + 2 * before[1] / float(np.linalg.norm(soft)) > 0.1 else None
-
-
-def _are_distinct(values: Array, error: float, clear: float) -> bool:
-    """Whether neighbours in the order are so many standard errors apart; with four it is wrong once in 10,000."""
-    return bool(np.diff(np.sort(values)).min() > clear * error)
 
 
 def _order_over_depth(sharpness: Array, disparity: Array, types: TypeMeans) -> tuple[Array, Array, float] | None:
@@ -144,7 +141,7 @@ def _order_over_depth(sharpness: Array, disparity: Array, types: TypeMeans) -> t
         focus[:] = np.nan
     seen = bool(np.isfinite(focus).all())
     # Three foci confirm the order, which happens by chance in one of six cases.
-    if not _are_distinct(slope, error, 3.5 if seen else 4.0):
+    if np.diff(np.sort(slope)).min() <= (3.5 if seen else 4) * error:
         return None
     # Types change places at the mean of the foci; lines are bent by lenses far from all foci.
     middle = float(focus.mean()) if seen else -float(height @ slope) / float(slope @ slope)

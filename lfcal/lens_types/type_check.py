@@ -46,7 +46,8 @@ def find_type_conflict(
         pairs = np.unique(np.stack([_numbers(found, types).ravel(), _numbers(types, found).ravel()]), axis=1)
         if found.confidence > 0.9 and pairs.shape[1] != found.count:
             return "the lens types of the camera lie at other lenses than on the flat"
-    if types.ordered and types.count == 3 and _is_refuted(picture, lattice, types, rims_known):
+    large = lattice.radius >= MIN_RADIUS
+    if types.ordered and types.count == 3 and large and _is_refuted(picture, lattice, types, rims_known):
         return "the lens types of the camera are in another order than on the flat"
     return None
 
@@ -75,8 +76,6 @@ def _numbers(types: LensTypes, other: LensTypes) -> NDArray[np.int8]:
 
 def _is_refuted(picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, rims_known: bool) -> bool:
     """Whether rims or sharpness of three types contradict their order."""
-    if lattice.radius < MIN_RADIUS:
-        return False
     sample = sample_lenses(lattice)
     features = measure_lens_features(picture, sample)
     means = TypeMeans.from_sample(sample, types.cell.astype(np.int64))

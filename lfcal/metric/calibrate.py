@@ -158,12 +158,9 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
 
     Examples
     --------
-    >>> import lfcal, lfrender  # doctest: +SKIP
-    >>> shoot = lfrender.data.board(size=(420, 340), pitch=28.3, poses=4, samples=8)  # doctest: +SKIP
-    >>> camera = lfcal.calibrate(shoot.white, kind="white")  # doctest: +SKIP
-    >>> board = lfcal.Board(9, 6, shoot.square)  # doctest: +SKIP
-    >>> found = lfcal.calibrate_metric(shoot.flats, camera, board, pixel=shoot.camera.pixel)  # doctest: +SKIP
-    >>> lfcal.locate_board(shoot.flats[0], found.calibration, board).translation.shape  # doctest: +SKIP
+    >>> camera = lfcal.load("camera.json")  # doctest: +SKIP
+    >>> pose = lfcal.locate_board(lfcal.read_flat("board.png"), camera, lfcal.Board(9, 6, 7.0))  # doctest: +SKIP
+    >>> pose.translation, pose.standard_errors[3:]  # doctest: +SKIP
     """
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     check_type(board, Board, "board", "give lfcal.Board")

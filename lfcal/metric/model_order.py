@@ -25,8 +25,9 @@ _GROUPS: dict[tuple[str, ...], tuple[str, ...]] = {
 def select_order(start: Adjusted, pixel: float, board: NDArray[Any], observations: Observations) -> Adjusted:
     """Add groups of parameters to an adjusted camera as long as the likelihood gains more than noise would.
 
-    Each group's gain is that of one Gauss-Newton step on the normal equations of all parameters (Rao's score test); the
-    best one joins if it passes the Bayesian information criterion, with one independent observation for each corner.
+    Each group's gain is that of one Gauss-Newton step on the normal equations of all parameters (Rao's score test).
+    Those that pass the Bayesian information criterion, with one independent observation for each corner, may join. The
+    two best ones are fitted, as one step can mistake a tilt for a tangential distortion; the better fit stays.
     """
     found = start
     corners = len(np.unique(np.stack([observations.pose, observations.corner]), axis=1).T)
@@ -36,13 +37,15 @@ def select_order(start: Adjusted, pixel: float, board: NDArray[Any], observation
             for group, before in _GROUPS.items()
             if group[0] not in found.free and set(before) <= set(found.free)
         }
-        best = max(gains, key=lambda group: gains[group], default=None)
-        if best is None or gains[best] <= math.log(2 * corners):
+        passed = [group for group in gains if gains[group] > math.log(2 * corners)]
+        tried = [
+            adjust(found.camera, pixel, found.poses, board, observations, (*found.free, *group), shape=found.shape)
+            for group in sorted(passed, key=lambda group: -gains[group])[:2]
+        ]
+        best = min(tried, key=lambda one: one.noise, default=found)
+        if not best.noise < found.noise:
             return found
-        tried = adjust(found.camera, pixel, found.poses, board, observations, (*found.free, *best), shape=found.shape)
-        if not tried.noise < found.noise:
-            return found
-        found = tried
+        found = best
 
 
 def _gain(found: Adjusted, group: tuple[str, ...]) -> float:

@@ -116,11 +116,7 @@ class MetricCalibration(Frozen):
 
     Examples
     --------
-    >>> import lfcal, lfrender  # doctest: +SKIP
-    >>> shoot = lfrender.data.board(size=(420, 340), pitch=28.3, poses=4, samples=8)  # doctest: +SKIP
-    >>> camera = lfcal.calibrate(shoot.white, kind="white")  # doctest: +SKIP
-    >>> board = lfcal.Board(9, 6, shoot.square)  # doctest: +SKIP
-    >>> found = lfcal.calibrate_metric(shoot.flats, camera, board, pixel=shoot.camera.pixel)  # doctest: +SKIP
+    >>> found = lfcal.calibrate_metric(flats, camera, lfcal.Board(9, 6, 7.0))  # doctest: +SKIP
     >>> len(found.poses), found.optics.focal_length, found.rms  # doctest: +SKIP
     """
 
