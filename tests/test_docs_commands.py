@@ -185,7 +185,7 @@ def test_commands_and_code_of_a_page_run(page, folder):
             made = folder / words[words.index("-o") + 1]
             assert made.exists() or list(folder.glob(f"{made.stem}*")), f"{made.name} is not there"
         output = printed_after(page, f"{program} {' '.join(words)}")
-        printed = re.sub(r"^compiling kernels.*\n", "", result.output, flags=re.MULTILINE)
+        printed = re.sub(r"^compiling kernels.*\n| \(after .* of compiling.*?\)", "", result.output, flags=re.MULTILINE)
         assert not output or mask(printed) == mask(output)
     for code in blocks(ROOT / page, "python"):
         exec(compile(code, page, "exec"), {})

@@ -288,37 +288,33 @@ class Report:
     @contextmanager
     def _line(self, name: str) -> Iterator[Any]:
         """A line on the terminal, if there is one."""
-        if self._shown is None:
+        if (shown := self._shown) is None:
             yield None
             return
-        self._shown.start()
-        task = self._shown.add_task(name, total=None, rate="")
+        shown.start()
+        task = shown.add_task(name, total=None, rate="")
         try:
             yield task
         finally:
-            self._shown.remove_task(task)
-            if not self._shown.tasks:
-                self._shown.stop()
+            shown.remove_task(task)
+            shown.stop() if not shown.tasks else None
 
     def compile_kernels(self, processes: int | None = None) -> int | None:
         """Compile all kernels, if that has not been done for this installation; returns how many could not be.
 
-        None where nothing was to be done. The seconds of this are not in `took`.
+        None where nothing was to be done.
         """
         from .compile_ahead import compile_once, is_compiled
 
         if self.compile_seconds or is_compiled():
             return None
-        told = not self.quiet and (not self.as_json or sys.stderr.isatty())
-        if told:
-            text = "compiling kernels, once per installation: a minute or two on two cores, more on a busy machine ..."
+        text = "compiling kernels, once per installation: a minute or two on two cores, more on a busy machine ..."
+        if not self.quiet and (not self.as_json or sys.stderr.isatty()):
             self._echo(text)
         start = time.perf_counter()
         with self.progress("compiling kernels") as step:
             failed = compile_once(processes, step)
         self.compile_seconds = time.perf_counter() - start
-        if told:
-            self._echo(f"compiling kernels took {self.compile_seconds:.1f} s")
         return failed
 
     def warn(self, text: str) -> None:
@@ -327,9 +323,12 @@ class Report:
 
     @property
     def took(self) -> str:
-        """The seconds of all stages so far, for a closing sentence."""
+        """The seconds of all stages so far, for a closing sentence, and those of compiling kernels before."""
+        before = f" (after {self.compile_seconds:.0f} s of compiling, once)" if self.compile_seconds >= 1 else ""
         seconds = sum(self.seconds.values())
-        return f"{seconds:.2f} s" if seconds < 1 else f"{seconds:.1f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
+        if seconds < 100:
+            return f"{seconds:.{2 if seconds < 1 else 1}f} s{before}"
+        return f"{seconds / 60:.1f} min{before}"
 
     def finish(self, figures: Mapping[str, Any], *sentences: str) -> None:
         """Print the warnings among the figures on stderr, and sentences that sum the figures up.
@@ -343,9 +342,10 @@ class Report:
             return
         for warning in found.pop("warnings"):
             click.echo(_name_pipes(f"warning: {warning}"), err=True)
-        if not self.quiet:
-            for line in sentences or _table(_to_json_types(found)):
-                self._echo(line)
+        width = max(map(len, found)) + 2
+        table = (f"{name.replace('_', ' '):{width}}{_text(value)}" for name, value in _to_json_types(found).items())
+        for line in () if self.quiet else sentences or table:
+            self._echo(line)
 
     def _echo(self, line: str) -> None:
         """Print a line on stdout, unless that is JSON or an output."""
@@ -378,16 +378,6 @@ def _to_json_types(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, os.PathLike) else value
-
-
-def _table(figures: Mapping[str, Any]) -> list[str]:
-    """A line for each figure; a mapping of mappings becomes one for each of them."""
-    rows: dict[str, Any] = {}
-    for name, value in figures.items():
-        nested = isinstance(value, dict) and any(isinstance(item, dict) for item in value.values())
-        rows.update({f"{name}, {key}": item for key, item in value.items()} if nested else {name: value})
-    width = max(map(len, rows)) + 2
-    return [f"{name.replace('_', ' '):{width}}{_text(value)}" for name, value in rows.items()]
 
 
 def _text(value: Any) -> str:

@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import nullcontext, suppress
 from importlib import import_module
 from importlib.metadata import version
 from multiprocessing import get_context
@@ -32,19 +32,23 @@ _Progress = Callable[[int, int], None]
 
 def is_compiled() -> bool:
     """Whether `compile_once` has been run for this installation."""
-    try:
+    with suppress(OSError):
         return _record().read_text(encoding="utf-8") == _installation()
-    except OSError:
-        return False
+    return False
 
 
 def compile_once(processes: int | None = None, progress: _Progress | None = None) -> int:
-    """As `compile_ahead`, unless it is done or another process does it now; that is waited for."""
-    with _lock():
+    """As `compile_ahead`, unless it is done, or another process does it now: that is waited for."""
+    lock: Any = nullcontext()
+    # A folder that cannot be written to holds no kernels either.
+    with suppress(OSError):
+        lock = _record().with_suffix(".lock").open("w")
+    with lock as file:
+        if file is not None and fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)  # the system frees it when this process ends, in any way
         if is_compiled():
             return 0
         failed = compile_ahead(processes, progress)
-        # A folder that cannot be written to holds no kernels either.
         with suppress(OSError):
             _record().write_text(_installation(), encoding="utf-8")
         return failed
@@ -60,16 +64,15 @@ def compile_ahead(processes: int | None = None, progress: _Progress | None = Non
     for name, *types in json.loads(SIGNATURE_FILE.read_text(encoding="utf-8")):
         kernels.setdefault(name, []).append(types)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    pool = ProcessPoolExecutor(processes or cores, get_context("spawn"), _prepare_process)
-    compiled = 0
+    pool, compiled = ProcessPoolExecutor(processes or cores, get_context("spawn"), _silence), 0
     try:
         jobs = [pool.submit(_compile, name, types) for name, types in kernels.items()]
-        for done, job in enumerate(as_completed(jobs), 1):
-            compiled += job.result()
-            if progress is not None:
-                progress(done, len(jobs))
-    except BrokenProcessPool:
-        pass  # what is left is compiled when it is called
+        # Where a process ends in another way, what is left is compiled when it is called.
+        with suppress(BrokenProcessPool):
+            for done, job in enumerate(as_completed(jobs), 1):
+                compiled += job.result()
+                if progress is not None:
+                    progress(done, len(jobs))
     finally:
         # Whoever interrupts this does not wait for kernels that are not begun.
         pool.shutdown(cancel_futures=True)
@@ -82,31 +85,29 @@ def example_of(entry: Any) -> Any:
 
     if isinstance(entry, str):
         return None if entry == "none" else np.dtype(entry).type()
-    what, *rest = entry
-    if what == "array":
-        kind, axes, layout, writable = rest
+    if entry[0] == "array":
+        _, kind, axes, layout, writable = entry
         array = np.zeros((4,) * axes, kind, order="F" if layout == "F" else "C")
         array = array[(slice(None, None, 2),) * axes] if layout == "A" else array
         array.flags.writeable = writable
         return array
-    name, *members = rest
+    _, name, *members = entry
     values = tuple(map(example_of, members))
     module, _, made_by = name.partition(":")
     return getattr(import_module(module), made_by)(*values) if name else values
 
 
-def _prepare_process() -> None:
-    """One thread for each process, and no remarks of compilers."""
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+def _silence() -> None:
+    """No remarks of compilers."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
 def _compile(name: str, types: list[list[Any]]) -> bool:
     """Compile a kernel for each list of types, or load it from the cache; whether that could be done."""
-    try:
-        import numba
+    import numba
 
-        module, _, function = name.rpartition(".")
+    module, _, function = name.rpartition(".")
+    try:
         kernel = getattr(import_module(module), function)
         for entries in types:
             getattr(kernel, "kernel", kernel).compile(tuple(numba.typeof(example_of(entry)) for entry in entries))
@@ -122,26 +123,11 @@ def _installation() -> str:
 
 def _record() -> Path:
     """The file that tells for which installation the kernels were compiled, where Numba's cache is."""
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    own = Path(given) if given else Path(__file__).parent / "__pycache__"
-    if given or os.access(own if own.exists() else own.parent, os.W_OK):
-        own.mkdir(parents=True, exist_ok=True)
-        return own / "compiled.txt"
     from platformdirs import user_cache_path
 
-    return user_cache_path("lfrender", ensure_exists=True) / "compiled.txt"
-
-
-@contextmanager
-def _lock() -> Iterator[None]:
-    """Wait while another process compiles; the system frees the lock of one that ends in any way."""
-    try:
-        file = _record().with_suffix(".lock").open("w") if fcntl is not None else None
-    except OSError:
-        file = None
-    if file is None:
-        yield
-        return
-    with file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+    given, own = os.environ.get("NUMBA_CACHE_DIR"), Path(__file__).parent / "__pycache__"
+    if not given and not os.access(own if own.exists() else own.parent, os.W_OK):
+        return user_cache_path("lfrender", ensure_exists=True) / "compiled.txt"
+    folder = Path(given) if given else own
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / "compiled.txt"

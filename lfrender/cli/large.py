@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from . import figures
@@ -10,68 +10,56 @@ from .inputs import CaptureInput, is_published
 from .options import option_errors
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from lfcal import Calibration, FlatSource
 
     from ..data.depth_map import DepthMap
-    from ..output.resume import Checkpoint
 
 __all__ = ["analyze_in_tiles", "render_in_tiles"]
 
 
 def analyze_in_tiles(capture: CaptureInput, skip: bool, cluster: dict[str, Any]) -> tuple[DepthMap, Calibration]:
     """Calibrate, and analyse in tiles."""
-    with capture.report.stage("read"):
-        source = capture.open()
-    with source:
-        calibration = _find_camera(capture, source)
+    with _open(capture) as source:
+        calibration = _calibrate(capture, source)
         with capture.report.stage("analyze"):
             return _analyze(capture, source, calibration, cluster, skip), calibration
 
 
-def render_in_tiles(
-    capture: CaptureInput,
-    output: Path,
-    cluster: dict[str, Any],
-    *,
-    patch_size: float | None,
-    alpha: bool,
-    **options: Any,
-) -> None:
-    """Calibrate, analyse and render in tiles; what is finished is kept until the picture is there."""
+def render_in_tiles(capture: CaptureInput, given: Any, cluster: dict[str, Any], **options: Any) -> None:
+    """Calibrate, analyse and render in tiles; depth and finished tiles are kept until the picture is there."""
     from .. import render_large
     from ..data.depth_map import DepthMap
     from ..large.render import check_large_picture
-    from ..output.resume import Checkpoint, fingerprint
+    from ..output.resume import Checkpoint, file_identity, fingerprint
 
-    report = capture.report
-    with report.stage("read"):
-        source = capture.open()
-    with source:
-        check_large_picture(output, source.dtype, alpha, capture.files)
-        checkpoint = Checkpoint(output)
-        calibration = _find_camera(capture, source, checkpoint)
-        depth = None
-        if patch_size is None:
+    report, output, depth = capture.report, given.output, None
+    with _open(capture) as source:
+        check_large_picture(output, source.dtype, given.alpha, capture.files)
+        calibration = _calibrate(capture, source)
+        if given.patch_size is None:
             with report.stage("analyze"):
                 if capture.depth_file is not None:
                     raw = calibration.mosaic is not None and len(source.shape) == 2
                     depth = capture.read_depth(None if raw else source)
                 else:
-                    key = fingerprint(_identity(capture), calibration.to_dict(), capture.preset)
-                    depth = checkpoint.reuse(
+                    pixels = [*file_identity(capture.flat), capture.page, *file_identity(capture.dark)]
+                    key = fingerprint(pixels, calibration.to_dict(), capture.preset)
+                    depth = Checkpoint(output).reuse(
                         "depth.npz", key, DepthMap.load, lambda: _analyze(capture, source, calibration, cluster)
                     )
-        settings = figures.rendering_settings(depth, patch_size, detail=options.get("detail"))
+        settings = figures.rendering_settings(depth, given.patch_size, given.detail)
         with report.stage("render"), report.progress("tiles") as progress, option_errors():
             made = render_large(
-                source, output, calibration, depth, patch_size=patch_size, alpha=alpha, settings=settings,
-                progress=progress, **options, **cluster,
+                source, output, calibration, depth, settings=settings, progress=progress, tile=given.tile,
+                **options, **cluster,
             )  # fmt: skip
     kept = f", {made.kept} of them kept from an earlier run" if made.kept else ""
     width, height = made.size
     found = {
-        "picture": str(output), "size": list(made.size), "scale": made.scale, "valid": made.valid,
-        "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept,
+        "picture": str(output), "size": made.size, "scale": made.scale, "valid": made.valid, "affine": made.affine,
+        "tiles": made.tiles, "tiles_kept": made.kept,
     }  # fmt: skip
     report.finish(
         found | figures.capture_figures(calibration, depth),
@@ -80,26 +68,19 @@ def render_in_tiles(
     )
 
 
-def _find_camera(capture: CaptureInput, source: FlatSource, checkpoint: Checkpoint | None = None) -> Calibration:
-    """The camera of the file, or calibrated on all pixels, unless that is in the checkpoint."""
-    from lfcal import load
+@contextmanager
+def _open(capture: CaptureInput) -> Iterator[FlatSource]:
+    with capture.report.stage("read"):
+        opened = capture.open()
+    with opened as source:
+        yield source
 
-    from ..output.resume import file_identity, fingerprint
 
+def _calibrate(capture: CaptureInput, source: FlatSource) -> Calibration:
+    """The camera of the file, or calibrated on all pixels."""
     with capture.report.stage("calibrate"):
-        if capture.camera is not None and not is_published(capture.camera):
-            return capture.find_camera(source)
-        if checkpoint is None:
-            return capture.find_camera(capture.read_pixels())
-        key = fingerprint(_identity(capture), *map(file_identity, (capture.white, capture.camera)), capture.mosaic)
-        return checkpoint.reuse("camera.json", key, load, lambda: capture.find_camera(capture.read_pixels()))
-
-
-def _identity(capture: CaptureInput) -> list[Any]:
-    """What changes if the pixels of the flat do."""
-    from ..output.resume import file_identity
-
-    return [*file_identity(capture.flat), capture.page, *file_identity(capture.dark)]
+        known = capture.camera is not None and not is_published(capture.camera)
+        return capture.find_camera(source if known else capture.read_pixels())
 
 
 def _analyze(
@@ -107,6 +88,5 @@ def _analyze(
 ) -> DepthMap:
     from .. import analyze_large
 
-    preset = capture.preset or "balanced"
     with capture.report.progress("tiles") as progress:
-        return analyze_large(source, calibration, preset, skip=skip, progress=progress, **cluster)
+        return analyze_large(source, calibration, capture.preset or "balanced", skip=skip, progress=progress, **cluster)

@@ -38,21 +38,24 @@ def render(capture: CaptureInput, given: Any) -> None:
     Zarr, is read and drawn in tiles; the finished tiles of an interrupted run are used by the next one.
     """
     in_tiles = _check(capture, given)
-    options = {"patch_size": given.patch_size, "scale": given.scale, "detail": given.detail}
-    options["blend"] = given.blend or None
+    drawing = {
+        "patch_size": given.patch_size,
+        "scale": given.scale,
+        "detail": given.detail,
+        "blend": given.blend or None,
+    }
     stored = {"alpha": given.alpha, "compress": given.compress}
     if in_tiles:
         from .large import render_in_tiles
 
         with connect_cluster(given, capture.report) as cluster:
-            render_in_tiles(capture, given.output, cluster, tile=given.tile, **stored, **options)
+            render_in_tiles(capture, given, cluster, **stored, **drawing)
         return
     from ..output.formats import check_format
 
     output, patch_size, traditional = given.output, given.patch_size, given.traditional
-    check_format(output, "picture", alpha=given.alpha, inputs=capture.files)
     pixels = capture.read()
-    check_format(output, "picture", dtype=pixels.dtype, alpha=given.alpha)
+    check_format(output, "picture", dtype=pixels.dtype, alpha=given.alpha, inputs=capture.files)
     pixels, calibration = capture.calibrate(pixels)
     whole = traditional or patch_size is not None
     depth = None if whole else _find_depth(capture, pixels, calibration, given.edges)
@@ -67,7 +70,7 @@ def render(capture: CaptureInput, given: Any) -> None:
         if traditional:
             picture = run_traditional(pixels, calibration)
         else:
-            picture = run(pixels, calibration, depth, roi=capture.roi, **options)
+            picture = run(pixels, calibration, depth, roi=capture.roi, **drawing)
     drawn = None if traditional else depth
     settings = figures.rendering_settings(drawn, patch_size, given.detail)
     _, stated = capture.write(output, [picture], [settings], given.eight_bits, **stored)

@@ -52,9 +52,8 @@ def refocus(capture: CaptureInput, given: Any) -> None:
         raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
     stack = stack if sizes or at or stack else _PICTURES
     uses = ("animation", "film") if moving else ("picture",)
-    check_format(output, *uses, inputs=capture.files)
     pixels = capture.read()
-    check_format(output, *uses, dtype=pixels.dtype)
+    check_format(output, *uses, dtype=pixels.dtype, inputs=capture.files)
     pixels, calibration = capture.calibrate(pixels)
     # Without --scale the picture lies on the grid of `lfrender render`, which the depth decides.
     depth = capture.analyze(pixels, calibration) if at or stack or given.scale is None else None
@@ -118,9 +117,8 @@ def views(capture: CaptureInput, given: Any) -> None:
     if given.animation is None and output.suffix.lower() in MOVING and not still:
         given.animation = _PICTURES
     given.suffix = f".{given.suffix.lstrip('.').lower()}"
-    _check_views(given, inputs=capture.files)
     pixels = capture.read()
-    _check_views(given, pixels.dtype)
+    _check_views(given, pixels.dtype, capture.files)
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration)
     offsets = _offsets(given, given.aperture * calibration.lattice.radius)
@@ -160,7 +158,7 @@ def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
     return grid_offsets(rows, columns, radius)
 
 
-def _check_views(given: Any, dtype: Any = None, inputs: Any = ()) -> None:
+def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
     """Raise an error if the views could not be written."""
     from ..output.formats import FORMATS, check_format
     from ..output.raw_video import check_raw_format
