@@ -63,7 +63,8 @@ def select_tiff_page(tiff: Any, number: int | None) -> Any:
     if number in (None, len(pages)) and is_cut_off:
         raise FlatError(f"truncated TIFF: its list of pages is cut off after {len(pages)}")
     if number is None and len(pages) != 1:
-        raise FlatError(f"the TIFF holds {len(pages)} pictures; save the one that is the flat on its own")
+        advice = "give the number of one (--page), or use 'lfrender batch'"
+        raise FlatError(f"the TIFF holds {len(pages)} pictures; {advice}")
     if not 0 <= (number or 0) < len(pages):
         raise FlatError(f"the TIFF holds {len(pages)} pictures and no page {number}")
     page: Any = pages[number or 0]

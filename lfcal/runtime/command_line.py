@@ -193,7 +193,7 @@ def _input_paths(ctx: click.Context, _param: click.Parameter | None, words: Sequ
     """The paths that words stand for: a file of that name, what it matches as a pattern, or stdin."""
     paths: list[Path] = []
     for word in words:
-        path = _stdin_file(ctx) if word == "-" else Path(word).expanduser()
+        path = _stdin_file(ctx) if word == "-" else Path(os.path.expanduser(word))
         # A pattern without matches is refused by its name, as any missing file.
         found = sorted(glob(str(path), recursive=True)) if has_magic(word) and not path.exists() else []
         paths += map(Path, found) if found else [path]

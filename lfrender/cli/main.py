@@ -23,7 +23,7 @@ __all__ = ["main"]
 @declare("processes")
 @cl.report_options
 def warm(report: cl.Report, given: Any) -> None:
-    """Compile all kernels, unless that has been done for this installation.
+    """Compile all kernels ahead, once for each installation.
 
     The first command does so too. The kernels of lfcal and lfrender, for flats of all kinds, go into Numba's cache.
     """

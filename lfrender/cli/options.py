@@ -28,18 +28,6 @@ _PRESET, _POSES = click.Choice(["fast", "balanced", "accurate"]), click.Choice([
 _POSITIVE, _SHARE = click.FloatRange(0, min_open=True), click.FloatRange(0, 1, min_open=True)
 
 
-class _Corner(click.ParamType):
-    """A coordinate of a corner."""
-
-    name = "px"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        try:
-            return float(value)
-        except ValueError:
-            self.fail(f"give four numbers, X0 Y0 X1 Y1 [px of the flat]; {value!r} is none", param, ctx)
-
-
 def _row(*names_kind_help: Any, **more: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
     return names_kind_help, more
 
@@ -55,7 +43,7 @@ TABLE = {
     "depth_file": _row("--depth depth_file", _FILE, "Depth map made by 'lfrender analyze'."),
     "dark": _row("--dark", _FILE, "Dark frame that is subtracted from FLAT and from the white image."),
     "preset": _row("--preset", _PRESET, "How much time the depth analysis may take. [default: balanced]"),
-    "roi": _row("--roi", _Corner(),
+    "roi": _row("--roi", float,
         "Only the part between two opposite corners [px of the flat].", nargs=4, metavar="X0 Y0 X1 Y1"),
     "mosaic": _row("--mosaic", click.Choice(MOSAICS, case_sensitive=False),
         "Colour filters of the top left 2 x 2 pixels of a raw mosaic, if the camera file does not have them."),

@@ -95,13 +95,13 @@ def demo(report: cl.Report, given: Any) -> None:
     from ..web.demo import run_demo
 
     found = run_demo(given.output, report)
-    modes, merit = found["mode_right"]["one_depth"], found["merit"]["all_in_focus"]["psnr"]
+    right, merit = found["mode_right"], found["merit"]["all_in_focus"]["psnr"]
     centres = found["calibration"]["scene"]["centre_error"]
     report.finish(
         found,
         f"{found['lenses']:,} microlenses, {found['pitch']:.1f} px apart, found to {centres:.3f} px RMS from "
         "the capture alone.",
-        f"The mode is right in {figures.percent(modes)} of the lenses that see one depth; the picture is "
-        f"{merit:.1f} dB from the truth.",
+        f"The mode is right in {figures.percent(right['one_depth'])} of the lenses that see one depth, "
+        f"{figures.percent(right['all'])} of all that see detail; the picture is {merit:.1f} dB from the truth.",
         f"{found['page']} in {report.took}, {report.seconds['simulate']:.1f} s of it for the simulation.",
     )

@@ -106,7 +106,8 @@ def check_scale(scale: float, pitch: float) -> float:
 def check_patch_size(patch_size: float, pitch: float) -> None:
     """Raise a ValueError unless `|patch_size|` [px] lies between 0 and the pitch."""
     if not 0 < abs(patch_size) < pitch:
-        raise ValueError(f"patch_size must lie between 0 and the pitch {pitch:.1f} px, got {patch_size:g}")
+        signs = f"-{pitch:.1f} and 0 px (binocular) or 0 and {pitch:.1f} px (telescopic)"
+        raise ValueError(f"patch_size must lie between {signs}, got {patch_size:g}")
 
 
 class Picture:

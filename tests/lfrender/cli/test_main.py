@@ -282,7 +282,7 @@ def test_opposite_corners_of_a_region_come_in_any_order(ask, tmp_path):
         words = ask(command, "-o", tmp_path / out, "--roi")
         assert_refused(run(*words, 900, 800, 600, 700), "roi 900 800 600 700 lies outside", "520")
         assert_refused(run(*words, 40, 80, 40, 190), "--roi 40 80 40 190 has no area")
-        assert_refused(run(*words, 40, 80, 90, "--quiet"), "give four numbers", "'--quiet' is none")
+        assert_refused(run(*words, 40, 80, 90, "--quiet"), "'--roi'", "'--quiet' is not a valid float")
 
 
 def test_the_suffix_decides_in_which_form_depth_is_written(ask, tmp_path):
