@@ -67,7 +67,7 @@ def _subtract_shading(begin, end, image, centres, wanted, near, weights, contras
         energy = energy / (max(count, 1) * total * total) + np.float32(1e-9)
         # An average must have twice the energy of one of unrelated pictures to be common.
         share = max(np.float32(0), 1 - np.float32(2) * expected / (total * total * energy))
-        largest2 = np.float32(LARGEST_SHADING**2)
+        largest2 = np.float32(LARGEST_SHADING * LARGEST_SHADING)
         share *= largest2 / (largest2 + energy) / total
         for y in range(low_y, end_y):
             for x in range(low_x, end_x):

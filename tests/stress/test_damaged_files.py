@@ -41,8 +41,8 @@ def test_archives_with_damaged_entries_are_no_depth_files(tmp_path):
     ("change", "message"),
     [
         ({"basis": [[0.002, 0], [0, 0.002]]}, "no camera has"),
-        ({"basis": [[20, 0], [1e9, 20]]}, r"field lattice\.basis\[1\]\[0\]"),
-        ({"origin": [1e300, 0]}, r"field lattice\.origin\[0\]"),
+        ({"basis": [[20, 0], [1e9, 20]]}, "no camera has"),
+        ({"origin": [1e300, 0]}, "field lattice"),
     ],
 )
 def test_lattices_with_more_lenses_than_memory_holds_are_refused(tmp_path, change, message):
@@ -56,7 +56,7 @@ def test_lattices_with_more_lenses_than_memory_holds_are_refused(tmp_path, chang
     data["lattice"] |= {"basis": [[9, 0], [0, 9]], "origin": [10, 10]}
     data["image_size"] = [10**9, 10**9]
     path.write_text(json.dumps(data))
-    with pytest.raises(lfcal.CameraFileError, match=r"field image_size\[0\]"):
+    with pytest.raises(lfcal.CameraFileError, match="no camera has"):
         lfcal.load(path)
 
 

@@ -71,7 +71,7 @@ def test_an_input_is_not_replaced(tmp_path):
 
 def test_a_folder_that_is_named_like_a_file_is_refused_until_it_exists(tmp_path):
     for name in ("bt.jpg", "v.glb", "film.mov"):
-        with pytest.raises(OutputError, match="a folder is written here"):
+        with pytest.raises(OutputError, match="for a folder leave out"):
             make_folder(tmp_path / name)
     assert os.listdir(tmp_path) == []
     for name in ("plain", "run.1", "2026.11.26", "v1.0"):
