@@ -37,8 +37,7 @@ def _row(*names_kind_help: Any, **more: Any) -> tuple[tuple[Any, ...], dict[str,
 TABLE = {
     # Of the capture.
     "camera": _row("-c --camera", _FILE,
-        "Camera file of lfcal, or a published calibration (.xml, .cfg). Without it, FLAT itself is "
-        "calibrated."),
+        "Camera file of lfcal, or a published calibration (.xml, .cfg). Without it, FLAT itself is calibrated."),
     "white": _row("--white", _FILE, "Calibrate from this white image of the same camera."),
     "depth_file": _row("--depth depth_file", _FILE, "Depth map made by 'lfrender analyze'."),
     "dark": _row("--dark", _FILE, "Dark frame that is subtracted from FLAT and from the white image."),
@@ -89,8 +88,7 @@ TABLE = {
     "frame_aperture": _row("--aperture aperture", _SHARE, "Of --views, as in 'lfrender views'. [default: 0.7]"),
     # How to write it.
     "eight_bits": _row("--8bit eight_bits", bool,
-        "Write 8 bits a channel, in proportion: 0 to white become 0 to 255. JPEG and WebP do so by "
-        "themselves."),
+        "Write 8 bits a channel, in proportion: 0 to white become 0 to 255. JPEG and WebP do so by themselves."),
     "alpha": _row("--alpha", bool, "Make pixels that no lens has seen transparent (not in JPEG)."),
     "compress": _row("--compress", bool, "Write a TIFF in deflated tiles: smaller and slower."),
     "tile": _row("--tile", click.IntRange(16),
@@ -104,8 +102,7 @@ TABLE = {
     "dense": _row("--dense", _OUTPUT,
         "Patch size [px] of every pixel of the picture, its validity and standard error (pages, or channels).",
         metavar="DEPTH.tif|.pfm|.exr"),
-    "unfilled": _row("--unfilled", bool,
-        "Write NaN to --dense where no lens has a depth, not that of places around."),
+    "unfilled": _row("--unfilled", bool, "Write NaN to --dense where no lens has a depth, not that of places around."),
     "picture": _row("--picture", _OUTPUT, "Magnification M in colours.", metavar="DEPTH.png"),
     "ply": _row("--ply", _OUTPUT, "Point cloud: X/D, Y/D, virtual depth D/s, colour.", metavar="CLOUD.ply|.pcd"),
     "optics": _row("--optics", _FILE,
