@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .inputs import CaptureInput
 
 __all__ = [
-    "camera_figures", "capture_figures", "capture_sentences", "eight_bits_sentence", "percent", "picture_figures",
+    "capture_figures", "capture_sentences", "eight_bits_sentence", "percent", "picture_figures",
     "picture_sentence", "rendering_settings",
 ]  # fmt: skip
 
@@ -25,34 +25,31 @@ def rendering_settings(depth: DepthMap | None, patch_size: float | None, detail:
     return how | ({} if depth else {"patch_size": patch_size}) | ({} if detail is None else {"detail": detail})
 
 
-def camera_figures(calibration: Calibration, depth: DepthMap | None = None) -> dict[str, Any]:
-    """Pitch, number of lenses, confidence of the calibration, and the warnings about it and about the depth."""
-    from ..rendering.traditional import find_depth_problem
+def capture_figures(
+    calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None
+) -> dict[str, Any]:
+    """Figures of the camera and warnings; with a depth map, those of the analysed lenses.
 
-    problem = depth and find_depth_problem(depth)
-    return {
+    These are shares of the modes, of the reasons why some are unresolved, and of the work that shortcuts saved; with
+    optics, median and range [m] of the distances of nine tenths of the lenses, and the median of their standard errors.
+    """
+    figures: dict[str, Any] = {
         "pitch": calibration.lattice.pitch,
         "lenses": len(calibration.lattice),
         "camera_source": calibration.source,
         "camera_confidence": calibration.confidence,
-        "warnings": [*calibration.warnings, *([problem] if problem else [])],
+        "warnings": list(calibration.warnings),
     }
-
-
-def capture_figures(
-    calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None
-) -> dict[str, Any]:
-    """The figures of the camera; with a depth map, shares of the analysed lenses: of the modes, of the reasons why some
-    are unresolved, of the work that shortcuts saved; with optics, median and range [m] of the distances of nine tenths
-    of the lenses, and the median of their standard errors."""
-    figures = camera_figures(calibration, depth)
     if depth is None:
         return figures
     import numpy as np
 
     from ..data.depth_map import REASONS
     from ..output.depth_picture import MODES
+    from ..rendering.traditional import find_depth_problem
 
+    if problem := find_depth_problem(depth):
+        figures["warnings"].append(problem)
     analysed = depth.reason != REASONS.index("not analysed")
     mode, reason = depth.mode[analysed], depth.reason[analysed]
     sizes = np.abs(depth.patch_size[depth.mode != 0])

@@ -37,7 +37,7 @@ def view(capture: CaptureInput, given: Any) -> None:
     if export is not None and export.suffix:
         check_output(export, {".html", ".htm"}, capture.files)
     pixels, calibration, depth = capture.load()
-    warnings = figures.camera_figures(calibration, depth)["warnings"]
+    warnings = figures.capture_figures(calibration, depth)["warnings"]
     sentences = figures.capture_sentences(capture, calibration, depth)
     if export is not None:
         with report.stage("write"):

@@ -79,7 +79,7 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     found = {"picture": str(output)} if one_file else {"pictures": list(map(str, paths))}
     found |= {"patch_sizes": sizes, **figures.picture_figures(pictures[0])}
     report.finish(
-        found | figures.camera_figures(calibration, depth), *figures.capture_sentences(capture, calibration),
+        found | figures.capture_figures(calibration, depth), *figures.capture_sentences(capture, calibration),
         figures.picture_sentence(named, pictures[0], what, report.took), *stated,
     )  # fmt: skip
 
