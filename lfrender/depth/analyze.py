@@ -15,9 +15,8 @@ from ..data.region import check_region, crop_flat, embed_region, rescale_depth, 
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from .edges.locate_edges import locate_edges
 from .incremental import update_depth
-from .matching.shortcuts import Shortcuts
 from .pipeline import estimate_depth_map, prepare_flat
-from .presets import PRESETS
+from .presets import PRESETS, Shortcuts
 
 __all__ = ["PRESETS", "analyze"]
 
@@ -103,10 +102,9 @@ def analyze(
             update_depth(flat, calibration, preset, shortcuts, edges, *previous), flat_samples=sample_flat(flat)
         )
     gray, small, factor = prepare_flat(flat, calibration, preset)
+    small_part = small
     if inside is not None:
         gray, small_part = crop_flat(gray, small, inside)
-    else:
-        small_part = small
     depth = estimate_depth_map(gray, small_part, preset, shortcuts)
     depth = locate_edges(gray, small_part, depth) if edges else depth
     if inside is not None:

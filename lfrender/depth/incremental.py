@@ -23,18 +23,17 @@ from ..data.frame_state import FrameState, LocalMatch
 from ..data.region import rescale_depth
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
-from ..flat.lens_graph import count_connected, dilate_mask, neighbour_rows, opposite_neighbours
+from ..flat.lens_graph import count_connected, dilate_mask, neighbour_rows
 from ..flat.texture import LensStatistics, classify_texture, sample_statistics
 from ..flat.validation import check_flat
 from ..runtime.cache import cached
 from .changed_lenses import find_changed_lenses
 from .edges.locate_edges import locate_edges, places_of_lenses, refine_grid
 from .matching.matcher import Matcher
-from .matching.shortcuts import Shortcuts
+from .matching.neighbours import neighbours_of
 from .pipeline import estimate_depth_map, estimate_lens_by_lens, prepare_flat
-from .presets import PRESETS
+from .presets import PRESETS, Shortcuts
 from .same_surface import TOLERANCE
-from .settings import INCREMENTAL, IncrementalSettings
 from .surface.scene_grid import grid_shape
 from .validity.textureless import find_textureless
 
@@ -57,17 +56,18 @@ def update_depth(
     lattice = calibration.lattice
     earlier = _check_previous(flat, calibration, preset, earlier, before)
     neighbours = neighbour_rows(lattice, lattice.steps)
-    changed = find_changed_lenses(earlier, flat, calibration)
+    old_gray, old_statistics = _frame_of(before, earlier, calibration)
+    gray, small, factor = prepare_flat(flat, calibration, preset)
+    changed = find_changed_lenses(old_gray, old_statistics, gray)
     kept = ~dilate_mask(changed, neighbours)
     saved = {"still": float(kept.mean())}
     state = FrameState(changed=changed, previous=weakref.ref(before))
     if kept.all():
         state.reference, state.kept = before.frame_state.reference, before.frame_state.kept
-        return replace(before, saved=saved, frame_state=state)
-    gray, small, factor = prepare_flat(flat, calibration, preset)
+        return _remember(replace(before, saved=saved, frame_state=state), gray, old_statistics, calibration)
     statistics = sample_statistics(gray)
     if shortcuts.steady:
-        reference = _complete_reference(before, earlier, calibration, small, factor)
+        reference = _complete_reference(before, old_gray, old_statistics, small, factor)
         # Lenses with the same pixels match as they did.
         match = _match_at_depth(gray, small, statistics, before, factor, kept).where(kept, reference)
         estimated = (before.reason == 0) & match.textured
@@ -78,24 +78,22 @@ def update_depth(
         state.reference, state.kept = reference, kept
         if kept.all():
             state.complete = reference
-            return replace(before, saved=saved, frame_state=state)
+            return _remember(replace(before, saved=saved, frame_state=state), gray, statistics, calibration)
     if not kept.any():
         depth = estimate_depth_map(gray, small, preset, shortcuts)
         depth = locate_edges(gray, small, depth) if edges else depth
         state.reference, state.kept = None, None
-        return replace(rescale_depth(depth, lattice, factor), frame_state=state)
-    near = dilate_mask(dilate_mask(~kept, neighbours), neighbours)
-    blank = find_textureless(gray, small, statistics, PRESETS[preset], asked=near) if shortcuts.blank else None
-    old = rescale_depth(before, small, 1 / factor)
-    start = replace(old, surface=_coarse_surface(old.surface, small, preset))
-    depth = estimate_lens_by_lens(gray, small, preset, shortcuts, statistics, blank, kept, start)
-    if edges:
-        depth = _locate_new_edges(gray, small, depth, old.surface, dilate_mask(~kept, neighbours))
-    after = replace(rescale_depth(depth, lattice, factor, {**depth.saved, **saved}), frame_state=state)
-    if gray.image.nbytes <= INCREMENTAL.max_cached:
-        # The strips that were cut out of it are kept as well.
-        _latest_frame(calibration)[:] = [(weakref.ref(after), gray, statistics)]
-    return after
+    else:
+        near = dilate_mask(dilate_mask(~kept, neighbours), neighbours)
+        blank = find_textureless(gray, small, statistics, PRESETS[preset], asked=near) if shortcuts.blank else None
+        old = rescale_depth(before, small, 1 / factor)
+        start = replace(old, surface=_coarse_surface(old.surface, small, preset))
+        depth = estimate_lens_by_lens(gray, small, preset, shortcuts, statistics, blank, kept, start)
+        if edges:
+            depth = _locate_new_edges(gray, small, depth, old.surface, dilate_mask(~kept, neighbours))
+        depth = replace(depth, saved={**depth.saved, **saved})
+    after = replace(rescale_depth(depth, lattice, factor), frame_state=state)
+    return _remember(after, gray, statistics, calibration)
 
 
 def _coarse_surface(surface: Surface, lattice: Lattice, preset: str) -> Surface:
@@ -139,6 +137,13 @@ def _latest_frame(calibration: Calibration) -> list[tuple[weakref.ref[DepthMap],
     return cached(calibration, "latest frame", list)
 
 
+def _remember(depth: DepthMap, gray: GrayFlat, statistics: LensStatistics, calibration: Calibration) -> DepthMap:
+    """The depth map; its grey flat of up to 32 MB, with the strips cut out of it, is kept for the next one."""
+    if gray.image.nbytes <= 1 << 25:
+        _latest_frame(calibration)[:] = [(weakref.ref(depth), gray, statistics)]
+    return depth
+
+
 def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple[GrayFlat, LensStatistics]:
     """The grey flat that a depth map belongs to, and its statistics, taken from the cache if it is the last one."""
     with suppress(IndexError):
@@ -151,12 +156,11 @@ def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple
 
 
 def _complete_reference(
-    depth: DepthMap, flat: NDArray, calibration: Calibration, lattice: Lattice, factor: int
+    depth: DepthMap, gray: GrayFlat, statistics: LensStatistics, lattice: Lattice, factor: int
 ) -> LocalMatch:
     """What all lenses are compared with: those that kept their depth with the frame it is from, others with theirs."""
     state = depth.frame_state
     if state.complete is None:
-        gray, statistics = _frame_of(depth, flat, calibration)
         state.complete = _match_at_depth(gray, lattice, statistics, depth, factor, state.kept)
         if state.reference is not None and state.kept is not None:
             state.complete = state.complete.where(state.kept, state.reference)
@@ -204,11 +208,11 @@ def _match_at_depth(
     Lenses that are `known` (n,) are matched only as neighbours of the others.
     """
     texture = classify_texture(gray, statistics)
-    matcher = Matcher(texture, *opposite_neighbours(lattice), PRESETS[depth.preset])
+    matcher = Matcher(texture, neighbours_of(lattice), PRESETS[depth.preset])
     textured = texture.clear | texture.faint
-    expected = (depth.filled_patch_size / np.float32(factor * matcher.factor)).astype(np.float32)
     active = textured if known is None else textured & ~known
-    return LocalMatch(*matcher.match_locally(active, expected), texture.clear, textured)
+    match = matcher.match_locally(active, depth.filled_patch_size / np.float32(factor))
+    return LocalMatch(*match, texture.clear, textured)
 
 
 def find_moved(
@@ -217,28 +221,25 @@ def find_moved(
     estimated: NDArray[np.bool_],
     reason: NDArray[np.int8],
     neighbours: NDArray[np.int32],
-    settings: IncrementalSettings = INCREMENTAL,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Lenses whose depth may have changed, and those in doubt if one of their neighbours has.
 
     An `estimated` lens (n,), with depth and texture, keeps its depth if from `reference` to `match` its cost rose by at
-    most 0.15 and its minimum did not move, together with two neighbours, by more than max(0.1 px, 4 sigma). Others are
-    estimated if they now carry texture or match. `reason` (n,) is as in `DepthMap`.
+    most 0.15 and its minimum did not move, together with two neighbours, by more than max(0.1 px, 4 sigma). Beside one
+    that moved, a quarter of that is doubtful. Others are estimated if they now carry texture or match. `reason` (n,) is
+    as in `DepthMap`.
     """
-    shift = match.offset - reference.offset
-    rise = settings.cost_rise
-    moved = estimated & (match.cost > reference.cost + rise)
+    shift, rise = match.offset - reference.offset, match.cost - reference.cost
+    moved = estimated & (rise > 0.15)
     moved |= (reason == 0) & reference.textured & ~match.textured
-    moved |= (reason != 0) & match.textured & (match.cost < reference.cost - rise)
+    moved |= (reason != 0) & match.textured & (rise < -0.15)
     moved |= (reason == 1) & match.clear & ~reference.clear
-    limit = np.maximum(settings.shift, np.float32(settings.significance) * np.hypot(reference.error, match.error))
+    # Away from a minimum the cost has no bend that would tell its error.
+    limit = np.maximum(np.float32(0.1), np.float32(4 * 2**0.5) * np.minimum(reference.error, match.error))
     for side in (-1, 1):
-        together = count_connected(estimated & (side * shift > limit), neighbours)
-        moved |= together >= settings.cluster - 1
-    share = settings.doubtful_share
-    doubtful = ~estimated | (match.cost > reference.cost + share * rise)
-    doubtful |= np.abs(shift) > np.float32(share) * limit
-    return np.asarray(moved), np.asarray(doubtful)
+        # Of fewer than three beside each other it is noise.
+        moved |= count_connected(estimated & (side * shift > limit), neighbours) >= 2
+    return np.asarray(moved), np.asarray(~estimated | (4 * rise > 0.15) | (4 * np.abs(shift) > limit))
 
 
 def changed_since(
@@ -248,4 +249,5 @@ def changed_since(
     state = after.frame_state
     if state.changed is not None and state.previous is not None and state.previous() is before:
         return state.changed
-    return find_changed_lenses(earlier, flat, calibration)
+    first, second = (prepare_flat(frame, calibration, after.preset)[0] for frame in (earlier, flat))
+    return find_changed_lenses(first, sample_statistics(first), second)

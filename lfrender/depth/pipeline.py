@@ -1,8 +1,8 @@
 """The passes of an analysis, in order, from a grey flat to its depth map.
 
 `estimate_depth_map`: which lenses have no texture (`validity.textureless`)? Then `estimate_lens_by_lens`: select the
-lenses to match; search, refine and classify them (`estimate`); smooth them over surfaces (`refinement.smoothing`), fill
-unresolved ones, find second depths (`surface.second_layer`) and make a dense surface of all (`surface.densify`).
+lenses to match; search, refine, classify and smooth them (`estimate`), fill unresolved ones, find second depths
+(`surface.second_layer`) and make a dense surface of all (`surface.densify`).
 """
 
 from __future__ import annotations
@@ -16,21 +16,19 @@ from lfcal import Calibration, Lattice
 
 from ..data.depth_map import DepthMap
 from ..flat.gray_flat import GrayFlat, downsample_lattice, make_gray_flat
-from ..flat.lens_graph import dilate_mask, neighbour_rows, opposite_neighbours
+from ..flat.lens_graph import count_similar, dilate_mask
 from ..flat.texture import LensStatistics, find_texture, sample_statistics
 from .estimate import LensEstimates, LensSet, estimate_lenses
-from .matching.peaks import fill_unresolved
-from .matching.shortcuts import Shortcuts, sample_lenses
-from .presets import PRESETS, Preset
-from .same_surface import TOLERANCE
-from .settings import PIPELINE
+from .matching.matcher import sample_lenses
+from .matching.neighbours import neighbours_of
+from .presets import PRESETS, Preset, Shortcuts
+from .same_surface import TOLERANCE, same_surface
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
-from .validity.classify import occurs_among
-from .validity.settings import CLASSIFY
+from .validity.classify import SHADING_REACH, SURE, occurs_among
 from .validity.textureless import find_textureless
 
-__all__ = ["SceneStatistics", "estimate_depth_map", "estimate_lens_by_lens", "prepare_flat"]
+__all__ = ["SceneStatistics", "estimate_depth_map", "estimate_lens_by_lens", "fill_unresolved", "prepare_flat"]
 
 
 @dataclass(frozen=True)
@@ -70,16 +68,17 @@ def estimate_lens_by_lens(
 
     `overview` is of the larger flat of which this is a part.
     """
-    options = PRESETS[preset]
-    neighbours = neighbour_rows(lattice, lattice.steps)
+    options, neighbours = PRESETS[preset], neighbours_of(lattice)
     # Lenses that keep their depth support their neighbours with it.
     updated = np.ones(len(lattice), bool) if kept is None else ~kept
     noise = None if overview is None else overview.noise
-    texture = find_texture(gray, lattice, statistics, blank, dilate_mask(updated, neighbours), noise)
+    texture = find_texture(gray, lattice, statistics, blank, dilate_mask(updated, neighbours.all), noise)
     textured = texture.clear | texture.faint
     active = updated if blank is None else updated & textured
-    sample = _sample_depths(lattice, texture.clear, active) if shortcuts.ranges and overview is None else None
-    lenses = LensSet(texture, *opposite_neighbours(lattice), lattice.indices(), updated, active, sample)
+    sample = None
+    if shortcuts.ranges and overview is None:
+        sample = _sample_depths(neighbours.indices, texture.clear, active)
+    lenses = LensSet(texture, neighbours, updated, active, sample)
     sizes = overview.sizes if overview is not None and shortcuts.ranges and len(overview.sizes) else None
     single = estimate_lenses(lenses, options, before, sizes)
     saved = {}
@@ -88,19 +87,21 @@ def estimate_lens_by_lens(
     if sample is not None:
         saved["ranges"] = single.match.skipped_share
     estimates = single.smooth(lenses)
-    occurring = estimates.patch_size[estimates.resolved] if overview is None else overview.sizes
-    filled = fill_unresolved(estimates.filled_patch_size, estimates.resolved, neighbours, TOLERANCE * lattice.pitch)
+    resolved = estimates.resolved
+    occurring = estimates.patch_size[resolved] if overview is None else overview.sizes
+    filled = fill_unresolved(estimates.filled_patch_size, resolved, neighbours.all, TOLERANCE * lattice.pitch)
     seconds = _find_second_depths(lenses, estimates, filled, occurring, options, shortcuts)
-    weight = np.where(estimates.resolved, estimates.confidence, PIPELINE.unresolved_weight).astype(np.float32)
+    # Unresolved lenses count little beside the confidence of others.
+    weight = np.where(resolved, estimates.confidence, 0.05).astype(np.float32)
+    settled = None if kept is None else ~dilate_mask(updated, neighbours.all)
     old = None if before is None else before.surface
-    settled = None if kept is None else ~dilate_mask(updated, neighbours)
     surface = densify(
         texture.flat, lattice, filled, seconds, weight, texture.noise, options.surface_cells, settled, old
     )
     return DepthMap(
-        patch_size=np.where(estimates.resolved, estimates.patch_size, np.nan),
-        standard_error=np.where(estimates.resolved, estimates.standard_error, np.inf),
-        confidence=np.where(estimates.resolved, 1, CLASSIFY.sure) * estimates.confidence,
+        patch_size=np.where(resolved, estimates.patch_size, np.nan),
+        standard_error=np.where(resolved, estimates.standard_error, np.inf),
+        confidence=np.where(resolved, 1, SURE) * estimates.confidence,
         filled_patch_size=filled,
         surface=surface,
         pitch=lattice.pitch,
@@ -111,12 +112,40 @@ def estimate_lens_by_lens(
     )
 
 
-def _sample_depths(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-    """(n,) bool: a sample of the `active` lenses that shows which depths occur; None if too few are `clear`."""
+def _sample_depths(
+    indices: NDArray[np.int64], clear: NDArray[np.bool_], active: NDArray[np.bool_]
+) -> NDArray[np.bool_] | None:
+    """(n,) bool: a sample of 150 `active` lenses that shows which depths occur; None if too few are `clear`."""
     among = clear & active
     # Faint lenses match only at depths that are known to occur.
-    enough = among.sum() * (among.sum() / max(active.sum(), 1)) ** 4 >= 2 * PIPELINE.sample
-    return sample_lenses(lattice.indices(), among, PIPELINE.sample) if enough else None
+    enough = among.sum() * (among.sum() / max(active.sum(), 1)) ** 4 >= 300
+    return sample_lenses(indices, among, 150) if enough else None
+
+
+def fill_unresolved(
+    values: NDArray[np.float32], known: NDArray[np.bool_], neighbours: NDArray[np.int32], gap: float
+) -> NDArray[np.float32]:
+    """Smooth the `values` (n,) [px] of lenses that are not `known` (n,), first guesses, toward their neighbours.
+
+    Values that differ by more than `gap` [px] belong to different surfaces. A guess that hardly any neighbour has is
+    replaced by the median of theirs.
+    """
+    result = values.copy()
+    # Pairs of guesses that stand alone lose one at a time.
+    for _ in range(3):
+        similar = count_similar(np.ones(len(result), bool), result, neighbours, gap)
+        alone = np.flatnonzero(~known & (similar <= 1) & (neighbours >= 0).any(1))
+        around = np.where(neighbours[alone] >= 0, result[neighbours[alone]], np.nan)
+        # The lower median is a value that one of them has, not the mean of two surfaces.
+        result[alone] = np.nanquantile(around, 0.5, axis=1, method="lower") if len(alone) else 0
+    unknown = np.flatnonzero(~known)
+    rows = neighbours[unknown]
+    for _ in range(24):
+        around, own = result[rows], result[unknown]
+        alike = (rows >= 0) & same_surface(around, own[:, None], np.float32(gap))
+        count = alike.sum(1)
+        result[unknown] = np.where(count > 0, np.where(alike, around, 0).sum(1) / np.maximum(count, 1), own)
+    return result
 
 
 def _find_second_depths(
@@ -129,15 +158,13 @@ def _find_second_depths(
 ) -> NDArray[np.float32]:
     """(n, 2) [px] other patch sizes that lenses may show beside the `filled` (n,), as for `densify`."""
     gap = TOLERANCE * lenses.pitch
-    second = np.where(occurs_among(estimates.second, occurring, gap), estimates.second, np.nan)
-    others = np.stack([second, np.full(len(filled), np.nan)], 1).astype(np.float32)
-    if not preset.second_layer:
-        return others
-    correlation = np.where(lenses.updated, estimates.match.correlation, 1)
-    tried = occurring if shortcuts.ranges else None
-    halves = lenses.forward, lenses.backward
-    rest = find_second_layer(lenses.texture, *halves, filled, correlation, preset, tried)
-    # Shading matches itself near zero: a depth there must occur by itself.
-    rest[(np.abs(rest) < CLASSIFY.shading_reach * lenses.pitch) & ~occurs_among(rest, occurring, gap)] = np.nan
-    others[:, 1] = rest
+    others = np.full((len(filled), 2), np.nan, np.float32)
+    others[:, 0] = np.where(occurs_among(estimates.second, occurring, gap), estimates.second, np.nan)
+    if preset.second_layer:
+        correlation = np.where(lenses.updated, estimates.match.correlation, 1)
+        tried = occurring if shortcuts.ranges else None
+        rest = find_second_layer(lenses.texture, lenses.neighbours, filled, correlation, preset, tried)
+        # Shading matches itself near zero: a depth there must occur by itself.
+        rest[(np.abs(rest) < SHADING_REACH * lenses.pitch) & ~occurs_among(rest, occurring, gap)] = np.nan
+        others[:, 1] = rest
     return others

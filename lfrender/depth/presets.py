@@ -1,15 +1,11 @@
-"""The presets of an analysis, `"fast"`, `"balanced"` and `"accurate"`: how much time each stage spends."""
+"""How much time each stage of an analysis spends: the presets `"fast"`, `"balanced"`, `"accurate"`; shortcuts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 
-import numpy as np
-
-__all__ = ["PRESETS", "Preset"]
-
-# Merging more pixels than this each way loses a precision of a twentieth of a pixel of the flat.
-_MAX_REDUCTION = 3
+__all__ = ["PRESETS", "Preset", "Shortcuts"]
 
 
 @dataclass(frozen=True)
@@ -23,32 +19,44 @@ class Preset:
     full_step: float
     row_step: int  # only every `row_step`-th row of pixels is matched
     iterations: int  # Gauss-Newton steps of the sub-pixel refinement, at most
-    last_step: float = 0.02  # [px] a step shorter than this ends the refinement
-    # [px] the whole analysis runs on a flat reduced by a whole factor that leaves at least this pitch
-    least_pitch: float = np.inf
-    surface_cells: int = 7  # grid values of the surface per pitch
-    second_layer: bool = True  # what the first depth of a lens leaves unexplained is matched again
-    edges: bool = False  # depth edges of the surface are located on the pixels
+    last_step: float  # [px] a step shorter than this ends the refinement
+    # [px] the whole analysis runs on a flat reduced by a whole factor that leaves at least this pitch; 0 never reduces
+    least_pitch: float
+    surface_cells: int  # grid values of the surface per pitch
+    # What the first depth of a lens leaves unexplained is matched again, and depth edges are located on the pixels.
+    second_layer: bool
+    edges: bool
 
     def factor(self, pitch: float) -> int:
-        """How many pixels of the flat, each way, are merged into one for the whole analysis."""
-        return max(1, min(_MAX_REDUCTION, int(pitch / self.least_pitch)))
+        """How many pixels of the flat, each way, are merged into one for the whole analysis.
+
+        Merging more than three loses a precision of a twentieth of a pixel of the flat.
+        """
+        return max(1, min(3, int(pitch / self.least_pitch))) if self.least_pitch else 1
 
 
-_BALANCED = Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5, edges=True)
+_BALANCED = Preset(24, 0.75, 1.0, 2, 5, 0.02, 0, 7, True, True)
 
-PRESETS = {
-    "fast": Preset(
-        search_pitch=16,
-        step=1.0,
-        full_step=1.0,
-        row_step=1,
-        iterations=3,
-        last_step=0.04,
-        least_pitch=11,
-        surface_cells=5,
-        second_layer=False,
-    ),
-    "balanced": _BALANCED,
-    "accurate": _BALANCED,
-}
+PRESETS = {"fast": Preset(16, 1.0, 1.0, 1, 3, 0.04, 11, 5, False, False), "balanced": _BALANCED, "accurate": _BALANCED}
+
+
+@dataclass(frozen=True)
+class Shortcuts:
+    """Which shortcuts an analysis takes."""
+
+    blank: bool = True  # lenses without texture are not matched
+    ranges: bool = True  # most lenses are matched only near patch sizes that occur in a sparse sample of them
+    still: bool = True  # lenses whose pixels equal those of the previous frame keep their depth
+    steady: bool = True  # so do lenses that still match at the depth they had. Needs `still`
+
+    @classmethod
+    def of(cls, skip: bool | Iterable[str]) -> Shortcuts:
+        """All, none, or those with the given names; ValueError if there is no shortcut of such a name."""
+        names = [field.name for field in fields(cls)]
+        if isinstance(skip, str):
+            skip = (skip,)
+        wanted = names * skip if isinstance(skip, bool) else list(skip)
+        unknown = [name for name in wanted if name not in names]
+        if unknown:
+            raise ValueError(f"skip must be True, False or some of {', '.join(names)}, got {unknown[0]!r}")
+        return cls(**{name: name in wanted for name in names})

@@ -11,8 +11,8 @@ from lfcal.runtime.kernels import kernel
 from ..runtime.cache import cached
 
 __all__ = [
-    "count_connected", "count_neighbours", "count_similar", "dilate_mask", "distant_rings", "join_opposite",
-    "lens_grid", "lens_offsets", "nearest_lens", "neighbour_rows", "opposite_neighbours", "two_rings",
+    "count_connected", "count_neighbours", "count_similar", "dilate_mask", "distant_rings", "lens_grid",
+    "lens_offsets", "nearest_lens", "neighbour_rows", "two_rings",
 ]  # fmt: skip
 
 
@@ -53,23 +53,6 @@ def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int
         return grid.ravel()[here[:, None] + (steps[:, 1] * width + steps[:, 0])]
 
     return cached(lattice, ("neighbours", steps.tobytes()), make)
-
-
-def opposite_neighbours(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Neighbour rows (n, d) in `d` lattice directions and in the opposite ones; cached as `neighbour_rows`."""
-
-    def make() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        neighbours = neighbour_rows(lattice, lattice.steps)
-        half = neighbours.shape[1] // 2
-        return np.ascontiguousarray(neighbours[:, :half]), np.ascontiguousarray(neighbours[:, half:])
-
-    return cached(lattice, "opposite neighbours", make)
-
-
-def join_opposite(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(n, 2 d) neighbour rows from those in `d` directions and in the opposite ones; cached."""
-    first, both = cached(forward, "joined", lambda: (backward, np.hstack([forward, backward])))
-    return both if first is backward else np.hstack([forward, backward])
 
 
 @kernel(share=lambda mask, rows, *_: len(rows))

@@ -21,11 +21,9 @@ from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_flat
 from ..data.region import empty_lenses, rescale_depth, rows_of
 from ..data.surface import Surface
-from ..depth.edges.locate_edges import locate_edges, refine_grid
-from ..depth.edges.settings import DEFAULT as EDGES
-from ..depth.matching.shortcuts import Shortcuts
+from ..depth.edges.locate_edges import FINER, locate_edges, refine_grid
 from ..depth.pipeline import SceneStatistics, estimate_lens_by_lens
-from ..depth.presets import PRESETS
+from ..depth.presets import PRESETS, Shortcuts
 from ..depth.same_surface import TOLERANCE
 from ..depth.surface.scene_grid import grid_shape
 from ..depth.validity.textureless import find_textureless
@@ -175,7 +173,7 @@ def _analyze_tiles(
     lattice, preset = flat.lattice, flat.preset
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
     values = empty_lenses(len(lattice))
-    finer = EDGES.finer if PRESETS[preset].edges else 1
+    finer = FINER if PRESETS[preset].edges else 1
     surface = np.empty((shape[0] * finer, shape[1] * finer), np.float32)
     saved: dict[str, float] = {}
     found = workers.map(_analyze_tile, flat, tiles, FlatContext.read)

@@ -4,39 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from math import prod
-from threading import local
 from typing import Any
 from weakref import finalize
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["allocate_pooled", "allocate_scratch"]
+__all__ = ["allocate_pooled"]
 
-# Larger scratch arrays are not kept [bytes]: parts of a flat of 24 megapixels are no larger than this.
-_MOST_SCRATCH = 1 << 27
 # Larger pooled arrays are not kept [bytes], nor is more than this in all.
 _MOST_POOLED = 1 << 27
 _POOL_SIZE = 1 << 28
 # Memory that no array refers to any more.
 _pool: deque[NDArray[np.uint8]] = deque()
-# Per thread, since several may work on frames at once.
-_kept = local()
-
-
-def allocate_scratch(purpose: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """An array of undefined content, whose memory the next call for the same `purpose` in this thread returns again.
-
-    So nothing in it may outlive the function that calls this.
-    """
-    count, kind = prod(shape), np.dtype(dtype)
-    if count * kind.itemsize > _MOST_SCRATCH:
-        return np.empty(shape, kind)
-    memory = getattr(_kept, purpose, None)
-    if memory is None or len(memory) < count or memory.dtype != kind:
-        memory = np.empty(count, kind)
-        setattr(_kept, purpose, memory)
-    return memory[:count].reshape(shape)
 
 
 class _Lease:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["median", "quantile"]
+__all__ = ["quantile"]
 
 
 def quantile(values: NDArray[Any], share: float) -> float:
@@ -18,8 +18,3 @@ def quantile(values: NDArray[Any], share: float) -> float:
     if place == low:
         return float(parted[low])
     return float(parted[low] + (place - low) * (parted[high] - parted[low]))
-
-
-def median(values: NDArray[Any]) -> float:
-    """As `np.median` of `values` (n,)."""
-    return quantile(values, 0.5)

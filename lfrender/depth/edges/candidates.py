@@ -4,29 +4,49 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from .geometry import level_of
 from .microimage import BINS, DEPTHS, NEARBY, OWN
 
-__all__ = ["list_candidates", "list_depths"]
+__all__ = ["list_candidates", "list_depths", "mark_levels"]
 
-# [pitch] smaller patch sizes count as this, or a microimage would span all of the scene.
-_LEAST = 0.02
-# [pitch] farther from its centre, a lens is none of the nearest to a scene point.
-_FAR = 2.0
-# Pixels that the first round leaves with one surface so far around them are not looked at again.
-_SETTLED = 2
+# Patch sizes of up to 0.8 pitches either way are told apart in so many levels, one bit each.
+_LEVELS = 64
+
+
+@njit(inline="always")
+def _level_of(s, pitch):
+    return min(max(int((s / pitch + 0.8) * (_LEVELS / 1.6)), 0), _LEVELS - 1)
+
+
+def mark_levels(surface: NDArray[np.float32], pitch: float, reach: int) -> NDArray[np.uint64]:
+    """(rows, columns): a bit for each level of patch sizes that the surface has within `reach` values each way."""
+    one = np.uint64(1)
+    level = np.clip(((surface / pitch + 0.8) * (_LEVELS / 1.6)).astype(int), 0, _LEVELS - 1)
+    bits = np.zeros(surface.shape, np.uint64)
+    for beside in (-1, 0, 1):
+        bits |= one << np.clip(level + beside, 0, _LEVELS - 1).astype(np.uint64)
+    for axis in (0, 1):
+        bits, wide = np.moveaxis(bits, axis, 0), 1
+        # The window doubles until it is as wide as it has to be.
+        bits = np.pad(bits, ((reach, reach), (0, 0)))
+        while wide < 2 * reach + 1:
+            step = min(wide, 2 * reach + 1 - wide)
+            bits, wide = bits[step:] | bits[:-step], wide + step
+        bits = np.moveaxis(bits, 0, axis)
+    return np.ascontiguousarray(bits)
 
 
 @njit(error_model="numpy")
-def list_depths(surface, grid, x, y, lenses, reach, work):
+def list_depths(surface, grid, x, y, lenses, work):
     """Patch sizes of the surface that the lens at (x, y) may show, in `work.depths`; returns how many there are."""
     rows, columns = surface.shape
     first, spacing, pitch, radius = grid.first, grid.spacing, lenses.pitch, lenses.radius
     bins, depths = work.bins, work.depths
     bins[:] = 0
     width = 0.25 * lenses.gap
-    span = int((_FAR * pitch + reach) / spacing) + 1
+    # Lenses nearest to a scene point are within two pitches of it, and depths within one are tried there.
+    span = int(3 * pitch / spacing) + 1
     at_u, at_v = int((x - first) / spacing + 0.5), int((y - first) / spacing + 0.5)
     # Every other value each way: no surface is narrower than these are apart.
     for v in range(max(0, at_v - span), min(rows, at_v + span + 1), 2):
@@ -34,7 +54,7 @@ def list_depths(surface, grid, x, y, lenses, reach, work):
             s = surface[v, u]
             away2 = (first + u * spacing - x) ** 2 + (first + v * spacing - y) ** 2
             # A microimage shows radius * pitch / s of the scene each way.
-            if away2 * s * s <= (reach * abs(s) + radius * pitch) ** 2:
+            if away2 * s * s <= (pitch * abs(s) + radius * pitch) ** 2:
                 place = min(max(int(s / width + BINS // 2), 0), BINS - 1)
                 bins[0, place] += 1
                 bins[1, place] += s
@@ -64,10 +84,10 @@ def _outline(x, y, left, top, size, radius, shape, work):
 
 @njit(error_model="numpy")
 def _is_settled(before, px, py, gap):
-    """Whether the first round found one surface on all pixels around this one."""
+    """Whether the first round found one surface on all pixels within two of this one."""
     s, height, width = before[py, px], before.shape[0], before.shape[1]
-    for v in range(max(0, py - _SETTLED), min(height, py + _SETTLED + 1)):
-        for u in range(max(0, px - _SETTLED), min(width, px + _SETTLED + 1)):
+    for v in range(max(0, py - 2), min(height, py + 3)):
+        for u in range(max(0, px - 2), min(width, px + 3)):
             if abs(before[v, u] - s) > gap:
                 return False
     return True
@@ -79,9 +99,10 @@ def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lense
     first, spacing, pitch, gap = grid.first, grid.spacing, lenses.pitch, lenses.gap
     rows, columns = surface.shape
     expected, value, present, among = work.depths[k], work.value, work.present, work.among
-    steep = max(abs(expected), _LEAST * pitch)
+    # Near zero a microimage would span all of the scene.
+    steep = max(abs(expected), 0.02 * pitch)
     steep = pitch / (steep if expected > 0 else -steep)
-    bit, one, step = np.uint64(level_of(expected, pitch)), np.uint64(1), steep / spacing
+    bit, one, step = np.uint64(_level_of(expected, pitch)), np.uint64(1), steep / spacing
     middle = (x - first) / spacing + 0.5 + (x - left) * step
     for row in range(size):
         v = int((y - first - (top + row - y) * steep) / spacing + 0.5)
@@ -117,13 +138,16 @@ def _keep_distinct(p, number, apart, work):
 
 
 @njit(error_model="numpy")
-def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, leave, apart, shape,
-                    work):  # fmt: skip
-    """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere."""
+def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, apart, shape, work):
+    """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere.
+
+    Depths that are not `apart` [px] from that of the surface are none. Another depth than that costs 0.03 more.
+    """
     widest = 0.0
     for k in range(number):
         widest = max(widest, abs(work.depths[k]))
-    _outline(x, y, left, top, size, min(lenses.radius, _FAR * widest), shape, work)
+    # Lenses nearest to a scene point show it within two patches of their centre.
+    _outline(x, y, left, top, size, min(lenses.radius, 2 * widest), shape, work)
     among, present, cost = work.among, work.present, work.cost
     among[:] = 0
     present[:number] = 0
@@ -143,6 +167,6 @@ def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels
                     among[p] += present[k, p] > 0
             own = _keep_distinct(p, number, apart, work)
             for k in range(number):
-                cost[k, p] = 1.0 if present[k, p] == 0 else (leave if own and present[k, p] != OWN else 0.0)
+                cost[k, p] = 1.0 if present[k, p] == 0 else (0.03 if own and present[k, p] != OWN else 0.0)
             choice = choice or among[p] > 1
     return choice

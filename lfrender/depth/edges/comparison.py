@@ -10,23 +10,28 @@ from numba import njit
 
 from lfcal.runtime.kernels import FAST
 
-from ..depth_order import depth_order
+from ..same_surface import depth_order
 from .microimage import LEFT_OUT
 
 __all__ = ["allow_mismatch", "compare_depth"]
 
+# Other lenses that a pixel is compared with, at most; 10 gain 0.1 dB.
+_VIEWS = 5
+
 
 @njit(error_model="numpy", fastmath=FAST)
-def allow_mismatch(light, stride, number, c, allowed):
-    """The mismatch that noise, blur and resampling explain, for each pixel with the four beside it."""
-    down, one, fifth = np.uint64(stride), np.uint64(1), np.float32(0.2)
-    share, noise2, relative2 = fifth * c.contrast, c.noise2, c.noise_share2
+def allow_mismatch(light, stride, number, noise2, allowed):
+    """Fill `allowed` with the mismatch that noise, blur and resampling explain, of each pixel with the four beside it.
+
+    Noise explains `noise2`, blur and resampling twice the variance of these five.
+    """
+    down, one, fifth, share = np.uint64(stride), np.uint64(1), np.float32(0.2), np.float32(0.4)
     for n in range(np.uint64(number - 2 * stride)):
         p = n + down
         a, b, d, e, f = light[p - down], light[p - one], light[p], light[p + one], light[p + down]
         mean = fifth * (a + b + d + e + f)
         a, b, d, e, f = a - mean, b - mean, d - mean, e - mean, f - mean
-        allowed[p] = share * (a * a + b * b + d * d + e * e + f * f) + relative2 * mean * mean + noise2
+        allowed[p] = share * (a * a + b * b + d * d + e * e + f * f) + noise2
 
 
 @njit(error_model="numpy", fastmath=FAST)
@@ -45,7 +50,7 @@ def _square_differences(light, pixels, there, width, x, y, shift_x, fx, fy, radi
     for n in range(np.uint64(count)):
         p, q = at + n, first + n
         e = w00 * pixels[q] + w01 * pixels[q + one] + w10 * pixels[q + down] + w11 * pixels[q + beside] - light[p]
-        dx = x[p] + shift_x
+        dx = x[n] + shift_x
         away = dx * dx
         apart[p] = e * e if away <= outer else none
         seen[p] = some if away <= inner else none
@@ -62,35 +67,35 @@ def _leave_out_occluded(before, there, nearest, pitch, at, count, seen):
 
 
 @njit(error_model="numpy")
-def _look(pixels, shape, before, left, top, first, last, stride, to_x, to_y, lenses, work):
-    """Fill `apart` and `seen` in rows `first` to `last` for another lens, (to_x, to_y) from this one."""
+def _look(pixels, shape, before, left, top, y, first, last, stride, to_x, to_y, lenses, work):
+    """Fill `apart` and `seen` in rows `first` to `last` for another lens, (to_x, to_y) from this one, in row `y`."""
     height, width, pitch, apart, seen = shape[0], shape[1], lenses.pitch, work.apart, work.seen
     for row in range(first, last):
         # All pixels of a row are shifted alike.
         at, slope = np.uint64(row * stride), work.slopes[row]
         shift_x, shift_y = to_x * slope, to_y * slope
-        x, y = left + to_x + shift_x, top + row + to_y + shift_y
-        i, j = int(np.floor(x)), int(np.floor(y))
+        at_x, at_y = left + to_x + shift_x, top + row + to_y + shift_y
+        i, j = int(np.floor(at_x)), int(np.floor(at_y))
         there = j * width + i
         if j < 2 or j >= height - 3 or there < 0 or there + stride + width + 1 >= len(pixels):
-            for n in range(stride):
-                apart[row * stride + n], seen[row * stride + n] = 0, 0
+            apart[row * stride : (row + 1) * stride] = 0
+            seen[row * stride : (row + 1) * stride] = 0
             continue
-        down = work.y[at] + shift_y
-        _square_differences(work.light, pixels, there, width, work.x, down, np.float32(shift_x),
-                            np.float32(x - i), np.float32(y - j), lenses.radius, at, stride, apart, seen)  # fmt: skip
+        down = np.float32(top + row - y) + shift_y
+        _square_differences(work.light, pixels, there, width, work.x, down, np.float32(shift_x), np.float32(at_x - i),
+                            np.float32(at_y - j), lenses.radius, at, stride, apart, seen)  # fmt: skip
         if i < 2 or i + stride >= width - 3:
             for n in range(stride):
                 if i + n < 2 or i + n >= width - 3:
                     seen[row * stride + n] = 0
         if before.size > 1:
-            there = int(y + 0.5) * width + int(np.floor(x + 0.5))
+            there = int(at_y + 0.5) * width + int(np.floor(at_x + 0.5))
             nearest = np.float32(depth_order(slope * pitch, pitch) + lenses.gap)
             _leave_out_occluded(before, there, nearest, pitch, at, stride, seen)
 
 
 @njit(error_model="numpy", fastmath=FAST)
-def _add_lens(apart, seen, allowed, first, last, stride, leave_out, views, wanted, total, count, worst, mismatch):
+def _add_lens(apart, seen, allowed, first, last, stride, leave_out, wanted, total, count, worst, mismatch):
     """Add the mismatch of patches with another lens; pixels that have enough views want no further one."""
     begin, number = np.uint64(first * stride), np.uint64((last - first) * stride)
     one, down, fifth = np.uint64(1), np.uint64(stride), np.float32(0.2)
@@ -109,16 +114,7 @@ def _add_lens(apart, seen, allowed, first, last, stride, leave_out, views, wante
             worst[at + n], mismatch[begin + n] = max(w, e), min(w, e)
     for n in range(number):
         p = begin + n
-        wanted[p] = wanted[p] if count[p] < views else np.float32(0)
-
-
-@njit(error_model="numpy", fastmath=FAST)
-def _is_done(wanted, row, stride):
-    """Whether no pixel of a row wants a further lens."""
-    left, at = np.float32(0), np.uint64(row * stride)
-    for n in range(np.uint64(stride)):
-        left += wanted[at + n]
-    return left == 0
+        wanted[p] = wanted[p] if count[p] < _VIEWS else np.float32(0)
 
 
 @njit(error_model="numpy")
@@ -143,39 +139,40 @@ def _start_depth(k, size, stride, pitch, work):
 
 
 @njit(error_model="numpy")
-def _finish_depth(k, first, last, stride, share, c, work):
-    """Add the mean of the `share` of the mismatches of each pixel that are the least to its cost of depth k."""
+def _finish_depth(k, first, last, stride, leave_out, work):
+    """Add the mean of the mismatches of each pixel to its cost of depth k, without those of up to `leave_out` lenses,
+    the worse half at most; half of the largest mismatch where no lens shows it."""
     among, present, cost, number, total, worst = (
         work.among, work.present, work.cost, work.count, work.sum, work.worst
     )  # fmt: skip
     for row in range(first, last):
         for p in range(row * stride + work.left[row], row * stride + work.right[row]):
             if among[p] > 1 and present[k, p] > 0:
-                count, mismatch = int(number[p]), c.unseen
+                count, mismatch = int(number[p]), np.float32(0.5)
                 if count > 0:
-                    counted, mismatch = max(1, int(share * count + 0.5), count - LEFT_OUT), total[p]
-                    for m in range(count - counted):
+                    left_out, mismatch = min(leave_out, count // 2), total[p]
+                    for m in range(left_out):
                         mismatch -= worst[m * len(total) + p]
-                    mismatch = max(mismatch, np.float32(0.0)) / np.float32(counted)
+                    mismatch = max(mismatch, np.float32(0.0)) / np.float32(count - left_out)
                 cost[k, p] += mismatch
 
 
 @njit(error_model="numpy")
-def compare_depth(pixels, shape, lens, k, share, left, top, size, stride, lenses, before, c, work):
+def compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, before, work):
     """Add the mismatch with other lenses to the costs of depth k, for the pixels that may show it.
 
-    The least `share` of the mismatches counts. If `before` is known, lenses that it finds occluded are left out.
-    `pixels` and `before` are pictures of this `shape` in one line.
+    In the first round lenses that differ most may be occluded. If `before`, what it has found, is known, those that it
+    finds occluded are left out. `pixels` and `before` are pictures of this `shape` in one line.
     """
     rows, low, ring, centres = lenses.rows, lenses.low, lenses.ring, lenses.centres
-    apart, seen, wanted = work.apart, work.seen, work.wanted
+    wanted = work.wanted
     wanted[:] = 0
     first, last, slope = _start_depth(k, size, stride, lenses.pitch, work)
     if last == 0:
         return
     work.sum[:], work.count[:], work.worst[:] = 0, 0, 0
     at_i, at_j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
-    leave_out = LEFT_OUT if share < 1 else 0
+    leave_out = 0 if before.size > 1 else LEFT_OUT
     first, last = max(first, 1), min(last, size - 1)
     upper, lower = first, last
     for r in range(1, len(ring)):
@@ -192,13 +189,13 @@ def compare_depth(pixels, shape, lens, k, share, left, top, size, stride, lenses
         if begin >= end:
             continue
         # Patches reach a row further.
-        _look(pixels, shape, before, left, top, begin - 1, end + 1, stride, to_x, to_y, lenses, work)
-        _add_lens(apart, seen, work.allowed, begin, end, stride, leave_out, c.views, wanted, work.sum, work.count,
+        _look(pixels, shape, before, left, top, centres[lens, 1], begin - 1, end + 1, stride, to_x, to_y, lenses, work)
+        _add_lens(work.apart, work.seen, work.allowed, begin, end, stride, leave_out, wanted, work.sum, work.count,
                   work.worst, work.mismatch)  # fmt: skip
-        while upper < lower and _is_done(wanted, upper, stride):
+        while upper < lower and wanted[upper * stride : (upper + 1) * stride].max() == 0:
             upper += 1
-        while upper < lower and _is_done(wanted, lower - 1, stride):
+        while upper < lower and wanted[(lower - 1) * stride : lower * stride].max() == 0:
             lower -= 1
         if upper >= lower:
             break
-    _finish_depth(k, first, last, stride, share, c, work)
+    _finish_depth(k, first, last, stride, leave_out, work)

@@ -7,30 +7,27 @@ from numba import njit
 
 from lfcal.runtime.kernels import kernel
 
-from ..depth_order import depth_order
-from .geometry import LensArray, PointGrid
+from ...flat.distorted_lookup import nearest_index
+from ..same_surface import depth_order
+from ..surface.scene_grid import LensArray, PointGrid, lens_at
 
 __all__ = ["fuse_pixel_depths"]
 
 # Depths of a scene point, at most.
 _DEPTHS = 8
-# Points of a row that share a list of depths.
-_TOGETHER = 4
+# Lenses nearest to a scene point, whose pixels vote for its depth; 5 lose up to 0.1 dB.
+_VOTERS = 9
 
 
 @njit(error_model="numpy")
 def _central_lenses(lenses, x, y, near, distance2):
     """Rows of the lenses nearest to scene point (x, y), the nearest first; returns how many there are."""
-    inverse, origin, rows, low = lenses.inverse, lenses.origin, lenses.rows, lenses.low
     centres, ring, found, most = lenses.centres, lenses.ring, 0, len(near)
-    across, down = x - origin[0], y - origin[1]
-    i = int(np.floor(inverse[0, 0] * across + inverse[1, 0] * down + 0.5)) - low[0]
-    j = int(np.floor(inverse[0, 1] * across + inverse[1, 1] * down + 0.5)) - low[1]
-    for r in range(min(len(ring), 3 * most)):
-        ci, cj = i + ring[r, 0], j + ring[r, 1]
-        if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1] or rows[cj, ci] < 0:
+    i, j = nearest_index(x, y, lenses.origin, lenses.inverse, lenses.bend, lenses.bend_low)
+    for r in range(len(ring)):
+        lens = lens_at(lenses.rows, lenses.low, int(i) + ring[r, 0], int(j) + ring[r, 1])
+        if lens < 0:
             continue
-        lens = rows[cj, ci]
         away = (centres[lens, 0] - x) ** 2 + (centres[lens, 1] - y) ** 2
         if found == most and away >= distance2[most - 1]:
             continue
@@ -55,6 +52,7 @@ def _vote(pixels, centres, radius, pitch, gap, near, found, x, y, s):
         u, v = int(cx - dx + 0.5), int(cy - dy + 0.5)
         if u < 0 or v < 0 or v >= pixels.shape[0] or u >= pixels.shape[1] or np.isnan(pixels[v, u]):
             continue
+        # The nearest lens decides where the others are divided.
         weight = 1.5 if n == 0 else 1.0
         voters += weight
         if abs(pixels[v, u] - s) < gap:
@@ -65,10 +63,8 @@ def _vote(pixels, centres, radius, pitch, gap, near, found, x, y, s):
 
 @njit(error_model="numpy")
 def _list_depths(surface, v, first, end, reach, gap, depths):
-    """Depths of the surface within `reach` [grid values] of points `first` to `end` of row v, their own first.
-
-    Returns how many there are.
-    """
+    """Depths of the surface within `reach` [grid values] of points `first` to `end` of row v, their own first; returns
+    how many there are."""
     rows, columns = surface.shape
     depths[0], number = surface[v, first], 1
     for line in range(max(0, v - reach) - 1, min(rows, v + reach + 1)):
@@ -85,29 +81,16 @@ def _list_depths(surface, v, first, end, reach, gap, depths):
 
 
 @kernel(error_model="numpy", share=lambda pixels, lenses, surface, *_: len(surface))
-def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, voters,
-                      out):  # fmt: skip
+def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, out):
     """Fill `out` with the nearest depth that most of the central lenses show at each scene point.
 
-    If there is none, it is the one that more of them show than any other.
-
-    Parameters
-    ----------
-    pixels : (H, W) float32 [px]
-        Patch size that each pixel of the microimages shows, NaN where none was measured.
-    lenses : LensArray
-    surface : (rows, columns) float32 [px]
-        Depths of a point are those of the `surface` within `reach` [grid values].
-    grid : PointGrid
-    several : (rows, columns) bool
-        Points that have several depths within `reach`; only they are filled.
-    voters : int
-        Lenses nearest to a point, whose pixels vote.
-    out : (rows * f, columns * f) float32 [px]
-        The same on a grid that is finer by a whole factor; each value of `surface` is the middle of f x f points.
+    If there is none, it is the one that more of them show than any other. `pixels` (H, W) [px] are the patch sizes that
+    the pixels of the microimages show, NaN where none was measured. Depths of a point are those of the `surface` (rows,
+    columns) within `reach` [grid values]; only points that have `several` are filled. Each value of the surface is the
+    middle of f x f points of `out` (f * rows, f * columns).
     """
     fine = out.shape[0] // surface.shape[0]
-    near, distance2, depths = np.empty(voters, np.int64), np.empty(voters), np.empty(_DEPTHS)
+    near, distance2, depths = np.empty(_VOTERS, np.int64), np.empty(_VOTERS), np.empty(_DEPTHS)
     centres, radius, pitch, gap = lenses.centres, lenses.radius, lenses.pitch, lenses.gap
     for v in range(begin, end):
         number, listed = 0, 0
@@ -115,7 +98,8 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
             if not several[v, u]:
                 continue
             if u >= listed:
-                listed = min(u + _TOGETHER, surface.shape[1])
+                # Four points of a row share a list of depths.
+                listed = min(u + 4, surface.shape[1])
                 number = _list_depths(surface, v, u, listed, reach, gap, depths)
             found = _central_lenses(lenses, grid.first + u * grid.spacing, grid.first + v * grid.spacing, near,
                                     distance2)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Work space of the kernels that look at the pixels of one microimage, and the settings that they use."""
+"""Work space of the kernels that look at the pixels of one microimage."""
 
 from __future__ import annotations
 
@@ -7,35 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-__all__ = ["BINS", "DEPTHS", "LEFT_OUT", "NEARBY", "OWN", "Microimage", "PixelCosts", "box_stride", "make_microimage"]
+__all__ = ["BINS", "DEPTHS", "LEFT_OUT", "NEARBY", "OWN", "Microimage", "box_stride", "make_microimage"]
 
 #: Patch sizes of a lens, at most.
 DEPTHS = 16
-#: Lenses that a pixel need not agree with, at most.
+#: Lenses that a pixel need not agree with in the first round, at most.
 LEFT_OUT = 2
 #: Bins of patch sizes that the surface has near a lens.
 BINS = 512
 #: A depth that the surface has near the place that a pixel shows at it; one that it has there.
 NEARBY, OWN = 1, 2
-# Rows of boxes are whole vectors.
-_VECTOR = 8
-
-
-class PixelCosts(NamedTuple):
-    """Values of `EdgeSettings` for the kernels, in squared units where they are compared with squares."""
-
-    noise2: Any
-    noise_share2: Any  # of brightness, in addition
-    contrast: Any
-    seen2: Any
-    visible_share: Any
-    unseen: Any
-    leave: Any
-    least_jump: Any  # [px]
-    jump: Any
-    edge2: Any
-    reach: Any  # [px]
-    views: Any
 
 
 class Microimage(NamedTuple):
@@ -48,8 +29,7 @@ class Microimage(NamedTuple):
     depths: Any  # (k,) [px]
     slopes: Any  # (size,) [pitch] mean patch size of the pixels of each row at the depth that is compared
     bins: Any  # (2, BINS) number and sum of the patch sizes in each
-    x: Any  # (p,) [px] place, from the middle of the microimage
-    y: Any  # (p,) [px]
+    x: Any  # (stride,) [px] place of each column, from the middle of the microimage
     light: Any  # (p,) brightness
     among: Any  # (p,) uint8: depths that are possible; pixels with one are settled
     allowed: Any  # (p,) mismatch that noise and blur explain
@@ -69,8 +49,8 @@ class Microimage(NamedTuple):
 
 @njit(inline="always")
 def box_stride(size):
-    """Pixels from row to row of a box that is `size` pixels wide, one more included."""
-    return (size + _VECTOR) // _VECTOR * _VECTOR
+    """Pixels from row to row of a box that is `size` pixels wide: whole vectors, and one pixel more at least."""
+    return (size + 8) // 8 * 8
 
 
 @njit(error_model="numpy")
@@ -79,12 +59,11 @@ def make_microimage(size):
     stride = box_stride(size)
     # Bilinear interpolation reads a row and a pixel further.
     n = (size + 2) * stride
-    none = np.float32(0)
+    line, box = np.zeros(stride, np.int64), np.zeros(n, np.float32)
+    boxes = np.zeros((DEPTHS, n), np.float32)
     return Microimage(
-        np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(stride, np.int64), np.zeros(stride, np.int64),
-        np.zeros(DEPTHS), np.zeros(size), np.zeros((2, BINS)), np.full(n, none), np.full(n, none), np.full(n, none),
-        np.zeros(n, np.uint8), np.full(n, np.float32(1)), np.full(n, none), np.full(n, none), np.full(n, none),
-        np.full(n, none), np.full(n, none), np.full(n, none), np.full(LEFT_OUT * n, none),
-        np.zeros((DEPTHS, n), np.float32), np.zeros((DEPTHS, n), np.float32), np.zeros((DEPTHS, n), np.float32),
-        np.zeros((DEPTHS, n), np.uint8), np.zeros((2, DEPTHS), np.float32),
+        np.zeros(size, np.int64), np.zeros(size, np.int64), line, line.copy(), np.zeros(DEPTHS), np.zeros(size),
+        np.zeros((2, BINS)), np.zeros(stride, np.float32), box, np.zeros(n, np.uint8), box + np.float32(1), box.copy(),
+        box.copy(), box.copy(), box.copy(), box.copy(), box.copy(), np.zeros(LEFT_OUT * n, np.float32),
+        boxes, boxes.copy(), boxes.copy(), np.zeros((DEPTHS, n), np.uint8), np.zeros((2, DEPTHS), np.float32),
     )  # fmt: skip

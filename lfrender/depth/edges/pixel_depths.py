@@ -14,63 +14,112 @@ from numba import njit
 from lfcal.runtime.kernels import kernel
 
 from ...flat.microimages import copy_box
+from ..surface.scene_grid import LensArray, PointGrid
 from .candidates import list_candidates, list_depths
 from .comparison import allow_mismatch, compare_depth
-from .geometry import LensArray, PointGrid
-from .microimage import OWN, PixelCosts, box_stride, make_microimage
-from .regularisation import aggregate
+from .microimage import OWN, box_stride, make_microimage
 
 __all__ = ["measure_pixel_depths"]
 
 
 @njit(error_model="numpy")
-def _copy_microimage(pixels, width, x, y, left, top, size, stride, work):
-    """Fill the brightness and the place of the pixels of a box."""
-    copy_box(pixels, width, left, top, size, stride, work.light)
-    for row in range(size):
-        for column in range(stride):
-            work.x[row * stride + column] = left + column - x
-            work.y[row * stride + column] = top + row - y
+def _is_blank(light, size, stride, pitch, noise2):
+    """Whether no patch in the middle of a microimage has contrast that is seen: half of what is no mismatch.
 
-
-# [pitch] the part about the middle of a microimage that its own place and no other lens shows, each way.
-_MIDDLE = 0.3
-
-
-@njit(error_model="numpy")
-def _is_blank(light, size, stride, pitch, c):
-    """Whether no patch in the middle of a microimage has contrast that is seen."""
-    half, reach, fifth = size // 2, int(_MIDDLE * pitch), np.float32(0.2)
+    The middle, 0.3 pitches each way, is the part that its own place and no other lens shows.
+    """
+    half, reach, fifth, seen2 = size // 2, int(0.3 * pitch), np.float32(0.2), np.float32(0.25) * noise2
     for row in range(half - reach, half + reach + 1):
         for p in range(row * stride + half - reach, row * stride + half + reach + 1):
             a, b, d, e, f = light[p - stride], light[p - 1], light[p], light[p + 1], light[p + stride]
             mean = fifth * (a + b + d + e + f)
             a, b, d, e, f = a - mean, b - mean, d - mean, e - mean, f - mean
-            noise2 = c.noise2 + c.noise_share2 * mean * mean
-            if fifth * (a * a + b * b + d * d + e * e + f * f) > c.seen2 * noise2:
+            if fifth * (a * a + b * b + d * d + e * e + f * f) > seen2:
                 return False
     return True
 
 
 @njit(error_model="numpy")
-def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, c, size, work, out):
+def _aggregate_line(number, gap, p, step, steps, work):
+    """Add one path of semi-global matching to the total: `steps` pixels `step` apart, from p on."""
+    previous, current, value, cost, total, among, light = (
+        work.path[0], work.path[1], work.value, work.cost, work.total, work.among, work.light
+    )  # fmt: skip
+    lowest = np.float32(0.0)
+    for n in range(steps):
+        if among[p] == 1 or n == 0:
+            # Settled, or the first: nothing reaches it.
+            for k in range(number):
+                current[k] = cost[k, p]
+        else:
+            # A depth edge costs 0.3 between pixels of one brightness, and less where it changes: half at 0.06.
+            edge = (light[p] - light[p - step]) / np.float32(0.06)
+            jump = np.float32(0.3) / (1 + edge * edge)
+            for k in range(number):
+                best, s = jump, value[k, p]
+                for q in range(max(0, k - 1), min(number, k + 2)):
+                    # Depths ascend: others than those beside it are a jump away.
+                    if abs(s - value[q, p - step]) < gap:
+                        best = min(best, previous[q] - lowest)
+                current[k] = cost[k, p] + best
+        lowest = current[0]
+        for k in range(number):
+            total[k, p] += current[k]
+            previous[k] = current[k]
+            lowest = min(lowest, current[k])
+        p += step
+
+
+@njit(error_model="numpy")
+def _aggregate(size, stride, number, gap, work):
+    """Semi-global matching along four directions inside a microimage, about the pixels that are not settled."""
+    among, upper, lower = work.among, work.upper, work.lower
+    work.total[:number] = 0
+    upper[:], lower[:] = size, 0
+    for row in range(size):
+        begin, end = size, 0
+        for column in range(work.left[row], work.right[row]):
+            if among[row * stride + column] != 1:
+                begin, end = min(begin, column), column + 1
+                upper[column], lower[column] = min(upper[column], row), row + 1
+        if end:
+            # With the settled pixel at either end.
+            begin, end = max(begin - 1, work.left[row]), min(end + 1, work.right[row])
+            _aggregate_line(number, gap, row * stride + begin, 1, end - begin, work)
+            _aggregate_line(number, gap, row * stride + end - 1, -1, end - begin, work)
+    for column in range(size):
+        begin, end = upper[column], lower[column]
+        if end:
+            if begin > 0 and work.left[begin - 1] <= column < work.right[begin - 1]:
+                begin -= 1
+            if end < size and work.left[end] <= column < work.right[end]:
+                end += 1
+            _aggregate_line(number, gap, begin * stride + column, stride, end - begin, work)
+            _aggregate_line(number, gap, (end - 1) * stride + column, -stride, end - begin, work)
+
+
+@njit(error_model="numpy")
+def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, noise2, apart, size, work, out):
     """Fill `out` with the patch sizes of the pixels of one lens; returns the share of them that leave the surface."""
     x, y = lenses.centres[lens, 0], lenses.centres[lens, 1]
     half, stride = size // 2, box_stride(size)
     left, top = int(x + 0.5) - half, int(y + 0.5) - half
-    _copy_microimage(pixels, shape[1], x, y, left, top, size, stride, work)
-    number = 0 if _is_blank(work.light, size, stride, lenses.pitch, c) else list_depths(
-        surface, grid, x, y, lenses, c.reach, work)  # fmt: skip
+    copy_box(pixels, shape[1], left, top, size, stride, work.light)
+    for column in range(stride):
+        work.x[column] = left + column - x
+    number = 0
+    if not _is_blank(work.light, size, stride, lenses.pitch, noise2):
+        number = list_depths(surface, grid, x, y, lenses, work)
     if number == 0:
         return 0.0
-    choice = list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, c.leave,
-                             c.least_jump, shape, work)  # fmt: skip
+    choice = list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, apart, shape,
+                             work)  # fmt: skip
     if choice:
-        allow_mismatch(work.light, stride, size * stride, c, work.allowed)
-        share, known = 1.0 if before.size > 1 else c.visible_share, before.reshape(-1)
+        allow_mismatch(work.light, stride, size * stride, noise2, work.allowed)
+        known = before.reshape(-1)
         for k in range(number):
-            compare_depth(pixels, shape, lens, k, share, left, top, size, stride, lenses, known, c, work)
-        aggregate(size, stride, number, lenses.gap, c, work)
+            compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, known, work)
+        _aggregate(size, stride, number, lenses.gap, work)
     among, cost, present, total, value = work.among, work.cost, work.present, work.total, work.value
     every, moved = 0, 0
     for row in range(size):
@@ -88,29 +137,18 @@ def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, c,
 
 @kernel(error_model="numpy", share=lambda image, lenses, *_: len(lenses.centres))
 def measure_pixel_depths(begin, end, image, lenses: LensArray, surface, grid: PointGrid, levels, wanted, before,
-                         c: PixelCosts, out, moved):  # fmt: skip
+                         noise2, apart, out, moved):  # fmt: skip
     """Fill `out` (H, W) with the patch size [px] that each pixel of the microimages shows, and `moved` (n,) with the
     share of the pixels of each lens that leave the surface.
 
-    Parameters
-    ----------
-    image : (H, W) float32
-        Grey flat; white = 1.
-    lenses : LensArray
-    surface : (rows, columns) float32 [px]
-    grid : PointGrid
-    levels : (rows, columns) uint64
-        As `mark_levels`.
-    wanted : (n,) bool
-        Lenses that are measured; `out` is left alone at others, and where the middle of a microimage is blank.
-    before : (H, W) float32
-        Result of the first round; (1, 1) in that.
-    c : PixelCosts
+    Of lenses that are not `wanted` (n,), and where the middle of a microimage is blank, `out` is left alone. `before`
+    (H, W) is the result of the first round, (1, 1) in that; `levels` are those of `mark_levels`, `noise2` is that of
+    `measure_noise`. Edges between patch sizes that are not `apart` [px] are left alone.
     """
     size = 2 * (int(lenses.radius) + 2) + 1
     work = make_microimage(size)
     pixels = image.reshape(-1)
     for lens in range(begin, end):
         if wanted[lens]:
-            moved[lens] = _measure_lens(lens, pixels, image.shape, lenses, surface, grid, levels, before, c, size,
-                                        work, out)  # fmt: skip
+            moved[lens] = _measure_lens(lens, pixels, image.shape, lenses, surface, grid, levels, before, noise2,
+                                        apart, size, work, out)  # fmt: skip

@@ -12,36 +12,17 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import kernel
 
-from ...flat.gray_flat import GrayFlat
-from .cost_volume import mean_steps
-from .settings import AMBIGUITY, AmbiguitySettings
+__all__ = ["LEAST_WEIGHT", "measure_ambiguity"]
 
-__all__ = ["measure_ambiguity", "overlap_weights"]
-
-
-def overlap_weights(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.float32], half: float) -> NDArray:
-    """(k,) float32: weight of a correlation for the overlap at `shifts` (k,) [px of `gray`], mean over the directions.
-
-    `rows` (n, d) are the neighbours; an overlap of `half` [px^2] has half weight.
-    """
-    weight = np.zeros(len(shifts))
-    steps = mean_steps(gray, rows)
-    for step in map(np.linalg.norm, steps):
-        x = np.minimum(np.abs(shifts) * step / (2 * gray.pitch * gray.radius), 1)
-        area = 2 * gray.radius**2 * (np.arccos(x) - x * np.sqrt(1 - x * x))
-        weight += area / (area + half)
-    return (weight / max(len(steps), 1)).astype(np.float32)
+#: Overlap weight below which a correlation is not used.
+LEAST_WEIGHT = np.float32(0.3)
 
 
 @kernel(error_model="numpy", share=lambda cost, weight, rows, best, *_: len(best))
-def _measure_ambiguity(
-    begin, end, cost, weight, rows, best, wanted, tolerance, settings, uniqueness, primary, secondary
-):
-    least_temperature, temperature_share, dip, least_weight = settings
+def _measure_ambiguity(begin, end, cost, weight, rows, best, wanted, tolerance, uniqueness):
     shifts = cost.shape[1]
     for lens in range(begin, end):
         uniqueness[lens] = 1.0
-        primary[lens] = secondary[lens] = 0.0
         if not wanted[lens]:
             continue
         own = best[lens]
@@ -54,7 +35,7 @@ def _measure_ambiguity(
             # On a slanted surface the best shifts are aligned first.
             move = best[other] - own
             for k in range(max(0, -move), min(shifts, shifts - move)):
-                if weight[k + move] >= least_weight:
+                if weight[k + move] >= LEAST_WEIGHT:
                     mean[k] += (1 - cost[other, k + move]) / weight[k + move]
                     count[k] += 1
         for k in range(shifts):
@@ -63,8 +44,9 @@ def _measure_ambiguity(
         for k in range(max(0, own - 1), min(shifts, own + 2)):
             top = max(top, mean[k])
         mass = np.float32(0.0)
-        highest = np.float32(0.0)
-        temperature = max(least_temperature, temperature_share * (1 - top))
+        # A difference of correlation that makes one shift e times as likely as another: poor matches differ less
+        # clearly.
+        temperature = max(np.float32(0.05), np.float32(0.5) * (1 - top))
         for side in (-1, 1):
             low = top
             k = own + side
@@ -74,16 +56,14 @@ def _measure_ambiguity(
                 # A correlation that still rises at the last shift with enough overlap counts as a peak.
                 peak = mean[k] > mean[k - side] and (last or mean[k] >= mean[k + side])
                 if abs(k - own) > tolerance:
-                    if peak and low < mean[k] - dip:
+                    # Between two separate peaks it falls.
+                    if peak and low < mean[k] - np.float32(0.1):
                         mass += np.exp((mean[k] - top) / temperature)
                         low = mean[k]
-                        highest = max(highest, mean[k])
                     elif mean[k] > top:
                         mass += np.exp((mean[k] - top) / temperature) - 1
-                        highest = mean[k]
                 k += side
         uniqueness[lens] = 1 / (1 + mass)
-        primary[lens], secondary[lens] = top, highest
 
 
 def measure_ambiguity(
@@ -93,16 +73,14 @@ def measure_ambiguity(
     best: NDArray[np.int64],
     wanted: NDArray[np.bool_],
     tolerance: int,
-    settings: AmbiguitySettings = AMBIGUITY,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+) -> NDArray[np.float32]:
     """Compare the shift `best` (n,) of each lens with all other peaks of its correlation, whatever their overlap.
 
-    `cost` (n, k) is that before aggregation, `weight` (k,) as `overlap_weights`, `rows` (n, m) the neighbours, and
+    `cost` (n, k) is that before aggregation, `weight` (k,) that of the overlap, `rows` (n, m) the neighbours, and
     `tolerance` the number of steps that belong to one peak. Lenses that are not `wanted` (n,) were not matched.
 
-    Returns the uniqueness (n,), the probability of the chosen shift among all peaks (1 for lenses that were not
-    matched), and the correlation over its overlap weight (n,) there and at the highest other peak (0 if there is none).
+    Returns the uniqueness (n,): the probability of the chosen shift among all peaks, 1 for lenses not matched.
     """
-    uniqueness, primary, secondary = (np.empty(len(best), np.float32) for _ in range(3))
-    _measure_ambiguity(cost, weight, rows, best, wanted, tolerance, settings, uniqueness, primary, secondary)
-    return uniqueness, primary, secondary
+    uniqueness = np.empty(len(best), np.float32)
+    _measure_ambiguity(cost, weight, rows, best, wanted, tolerance, uniqueness)
+    return uniqueness

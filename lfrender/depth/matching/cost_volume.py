@@ -6,37 +6,58 @@ The cost is `1 - rho`: one minus the correlation coefficient over the pixels tha
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import kernel
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.microimages import OverlapMasks, Strips, extract_strips, make_shift_masks
+from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, make_shift_masks
+from ...flat.texture import FIXED_PATTERN, LensStatistics
 from ...runtime.buffers import allocate_pooled
-from ...runtime.cache import cached
-from .pair_moments import PairTerms, StripTable, match_cost, shared_pixels, strip_moments, strip_table
-from .settings import COST
+from .pair_moments import fill_mask, match_cost, strip_moments
 
-__all__ = ["compute_pair_costs", "half_weight_area", "mean_steps", "overlap_masks", "pair_terms", "shading_decay"]
-
-# Centres and shifts are rounded to pixels independently, which moves a shift by up to two pixels each way.
-_ROUNDING = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), -1).reshape(-1, 2)
-# Pairs of a direction over which its mean step is taken.
-_STEP_SAMPLES = 500
+__all__ = ["compute_pair_costs", "half_weight_area", "overlap_area", "overlap_masks"]
 
 
-def shading_decay(ratio: NDArray[np.float32]) -> NDArray[np.float32]:
-    """How the weight of shading falls with shift over pitch: it stays with its lens, so that it matches at zero."""
-    return np.exp(-np.square(ratio / COST.shading_reach))
+class PairTerms(NamedTuple):
+    """What the cost of a pair depends on besides its pixels, as kernels take it."""
+
+    centres: NDArray[np.float32]  # (n, 2) [px]
+    radius: np.float32  # [px]
+    pitch: np.float32  # [px]
+    means: NDArray[np.float32]  # (n,) [white = 1]
+    doubts: NDArray[np.float32]  # (n,) share of a match at zero that may be shading
+    noise2: np.float32  # variance of the noise
+    shading: np.float32  # [share of the mean]
+    half_weight: np.float32  # [px^2] overlap with half weight
+
+
+class StripTable(NamedTuple):
+    """Microimages as `Strips` and the masks of the pixels that two of them share, as kernels take them."""
+
+    values: NDArray[np.float32]
+    middle: NDArray[np.int32]
+    whole: NDArray[np.bool_]
+    columns: NDArray[np.float32]
+    lines: NDArray[np.float32]
+    slots: NDArray[np.int32]
+    masks: NDArray[np.float32]
+    ends: NDArray[np.int32]
+    counts: NDArray[np.int32]
+    # Pixels from the middle to the sides, from row to row, rows of a part, parts, and vector length; size of the flat.
+    layout: tuple[int, int, int, int, int]
+    size: tuple[int, int]
 
 
 @kernel(error_model="numpy", share=lambda terms, rows, *_: len(rows))
 def _pair_costs(
-    begin, end, terms: PairTerms, rows, active, done, shifts, near_zero, which, table: StripTable, fresh, out
+    begin, end, terms: PairTerms, rows, active, done, shifts, expected, near_zero, which, table: StripTable, fresh, out
 ):
     centres, radius, pitch, means, doubts, noise2, shading, half_weight = terms
-    values, middle, whole, columns, lines, slots, masks, ends, counts, layout, height, across = table
+    values, middle, whole, columns, lines, slots, masks, ends, counts, layout, flat_size = table
     _, width, tall, step, _ = layout
     size, length = tall * step * width, masks.shape[1]
     line, one, own_mask = masks.reshape(-1), np.float32(1.0), np.empty(length, np.float32)
@@ -52,11 +73,13 @@ def _pair_costs(
                 continue
             bx, by = centres[other, 0], centres[other, 1]
             nx, ny = middle[other, 0], middle[other, 1]
-            mean = np.float32(0.5) * (means[lens] + means[other])
+            mean, about = np.float32(0.5) * (means[lens] + means[other]), np.float32(0.0)
+            if expected.size > 0:
+                about = np.float32(0.5) * (expected[lens] + expected[other])
             floor = np.float32(2.0) * (noise2 + shading * shading * mean * mean)
             doubt, difference = max(doubts[lens], doubts[other]), means[lens] - means[other]
             for k in which:
-                grow = one + shifts[k] / pitch
+                grow = one + (about + shifts[k]) / pitch
                 tx, ty = (bx - ax) * grow, (by - ay) * grow
                 floor_x, floor_y = np.floor(tx), np.floor(ty)
                 fx, fy, dx, dy = tx - floor_x, ty - floor_y, int(floor_x) - nx + mx, int(floor_y) - ny + my
@@ -64,13 +87,15 @@ def _pair_costs(
                 slot = np.int32(-1)
                 if whole[lens] and whole[other] and abs(dx) <= reach and abs(dy) <= reach:
                     slot = slots[dy + reach, dx + reach]
-                if slot >= 0 and counts[slot] * step > COST.min_overlap * radius * radius:
+                # Of small overlaps, below a third of a microimage, the pixels at the rim are tested one by one.
+                if slot >= 0 and counts[slot] * step > radius * radius:
                     count = np.float32(counts[slot])
                     first, number, upper, lower = ends[slot, 0], ends[slot, 1], ends[slot, 2], ends[slot, 3]
                 else:
-                    count, slot, first, number, upper, lower = shared_pixels(
-                        dx, dy, False, (mx, my), (nx, ny), (ax - mx, ay - my, bx - tx - mx, by - ty - my),
-                        radius * radius, slots, ends, counts, columns, lines, layout, (height, across), own_mask,
+                    slot = np.int32(-1)
+                    count, first, number, upper, lower = fill_mask(
+                        dx, dy, (mx, my), (nx, ny), (ax - mx, ay - my, bx - tx - mx, by - ty - my), radius * radius,
+                        columns, lines, layout, flat_size, own_mask,
                     )  # fmt: skip
                 if count < 4:
                     continue
@@ -88,89 +113,74 @@ def _pair_costs(
 
 
 def overlap_masks(
-    strips: Strips,
-    gray: GrayFlat,
-    rows: NDArray[np.int32],
-    shifts: NDArray[np.float32],
-    expected: NDArray[np.float32] | None = None,
+    strips: Strips, gray: GrayFlat, steps: NDArray[np.float32], shifts: NDArray[np.float32]
 ) -> OverlapMasks:
-    """`make_shift_masks` for all whole-pixel shifts of pairs at `shifts`, beside the `expected` (n,) if given."""
-    tried = shifts
-    if expected is not None and len(expected):
-        tried = np.arange(expected.min() + shifts.min(), expected.max() + shifts.max() + 1)
-    steps = mean_steps(gray, rows)
-    whole = np.floor((tried / np.float32(gray.pitch))[:, None] * steps[:, None]).astype(int)
-    return make_shift_masks(strips, gray.radius, (whole.reshape(-1, 1, 2) + _ROUNDING).reshape(-1, 2))
-
-
-def mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> NDArray[np.float32]:
-    """(k, 2) steps `x, y` [px of `gray`] to the neighbours (n, d), in all directions in which there are any."""
-    # Cached with the rows of the lattice, per pitch, since the same flat may be matched at several scales.
-    return cached(rows, ("mean steps", gray.pitch), lambda: _mean_steps(gray.centres, rows))
-
-
-def _mean_steps(centres: NDArray[np.float32], rows: NDArray[np.int32]) -> NDArray[np.float32]:
-    found = []
-    for row in rows.T:
-        lens = np.flatnonzero(row >= 0)
-        lens = lens[:: max(1, len(lens) // _STEP_SAMPLES)]
-        if len(lens):
-            found.append((centres[row[lens]] - centres[lens]).mean(0, dtype=float))
-    return np.array(found, np.float32).reshape(-1, 2)
+    """`make_shift_masks` for all whole-pixel shifts of pairs `steps` (d, 2) [pitch] apart at `shifts` (k,) [px]."""
+    whole = np.floor(shifts[:, None, None] * steps).astype(int)
+    # Centres and shifts are rounded to pixels independently, which moves a shift by up to two pixels each way.
+    rounding = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), -1).reshape(-1, 2)
+    return make_shift_masks(strips, gray.radius, (whole.reshape(-1, 1, 2) + rounding).reshape(-1, 2))
 
 
 def half_weight_area(gray: GrayFlat) -> float:
-    """Overlap of two microimages [px^2] at which a match has half weight."""
-    return float(COST.half_weight_share * np.pi * gray.radius**2)
+    """Overlap of two microimages [px^2] at which a match has half weight; more would bias patch sizes toward zero."""
+    return float(0.06 * np.pi * gray.radius**2)
+
+
+def overlap_area(gray: GrayFlat, steps: NDArray[np.float32], shifts: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(d, k) [px^2] overlap of microimages `steps` (d, 2) [pitch] apart at `shifts` (k,) [px of `gray`]."""
+    x = np.minimum(np.abs(shifts) * np.linalg.norm(steps, axis=1)[:, None] / (2 * gray.radius), 1)
+    return np.asarray(2 * gray.radius**2 * (np.arccos(x) - x * np.sqrt(1 - x * x)))
 
 
 def compute_pair_costs(
     gray: GrayFlat,
     rows: NDArray[np.int32],
-    means: NDArray[np.float32],
-    contrast: NDArray[np.float32],
+    statistics: LensStatistics,
     active: NDArray[np.bool_],
     shifts: NDArray[np.float32],
     noise: float,
-    shading: float,
-    row_step: int = 1,
+    strips: Strips,
+    masks: OverlapMasks,
+    *,
+    expected: NDArray[np.float32] | None = None,
     which: NDArray[np.int64] | None = None,
     done: NDArray[np.bool_] | None = None,
     out: NDArray[np.float32] | None = None,
-    strips: Strips | None = None,
-    masks: OverlapMasks | None = None,
 ) -> NDArray[np.float32]:
     """(n, d, k) float32 matching cost of each lens with its neighbours `rows` (n, d) at each of the `shifts` (k,) [px].
 
     The cost is `1 - rho`, the correlation coefficient over the pixels that both microimages show at that shift. A
-    difference of their `means` (n,) counts by half; the `noise` of a pixel [white = 1], remaining `shading` [share of
-    the mean] and small overlaps pull the cost toward 1. Pairs without an `active` lens (n,) cost 1.
+    difference of their means counts by half; the `noise` of a pixel [white = 1], remaining shading and small overlaps
+    pull the cost toward 1. Pairs without an `active` lens (n,) cost 1. Shifts are from the `expected` ones (n,), 0 by
+    default.
 
-    Only every `row_step`-th row of pixels is read. Given an `out` of an earlier call, only the shifts `which` (m,) of
-    lenses that are not `done` (n,) are added. `strips` of `gray` and their `overlap_masks` are made if not given.
+    The `strips` of `gray` hold the active lenses and their neighbours, `masks` their `overlap_masks`. Given an `out` of
+    an earlier call, only the shifts `which` (m,) of lenses that are not `done` (n,) are added.
     """
     fresh = out is None
     if out is None:
         out = allocate_pooled((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
-    which = np.arange(len(shifts)) if which is None else which
-    done = np.zeros(len(active), bool) if done is None else done
-    strips = extract_strips(gray, means, row_step) if strips is None else strips
-    masks = overlap_masks(strips, gray, rows, shifts[which]) if masks is None else masks
-    near_zero = shading_decay(shifts / np.float32(gray.pitch)).astype(np.float32)
+    pitch, shifts = np.float32(gray.pitch), shifts.astype(np.float32)
+    # A match at zero may be one of shading, which stays with its lens, if contrast is below 3 % of white: within 0.08
+    # pitches of zero.
+    doubts = 1 / (1 + np.square(statistics.contrast / np.float32(0.03)))
+    near_zero = np.exp(-np.square(shifts / pitch / np.float32(0.08)))
+    if expected is not None:
+        doubts, near_zero = doubts * np.exp(-np.square(expected / pitch / np.float32(0.08))), np.ones_like(shifts)
+    terms = PairTerms(
+        gray.centres, np.float32(gray.radius), pitch, statistics.mean, doubts.astype(np.float32),
+        *map(np.float32, (noise**2, FIXED_PATTERN, half_weight_area(gray))),
+    )  # fmt: skip
+    layout = strips.half_width, strips.width, strips.rows, strips.step, VECTOR_LENGTH
+    slots, pixels, ends, counts = masks
+    table = StripTable(
+        strips.values, strips.centre_pixels, strips.complete, *strips.offsets, slots, pixels, ends, counts, layout,
+        gray.image.shape,
+    )  # fmt: skip
     _pair_costs(
-        pair_terms(gray, means, contrast, noise, shading), rows, active, done, shifts.astype(np.float32), near_zero,
-        which, strip_table(strips, masks, gray), fresh, out,
+        terms, rows, active, np.zeros(len(active), bool) if done is None else done, shifts,
+        np.empty(0, np.float32) if expected is None else expected, near_zero,
+        np.arange(len(shifts)) if which is None else which, table, fresh, out,
     )  # fmt: skip
     return out
-
-
-def pair_terms(
-    gray: GrayFlat, means: NDArray[np.float32], contrast: NDArray[np.float32], noise: float, shading: float
-) -> PairTerms:
-    """The statistics of lenses (n,), noise and shading as kernels take them."""
-    doubts = 1 / (1 + np.square(contrast / COST.shading_contrast))
-    values = (noise**2, shading, half_weight_area(gray))
-    return PairTerms(
-        gray.centres, np.float32(gray.radius), np.float32(gray.pitch), means, doubts.astype(np.float32),
-        *map(np.float32, values),
-    )  # fmt: skip

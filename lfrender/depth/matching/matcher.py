@@ -5,29 +5,27 @@ Either all shifts are tried, or only those near depths that occur: in a sparse s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flat.gray_flat import GrayFlat, downsample
-from ...flat.lens_graph import dilate_mask, join_opposite
+from ...flat.gray_flat import downsample
+from ...flat.lens_graph import dilate_mask
 from ...flat.microimages import OverlapMasks, Strips, extract_strips
-from ...flat.texture import FIXED_PATTERN, LensStatistics, Texture, measure_statistics
-from ...runtime.cache import cached
+from ...flat.texture import Texture, measure_statistics
 from ..presets import Preset
-from .ambiguity import measure_ambiguity, overlap_weights
-from .cost_volume import compute_pair_costs, half_weight_area, overlap_masks
-from .local_match import match_locally
-from .peaks import confidence, find_second_minimum, fit_parabola
-from .settings import AMBIGUITY, SEARCH, SearchSettings
+from ..same_surface import TOLERANCE
+from .ambiguity import LEAST_WEIGHT, measure_ambiguity
+from .cost_volume import compute_pair_costs, half_weight_area, overlap_area, overlap_masks
+from .neighbours import Neighbours
 from .sgm import aggregate_costs, average_pair_costs
 
-__all__ = ["MatchResult", "Matcher", "match_lenses"]
+__all__ = ["MatchResult", "Matcher", "Neighbours", "fit_parabola", "match_lenses", "sample_lenses"]
 
-# Lattice directions of `Matcher.match_locally`: two show a shift of any detail, a third adds little.
-_LOCAL_DIRECTIONS = 2
+# Cost above which a lens may match better at a shift that was not tried.
+_MISFIT = 0.4
 
 
 @dataclass(frozen=True)
@@ -41,86 +39,53 @@ class MatchResult:
     normalised_correlation: NDArray[np.float32]  # (n,) the same without that weight
     # (n,) probability of the best value among all that correlate as well, whatever their overlap
     uniqueness: NDArray[np.float32]
-    # (n,) normalised correlation at the best value and at the highest other peak (0 where there is none), mean
-    # with the neighbours on the same surface.
-    primary_peak: NDArray[np.float32]
-    secondary_peak: NDArray[np.float32]
     second: NDArray[np.float32]  # (n,) second-best value, NaN where no other comes near
-    # (n,) as `correlation` and `normalised_correlation`, at the second-best value
-    second_correlation: NDArray[np.float32]
-    second_normalised: NDArray[np.float32]
-    step: float  # between the values that were tried
     skipped_share: float  # share of the shifts of all matched lenses that were not tried
-
-    def swap_second(self, lenses: NDArray[np.bool_], settings: SearchSettings = SEARCH) -> MatchResult:
-        """The second-best value of some `lenses` (n,) as their best one."""
-        limited = np.minimum(settings.swapped_confidence, self.confidence)
-        return replace(
-            self,
-            patch_size=np.where(lenses, self.second, self.patch_size),
-            second=np.where(lenses, self.patch_size, self.second),
-            correlation=np.where(lenses, self.second_correlation, self.correlation),
-            normalised_correlation=np.where(lenses, self.second_normalised, self.normalised_correlation),
-            confidence=np.where(lenses, limited, self.confidence),
-        )
 
 
 class Matcher:
     """A flat reduced as the preset asks, and the shifts to try on it.
 
-    `forward` and `backward` (n, d) are neighbour rows in `d` directions and in their opposites, -1 where there is none;
-    `lenses` (n,) those that will be matched, all by default.
+    Only `lenses` (n,) will be matched, all by default.
     """
 
     def __init__(
-        self,
-        texture: Texture,
-        forward: NDArray[np.int32],
-        backward: NDArray[np.int32],
-        preset: Preset,
-        lenses: NDArray[np.bool_] | None = None,
-        settings: SearchSettings = SEARCH,
+        self, texture: Texture, neighbours: Neighbours, preset: Preset, lenses: NDArray[np.bool_] | None = None
     ) -> None:
-        self.settings = settings
+        self.neighbours = neighbours
         self.factor = max(1, round(texture.flat.pitch / preset.search_pitch))
-        wanted = None if lenses is None else dilate_mask(lenses, join_opposite(forward, backward))
-        self.gray: GrayFlat = downsample(texture.flat, self.factor)
-        self.statistics: LensStatistics = texture.statistics
+        self.gray = downsample(texture.flat, self.factor)
+        self.statistics = texture.statistics
         if self.factor > 1:
+            wanted = None if lenses is None else dilate_mask(lenses, neighbours.all)
             self.statistics = measure_statistics(self.gray, wanted=wanted)
-        radius = self.gray.radius
-        self._row_step = 1 if radius < settings.small_radius else preset.row_step
+        # Small microimages are matched in every row.
+        self._row_step = 1 if self.gray.radius < 7 else preset.row_step
         self.step = preset.step if self.factor > 1 else max(preset.step, preset.full_step)
-        side = int(np.ceil(settings.max_ratio * self.gray.pitch / self.step))
+        # A little beyond the largest patch size that can be resolved, so that its minimum has two flanks.
+        side = int(np.ceil(0.82 * self.gray.pitch / self.step))
         self.shifts = (np.arange(-side, side + 1) * self.step).astype(np.float32)
-        self.forward, self.backward = forward, backward
         self._noise = texture.noise / self.factor
         #: Steps that belong to one minimum.
         self.tolerance = max(1, round(1.5 / self.step))
-
-    @cached_property
-    def neighbours(self) -> NDArray[np.int32]:
-        """(n, 2 d) neighbour rows in all directions, -1 where there is none."""
-        return join_opposite(self.forward, self.backward)
+        #: Price of semi-global matching for a step between neighbours; at twice the price depth edges suffer.
+        self.slope_price = 0.07 * self.step
 
     @cached_property
     def overlap_weight(self) -> NDArray[np.float32]:
-        """(k,) float32: weight of a correlation at each shift for the overlap there."""
-        return overlap_weights(self.gray, self.forward, self.shifts, half_weight_area(self.gray))
-
-    def downscaled(self, texture: Texture) -> Texture:
-        """The texture of the reduced flat."""
-        return replace(texture, flat=self.gray, statistics=self.statistics, noise=self._noise)
+        """(k,) float32: weight of a correlation at each shift for the overlap there, mean over the directions."""
+        area = overlap_area(self.gray, self.neighbours.steps, self.shifts)
+        return np.asarray((area / (area + half_weight_area(self.gray))).mean(0), np.float32)
 
     def _strips(self, active: NDArray[np.bool_]) -> Strips:
         """The microimages of the `active` lenses and of their neighbours."""
-        wanted = dilate_mask(active, self.neighbours)
+        wanted = dilate_mask(active, self.neighbours.all)
         return extract_strips(self.gray, self.statistics.mean, self._row_step, wanted)
 
     @cached_property
     def _masks(self) -> OverlapMasks:
         strips = extract_strips(self.gray, self.statistics.mean, self._row_step, np.zeros(len(self.gray.centres), bool))
-        return overlap_masks(strips, self.gray, self.forward, self.shifts)
+        return overlap_masks(strips, self.gray, self.neighbours.steps, self.shifts)
 
     def pair_costs(
         self,
@@ -131,44 +96,87 @@ class Matcher:
     ) -> NDArray[np.float32]:
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `compute_pair_costs`."""
         return compute_pair_costs(
-            self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active, self.shifts, self._noise,
-            FIXED_PATTERN, self._row_step, which, done, out, self._strips(active), self._masks,
+            self.gray, self.neighbours.forward, self.statistics, active, self.shifts, self._noise,
+            self._strips(active), self._masks, which=which, done=done, out=out,
         )  # fmt: skip
 
     def lens_costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
         """(m, k) float32: mean over the pairs of each lens, or of each of the `wanted` (n,)."""
-        return average_pair_costs(pair, self.forward, self.backward, wanted)
+        return average_pair_costs(pair, self.neighbours, wanted)
 
     def match_locally(
         self, active: NDArray[np.bool_], expected: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Cost, offset and error (n,) of the `active` lenses at `expected` (n,) [px of the reduced flat], as
-        `local_match.match_locally`."""
-        forward, backward = (_local_directions(rows) for rows in (self.forward, self.backward))
-        strips = self._strips(active)
-        return match_locally(self.gray, forward, backward, self.statistics, active, expected, self._noise, strips)
+        """Match the `active` lenses at `expected` patch sizes (n,) [px of the flat], and half a pixel to both sides.
 
-    def shifts_of(self, sizes: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """(k,) bool: shifts near those of patch sizes (m,) [px of the flat]."""
-        best = np.rint(sizes / (self.factor * self.step)).astype(int) + len(self.shifts) // 2
-        return self.shifts_near(np.clip(best, 0, len(self.shifts) - 1))
+        Returns the cost (n,) there, mean over the pairs of each lens; the offset (n,) [px of the search] from there to
+        the minimum of a parabola, 0.75 at most; and its standard error (n,), infinite where it has none.
+        """
+        at, strips = (expected / np.float32(self.factor)).astype(np.float32), self._strips(active)
+        tried = np.arange(at.min() - 1, at.max() + 2, dtype=np.float32)
+        masks = overlap_masks(strips, self.gray, self.neighbours.steps[:2], tried)
+        shifts = np.array([-0.5, 0, 0.5], np.float32)
+        pairs = compute_pair_costs(
+            self.gray, self.neighbours.two_directions, self.statistics, active, shifts, self._noise, strips, masks,
+            expected=at,
+        )  # fmt: skip
+        left, cost, right = average_pair_costs(pairs, self.neighbours).T
+        bend = np.maximum(left - (cost + cost) + right, np.float32(1e-12))
+        # The cost bends by the mean square of the slopes over the variance of a lens, times the weight of the overlap;
+        # a pair errs by the noise of both its microimages over the root of the sum of these squares.
+        area = overlap_area(self.gray, self.neighbours.steps[:2], at).mean(0) + half_weight_area(self.gray)
+        energy = area / self._row_step * self.statistics.contrast**2 * bend / 0.5**2
+        error = (np.sqrt(2) * self._noise / np.sqrt(np.maximum(energy, 1e-12))).astype(np.float32)
+        return np.ascontiguousarray(cost), np.clip((left - right) / (4 * bend), -0.75, 0.75), error
 
     def shifts_near(self, best: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """(k,) bool: shifts near some (m,)."""
-        margin = max(self.tolerance, int(np.ceil(self.settings.range_margin * self.gray.pitch / self.step)))
+        """(k,) bool: shifts near some (m,); beyond sampled depths there are others between two samples."""
+        margin = max(self.tolerance, int(np.ceil(2 * TOLERANCE * self.gray.pitch / self.step)))
         found = np.bincount(best, minlength=len(self.shifts)) > 0
         return np.convolve(found, np.ones(2 * margin + 1, int), "same") > 0
 
     def is_periodic(self, cost: NDArray[np.float32]) -> bool:
-        """Whether many lenses, of these costs (m, k), match as well at another shift."""
+        """Whether more than a fifth of the lenses, of these costs (m, k), match as well at another shift."""
         best, alone = cost.argmin(1), np.empty((len(cost), 0), np.int32)
-        unique, *_ = measure_ambiguity(cost, self.overlap_weight, alone, best, np.ones(len(cost), bool), self.tolerance)
-        return bool(len(cost) and (unique < 0.5).mean() > self.settings.periodic_share)
+        unique = measure_ambiguity(cost, self.overlap_weight, alone, best, np.ones(len(cost), bool), self.tolerance)
+        return bool(len(cost) and (unique < 0.5).mean() > 0.2)
 
 
-def _local_directions(rows: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(n, d) neighbour rows in the first directions only; cached, as `neighbour_rows`."""
-    return cached(rows, "local directions", lambda: np.ascontiguousarray(rows[:, :_LOCAL_DIRECTIONS]))
+def fit_parabola(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray[np.float32]:
+    """(n,) float32: offset of the minimum from `best`, in steps, of the parabola through three costs."""
+    lens, last = np.arange(len(best)), total.shape[1] - 1
+    left, middle, right = (total[lens, np.clip(best + k, 0, last)] for k in (-1, 0, 1))
+    bend = left - (middle + middle) + right
+    fitted = (best > 0) & (best < last) & (bend > 1e-9)
+    return np.where(fitted, np.clip((left - right) / (2 * np.where(fitted, bend, 1)), -0.5, 0.5), 0).astype(np.float32)
+
+
+def _confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, tolerance: int) -> NDArray[np.float32]:
+    """(n,) posterior probability that the true shift lies within `tolerance` steps of the `best` (n,).
+
+    A difference of 0.05 per path in the cost `total` (n, k), a sum over so many `paths`, makes one shift e times as
+    likely as another.
+    """
+    mass = np.exp((total.min(1, keepdims=True) - total) / np.float32(0.05 * paths))
+    inside = np.abs(np.arange(total.shape[1]) - best[:, None]) <= tolerance
+    return np.asarray((mass * inside).sum(1) / mass.sum(1))
+
+
+def _find_second_minimum(
+    cost: NDArray[np.float32], best: NDArray[np.int64], distance: int
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """The lowest other local minimum of the `cost` (n, k) of each lens, before aggregation, and the cost there.
+
+    At least `distance` steps from the `best` (n,); inf where there is none. A lens across a depth edge matches at both
+    depths; aggregation would hide the second.
+    """
+    lowest = np.full(cost.shape, np.float32(np.inf))
+    inner = cost[:, 1:-1]
+    other = np.abs(np.arange(1, cost.shape[1] - 1) - best[:, None]) >= distance
+    here = other & (inner <= cost[:, :-2]) & (inner < cost[:, 2:])
+    lowest[:, 1:-1][here] = inner[here]
+    index = lowest.argmin(1)
+    return index, lowest[np.arange(len(cost)), index]
 
 
 def match_lenses(
@@ -186,7 +194,7 @@ def match_lenses(
     it all shifts are tried. `sizes` (m,) [px of the flat] are depths that occur, as found elsewhere, instead of those
     of a sample. `known` (n,) [px of the flat] are patch sizes that only take part in the aggregation; NaN elsewhere.
     """
-    settings, step, factor = matcher.settings, matcher.step, matcher.factor
+    step, factor, neighbours = matcher.step, matcher.factor, matcher.neighbours
     pair, skipped = _match_pairs(matcher, active, clear, sample, sizes)
     cost = matcher.lens_costs(pair)
     wanted = None
@@ -195,29 +203,21 @@ def match_lenses(
         wanted = ~settled
         away = np.abs(matcher.shifts - known[settled, None] / factor)
         cost[settled] = np.minimum(away / np.float32(matcher.tolerance * step), 1)
-    prices = settings.slope_price * step, settings.jump_price
-    total = aggregate_costs(cost, matcher.forward, matcher.backward, *prices, wanted)
+    # A depth edge costs 0.8; set, as the price of slopes, on ray-traced and real flats.
+    total = aggregate_costs(cost, neighbours, matcher.slope_price, 0.8, wanted)
     best = total.argmin(1)
     own = cost[np.arange(len(best)), best]
-    other, other_cost = find_second_minimum(cost, best, max(2, round(2 / step)))
-    has_second = other_cost < own + settings.second_cost
+    other, other_cost = _find_second_minimum(cost, best, max(2, round(2 / step)))
     second = (matcher.shifts[other] + fit_parabola(cost, other) * step) * factor
-    weight = np.maximum(matcher.overlap_weight, AMBIGUITY.least_weight)
-    unique, primary, secondary = measure_ambiguity(
-        cost, matcher.overlap_weight, matcher.neighbours, best, active, matcher.tolerance
-    )
+    weight = np.maximum(matcher.overlap_weight, LEAST_WEIGHT)
+    unique = measure_ambiguity(cost, matcher.overlap_weight, neighbours.all, best, active, matcher.tolerance)
     return MatchResult(
         patch_size=((matcher.shifts[best] + fit_parabola(total, best) * step) * factor).astype(np.float32),
-        confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance),
+        confidence=_confidence(total, best, neighbours.all.shape[1], matcher.tolerance),
         correlation=1 - own,
         normalised_correlation=((1 - own) / weight[best]).astype(np.float32),
         uniqueness=unique,
-        primary_peak=primary,
-        secondary_peak=secondary,
-        second=np.where(has_second, second, np.nan).astype(np.float32),
-        second_correlation=1 - other_cost,
-        second_normalised=((1 - other_cost) / weight[other]).astype(np.float32),
-        step=step * factor,
+        second=np.where(other_cost < own + 0.3, second, np.nan).astype(np.float32),
         skipped_share=skipped,
     )
 
@@ -230,20 +230,19 @@ def _match_pairs(
     sizes: NDArray[np.float32] | None,
 ) -> tuple[NDArray[np.float32], float]:
     """Pair costs of all active lenses at the shifts that may matter, and the share of them that was not tried."""
-    if sample is None and sizes is None:
-        return matcher.pair_costs(active), 0.0
-    settings = matcher.settings
     if sizes is not None:
         sample = np.zeros_like(active)
-    assert sample is not None
+    if sample is None:
+        return matcher.pair_costs(active), 0.0
     pair = matcher.pair_costs(sample)
     if sizes is not None:
-        tried = matcher.shifts_of(sizes)
+        best = np.rint(sizes / (matcher.factor * matcher.step)).astype(int) + len(matcher.shifts) // 2
+        tried = matcher.shifts_near(np.clip(best, 0, len(matcher.shifts) - 1))
     else:
         cost = matcher.lens_costs(pair, sample)
+        tried = matcher.shifts_near(cost.argmin(1)[cost.min(1) < _MISFIT])
         if matcher.is_periodic(cost):
-            return matcher.pair_costs(active, done=sample, out=pair), 0.0
-        tried = matcher.shifts_near(cost.argmin(1)[cost.min(1) < settings.misfit_cost])
+            tried[:] = True
     if tried.all():
         return matcher.pair_costs(active, done=sample, out=pair), 0.0
     matcher.pair_costs(active, which=np.flatnonzero(tried), done=sample, out=pair)
@@ -252,7 +251,22 @@ def _match_pairs(
     # A minimum at the end of a range may continue beyond it.
     end = tried & ~(np.roll(tried, 1) & np.roll(tried, -1))
     end[[0, -1]] = False
-    doubtful = clear & active & ~sample & ((lowest > settings.misfit_cost) | end[best])
+    doubtful = clear & active & ~sample & ((lowest > _MISFIT) | end[best])
     matcher.pair_costs(doubtful, which=np.flatnonzero(~tried), done=sample, out=pair)
     skipped = (active & ~sample & ~doubtful).sum() * (~tried).sum()
     return pair, float(skipped / max(1, active.sum() * len(tried)))
+
+
+def sample_lenses(indices: NDArray[np.int64], candidates: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where they are few.
+
+    `indices` (n, 2) are those of all lenses on the lattice.
+    """
+    spacing = candidates.sum() / count
+    if spacing < 2:
+        return candidates
+    # No multiple of three, which would sample only one lens type of multi-focus arrays.
+    i = int(np.sqrt(spacing))
+    i -= i % 3 == 0
+    j = int(spacing / i)
+    return candidates & (indices % (i, j - (j % 3 == 0)) == 0).all(1)

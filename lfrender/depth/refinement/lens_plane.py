@@ -15,34 +15,21 @@ from numpy.typing import NDArray
 from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.lens_graph import join_opposite
+from ..matching.neighbours import Neighbours
 from ..same_surface import TOLERANCE, same_surface
 from .pair_fit import PairFits
-from .settings import REFINEMENT, RefinementSettings
 
 __all__ = ["LensFits", "fit_lens_planes"]
 
 
 @dataclass(frozen=True)
 class LensFits:
-    """Patch size and slant of each lens.
+    """Patch size and slant of each lens."""
 
-    Parameters
-    ----------
-    patch_size : (n,) float32 [px]
-        At the centre of the lens; NaN where nothing was measured.
-    standard_error : (n,) float32 [px]
-        Of `patch_size`; inf where unknown.
-    slant : (n, 2) float32
-        Change of the patch size per px in the microimage, order `x, y`: constant over a plane.
-    slant_error : (n,) float32
-        Standard error of either component of `slant`; inf where unknown.
-    """
-
-    patch_size: NDArray[np.float32]
-    standard_error: NDArray[np.float32]
-    slant: NDArray[np.float32]
-    slant_error: NDArray[np.float32]
+    patch_size: NDArray[np.float32]  # (n,) [px] at the centre of the lens; NaN where nothing was measured
+    standard_error: NDArray[np.float32]  # (n,) [px] of it; inf where unknown
+    slant: NDArray[np.float32]  # (n, 2) change of it per px in the microimage, order `x, y`: constant over a plane
+    slant_error: NDArray[np.float32]  # (n,) standard error of either component of `slant`; inf where unknown
 
     def better_of(self, other: LensFits) -> LensFits:
         """For each lens the fit with the smaller error, the first of equals."""
@@ -53,10 +40,6 @@ class LensFits:
         )
         return LensFits(size, error, slant, slant_error)
 
-
-# Squared scale of the robust loss of a pair [standard deviations]; iterations, and how many of them do not know the
-# slant.
-_Robust = namedtuple("_Robust", "outlier2 rounds early")
 
 # Results of `_fit_planes`: heights (n,), slants (n, 2), and in `spreads` (n, 4) the variances of both, chi square and
 # its degrees of freedom.
@@ -88,21 +71,23 @@ def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _fit_plane(count, s, v, x, y, z, gx, gy, known, robust):
+def _fit_plane(count, s, v, x, y, z, gx, gy, known, rounds):
     """Plane through the pairs by IRLS with the weights of Geman and McClure, with a prior slant (gx, gy).
 
-    `known` is the inverse variance of that slant. Returns the plane, the variances of its height and its slant, chi
-    square, and the sum of the weights.
+    `known` is the inverse variance of that slant; all but the last two `rounds` do not know the slant. Returns the
+    plane, the variances of its height and its slant, chi square, and the sum of the weights.
     """
+    # Three standard deviations; what is twice as far off is another surface.
+    outlier2 = np.float32(9.0)
     px, py = gx, gy
     zero = np.float32(0.0)
     height = slope = chi2 = weights = zero
-    for turn in range(robust.rounds):
+    for turn in range(rounds):
         a = b = c = d = e = f = p = q = r = chi2 = weights = zero
         for k in range(count):
             residual = s[k] - z - gx * x[k] - gy * y[k]
-            limit = robust.outlier2 * v[k]
-            if turn < robust.early:
+            limit = outlier2 * v[k]
+            if turn < rounds - 2:
                 limit += (x[k] * x[k] + y[k] * y[k]) / known
             w = limit / (limit + residual * residual)
             w *= w
@@ -132,7 +117,7 @@ def _fit_plane(count, s, v, x, y, z, gx, gy, known, robust):
 
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda centres, *_: len(centres))
-def _fit_planes(begin, end, centres, pitch, neighbours, pairs: PairFits, start, prior, robust: _Robust, out: _Planes):
+def _fit_planes(begin, end, centres, pitch, neighbours, pairs: PairFits, start, prior, rounds, out: _Planes):
     """Fit a plane to the pairs of each lens, from `start` (n,) and with the `prior` (n, 3): slant, inverse variance."""
     most, sizes, slants, spreads = neighbours.shape[1], out.sizes, out.slants, out.spreads
     s, v = np.empty(most, np.float32), np.empty(most, np.float32)
@@ -146,7 +131,7 @@ def _fit_planes(begin, end, centres, pitch, neighbours, pairs: PairFits, start, 
             spreads[lens, 2] = spreads[lens, 3] = 0.0
             continue
         z, gx, gy, height, slope, chi2, weights = _fit_plane(
-            count, s, v, x, y, start[lens], prior[lens, 0], prior[lens, 1], prior[lens, 2], robust
+            count, s, v, x, y, start[lens], prior[lens, 0], prior[lens, 1], prior[lens, 2], rounds
         )
         sizes[lens] = z
         slants[lens, 0], slants[lens, 1] = gx, gy
@@ -208,43 +193,24 @@ def _standard_errors(begin, end, neighbours, pitch, gap, planes: _Planes, out, s
         out[lens], slant_errors[lens] = factor * np.sqrt(spreads[lens, 0]), factor * np.sqrt(spreads[lens, 1])
 
 
-def fit_lens_planes(
-    gray: GrayFlat,
-    forward: NDArray[np.int32],
-    backward: NDArray[np.int32],
-    pairs: PairFits,
-    start: NDArray[np.float32],
-    settings: RefinementSettings = REFINEMENT,
-) -> LensFits:
+def fit_lens_planes(gray: GrayFlat, neighbours: Neighbours, pairs: PairFits, start: NDArray[np.float32]) -> LensFits:
     """Patch size at the centre of each lens by a robust fit of a plane to what its pairs have measured.
 
     Each pair measures the patch size where its texture lies, seldom at the centre of a lens. A first fit yields the
     slants, a second has the mean slant of the neighbours on one surface as its prior. The scatter of the pairs about
     the plane gives the standard error.
 
-    Parameters
-    ----------
-    gray : GrayFlat
-    forward, backward : (n, d) int32
-        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
-    pairs : PairFits
-        Of the neighbours in `forward`.
-    start : (n,) float32 [px]
-        Start values; NaN for lenses to leave out.
-    settings : RefinementSettings
+    `pairs` are those with the neighbours forward, `start` (n,) [px] the start values, NaN for lenses to leave out.
     """
     n, pitch, float32 = len(start), np.float32(gray.pitch), np.float32
-    neighbours = join_opposite(forward, backward)
     planes = _Planes(np.empty(n, float32), np.empty((n, 2), float32), np.empty((n, 4), float32))
     prior = np.zeros((n, 3), float32)
-    prior[:, 2] = 1 / float32(settings.likely_slant) ** 2
-    gap, half = float32(TOLERANCE * gray.pitch), settings.rounds // 2
-    outlier2 = np.square(float32(settings.outlier))
-    measured = gray.centres, pitch, neighbours, pairs
-    robust = _Robust(outlier2, settings.rounds, half)
-    _fit_planes(*measured, start.astype(float32), prior, robust, planes)
-    _predict_slants(neighbours, gap, planes, prior)
-    _fit_planes(*measured, planes.sizes.copy(), prior, _Robust(outlier2, half, 0), planes)
+    # Slants are rarely steeper than 0.04 px per px.
+    prior[:, 2] = 1 / 0.04**2
+    gap, measured = float32(TOLERANCE * gray.pitch), (gray.centres, pitch, neighbours.all, pairs)
+    _fit_planes(*measured, start.astype(float32), prior, 4, planes)
+    _predict_slants(neighbours.all, gap, planes, prior)
+    _fit_planes(*measured, planes.sizes.copy(), prior, 2, planes)
     errors, slant_errors = np.empty(n, float32), np.empty(n, float32)
-    _standard_errors(neighbours, pitch, gap, planes, errors, slant_errors)
+    _standard_errors(neighbours.all, pitch, gap, planes, errors, slant_errors)
     return LensFits(planes.sizes, errors, planes.slants, slant_errors)

@@ -8,7 +8,6 @@ where light is stored by a tone curve by the squared slope over the brightness t
 
 from __future__ import annotations
 
-from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -20,43 +19,26 @@ from lfcal.runtime.kernels import FAST, kernel, square
 from ...flat.gray_flat import GrayFlat, downsample
 from ..same_surface import TOLERANCE, same_surface
 from .pair_pixels import NO_STEP, SPLINE_MARGIN, cut_smoothed, first_pixel, pixel_raster, resample_shifted
-from .settings import REFINEMENT, RefinementSettings
 
-__all__ = ["PairFits", "fit_pairs", "usable_radius"]
+__all__ = ["PairFits", "fit_pairs"]
 
 
 class PairFits(NamedTuple):
     """Patch size measured between each lens and its neighbour in each of `d` directions.
 
-    The last axis of all arrays tells from whose start value the fit began: 0 the lens itself, 1 the neighbour. Both
+    The third axis of all arrays tells from whose start value the fit began: 0 the lens itself, 1 the neighbour. Both
     fits are the same where the two start values agree.
-
-    Parameters
-    ----------
-    patch_size : (n, d, 2) float32 [px]
-        NaN where nothing was measured.
-    variance : (n, d, 2) float32 [px^2]
-        Of `patch_size`, from the residuals as if they were independent noise.
-    place : (n, d, 2, 2) float32 [px]
-        Where in the microimages it was measured: the mean, weighted by texture, of the position between `delta` in the
-        lens and `delta` in the neighbour (last axis `x, y`).
     """
 
-    patch_size: NDArray[np.float32]
-    variance: NDArray[np.float32]
+    patch_size: NDArray[np.float32]  # (n, d, 2) [px]; NaN where nothing was measured
+    variance: NDArray[np.float32]  # (n, d, 2) [px^2] from the residuals as if they were independent noise
+    # (n, d, 2, 2) [px] where it was measured, order `x, y`: the mean, weighted by texture, of the position between
+    # `delta` in the lens and `delta` in the neighbour
     place: NDArray[np.float32]
 
 
-# Float32 values of `RefinementSettings` and of one call of `fit_pairs`.
-_Constants = namedtuple("_Constants", "shading_change likely_blur largest_drift last_step noise2 iterations")
-
-# Energy of smoothed white noise in slopes of one direction and in the difference of two microimages, and pixels per
-# independent one after the B-spline: at low frequencies, and at those where the slopes are noise. All follow from the
-# filter, the last by an integral over all frequencies.
-_SLOPE_NOISE, _DIFFERENCE_NOISE = np.float32(17 / 144), np.float32(0.5)
-_CORRELATED_SIGNAL, _CORRELATED_NOISE = np.float32(4.0), np.float32(1.62)
-# Brightness (white = 1) below which tone curves are linear, as that of sRGB.
-_LINEAR = np.float32(0.04)
+# [px] farther from its start a fit has gone over to another optimum.
+_LARGEST_DRIFT = np.float32(2.5)
 
 
 # Python's error model checks every division for zero, which prevents vector loops.
@@ -105,7 +87,8 @@ def _sums(light, slope_x, slope_y, laplacian, other, columns, rows, overlap, off
             spl += wl * p
             sql += wl * q
             slr += wl * r
-            t = (slope_x[at] * slope_x[at] + slope_y[at] * slope_y[at]) / max(light[at], _LINEAR)
+            # Below a brightness of 0.04 tone curves are linear, as that of sRGB.
+            t = (slope_x[at] * slope_x[at] + slope_y[at] * slope_y[at]) / max(light[at], np.float32(0.04))
             wt = w * t
             st += wt
             stt += wt * t
@@ -116,44 +99,24 @@ def _sums(light, slope_x, slope_y, laplacian, other, columns, rows, overlap, off
     return sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr, (sl, sll, spl, sql, slr), (st, stt, spt, sqt, slt, srt)
 
 
-@njit(fastmath=FAST, forceinline=True)
-def _blur_shares(constant, ramp, of_l, of_t, prior):
-    """What the Laplacian and the squared slope take off the normal equations of a shift: squares, product, residual.
-
-    Given are the sums of slopes, residuals and the ramp and the inverse of that of weights, the products of the first
-    two with the ramp and its square without the constant, the last two results of `_sums`, and the inverse
-    variance of the coefficients times that of the noise.
-    """
-    (sp, sr, sq, inverse), (qp, qr, qq) = constant, ramp
-    (sl, sll, spl, sql, slr), (st, stt, spt, sqt, slt, srt) = of_l, of_t
-    tiny = np.float32(1e-12)
-    ql, qt = sql - sq * sl * inverse, sqt - sq * st * inverse
-    ll = max(sll - sl * sl * inverse - ql * ql / qq + prior, tiny)
-    lp = spl - sl * sp * inverse - ql * qp / qq
-    lr = slr - sl * sr * inverse - ql * qr / qq
-    lt = slt - sl * st * inverse - ql * qt / qq
-    tt = max(stt - st * st * inverse - qt * qt / qq - lt * lt / ll + prior, tiny)
-    tp = spt - st * sp * inverse - qt * qp / qq - lt * lp / ll
-    tr = srt - st * sr * inverse - qt * qr / qq - lt * lr / ll
-    return lp * lp / ll + tp * tp / tt, lp * lr / ll + tp * tr / tt, lr * lr / ll + tr * tr / tt
-
-
 # Arrays are passed one by one, although there are many: taken out of tuples here, their references would be counted for
 # every pair, which costs a third of the time.
 @njit(fastmath=FAST, forceinline=True)
 def _fit_pair(
     pixels, size, shape, columns, rows, corner, centres, radius, pitch, start, scale2, light, slope_x, slope_y,
-    laplacian, box, lines, shifted, whole, constants,
+    laplacian, box, lines, shifted, whole, noise2, iterations, last_step,
 ):  # fmt: skip
     """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be determined."""
-    s, c = start, constants
+    s = start
     ax, ay, bx, by = centres
-    slope_noise = _SLOPE_NOISE * (square(bx - ax) + square(by - ay)) / (pitch * pitch)
+    # Energy of smoothed white noise in slopes, 17 / 144 per direction.
+    slope_noise = np.float32(17 / 144) * (square(bx - ax) + square(by - ay)) / (pitch * pitch)
     offset = x = y = np.float32(0.0)
     variance, failed = np.float32(np.inf), np.float32(np.nan)
-    two, tiny = np.float32(2.0), np.float32(1e-12)
-    blur_prior = c.noise2 / square(c.likely_blur * pitch * pitch)
-    for _ in range(c.iterations):
+    tiny = np.float32(1e-12)
+    # Half differences of blur variances are 0.002 pitch^2 in the mean.
+    blur_prior = noise2 / square(np.float32(2e-3) * pitch * pitch)
+    for _ in range(iterations):
         overlap = resample_shifted(pixels, size, shape, corner, centres, radius, s, pitch, box, lines, shifted, whole)
         sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr, of_l, of_t = _sums(
             light, slope_x, slope_y, laplacian, shifted, columns, rows, overlap, offset, scale2
@@ -161,53 +124,56 @@ def _fit_pair(
         if sw < 4:
             return failed, variance, x, y
         inverse = np.float32(1.0) / sw
-        # A change of shading by r^2 is a ramp of this steepness between both lenses; its prior is as wide.
-        ramp = two * c.shading_change * s / (radius * radius)
-        ridge = max(sqq - sq * sq * inverse + c.noise2 / max(ramp * ramp, tiny), tiny)
+        # A calibration from one scene leaves shading of 2 % at the rim. A change by r^2 is a ramp of this steepness
+        # between both lenses; its prior is as wide.
+        ramp = np.float32(0.04) * s / (radius * radius)
+        ridge = max(sqq - sq * sq * inverse + noise2 / max(ramp * ramp, tiny), tiny)
         shared, shade = spq - sp * sq * inverse, sqr - sq * sr * inverse
         hessian = spp - sp * sp * inverse - shared * shared / ridge
         gradient = spr - sp * sr * inverse - shared * shade / ridge
         rest = srr - sr * sr * inverse - shade * shade / ridge
         if laplacian is not None:
-            by_blur = _blur_shares((sp, sr, sq, inverse), (shared, shade, ridge), of_l, of_t, blur_prior)
-            hessian, gradient, rest = hessian - by_blur[0], gradient - by_blur[1], rest - by_blur[2]
+            (sl, sll, spl, sql, slr), (st, stt, spt, sqt, slt, srt) = of_l, of_t
+            ql, qt = sql - sq * sl * inverse, sqt - sq * st * inverse
+            ll = max(sll - sl * sl * inverse - ql * ql / ridge + blur_prior, tiny)
+            lp = spl - sl * sp * inverse - ql * shared / ridge
+            lr = slr - sl * sr * inverse - ql * shade / ridge
+            lt = slt - sl * st * inverse - ql * qt / ridge
+            tt = max(stt - st * st * inverse - qt * qt / ridge - lt * lt / ll + blur_prior, tiny)
+            tp = spt - st * sp * inverse - qt * shared / ridge - lt * lp / ll
+            tr = srt - st * sr * inverse - qt * shade / ridge - lt * lr / ll
+            hessian -= lp * lp / ll + tp * tp / tt
+            gradient -= lp * lr / ll + tp * tr / tt
+            rest -= lr * lr / ll + tr * tr / tt
         if hessian <= 1e-9:
             return failed, variance, x, y
         offset += sr * inverse
         rest = max(rest - gradient * gradient / hessian, np.float32(0.0)) * inverse
         # Slopes of noise steepen the sum of squares, but do not move with the scene.
-        noise = slope_noise * min(c.noise2, rest / _DIFFERENCE_NOISE) * sw
+        noise = slope_noise * min(noise2, np.float32(2) * rest) * sw
         texture = hessian * hessian / (hessian + noise)
         step = gradient / texture
-        variance = rest * (_CORRELATED_SIGNAL * texture + _CORRELATED_NOISE * (hessian - texture)) / square(texture)
+        # Pixels per independent one after the B-spline, at low frequencies and at those where the slopes are noise.
+        variance = rest * (np.float32(4) * texture + np.float32(1.62) * (hessian - texture)) / square(texture)
         x, y = sx / spp, sy / spp
-        s += min(max(step, -c.largest_drift), c.largest_drift)
-        if abs(step) < c.last_step:
+        s += min(max(step, -_LARGEST_DRIFT), _LARGEST_DRIFT)
+        if abs(step) < last_step:
             break
-    if abs(s - start) > c.largest_drift:
+    if abs(s - start) > _LARGEST_DRIFT:
         return failed, variance, x, y
     return s, variance, x, y
 
 
-@njit(inline="always")
-def _start_values(first, second, tolerance):
-    """Start values of the two fits of a pair, and whether both are one: the mean of what is one surface."""
-    first, second = second if np.isnan(first) else first, first if np.isnan(second) else second
-    together = same_surface(first, second, tolerance)
-    middle = np.float32(0.5) * (first + second)
-    return middle if together else first, middle if together else second, together
-
-
 @kernel(error_model="numpy", share=lambda image, centres, *_: len(centres))
-def _fit_pairs(
-    begin, end, image, centres, radius, pitch, rows, start, scale2, constants, kinds, sizes, variances, places
-):
+def _fit_pairs(begin, end, image, centres, radius, pitch, rows, start, scale2, limits, kinds, sizes, variances, places):
     """Fit the pairs of each lens with its neighbours in `rows`; the last arguments are the arrays of `PairFits`.
+
+    `limits` are the variance of the noise, the most iterations and the last step.
 
     All lenses blur alike if `kinds` is None.
     """
     side, stride, size, columns, raster_rows = pixel_raster(radius)
-    pixels, (height, width) = image.reshape(-1), image.shape
+    pixels, (height, width), (noise2, iterations, last_step) = image.reshape(-1), image.shape, limits
     # Vector loops read values that have not been set: these must be numbers.
     light, slope_x, slope_y = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
     box, lines, shifted = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
@@ -229,24 +195,24 @@ def _fit_pairs(
                     pixels, height, width, side, stride, left, top, box, lines, light, slope_x, slope_y, laplacian
                 )
                 ready, whole[:] = True, NO_STEP
-            first, second, together = _start_values(start[lens], start[other], np.float32(TOLERANCE) * pitch)
+            # Start values of two fits, or the mean of what is one surface.
+            first, second = start[lens], start[other]
+            first, second = second if np.isnan(first) else first, first if np.isnan(second) else second
+            together = same_surface(first, second, np.float32(TOLERANCE) * pitch)
+            if together:
+                first = np.float32(0.5) * (first + second)
             for k in range(1 if together else 2):
                 s, variance, x, y = _fit_pair(
                     pixels, (height, width), (side, stride), columns, raster_rows, (left, top),
                     (ax, ay, centres[other, 0], centres[other, 1]), radius, pitch, first if k == 0 else second,
                     max(scale2[lens], scale2[other]), light, slope_x, slope_y, laplacian, box, lines, shifted, whole,
-                    constants,
+                    noise2, iterations, last_step,
                 )  # fmt: skip
                 sizes[lens, d, k], variances[lens, d, k] = s, variance
                 places[lens, d, k, 0], places[lens, d, k, 1] = x, y
             if together:
                 sizes[lens, d, 1], variances[lens, d, 1] = sizes[lens, d, 0], variances[lens, d, 0]
                 places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
-
-
-def usable_radius(gray: GrayFlat, settings: RefinementSettings = REFINEMENT) -> float:
-    """Radius [px] within which the pixels of a microimage, smoothed and with their slopes, are its own."""
-    return gray.radius - max(settings.rim * gray.pitch, settings.least_rim)
 
 
 def fit_pairs(
@@ -257,42 +223,29 @@ def fit_pairs(
     noise: float,
     iterations: int,
     last_step: float = 0.02,
-    settings: RefinementSettings = REFINEMENT,
 ) -> PairFits:
     """Patch size of each pair of neighbours by Gauss-Newton steps.
 
-    Parameters
-    ----------
-    gray : GrayFlat
-    rows : (n, d) int32
-        One neighbour of each lens in `d` directions, -1 where there is none: every pair once.
-    start : (n,) float32 [px]
-        Start values, NaN for lenses without one; pairs of two such lenses are left out.
-    scale : (n,) float32
-        Scale of the robust loss: difference of brightness beyond which two pixels hardly show the same point.
-    noise : float
-        Standard deviation of a pixel, at most: where residuals are smaller, these count.
-    iterations : int
-        At most.
-    last_step : float [px]
-        A shorter step ends the iterations.
-    settings : RefinementSettings
+    `rows` (n, d) hold one neighbour of each lens in `d` directions, -1 where there is none: every pair once. Pairs of
+    two lenses without a `start` value (n,) [px], NaN, are left out. Beyond a difference of brightness of `scale` (n,)
+    two pixels hardly show the same point. `noise` is the standard deviation of a pixel, at most: where residuals are
+    smaller, these count. A step below `last_step` [px] ends the `iterations`.
     """
-    # Detail finer than this would show the difference of focus of two lenses instead of the depth.
-    factor = max(1, round(gray.pitch / settings.defocus_pitch)) if gray.lens_type is not None else 1
+    # Detail finer than a 25th of a pitch would show the difference of focus of two lenses instead of the depth.
+    factor = max(1, round(gray.pitch / 25)) if gray.lens_type is not None else 1
     gray, start, noise = downsample(gray, factor), (start / factor).astype(np.float32), noise / factor
-    radius = usable_radius(gray, settings)
+    # At the rim smoothing and slopes read beyond the microimage.
+    radius = gray.radius - max(0.03 * gray.pitch, 0.3)
     image = gray.image
     # Microimages are cut out with the pixels beside them.
     missing = [max(0, int(2 * radius) + 2 * SPLINE_MARGIN - n) for n in image.shape]
     if any(missing):
         image = np.pad(image, [(0, n) for n in missing], "edge")
-    named = {name: np.float32(getattr(settings, name)) for name in _Constants._fields[:-3]}
-    constants = _Constants(**named, last_step=np.float32(last_step), noise2=np.float32(noise**2), iterations=iterations)
+    limits = np.float32(noise**2), iterations, np.float32(last_step)
     shape = (*rows.shape, 2)
     fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
     _fit_pairs(
         np.ascontiguousarray(image), gray.centres, np.float32(radius), np.float32(gray.pitch), rows, start,
-        (scale * scale).astype(np.float32), constants, gray.lens_type, *fits,
+        (scale * scale).astype(np.float32), limits, gray.lens_type, *fits,
     )  # fmt: skip
     return PairFits(fits.patch_size * factor, fits.variance * factor**2, fits.place * factor) if factor > 1 else fits

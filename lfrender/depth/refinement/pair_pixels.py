@@ -14,15 +14,7 @@ from lfcal.runtime.kernels import FAST
 
 from ...flat.microimages import copy_box
 
-__all__ = [
-    "NO_STEP",
-    "SPLINE_MARGIN",
-    "bspline_weights",
-    "cut_smoothed",
-    "first_pixel",
-    "pixel_raster",
-    "resample_shifted",
-]
+__all__ = ["NO_STEP", "SPLINE_MARGIN", "cut_smoothed", "first_pixel", "pixel_raster", "resample_shifted"]
 
 # Vector loops run over whole multiples of this many pixels. Array places are unsigned integers: signed ones are checked
 # for being negative, which prevents vector loops.
@@ -45,7 +37,7 @@ Overlap = namedtuple("Overlap", "start number ux uy ax ay qx qy mx my r2 low_x h
 
 
 @njit(fastmath=FAST, inline="always")
-def bspline_weights(f):
+def _bspline_weights(f):
     """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`.
 
     It smooths equally at every fraction; at 0 its weights are those of `cut_smoothed`. Compared with a picture smoothed
@@ -141,8 +133,8 @@ def resample_shifted(pixels, size, shape, corner, centres, radius, s, pitch, box
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
     tx, ty = bx - ax + s * ux, by - ay + s * uy
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
-    cx0, cx1, cx2, cx3 = bspline_weights(np.float32(tx - x0))
-    cy0, cy1, cy2, cy3 = bspline_weights(np.float32(ty - y0))
+    cx0, cx1, cx2, cx3 = _bspline_weights(np.float32(tx - x0))
+    cy0, cy1, cy2, cy3 = _bspline_weights(np.float32(ty - y0))
     qx, qy = bx - tx, by - ty
     begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
     end = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0), top + side - 1)

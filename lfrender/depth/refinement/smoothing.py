@@ -7,8 +7,6 @@ trials, 1986).
 
 from __future__ import annotations
 
-from collections import namedtuple
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -18,21 +16,14 @@ from lfcal.runtime.kernels import kernel
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import distant_rings, two_rings
 from .lens_plane import LensFits
-from .settings import REFINEMENT, RefinementSettings
 
-__all__ = ["smooth_fits", "smooth_fits_far"]
-
-# Fields of `RefinementSettings` for kernels.
-_Constants = namedtuple("_Constants", "outlier least_slant rounds correlation common_error")
-
-# Mean robust weight of the neighbours on a plane that has errors alone.
-_INLIER_SHARE = np.float32(0.83)
+__all__ = ["smooth_fits"]
 
 
 # Exact sums: with fast math they would have other bits where Numba compiles than where it loads them. Divisions are in
 # loops without sums: these become vector loops, except with Python's error model, which checks them.
 @njit(error_model="numpy")
-def _predict(count, near, slant_known, rounds):
+def _predict(count, near, slant_known):
     """What `count` neighbours predict of a lens by a weighted plane: difference from its size, its variance, and mean
     variance; difference of slant, and the variance of that.
 
@@ -41,7 +32,7 @@ def _predict(count, near, slant_known, rounds):
     """
     away, variance, share, along_x, along_y, weights = near[0], near[1], near[2], near[3], near[4], near[5]
     uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
-    for turn in range(rounds):
+    for turn in range(4):
         for k in range(np.uint64(count)):
             weights[k] = share[k] / (variance[k] + uneven)
         squares = a = b = c = d = e = f = p = q = r = 0.0
@@ -67,7 +58,7 @@ def _predict(count, near, slant_known, rounds):
         height, inverse = (i00 * p + i01 * q + i02 * r) * over, i00 * over
         x_slant, y_slant = (i01 * p + i11 * q + i12 * r) * over, (i02 * p + i12 * q + i22 * r) * over
         slanted = 0.5 * (i11 + i22) * over
-        if turn == rounds - 1:
+        if turn == 3:
             break
         scatter = number = 0.0
         for k in range(np.uint64(count)):
@@ -80,13 +71,11 @@ def _predict(count, near, slant_known, rounds):
 
 
 @kernel(error_model="numpy", share=lambda centres, *_: len(centres))
-def _smooth(
-    begin, end, centres, pitch, rows, sizes, errors, slants, slant_errors, wanted, trust, constants: _Constants, out
-):
+def _smooth(begin, end, centres, pitch, rows, sizes, errors, slants, slant_errors, wanted, trust, out):
     """Combine the `wanted` lenses in `out` (n, 6), which holds the fits of all: sizes, errors, slants x and y, their
     errors, and shares of inliers."""
-    c, near = constants, np.empty((6, rows.shape[1]))
-    outlier2, least, per_pitch = c.outlier * c.outlier, c.least_slant * c.least_slant, 1 / np.float64(pitch)
+    # Three standard deviations are an outlier. No surface is even, and no slant better known, than to 0.002 px per px.
+    near, outlier2, least, per_pitch = np.empty((6, rows.shape[1])), 9.0, 0.002**2, 1 / np.float64(pitch)
     for lens in range(begin, end):
         own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
         if not (wanted[lens] and np.isfinite(own_variance)):
@@ -117,7 +106,7 @@ def _smooth(
         out[lens, 5] = weight / max(np.float64(count), 1.0)
         if weight <= 0:
             continue
-        predicted, spread, shared, x_slant, y_slant, slanted = _predict(count, near, 1 / slant_variance, c.rounds)
+        predicted, spread, shared, x_slant, y_slant, slanted = _predict(count, near, 1 / slant_variance)
         if predicted * predicted > outlier2 * (spread + own_variance):
             continue
         out[lens, 0] = own + own_variance / (own_variance + spread) * predicted
@@ -125,54 +114,27 @@ def _smooth(
         out[lens, 3] += y_slant
         out[lens, 4] = np.sqrt(slanted)
         joint = own_variance * spread / (own_variance + spread)
-        out[lens, 1] = np.sqrt(joint + c.correlation * min(shared, own_variance) + c.common_error * c.common_error)
+        # Neighbours share pixels and pairs, and all lenses of a surface err by 0.0022 px together (ray-traced scenes).
+        out[lens, 1] = np.sqrt(joint + 0.03 * min(shared, own_variance) + 0.0022**2)
 
 
-def smooth_fits(
-    gray: GrayFlat,
-    neighbours: NDArray[np.int32],
-    fits: LensFits,
-    wanted: NDArray[np.bool_],
-    settings: RefinementSettings = REFINEMENT,
-) -> tuple[LensFits, NDArray[np.float32]]:
-    """Patch sizes, slants and their errors of lenses combined with the lenses in two rings around each.
+def smooth_fits(gray: GrayFlat, neighbours: NDArray[np.int32], fits: LensFits, wanted: NDArray[np.bool_]) -> LensFits:
+    """Patch sizes, slants and their errors of lenses combined with others, near and far, so that planes become planes.
 
-    Also returns the mean weight (n,) of the neighbours of each lens, 0 to 1.
+    First with the lenses in two rings around each, then with those three and six times as far. Others are weighted
+    robustly: those that differ by several standard errors belong to another surface and do not count. Far off, lenses
+    count less if few of their own neighbours are inliers: beside depth edges they see a little of both sides, and all
+    err towards the other one.
 
-    Neighbours are weighted robustly: those that differ from the lens by several standard errors belong to another
-    surface and do not count.
-
-    Parameters
-    ----------
-    gray : GrayFlat
-    neighbours : (n, k) int32
-        Neighbour rows in all directions, -1 where there is none.
-    fits : LensFits
-        What each lens measures alone; those of infinite error are left out.
-    wanted : (n,) bool
-        The other lenses keep their fits.
-    settings : RefinementSettings
+    `fits` are what each lens measures alone; those of infinite error are left out. Lenses that are not `wanted` (n,)
+    keep theirs. `neighbours` (n, k) are the rows of those in all directions, -1 where there is none.
     """
     trust = np.ones(len(wanted), np.float32)
-    return _smoothed(gray, two_rings(neighbours), fits, wanted, trust, settings)
-
-
-def smooth_fits_far(
-    gray: GrayFlat,
-    neighbours: NDArray[np.int32],
-    fits: LensFits,
-    inlier_share: NDArray[np.float32],
-    wanted: NDArray[np.bool_],
-    settings: RefinementSettings = REFINEMENT,
-) -> LensFits:
-    """The result of `smooth_fits` combined with lenses farther off, so that large planes become planes.
-
-    Lenses count less if few of their own neighbours are inliers: beside depth edges they see a little of both sides,
-    and all err towards the other one.
-    """
-    trust = np.minimum(inlier_share / _INLIER_SHARE, 1) ** settings.steepness
-    for _ in range(settings.far_rounds):
-        fits = _smoothed(gray, distant_rings(neighbours), fits, wanted, trust, settings)[0]
+    fits, inliers = _smoothed(gray, two_rings(neighbours), fits, wanted, trust)
+    # Errors alone leave a mean weight of 0.83 to the neighbours on a plane.
+    trust = np.minimum(inliers / np.float32(0.83), 1) ** 6
+    for _ in range(2):
+        fits, _ = _smoothed(gray, distant_rings(neighbours), fits, wanted, trust)
     return fits
 
 
@@ -182,18 +144,11 @@ def _smoothed(
     fits: LensFits,
     wanted: NDArray[np.bool_],
     trust: NDArray[np.float32],
-    settings: RefinementSettings,
 ) -> tuple[LensFits, NDArray[np.float32]]:
-    """As `smooth_fits`, with the lenses `rows` (n, m) of each, weighted by their `trust` and its own (n,)."""
-    sizes, errors, slants, slant_errors = (
-        np.asarray(values, np.float32)
-        for values in (fits.patch_size, fits.standard_error, fits.slant, fits.slant_error)
-    )
+    """Fits combined with the lenses `rows` (n, m) of each, weighted by their `trust` and its own (n,), and the mean
+    weight (n,) of these lenses, 0 to 1."""
+    sizes, errors, slants, slant_errors = (np.asarray(values, np.float32) for values in vars(fits).values())
     out = np.column_stack([sizes, errors, slants, slant_errors, np.ones_like(sizes)])
-    constants = _Constants(*(getattr(settings, name) for name in _Constants._fields))
-    _smooth(
-        gray.centres, gray.pitch, rows, sizes, errors, slants, slant_errors, wanted, trust,
-        constants, out,
-    )  # fmt: skip
+    _smooth(gray.centres, gray.pitch, rows, sizes, errors, slants, slant_errors, wanted, trust, out)
     size, error, slant_error, inliers = (out[:, k].copy() for k in (0, 1, 4, 5))
     return LensFits(size, error, out[:, 2:4].copy(), slant_error), inliers

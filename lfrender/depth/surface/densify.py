@@ -18,16 +18,11 @@ from lfcal.runtime.kernels import FAST, kernel
 from ...data.surface import Surface
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import neighbour_rows
-from ...runtime.buffers import allocate_scratch
-from ...runtime.cache import cached
 from ..same_surface import TOLERANCE, same_surface
-from .hypotheses import MAX_HYPOTHESES, hypothesis_constants, propose_hypotheses
-from .scene_grid import grid_shape, scene_grid
-from .settings import SURFACE, SurfaceSettings
+from .hypotheses import MAX_HYPOTHESES, propose_hypotheses
+from .scene_grid import PointGrid, grid_shape, lens_array
 
 __all__ = ["densify"]
-
-_NOTHING = np.empty((0, 0), np.float32)
 
 
 @njit(fastmath=FAST, forceinline=True)
@@ -95,26 +90,14 @@ def _follow_lines(begin, end, depths, costs, gap, jump, single, total, fresh, ou
 
 
 def _choose(
-    depths: NDArray[np.float32],
-    costs: NDArray[np.float32],
-    gap: np.float32,
-    jump: np.float32,
-    total: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
+    depths: NDArray[np.float32], costs: NDArray[np.float32], gap: np.float32, jump: np.float32
+) -> NDArray[np.float32]:
     """Choose one hypothesis per scene point by paths along its row and column, both ways."""
-    single = np.isnan(depths[1])
+    single, total, out = np.isnan(depths[1]), np.empty_like(costs), np.empty(costs.shape[1:], np.float32)
     columns, column_costs, column_total = (values.transpose(0, 2, 1) for values in (depths, costs, total))
     _follow_lines(columns, column_costs, gap, jump, np.ascontiguousarray(single.T), column_total, True, out)
     _follow_lines(depths, costs, gap, jump, single, total, False, out)
-
-
-def _steps_nearby(lattice: Lattice, reach: float) -> NDArray[np.int64]:
-    """(k, 2) index steps to the lenses within `reach` [pitches], the nearest first, as the kernels sort them."""
-    span = np.arange(-3, 4)
-    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
-    distance = np.linalg.norm(steps @ lattice.basis, axis=1)
-    return steps[np.argsort(distance, kind="stable")[: int((distance < reach * lattice.pitch).sum())]]
+    return out
 
 
 def densify(
@@ -127,71 +110,48 @@ def densify(
     cells: int,
     unchanged: NDArray[np.bool_] | None = None,
     before: Surface | None = None,
-    settings: SurfaceSettings = SURFACE,
 ) -> Surface:
     """Patch size of every scene point from the patch sizes of the lenses around it.
 
-    First on a grid of twice the spacing, then between its values where these differ.
-
-    Parameters
-    ----------
-    gray : GrayFlat
-        At the flat's own resolution.
-    lattice : Lattice
-    values : (n,) float32 [px]
-        Patch size of each lens, finite.
-    seconds : (n, 2) float32 [px]
-        Other patch sizes that it may show as well: the second-best match, and the second layer; NaN where there is
-        none.
-    trust : (n,) float32
-        Weight of each lens, positive.
-    noise : float
-        Standard deviation of a pixel of `gray`.
-    cells : int
-        Grid values per pitch: with 7, a depth edge is located to less than a traditional pixel.
-    unchanged : (n,) bool, optional
-        Lenses whose surroundings stay as in the surface `before`, if that is of the whole flat.
-    before : Surface, optional
-    settings : SurfaceSettings
+    First on a grid of twice the spacing, then between its values where these differ; it has so many `cells` per pitch:
+    with 7, a depth edge is located to less than a traditional pixel. Given are the patch size (n,) [px] of each lens,
+    finite; two others (n, 2) that it may show as well, of the second-best match and of the second layer, NaN where
+    there is none; its weight `trust` (n,); and the `noise` of a pixel of `gray`. Lenses that are `unchanged` (n,) have
+    surroundings as in the surface `before`, if that is of the whole flat.
     """
-    pitch = lattice.pitch
     shape, start, spacing = grid_shape(lattice, cells)
-    # Seen from the lens of a cell: half a diagonal farther.
-    ring = cached(lattice, "looking", lambda: _steps_nearby(lattice, settings.voting_reach + np.sqrt(0.5)))
-    gap = np.float32(TOLERANCE * pitch)
-    grid = scene_grid(lattice, start[0], spacing)
-    # Pixels that differ by no more than twice their noise match.
-    constants = hypothesis_constants(float(gap), pitch, settings.voting_reach * pitch, gray.radius, 4 * noise * noise)
-    known = before is not None and before.patch_size.shape == shape and before.first == start
-    old = before.patch_size if before is not None and known and unchanged is not None else _NOTHING
-    table = np.empty((len(values), 6), np.float32)
-    table[:, :2], table[:, 2], table[:, 3], table[:, 4:] = gray.centres, trust, values, seconds
-    around = neighbour_rows(lattice, ring)
+    lenses = lens_array(lattice, TOLERANCE * lattice.pitch, gray.radius)
+    gap = np.float32(lenses.gap)
+    table = np.column_stack([gray.centres, trust, values, seconds]).astype(np.float32)
+    around = neighbour_rows(lattice, lenses.ring)
     agreeing = _agree(values, seconds, around, gap)
+    old = None
+    if before is not None and unchanged is not None and before.patch_size.shape == shape and before.first == start:
+        old = before.patch_size
 
-    def settle(
-        shape: tuple[int, int], part: float, old: NDArray[np.float32], coarse: NDArray[np.float32], purpose: str
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        depths, costs, totals = (
-            allocate_scratch(name, (MAX_HYPOTHESES, *shape), np.float32) for name in ("depths", "costs", "totals")
-        )
-        points = grid._replace(spacing=spacing / part)
+    def settle(part: float, coarse: NDArray[np.float32], old: NDArray[np.float32] | None) -> tuple[NDArray, NDArray]:
+        rows, columns = shape if coarse.size else (shape[0] // 2 + 1, shape[1] // 2 + 1)
+        depths, costs = (np.empty((MAX_HYPOTHESES, rows, columns), np.float32) for _ in range(2))
         depths[1] = np.nan
-        open_ = _interpolate(coarse, shape, gap, depths[0]) if coarse.size else np.ones(shape, np.bool_)
-        if old.size and unchanged is not None:
-            changed = _mark_places(gray.centres[~unchanged], old.shape, start[0], points.spacing, pitch)
+        open_ = _interpolate(coarse, gap, depths[0]) if coarse.size else np.ones((rows, columns), bool)
+        points = PointGrid(start[0], spacing / part)
+        if old is not None and unchanged is not None:
+            changed = _mark_places(gray.centres[~unchanged], old.shape, points, lattice.pitch)
             open_ &= changed
             np.copyto(depths[0], old, where=~changed)
-        propose_hypotheses(gray.image, table, around, ring, agreeing, points, constants, open_, coarse, depths, costs)
-        chosen = allocate_scratch(purpose, shape, np.float32)
-        # A step of a coarser grid stands for several steps, and so does its mismatch: both are scaled alike.
-        _choose(depths, costs, gap, np.float32(part * settings.jump), totals, chosen)
-        return depths, chosen
+        # Pixels that differ by no more than twice their noise match.
+        floor = np.float32(4 * noise * noise)
+        propose_hypotheses(gray.image, table, around, agreeing, lenses, points, floor, depths, costs, open_, coarse)
+        # A depth edge costs 0.35 in units of the mismatch. A step of a coarser grid stands for several steps, and so
+        # does its mismatch: both are scaled alike.
+        return depths, _choose(depths, costs, gap, np.float32(0.35 * part))
 
     # Points between values of twice the spacing that agree are interpolated: only depth edges are computed in full.
-    half = shape[0] // 2 + 1, shape[1] // 2 + 1
-    _, coarse = settle(half, 0.5, _every_other(old, half), _NOTHING, "coarse")
-    depths, chosen = settle(shape, 1.0, old, coarse, "chosen")
+    some = (
+        None if old is None else np.pad(old[::2, ::2], [(0, 1)] * 2, "edge")[: shape[0] // 2 + 1, : shape[1] // 2 + 1]
+    )
+    _, coarse = settle(0.5, np.empty((0, 0), np.float32), some)
+    depths, chosen = settle(1.0, coarse, old)
     # Points with several hypotheses that differ from most points about them are specks.
     usual = cv2.medianBlur(chosen, 3)
     speck = ~np.isnan(depths[1]) & ~same_surface(chosen, usual, gap)
@@ -199,11 +159,11 @@ def densify(
 
 
 def _mark_places(
-    centres: NDArray[np.float32], shape: tuple[int, ...], first: float, spacing: float, pitch: float
+    centres: NDArray[np.float32], shape: tuple[int, ...], grid: PointGrid, pitch: float
 ) -> NDArray[np.bool_]:
     """(rows, columns) bool: grid values within a pitch of some `centres` (m, 2) each way."""
-    places, side = np.zeros(shape, np.uint8), 2 * int(np.ceil(pitch / spacing)) + 1
-    u, v = np.rint((centres - first) / spacing).astype(int).T
+    places, side = np.zeros(shape, np.uint8), 2 * int(np.ceil(pitch / grid.spacing)) + 1
+    u, v = np.rint((centres - grid.first) / grid.spacing).astype(int).T
     places[np.clip(v, 0, shape[0] - 1), np.clip(u, 0, shape[1] - 1)] = 1
     return np.asarray(cv2.dilate(places, np.ones((side, side), np.uint8)) > 0)
 
@@ -213,17 +173,15 @@ def _agree(
 ) -> NDArray[np.bool_]:
     """(n,) bool: where all lenses `around` (n, k) agree to one `gap` and have no second depths."""
     near = np.where(around >= 0, values[around], values[:, None])
-    several: NDArray[np.bool_] = np.asarray(np.isfinite(seconds).any(1))
+    several = np.asarray(np.isfinite(seconds).any(1))
     alone = ~(several[around] & (around >= 0)).any(1) & ~several
     return np.asarray(alone & (near.max(1) - near.min(1) <= gap))
 
 
-def _interpolate(
-    coarse: NDArray[np.float32], shape: tuple[int, int], gap: np.float32, out: NDArray[np.float32]
-) -> NDArray[np.bool_]:
+def _interpolate(coarse: NDArray[np.float32], gap: np.float32, out: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Fill `out` with the means of the values of a grid of twice the spacing about each point; where those differ by
     more than a `gap`."""
-    differ = np.empty(shape, np.bool_)
+    differ = np.empty(out.shape, np.bool_)
     for row, column in np.ndindex(2, 2):
         beside = np.ones((3 - row, 3 - column), np.uint8)
         anchor = (1 - column, 1 - row)
@@ -236,14 +194,3 @@ def _interpolate(
             apart = ~same_surface(low, high, gap) | np.isnan(mean)
         differ[row::2, column::2] = apart[:rows, :columns]
     return differ
-
-
-def _every_other(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Every other row and column, with the last ones repeated to fill the `shape`; (0, 0) stays so."""
-    if not values.size:
-        return values
-    some, out = values[::2, ::2], np.empty(shape, values.dtype)
-    rows, columns = some.shape
-    out[:rows, :columns], out[rows:, :columns] = some, some[-1]
-    out[:, columns:] = out[:, columns - 1 : columns]
-    return out

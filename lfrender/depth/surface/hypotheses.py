@@ -2,55 +2,145 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
-
 import numpy as np
 from numba import njit
 
-from lfcal.runtime.kernels import kernel
+from lfcal.runtime.kernels import FAST, kernel
 
 from ...flat.distorted_lookup import nearest_index
-from ..depth_order import depth_order
-from ..same_surface import same_surface
-from .photoconsistency import MAX_VIEWS, view_mismatch
-from .scene_grid import SceneGrid, lens_at
-from .settings import SURFACE, SurfaceSettings
-from .votes import cluster_votes, find_central, find_voters, gather_table, mean_around, sort_votes
+from ..same_surface import depth_order, same_surface
+from .photoconsistency import MAX_VIEWS, UNKNOWN, view_mismatch
+from .scene_grid import LensArray, PointGrid, lens_at
 
-__all__ = ["MAX_HYPOTHESES", "hypothesis_constants", "propose_hypotheses"]
+__all__ = ["MAX_HYPOTHESES", "propose_hypotheses"]
 
 #: Hypotheses of one scene point, at most.
 MAX_HYPOTHESES = 5
 
-# Float32 values of `SurfaceSettings`, the tolerance of one surface and the pitch [px], the squared distance within
-# which lenses vote [px^2], the radius of a microimage [px], and the mismatch `floor` that noise explains.
-HypothesisConstants = namedtuple(
-    "HypothesisConstants",
-    "occluded_cost second_weight unvoted_cost unknown occluded_views gap pitch vote2 radius floor",
-)  # fmt: skip
-
-
-def hypothesis_constants(
-    gap: float, pitch: float, voting_reach: float, radius: float, floor: float, settings: SurfaceSettings = SURFACE
-) -> HypothesisConstants:
-    """Values for `propose_hypotheses`: tolerance of one surface, pitch, and distance within which lenses vote [px]."""
-    named = [getattr(settings, name) for name in HypothesisConstants._fields[:5]]
-    return HypothesisConstants._make(map(np.float32, (*named, gap, pitch, voting_reach**2, radius, floor)))
+# Rows of the table of a lens: its centre, its weight, and from the last one on its depths.
+_X, _Y, _TRUST, _SIZE = range(4)
 
 
 @njit(error_model="numpy")
-def _add_occlusion(depths, costs, matches, c):
-    """Raise the cost of each hypothesis by how well a nearer one matches: past the edge of the nearer surface the one
-    behind it matches as well."""
-    count = len(depths)
-    for k in range(count):
-        matches[k] = max(c.unknown - costs[k], np.float32(0.0))
-    for k in range(count):
-        nearer = np.float32(0.0)
-        for q in range(count):
-            if depth_order(depths[q], c.pitch) > depth_order(depths[k], c.pitch):
-                nearer = max(nearer, matches[q])
-        costs[k] += c.occluded_cost * nearer
+def _gather_table(table, around, lookup, low, ring, i, j, lens, out):
+    """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there are."""
+    count = 0
+    for r in range(len(ring)):
+        other = around[lens, r] if lens >= 0 else lens_at(lookup, low, i + ring[r, 0], j + ring[r, 1])
+        if other >= 0:
+            for k in range(len(out)):
+                out[k, count] = table[other, k]
+            count += 1
+    return count
+
+
+# Python's error model checks every division for zero, which prevents vector loops.
+@njit(fastmath=FAST, error_model="numpy")
+def _mean_around(table, count, x, y, vote2):
+    """Weighted mean of the first depths of the `count` lenses around a scene point; NaN if there are none."""
+    weight = total = np.float32(0.0)
+    per_vote2 = np.float32(1.0) / vote2
+    xs, ys, trusts, sizes = table[_X], table[_Y], table[_TRUST], table[_SIZE]
+    for m in range(np.uint64(count)):
+        dx, dy = x - xs[m], y - ys[m]
+        # Beyond the border of the lattice all are far.
+        share = max(np.float32(1.0) - (dx * dx + dy * dy) * per_vote2, np.float32(1e-6))
+        w = trusts[m] * share * share
+        weight += w
+        total += w * sizes[m]
+    return total / weight if count > 0 else np.float32(np.nan)
+
+
+@njit(error_model="numpy")
+def _find_voters(table, count, x, y, vote2, distance, voters, shares):
+    """Squared distances of the `count` lenses around a scene point, those that vote for its depth, and their weights;
+    how many, and the range of their depths."""
+    for m in range(np.uint64(count)):
+        dx, dy = x - table[_X, m], y - table[_Y, m]
+        distance[m] = dx * dx + dy * dy
+    nearest = found = 0
+    for m in range(1, count):
+        nearest = m if distance[m] < distance[nearest] else nearest
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for m in range(count):
+        if m != nearest and distance[m] > vote2:
+            continue
+        share = max(1 - distance[m] / vote2, np.float32(1e-3))
+        voters[found], shares[found] = m, table[_TRUST, m] * share * share
+        found += 1
+        for k in range(_SIZE, len(table)):
+            s = table[k, m]
+            # Comparisons with NaN are false.
+            low, high = s if s < low else low, s if s > high else high
+    return found, high - low
+
+
+@njit(error_model="numpy")
+def _find_central(table, count, distance, near, near_x, near_y):
+    """Centres of the nearest of the `count` lenses around a scene point, in order; returns how many."""
+    most = len(near)
+    found = 0
+    for m in range(count):
+        d = distance[m]
+        if found == most and d >= distance[near[found - 1]]:
+            continue
+        at = min(found, most - 1)
+        while at > 0 and distance[near[at - 1]] > d:
+            near[at] = near[at - 1]
+            at -= 1
+        near[at] = m
+        found = min(found + 1, most)
+    for k in range(found):
+        near_x[k], near_y[k] = table[_X, near[k]], table[_Y, near[k]]
+    return found
+
+
+@njit(error_model="numpy")
+def _sort_votes(table, count, voters, shares, sizes, weights):
+    """Depths of `count` voters sorted by patch size, and their weights; returns their number.
+
+    The second-best match, the second of three, is false in every fourth lens: it has a tenth of a vote.
+    """
+    number = 0
+    for n in range(count):
+        for k in range(_SIZE, len(table)):
+            s = table[k, voters[n]]
+            if not np.isfinite(s):
+                continue
+            at = number
+            while at > 0 and sizes[at - 1] > s:
+                sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
+                at -= 1
+            sizes[at], weights[at] = s, shares[n] * (np.float32(0.1) if k == _SIZE + 1 else np.float32(1.0))
+            number += 1
+    return number
+
+
+@njit(error_model="numpy")
+def _cluster_votes(number, sizes, weights, gap, depths, shares):
+    """Means and weights of clusters of sorted votes, the weightiest first, as many as there is room for; their number.
+
+    The votes of a cluster differ by at most one `gap`.
+    """
+    most = len(depths)
+    found = start = 0
+    while start < number:
+        stop = start + 1
+        while stop < number and sizes[stop] - sizes[start] <= gap:
+            stop += 1
+        weight = total = np.float32(0.0)
+        for m in range(start, stop):
+            weight += weights[m]
+            total += weights[m] * sizes[m]
+        at = min(found, most - 1)
+        if found < most or weight > shares[most - 1]:
+            while at > 0 and shares[at - 1] < weight:
+                shares[at], depths[at] = shares[at - 1], depths[at - 1]
+                at -= 1
+            shares[at], depths[at] = weight, total / weight
+            found = min(found + 1, most)
+        start = stop
+    return found
 
 
 @njit(error_model="numpy")
@@ -69,61 +159,62 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
 
 
 @njit(error_model="numpy")
-def _measure_mismatch(image, near_x, near_y, c, central, x, y, everyone, depths, costs, samples, views):
+def _measure_mismatch(image, near_x, near_y, central, x, y, pitch, radius, floor, everyone, depths, costs, samples,
+                      views):  # fmt: skip
     """Turn the weights of hypotheses in `costs`, out of `everyone`, into their mismatch plus the price of few votes."""
-    nearest = 0
-    for k in range(len(depths)):
-        if depth_order(depths[k], c.pitch) > depth_order(depths[nearest], c.pitch):
+    nearest, count, unknown, none = 0, len(depths), np.float32(UNKNOWN), np.float32(0.0)
+    for k in range(count):
+        if depth_order(depths[k], pitch) > depth_order(depths[nearest], pitch):
             nearest = k
-    for k in range(len(depths)):
+    for k in range(count):
         cost, seen = view_mismatch(
-            image, near_x, near_y, central, x, y, depths[k] / c.pitch, c.radius, c.floor, c.unknown, samples, views
+            image, near_x, near_y, central, x, y, depths[k] / pitch, radius, floor, samples, views
         )
-        if k != nearest and cost > c.unknown:
+        if k != nearest and cost > unknown:
             # Behind another depth, where views may be occluded, a mismatch tells less.
-            cost = c.unknown + (cost - c.unknown) * np.float32(seen) / (np.float32(seen) + c.occluded_views)
-        costs[k] = cost + c.unvoted_cost * max(np.float32(0.0), 1 - costs[k] / everyone)
+            cost = unknown + (cost - unknown) * np.float32(seen) / np.float32(seen + 2)
+        # A depth that no lens around votes for costs a little more.
+        costs[k] = cost + np.float32(0.07) * max(none, 1 - costs[k] / everyone)
+    # Past the edge of a nearer surface the one behind it matches as well.
+    for k in range(count):
+        nearer = none
+        for q in range(count):
+            if depth_order(depths[q], pitch) > depth_order(depths[k], pitch):
+                nearer = max(nearer, unknown - costs[q])
+        views[k] = nearer
+    for k in range(count):
+        costs[k] += 2 * views[k]
 
 
-@kernel(error_model="numpy", share=lambda *given: given[9].shape[1])
+@kernel(error_model="numpy", share=lambda *given: given[7].shape[1])
 def propose_hypotheses(
-    begin, end, image, table, around, ring, agreeing, grid: SceneGrid, constants: HypothesisConstants, wanted, coarse,
-    depths, costs,
-):  # fmt: skip
+    begin, end, image, table, around, agreeing, lenses: LensArray, grid: PointGrid, floor, depths, costs, wanted, coarse
+):
     """Depth hypotheses of each `wanted` scene point in `depths`, their cost in `costs`, both (most, rows, columns).
 
     A point on whose depth all lenses around agree has one hypothesis; the place after the last one stays NaN; places
-    beyond, and the costs of single hypotheses, are left as they are.
+    beyond, and the costs of single hypotheses, are left as they are. Of the `coarse` surface of twice the spacing, (0,
+    0) if there is none, only hypotheses that one of its values about a point has are kept.
 
-    Parameters
-    ----------
-    image : (H, W) float32
-    table : (n, 6) float32
-        Centre of each lens, its weight, and its patch size, second-best one and that of the second layer.
-    around : (n, k) int32
-        Rows of the lenses of `ring` (k, 2) about each.
-    agreeing : (n,) bool
-        Lenses around which all have one depth.
-    grid : SceneGrid
-    constants : HypothesisConstants
-    wanted : (rows, columns) bool
-    coarse : (rows / 2, columns / 2) float32
-        Surface of twice the spacing: only hypotheses that one of its values about a point has are kept; (0, 0) if there
-        is none.
+    `table` (n, 6) float32 holds the centre of each lens, its weight, its patch size, second-best one and that of the
+    second layer;
+    `around` (n, k) the rows of the lenses of the ring about each. Around the `agreeing` ones (n,) all have one depth. A
+    squared difference of views up to `floor` is noise.
     """
     most, _, columns = depths.shape
-    c, gap = constants, constants.gap
-    votes = np.float32(1.0), c.second_weight, np.float32(1.0)
-    most_near, known = len(ring), table.shape[1]
     # Arrays are taken out of the tuple once: each access counts references.
-    first, spacing, lookup, low = grid.first, grid.spacing, grid.rows, grid.low
-    origin, inverse, bend, bend_low = grid.origin, grid.inverse, grid.bend, grid.bend_low
+    ring, lookup, low, origin, inverse = lenses.ring, lenses.rows, lenses.low, lenses.origin, lenses.inverse
+    bend, bend_low, first, spacing = lenses.bend, lenses.bend_low, grid.first, grid.spacing
+    gap, pitch, radius = np.float32(lenses.gap), np.float32(lenses.pitch), np.float32(lenses.radius)
+    # Lenses within 1.45 pitches vote for the depth of a point.
+    vote2 = np.float32(2.1) * pitch * pitch
+    most_near, known = len(ring), table.shape[1]
     for v in range(begin, end):
         nearby, distance = np.empty((known, most_near), np.float32), np.empty(most_near, np.float32)
         voters, shares = np.empty(most_near, np.int64), np.empty(most_near, np.float32)
         sizes, weights = np.empty(known * most_near, np.float32), np.empty(known * most_near, np.float32)
         near_x, near_y = np.empty(MAX_VIEWS, np.float32), np.empty(MAX_VIEWS, np.float32)
-        own, prices, matches = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
+        own, prices = np.empty(most, np.float32), np.empty(most, np.float32)
         central, views = np.empty(MAX_VIEWS, np.int64), np.empty(MAX_VIEWS, np.float32)
         samples = np.empty((MAX_VIEWS, 11), np.float32)
         count = 0
@@ -137,27 +228,27 @@ def propose_hypotheses(
             lens = lens_at(lookup, low, i, j)
             # Consecutive points mostly lie in the cell of one lens.
             if i != around_i or j != around_j:
-                count = gather_table(table, around, lookup, low, ring, i, j, lens, nearby)
+                count = _gather_table(table, around, lookup, low, ring, i, j, lens, nearby)
                 around_i, around_j = i, j
             px, py = np.float32(x), np.float32(y)
             if lens >= 0 and agreeing[lens]:
-                depths[0, v, u] = mean_around(nearby, count, px, py, c.vote2)
+                depths[0, v, u] = _mean_around(nearby, count, px, py, vote2)
                 continue
-            found, apart = find_voters(nearby, count, px, py, c.vote2, distance, voters, shares)
+            found, apart = _find_voters(nearby, count, px, py, vote2, distance, voters, shares)
             if found == 0 or apart <= gap:
-                depths[0, v, u] = mean_around(nearby, count, px, py, c.vote2)
+                depths[0, v, u] = _mean_around(nearby, count, px, py, vote2)
                 continue
             everyone = shares[:found].sum()
-            number = sort_votes(nearby, found, voters, shares, votes, sizes, weights)
-            found = cluster_votes(number, sizes, weights, gap, own, prices)
+            number = _sort_votes(nearby, found, voters, shares, sizes, weights)
+            found = _cluster_votes(number, sizes, weights, gap, own, prices)
             if coarse.size > 0:
                 found = _keep_coarse(coarse, v, u, gap, own, prices, found)
             if found > 1:
-                shown = find_central(nearby, count, distance, central, near_x, near_y)
+                shown = _find_central(nearby, count, distance, central, near_x, near_y)
                 _measure_mismatch(
-                    image, near_x, near_y, c, shown, px, py, everyone, own[:found], prices[:found], samples, views
-                )
-                _add_occlusion(own[:found], prices[:found], matches, c)
+                    image, near_x, near_y, shown, px, py, pitch, radius, floor, everyone, own[:found], prices[:found],
+                    samples, views,
+                )  # fmt: skip
                 for k in range(1, found):
                     depths[k, v, u], costs[k, v, u] = own[k], prices[k]
                 if found < most:

@@ -11,12 +11,12 @@ from numba import njit
 
 from lfcal.runtime.kernels import FAST
 
-__all__ = ["MAX_VIEWS", "view_mismatch"]
+__all__ = ["MAX_VIEWS", "UNKNOWN", "view_mismatch"]
 
 #: Only so many lenses, the most central ones, are compared.
 MAX_VIEWS = 6
-# Each of so many views is compared with all others: the first may be occluded.
-_REFERENCES = 2
+#: Mismatch of places that too few lenses show, or of noise alone.
+UNKNOWN = 0.5
 
 
 @njit(error_model="numpy", fastmath=FAST)
@@ -49,16 +49,16 @@ def _compare(own, other, half, floor):
 
 
 @njit(error_model="numpy")
-def view_mismatch(image, near_x, near_y, count, x, y, slope, radius, floor, unknown, samples, costs):
+def view_mismatch(image, near_x, near_y, count, x, y, slope, radius, floor, samples, costs):
     """Mean mismatch of the better part of the views of scene point (x, y) with one of the most central, and how many
     there are.
 
-    0 for equal views, about 1 for unrelated ones, `unknown` where there is one. The first `count` lenses have their
+    0 for equal views, about 1 for unrelated ones, `UNKNOWN` where there is one. The first `count` lenses have their
     centres at `near_x`, `near_y`, the nearest first, and this `radius`; the depth is `slope` = s / D; a mismatch of
     `floor` is noise. `samples` (views, 11) and `costs` (views,) are work memory.
     """
     height, width = image.shape
-    pixels, one = image.reshape(-1), np.float32(1.0)
+    pixels, one, unknown = image.reshape(-1), np.float32(1.0), np.float32(UNKNOWN)
     right, bottom = np.float32(width) - np.float32(2.001), np.float32(height) - np.float32(2.001)
     seen = 0
     for m in range(count):
@@ -73,7 +73,8 @@ def view_mismatch(image, near_x, near_y, count, x, y, slope, radius, floor, unkn
         return unknown, seen
     # Half of the others: an occluder may hide the rest.
     better, least = seen // 2, np.float32(np.inf)
-    for r in range(_REFERENCES):
+    # The first view may be occluded.
+    for r in range(2):
         found = 0
         for m in range(seen):
             if m == r:

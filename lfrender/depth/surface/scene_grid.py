@@ -1,45 +1,58 @@
-"""The grid of scene points on which a surface is computed, and the lens nearest to each point, for kernels."""
+"""Lenses as kernels look them up by their place, and the grid of scene points on which a surface is computed."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lfcal import Lattice
 
 from ...flat.distorted_lookup import lens_displacements
 from ...flat.lens_graph import lens_grid
 
-__all__ = ["SceneGrid", "grid_shape", "lens_at", "scene_grid"]
+__all__ = ["LensArray", "PointGrid", "grid_shape", "lens_array", "lens_at"]
 
 
-class SceneGrid(NamedTuple):
-    """Scene points at `first + spacing * (u, v)` [px], and the lattice for looking up lenses.
+class LensArray(NamedTuple):
+    """Lenses, for kernels."""
 
-    Parameters
-    ----------
-    first, spacing : float [px]
-    rows : (nj, ni) int32
-        Row of lens (i, j) at `rows[j - low[1], i - low[0]]`, -1 where there is none.
-    low : (2,) int64
-    origin, basis, inverse : (2,), (2, 2), (2, 2) float64
-        Of the lattice, and the inverse of its basis.
-    bend, bend_low : (nj, ni, 2) float32, (2,) int64
-        As `lens_displacements`.
-    """
+    centres: Any  # (n, 2) float64 [px]
+    indices: Any  # (n, 2) int64
+    rows: Any  # (nj, ni) int32, this and the next as `lens_grid`
+    low: Any  # (2,) int64
+    # (k, 2) int64 steps to the lenses within 2.2 pitches of one, the nearest first, itself included: they see a point
+    ring: Any
+    origin: Any  # (2,) float64 of the lattice, and the inverse of its basis
+    inverse: Any  # (2, 2) float64
+    bend: Any  # (nj, ni, 2) float32, this and the next as `lens_displacements`
+    bend_low: Any  # (2,) int64
+    pitch: Any  # [px]
+    radius: Any  # [px] of a microimage
+    gap: Any  # [px] difference of patch sizes between two surfaces
 
-    first: float
-    spacing: float
-    rows: NDArray[np.int32]
-    low: NDArray[np.int64]
-    origin: NDArray[np.float64]
-    basis: NDArray[np.float64]
-    inverse: NDArray[np.float64]
-    bend: NDArray[np.float32]
-    bend_low: NDArray[np.int64]
+
+class PointGrid(NamedTuple):
+    """Scene points `first + spacing * (u, v)` [px] of a surface."""
+
+    first: Any
+    spacing: Any
+
+
+def lens_array(lattice: Lattice, gap: float, radius: float) -> LensArray:
+    """The lenses of a lattice, with microimages of this radius [px]."""
+    span = np.arange(-3, 4)
+    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    distance = np.linalg.norm(steps @ lattice.basis, axis=1)
+    order = np.argsort(distance, kind="stable")
+    ring = np.ascontiguousarray(steps[order][distance[order] < 2.2 * lattice.pitch])
+    rows, low = lens_grid(lattice)
+    return LensArray(
+        lattice.centres(), lattice.indices().astype(np.int64), rows, np.asarray(low, np.int64), ring,
+        np.asarray(lattice.origin, float), np.linalg.inv(lattice.basis).astype(float), *lens_displacements(lattice),
+        float(lattice.pitch), float(radius), float(gap),
+    )  # fmt: skip
 
 
 def grid_shape(lattice: Lattice, cells: int) -> tuple[tuple[int, int], tuple[float, float], float]:
@@ -49,16 +62,9 @@ def grid_shape(lattice: Lattice, cells: int) -> tuple[tuple[int, int], tuple[flo
     return (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1), (-0.5, -0.5), spacing
 
 
-def scene_grid(lattice: Lattice, first: float, spacing: float) -> SceneGrid:
-    return SceneGrid(
-        first, spacing, *lens_grid(lattice), np.asarray(lattice.origin), np.asarray(lattice.basis),
-        np.linalg.inv(lattice.basis).astype(np.float64), *lens_displacements(lattice),
-    )  # fmt: skip
-
-
 @njit(inline="always")
 def lens_at(rows, low, i, j):
-    """Row of lens (i, j) by `rows` and `low` of a `SceneGrid`, -1 where there is none."""
+    """Row of lens (i, j) by `rows` and `low` of a `LensArray`, -1 where there is none."""
     ci, cj = i - low[0], j - low[1]
     if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1]:
         return -1

@@ -1,135 +1,118 @@
-"""Which lenses are resolved, and the reason why the others are not, from matches, sub-pixel fits and neighbours."""
+"""Which lenses are resolved, the reason why the others are not, errors and confidence: from matches, fits, neighbours.
+
+Normalised correlations are over what a correct match reaches with this noise and overlap.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flat.lens_graph import count_similar
+from ...flat.lens_graph import count_neighbours, count_similar
 from ...flat.shading import LARGEST_SHADING
+from ...flat.texture import Texture
 from ..matching.matcher import MatchResult
 from ..same_surface import TOLERANCE, same_surface
-from .periodicity import sees_little_of_scene
-from .settings import CLASSIFY, ClassifySettings
-from .uncertainty import (
-    combine_confidence,
-    confirmed_by_neighbours,
-    has_secondary_peak,
-    inflate_errors,
-    repeats_with_neighbours,
-)
 
 __all__ = [
-    "classify_lenses", "initial_reasons", "looks_like_shading", "match_proves_texture", "match_suggests_texture",
-    "occurs_among", "shift_exceeds_shading", "shift_may_be_zero",
+    "LEAST_CORRELATION", "RESOLVABLE", "SHADING_REACH", "SURE", "classify_lenses", "correlates_poorly",
+    "inflate_errors", "looks_like_shading", "match_proves_texture", "match_suggests_texture", "occurs_among",
+    "shift_exceeds_shading", "signal_share",
 ]  # fmt: skip
+
+#: [pitch] beyond this patch size neighbouring microimages share too little.
+RESOLVABLE = 0.75
+#: Confidence and uniqueness of resolved lenses, and the factor of a confidence in doubt.
+SURE = 0.5
+#: Correlation of a match that proves faint texture; of lenses without any one in a hundred has this and `_PROVEN`.
+LEAST_CORRELATION = 0.12
+_PROVEN = 0.95
+#: [pitch] shading matches at smaller patch sizes too.
+SHADING_REACH = 0.2
+# [pitch] neighbours at the same depth; half of it for one depth anywhere.
+_SAME = 1.5 * TOLERANCE
+# Correlation below which a lens shares no content with its neighbours, and that unrelated content reaches somewhere.
+_SHARED, _BY_CHANCE = 0.25, 0.4
+
+# Number of neighbours of each lens, among some (n,), with its patch size to a gap [pitch].
+_Similar = Callable[..., NDArray[np.int64]]
 
 
 def classify_lenses(
     textured: NDArray[np.bool_],
-    found: MatchResult,
+    match: MatchResult,
     refined: NDArray,
     error: NDArray,
     signal: NDArray[np.float32],
-    centres: NDArray[np.float32],
     neighbours: NDArray[np.int32],
     pitch: float,
-    settings: ClassifySettings = CLASSIFY,
 ) -> tuple[NDArray[np.int8], NDArray, NDArray]:
     """Reason, standard error and confidence of every lens, as `DepthMap`.
 
-    Parameters
-    ----------
-    textured : (n,) bool
-    found : MatchResult
-    refined, error : (n,) [px]
-        Sub-pixel patch sizes and standard errors.
-    signal : (n,)
-        As `signal_share`.
-    centres : (n, 2) [px]
-    neighbours : (n, k) int32
-        Neighbour rows, -1 where there is none.
-    pitch : float [px]
-    settings : ClassifySettings
+    Of `textured` lenses (n,) by their match, their sub-pixel patch sizes `refined` with standard `error` (n,) [px],
+    their `signal_share` (n,), and the rows (n, k) of their neighbours, -1 where there is none.
     """
-    pairs_agree = _pairs_agree(refined, error, neighbours, pitch, settings)
-    reason = initial_reasons(textured, found, refined, pairs_agree, pitch, settings)
-    reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch, settings)] = 2
-    reason[_may_match_by_chance(reason == 0, found, refined, signal, neighbours, pitch, settings)] = 3
-    correlation = found.normalised_correlation / signal
-    beside = confirmed_by_neighbours(reason == 0, refined, correlation, neighbours, pitch, settings)
-    reason[(reason > 1) & beside & (np.abs(refined) <= settings.resolvable * pitch)] = 0
-    secondary = has_secondary_peak(found.primary_peak, found.secondary_peak, signal, settings)
-    if sees_little_of_scene(centres, refined, reason == 0, pitch):
-        # Near zero all lenses see the same content, and match by chance alike.
-        secondary &= np.abs(refined) > TOLERANCE * pitch
-    single = (reason == 0) & (found.uniqueness >= settings.sure) & ~secondary
-    occurring = _occurs(refined, refined[single], pitch, settings)
-    reason[repeats_with_neighbours(reason == 0, found.uniqueness, secondary, occurring, neighbours, settings)] = 2
-    blank = (reason > 1) & (found.correlation < settings.shared) & (signal < settings.faint_signal)
+
+    def similar(among: NDArray[np.bool_], gap: float = _SAME) -> NDArray[np.int64]:
+        return count_similar(among, refined, neighbours, gap * pitch)
+
+    correlation = match.normalised_correlation / signal
+    reason = _reasons_alone(textured, match, refined, error, neighbours, similar, pitch)
+    reason[_may_match_by_chance(reason == 0, match, refined, signal, similar, pitch)] = 3
+    single = (reason == 0) & (match.uniqueness >= SURE)
+    occurring = occurs_among(refined, refined[single], 0.5 * _SAME * pitch)
+    ambiguous = (reason == 0) & ~single
+    reason[_repeats_with_neighbours(ambiguous, reason == 0, occurring, neighbours)] = 2
+    blank = np.zeros(len(reason), bool)
     for _ in range(2):
+        blank |= _alone_and_weak(reason == 0, match, signal, similar)
         reason[blank] = 1
-        blank |= _alone_and_weak(reason == 0, found, refined, signal, neighbours, pitch, settings)
-    reason[blank] = 1
-    error = inflate_errors(error, correlation, settings)
-    sure = np.where(textured & ~blank, np.minimum(found.confidence, found.uniqueness), 0)
-    return reason, error, combine_confidence(sure, error, pitch, settings)
+    error = inflate_errors(error, correlation)
+    sure = np.where(textured & ~blank, np.minimum(match.confidence, match.uniqueness), 0)
+    # Pairs of unrelated content have this standard error.
+    unrelated = 0.035 * pitch
+    return reason, error, sure / (1 + (np.where(np.isfinite(error), error, unrelated) / unrelated) ** 2)
 
 
-def _pairs_agree(
-    refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float, settings: ClassifySettings
-) -> NDArray[np.bool_]:
-    """Lenses whose pairs agree, and those that two such neighbours confirm; at the border, where a lens has few pairs,
-    one neighbour must confirm what they agree on."""
+def _reasons_alone(
+    textured: NDArray[np.bool_],
+    match: MatchResult,
+    refined: NDArray,
+    error: NDArray,
+    neighbours: NDArray[np.int32],
+    similar: _Similar,
+    pitch: float,
+) -> NDArray[np.int8]:
+    """(n,) int8: as `DepthMap.reason`, 0 for resolved lenses, from each lens alone, but for large patch sizes and faint
+    matches: there pairs, or two neighbours, must agree."""
     agree = error <= 0.5 * TOLERANCE * pitch
-    confirming = count_similar(agree, refined, neighbours, TOLERANCE * pitch)
-    whole = (neighbours >= 0).all(1)
-    return np.asarray((agree & whole) | (confirming > np.where(agree, 0, settings.alone)))
-
-
-def _unmeasured(
-    refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float, settings: ClassifySettings
-) -> NDArray[np.bool_]:
-    """Lenses that share too few pixels with any other for a fit, and have no neighbour at their depth.
-
-    The search alone is biased toward shifts at which more pixels are shared.
-    """
-    measured = np.isfinite(error)
-    if measured.all():
-        return ~measured
-    similar = count_similar(measured, refined, neighbours, settings.same_surface * pitch)
-    return np.asarray(~measured & (similar == 0))
+    # At the border, where a lens has few pairs, one neighbour must confirm what they agree on.
+    confirmed = similar(agree, TOLERANCE) > np.where(agree, 0, 1)
+    agree = (agree & (neighbours >= 0).all(1)) | confirmed
+    size, unsure = np.abs(refined), match.confidence < SURE
+    hardly = (size > 0.6 * pitch) | (match.correlation < LEAST_CORRELATION)
+    unshared = (size > RESOLVABLE * pitch) | (unsure & (match.correlation < _SHARED)) | (hardly & ~agree)
+    return np.select([~textured, unshared, unsure], [1, 3, 2], 0).astype(np.int8)
 
 
 def _may_match_by_chance(
-    resolved: NDArray[np.bool_],
-    found: MatchResult,
-    refined: NDArray,
-    signal: NDArray[np.float32],
-    neighbours: NDArray[np.int32],
-    pitch: float,
-    settings: ClassifySettings,
+    resolved: NDArray[np.bool_], match: MatchResult, refined: NDArray, signal: NDArray, similar: _Similar, pitch: float
 ) -> NDArray[np.bool_]:
     """Lenses that match no better than unrelated content may, without two better neighbours at their depth.
 
     If most lenses match better than that, depths that occur among those are accepted for the others.
     """
-    sure = resolved & (found.correlation >= settings.by_chance)
+    sure = resolved & (match.correlation >= _BY_CHANCE)
     if 2 * sure.sum() > resolved.sum():
-        resolved = resolved & ~_occurs(refined, refined[sure], pitch, settings)
-    better = resolved & (found.correlation >= settings.shared * signal)
-    similar = count_similar(better, refined, neighbours, settings.same_surface * pitch)
-    return np.asarray(resolved & (found.correlation < settings.by_chance) & (similar <= settings.alone))
+        resolved = resolved & ~occurs_among(refined, refined[sure], 0.5 * _SAME * pitch)
+    better = resolved & (match.correlation >= _SHARED * signal)
+    return resolved & (match.correlation < _BY_CHANCE) & (similar(better) <= 1)
 
 
 def _alone_and_weak(
-    resolved: NDArray[np.bool_],
-    found: MatchResult,
-    refined: NDArray,
-    signal: NDArray[np.float32],
-    neighbours: NDArray[np.int32],
-    pitch: float,
-    settings: ClassifySettings,
+    resolved: NDArray[np.bool_], match: MatchResult, signal: NDArray, similar: _Similar
 ) -> NDArray[np.bool_]:
     """Lenses whose depth hardly any neighbour has, and whose texture is as weak as their match.
 
@@ -137,52 +120,71 @@ def _alone_and_weak(
     """
     if not resolved.any():
         return resolved
-    similar = count_similar(resolved, refined, neighbours, settings.same_surface * pitch)
-    # Contrasts over the noise, as squares, compared with those of typical lenses.
+    # Less than 0.6 of the contrast over the noise, as squares, of typical lenses.
     share = np.float32(1) - signal
-    weak = settings.weak_contrast**2 * share > np.median(share[resolved])
-    proven = (found.confidence >= settings.proven_confidence) & (found.correlation >= settings.by_chance)
-    return np.asarray(resolved & (similar <= settings.alone) & weak & ~proven)
+    weak = 0.36 * share > np.median(share[resolved])
+    proven = (match.confidence >= _PROVEN) & (match.correlation >= _BY_CHANCE)
+    return resolved & (similar(resolved) <= 1) & weak & ~proven
 
 
-def initial_reasons(
-    textured: NDArray[np.bool_],
-    found: MatchResult,
-    refined: NDArray,
-    pairs_agree: NDArray[np.bool_],
-    pitch: float,
-    settings: ClassifySettings = CLASSIFY,
-) -> NDArray[np.int8]:
-    """(n,) int8: as `DepthMap.reason`, 0 for resolved lenses, from each lens alone."""
-    size, unsure = np.abs(refined), found.confidence < settings.sure
-    little = found.correlation < settings.shared
-    hardly = (size > settings.hardly_shared * pitch) | (found.correlation < settings.least_correlation)
-    unshared = (size > settings.resolvable * pitch) | (unsure & little) | (hardly & ~pairs_agree)
-    return np.select([~textured, unshared, unsure], [1, 3, 2], 0).astype(np.int8)
-
-
-def occurs_among(
-    values: NDArray[np.float32], known: NDArray[np.float32], gap: float, settings: ClassifySettings = CLASSIFY
+def _repeats_with_neighbours(
+    ambiguous: NDArray[np.bool_],
+    resolved: NDArray[np.bool_],
+    occurring: NDArray[np.bool_],
+    neighbours: NDArray[np.int32],
 ) -> NDArray[np.bool_]:
-    """Which `values` occur among the `known` ones, within `gap`; false matches of a periodic texture do not."""
-    least = max(1, int(np.ceil(settings.occurring_share * len(known))))
+    """(n,) bool: `ambiguous` lenses, if half of the flat or of their neighbours are so too: their texture repeats.
+
+    A single ambiguous lens is more likely chance. The best match need not be the right one: at the right one neighbours
+    may share less, and differ by the shading of their rims. Unless most are ambiguous, depths `occurring` (n,) among
+    the others are accepted.
+    """
+    beside = count_neighbours(ambiguous, neighbours)
+    if 2 * ambiguous.sum() >= resolved.sum():
+        return ambiguous | (resolved & (2 * beside >= (neighbours >= 0).sum(1)))
+    return ambiguous & (2 * beside >= neighbours.shape[1]) & ~occurring
+
+
+def signal_share(texture: Texture) -> NDArray:
+    """(n,) share of the variance of each lens that is not noise: the largest correlation of a correct match."""
+    noise = np.minimum(texture.noise / np.maximum(texture.statistics.contrast, 1e-12), 1)
+    return np.asarray(np.maximum(1 - noise**2, LEAST_CORRELATION))
+
+
+def inflate_errors(error: NDArray, correlation: NDArray) -> NDArray:
+    """(n,) standard errors [px], `error` from the scatter of pairs, and what all pairs of a lens have wrong in common.
+
+    That grows with the share of the texture that is not matched, by the normalised `correlation` (n,): measured on
+    ray-traced scenes. Infinite errors stay infinite, even if all texture is matched.
+    """
+    return np.hypot(0.95, 2.7 * (1 - np.clip(correlation, 0, 0.999))) * error
+
+
+def correlates_poorly(correlation: NDArray, signal: NDArray, resolved: NDArray[np.bool_]) -> bool:
+    """Whether most `resolved` lenses (n,) of little noise match far worse than they could: depths are likely wrong.
+
+    If the `signal` (n,) is at least 0.8 of the variance, a correct map has a median normalised `correlation` (n,) above
+    0.55: 0.58 on captures, periodic textures 0.3 to 0.75.
+    """
+    clear = resolved & (signal >= 0.8)
+    return bool(2 * clear.sum() >= max(resolved.sum(), 1) and np.median(correlation[clear]) < 0.55)
+
+
+def occurs_among(values: NDArray, known: NDArray, gap: float) -> NDArray[np.bool_]:
+    """Which `values` occur among the `known` ones, within `gap`; false matches of a periodic texture do not.
+
+    A depth occurs that a two-hundredth of the lenses has.
+    """
+    least = max(1, int(np.ceil(0.005 * len(known))))
     ordered = np.append(np.sort(known), np.full(least, np.inf, known.dtype))
     return np.asarray(ordered[np.searchsorted(ordered[:-least], values - gap) + least - 1] < values + gap)
 
 
-def _occurs(values: NDArray, known: NDArray, pitch: float, settings: ClassifySettings) -> NDArray[np.bool_]:
-    return occurs_among(values, known, 0.5 * settings.same_surface * pitch, settings)
-
-
 def shift_exceeds_shading(
-    refined: NDArray,
-    error: NDArray,
-    neighbours: NDArray[np.int32],
-    pitch: float,
-    settings: ClassifySettings = CLASSIFY,
+    refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float
 ) -> NDArray[np.bool_]:
     """Lenses whose pairs agree on a shift, together with their neighbours; shading, which stays with its lens, has
-    none."""
+    none. Smaller shifts than 0.005 pitches may be errors of the lattice."""
     rows = np.column_stack([np.arange(len(refined)), neighbours])
     sizes, variance = refined[rows], np.where(rows >= 0, np.square(error[rows]), np.inf)
     like = same_surface(sizes, refined[:, None], 3 * error[:, None]) & np.isfinite(variance)
@@ -191,39 +193,30 @@ def shift_exceeds_shading(
     mean = (weight * sizes).sum(1) / total
     # Neighbours share pairs: half of their variance is common to all.
     spread = np.sqrt(0.5 * (1 + like.sum(1)) / total)
-    agree = (spread <= settings.still_error * pitch) & ~shift_may_be_zero(mean, spread, settings)
-    return np.asarray(agree & (np.abs(mean) >= settings.still * pitch))
-
-
-def shift_may_be_zero(refined: NDArray, error: NDArray, settings: ClassifySettings = CLASSIFY) -> NDArray[np.bool_]:
-    """Lenses whose shift does not differ significantly from zero."""
-    return np.asarray(np.abs(refined) < settings.still_sigmas * error)
+    # It differs from zero by eight standard errors.
+    agree = (spread <= 0.002 * pitch) & (np.abs(mean) >= 8 * spread)
+    return np.asarray(agree & (np.abs(mean) >= 0.005 * pitch))
 
 
 def looks_like_shading(
-    clear: NDArray[np.bool_],
-    found: MatchResult,
-    contrast: NDArray[np.float32],
-    pitch: float,
-    settings: ClassifySettings = CLASSIFY,
+    clear: NDArray[np.bool_], match: MatchResult, contrast: NDArray[np.float32], pitch: float
 ) -> NDArray[np.bool_]:
     """Those of the `clear` lenses that show no more than shading may: little contrast (white = 1), near zero.
 
     Toward the border of a flat the main lens cuts microimages, each a little differently, so that no average of others
     removes it. A depth near zero that occurs among the other lenses is the scene's.
     """
-    size = found.patch_size
-    little = clear & (contrast <= LARGEST_SHADING) & (np.abs(size) < settings.shading_reach * pitch)
-    return np.asarray(little & ~_occurs(size, size[clear & ~little], pitch, settings))
+    size = match.patch_size
+    little = clear & (contrast <= LARGEST_SHADING) & (np.abs(size) < SHADING_REACH * pitch)
+    return np.asarray(little & ~occurs_among(size, size[clear & ~little], 0.5 * _SAME * pitch))
 
 
-def match_proves_texture(found: MatchResult, pitch: float, settings: ClassifySettings = CLASSIFY) -> NDArray[np.bool_]:
-    """Lenses whose match alone proves that they have texture."""
-    near_zero = np.abs(found.patch_size) < settings.shading_reach * pitch
-    enough = np.where(near_zero, settings.shading_correlation, settings.least_correlation)
-    return (found.confidence >= settings.proven_confidence) & (found.correlation >= enough)
-
-
-def match_suggests_texture(found: MatchResult, settings: ClassifySettings = CLASSIFY) -> NDArray[np.bool_]:
+def match_suggests_texture(match: MatchResult) -> NDArray[np.bool_]:
     """Lenses whose match would prove texture if it were not near zero."""
-    return (found.confidence >= settings.proven_confidence) & (found.correlation >= settings.least_correlation)
+    return (match.confidence >= _PROVEN) & (match.correlation >= LEAST_CORRELATION)
+
+
+def match_proves_texture(match: MatchResult, pitch: float) -> NDArray[np.bool_]:
+    """Lenses whose match alone proves that they have texture; near zero, where shading matches too, a better one."""
+    far = np.abs(match.patch_size) >= SHADING_REACH * pitch
+    return match_suggests_texture(match) & (far | (match.correlation >= 0.5))

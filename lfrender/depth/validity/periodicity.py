@@ -11,27 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flat.gray_flat import GrayFlat
-from ...runtime.quantiles import median
-from .settings import PeriodicitySettings
 
-__all__ = ["autocorrelation", "find_periodic_texture", "is_periodic", "sees_little_of_scene"]
+__all__ = ["autocorrelation", "find_periodic_texture", "is_periodic"]
 
-_DEFAULT = PeriodicitySettings()
+# Half the side of a part of the scene, and the highest resolution at which it is drawn, where periods of a quarter of a
+# pitch keep their shape: in pitches of a microimage and pixels per pitch.
+_REACH, _RESOLUTION = 2.0, 18.0
+# Correlation of what does not repeat, and below which the central peak of a texture has ended.
+_DECAYED = 0.3
+# Area [microimages] of which less cannot show whether it repeats.
+_LEAST_AREA = 3.0
 
 
-def autocorrelation(
-    picture: NDArray, seen: NDArray[np.bool_], reach: int, settings: PeriodicitySettings = _DEFAULT
-) -> NDArray[np.float32]:
-    """(2 * reach + 1, 2 * reach + 1) correlation of a picture with itself at lags up to `reach` px, 0 in the middle.
+def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
+    """(2 * reach + 1, 2 * reach + 1) correlation of a picture (n, n) with itself at lags up to `reach` px.
 
-    Only what is seen in both counts; -1 where that is little. Flat parts of it correlate with nothing.
-
-    Parameters
-    ----------
-    picture : (n, n)
-    seen : (n, n) bool
-    reach : int [px]
-    settings : PeriodicitySettings
+    Only what is `seen` (n, n) in both counts; -1 where that is less than a fifth. Flat parts of it correlate with
+    nothing.
     """
     light = np.where(seen, picture - picture[seen].mean(), 0).astype(np.float32)
     # Padding keeps the wrapped part of the circular correlation beyond the longest lag.
@@ -40,7 +36,7 @@ def autocorrelation(
     both = np.stack([of_seen, of_light, of_square, of_light]) * np.conj([of_seen, of_seen, of_seen, of_light])
     lags = np.arange(-reach, reach + 1)
     count, here, square, like = np.fft.irfft2(both, (size, size))[:, lags[:, None], lags]
-    known = count >= settings.least_overlap * seen.sum()
+    known = count >= 0.2 * seen.sum()
     count = np.where(known, count, 1)
     spread = np.maximum(square - here**2 / count, np.var(light[seen]) * count)
     # Sums over the other of both overlapping parts are those at the opposite lag.
@@ -48,59 +44,38 @@ def autocorrelation(
     return np.where(known, covariance / np.sqrt(np.maximum(spread * spread[::-1, ::-1], 1e-12)), -1)
 
 
-def is_periodic(
-    correlation: NDArray[np.float32], seen: float, settings: PeriodicitySettings = _DEFAULT
-) -> tuple[bool, bool]:
-    """Whether a texture repeats along two directions, and whether it may.
+def is_periodic(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
+    """Whether a texture repeats along two directions, and whether it may, by its `autocorrelation` (m, m).
 
-    Parameters
-    ----------
-    correlation : (m, m)
-        As `autocorrelation`.
-    seen : float [microimages]
-        Area of the scene: the more is seen, the less repeats by chance.
-    settings : PeriodicitySettings
+    The more is `seen` of the scene [microimages], the less repeats by chance.
     """
     middle = len(correlation) // 2
-    _, parts = cv2.connectedComponents((correlation > settings.decayed).astype(np.uint8), connectivity=4)
+    _, parts = cv2.connectedComponents((correlation > _DECAYED).astype(np.uint8), connectivity=4)
     y, x = np.mgrid[-middle : middle + 1, -middle : middle + 1]
     away = np.hypot(x, y)
     beside = np.where((parts == parts[middle, middle]) | (away > middle), -1, correlation)
     at = np.unravel_index(beside.argmax(), beside.shape)
     along = np.abs(x * x[at] + y * y[at]) > np.abs(x * y[at] - y * x[at])
     peak = 0.5 * float(beside[at] + np.where(along, -1, beside).max())
-    above = (peak - settings.decayed) * np.sqrt(seen) if seen >= settings.least_area else -1.0
+    above = (peak - _DECAYED) * np.sqrt(seen) if seen >= _LEAST_AREA else -1.0
     # Where neighbours see a wave at wrong depths, its peaks are lower: then it may repeat.
-    return bool(above > settings.chance), bool(above > 0.5 * settings.chance)
+    return above > 0.8, above > 0.4
 
 
 def find_periodic_texture(
-    gray: GrayFlat,
-    indices: NDArray[np.int64],
-    sizes: NDArray,
-    resolved: NDArray[np.bool_],
-    settings: PeriodicitySettings = _DEFAULT,
+    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, resolved: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], bool]:
     """Lenses (n,) that see a part of the scene whose texture is periodic, and whether that of most parts may be.
 
-    If most of the parts are periodic for certain, all resolved lenses are returned.
-
-    Parameters
-    ----------
-    gray : GrayFlat
-    indices : (n, 2) int
-        Of the lenses on the lattice.
-    sizes : (n,) [px of `gray`]
-        Patch sizes; those of the resolved lenses count.
-    resolved : (n,) bool
-    settings : PeriodicitySettings
+    If most of the parts are periodic for certain, all resolved lenses are returned. `indices` (n, 2) are those of the
+    lenses on the lattice, `sizes` (n,) [px of `gray`] the patch sizes, of which those of the `resolved` lenses count.
     """
     certain = np.zeros(len(sizes), bool)
     known = np.flatnonzero(resolved & (np.abs(sizes) > 0))
     if not len(known):
         return certain, False
     x, y = gray.centres[known, 0], gray.centres[known, 1]
-    reach = settings.reach * gray.pitch**2 / median(np.abs(sizes[known]))
+    reach = _REACH * gray.pitch**2 / float(np.median(np.abs(sizes[known])))
     columns, rows = (_spread_evenly(v.min(), v.max(), reach) for v in (x, y))
     places = [(u, v) for v in rows for u in columns]
     verdicts: list[tuple[bool, bool]] = []
@@ -110,39 +85,19 @@ def find_periodic_texture(
             break
         for u, v in some:
             middle = known[((x - np.float32(u)) ** 2 + (y - np.float32(v)) ** 2).argmin()]
-            lenses = _lenses_about(gray, sizes, known, middle, settings)
-            verdicts.append(_is_part_periodic(gray, indices, sizes, lenses, middle, settings))
+            lenses = _lenses_about(gray, sizes, known, middle)
+            verdicts.append(_is_part_periodic(gray, indices, sizes, lenses, middle))
             certain[lenses] |= verdicts[-1][0]
     most = np.mean(verdicts, axis=0) > 0.5
     return certain | (resolved & most[0]), bool(most[1])
 
 
-def _lenses_about(
-    gray: GrayFlat, sizes: NDArray, known: NDArray[np.int64], middle: int, settings: PeriodicitySettings
-) -> NDArray[np.int64]:
-    """The `known` lenses that see the part of the scene about the `middle` one, on the same surface."""
-    extent = (settings.reach + 0.5) * gray.pitch**2 / abs(float(sizes[middle]))
+def _lenses_about(gray: GrayFlat, sizes: NDArray, known: NDArray[np.int64], middle: int) -> NDArray[np.int64]:
+    """The `known` lenses that see the part of the scene about the `middle` one, on one surface, maybe a slanted one."""
+    extent = (_REACH + 0.5) * gray.pitch**2 / abs(float(sizes[middle]))
     near = known[(np.abs(gray.centres[known] - gray.centres[middle]) < np.float32(extent)).all(1)]
     factor = sizes[near] / sizes[middle]
-    return near[(factor > 1 / settings.same_surface) & (factor < settings.same_surface)]
-
-
-def sees_little_of_scene(
-    centres: NDArray,
-    sizes: NDArray,
-    resolved: NDArray[np.bool_],
-    pitch: float,
-    settings: PeriodicitySettings = _DEFAULT,
-) -> bool:
-    """Whether all lenses together see so little more of the scene than one that it hardly shows if it repeats.
-
-    Of lenses at `centres` (n, 2) [px] those that are `resolved` (n,) count, with their patch `sizes` (n,) [px].
-    """
-    if not resolved.any():
-        return False
-    size = float(np.median(np.abs(sizes[resolved])))
-    across = [float(np.ptp(centres[resolved, k])) * size / pitch**2 + 1 for k in (0, 1)]
-    return across[0] * across[1] < settings.little_area
+    return near[(factor > 1 / 3) & (factor < 3)]
 
 
 def _spread_evenly(first: float, last: float, reach: float) -> NDArray[np.float64]:
@@ -152,33 +107,28 @@ def _spread_evenly(first: float, last: float, reach: float) -> NDArray[np.float6
 
 
 def _is_part_periodic(
-    gray: GrayFlat,
-    indices: NDArray[np.int64],
-    sizes: NDArray,
-    lenses: NDArray[np.int64],
-    middle: int,
-    settings: PeriodicitySettings,
+    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, lenses: NDArray[np.int64], middle: int
 ) -> tuple[bool, bool]:
     """`is_periodic` for the part of the scene that `lenses` (m,) see about the `middle` one."""
-    zoom = min(1.0, settings.resolution / gray.pitch)
+    zoom = min(1.0, _RESOLUTION / gray.pitch)
     # About three lenses for each place are enough.
-    share = max(1.0, (settings.spacing * gray.pitch / float(sizes[middle])) ** 2)
+    share = max(1.0, (0.5 * gray.pitch / float(sizes[middle])) ** 2)
     apart = int(np.sqrt(share))
     steps = (indices[lenses] - indices[middle]) % (apart, int(share / apart))
-    picture, seen = _draw(gray, sizes, lenses[(steps == 0).all(1)], middle, zoom, settings)
+    picture, seen = _draw(gray, sizes, lenses[(steps == 0).all(1)], middle, zoom)
     area = float(seen.sum() / (np.pi * (gray.radius * zoom) ** 2))
-    if area < settings.least_area:
+    if area < _LEAST_AREA:
         return False, False
-    reach = int(np.ceil(settings.longest_lag * gray.pitch * zoom))
-    return is_periodic(autocorrelation(picture, seen, reach, settings), area, settings)
+    # Depths are a period apart, and beyond 1.2 pitches none is left.
+    return is_periodic(autocorrelation(picture, seen, int(np.ceil(1.2 * gray.pitch * zoom))), area)
 
 
 def _draw(
-    gray: GrayFlat, sizes: NDArray, lenses: NDArray[np.int64], middle: int, zoom: float, settings: PeriodicitySettings
+    gray: GrayFlat, sizes: NDArray, lenses: NDArray[np.int64], middle: int, zoom: float
 ) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
     """What `lenses` (m,) see of the scene about the `middle` one, and where they see it (n, n)."""
     stride, own, radius = max(1, round(0.7 / zoom)), float(sizes[middle]), int(gray.radius)
-    side = 2 * int(np.ceil(settings.reach * gray.pitch * zoom)) + 1
+    side = 2 * int(np.ceil(_REACH * gray.pitch * zoom)) + 1
     along = np.arange(-radius, radius + 1, stride)
     disc = np.hypot(*np.meshgrid(along, along)) <= gray.radius
     centres, shape = gray.centres[lenses].astype(np.float64), gray.image.shape[::-1]

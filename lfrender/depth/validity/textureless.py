@@ -8,26 +8,22 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.lens_graph import opposite_neighbours
 from ...flat.texture import LensStatistics, classify_texture, estimate_noise, find_noise_only
-from ..matching.matcher import Matcher
-from ..matching.shortcuts import sample_lenses
+from ..matching.matcher import Matcher, sample_lenses
+from ..matching.neighbours import neighbours_of
 from ..presets import Preset
-from .settings import CLASSIFY, TexturelessSettings
+from .classify import LEAST_CORRELATION, SHADING_REACH
 
 __all__ = ["find_textureless"]
-
-_DEFAULT = TexturelessSettings()
 
 
 def find_textureless(
     gray: GrayFlat,
     lattice: Lattice,
     plain: LensStatistics,
-    setting: Preset,
+    preset: Preset,
     noise: float | None = None,
     asked: NDArray[np.bool_] | None = None,
-    settings: TexturelessSettings = _DEFAULT,
 ) -> NDArray[np.bool_] | None:
     """(n,) bool: lenses whose pixels are explained by noise; None if some of them match, so that all must be matched.
 
@@ -43,24 +39,16 @@ def find_textureless(
     # Lenses cut by the border of the flat match by chance more often.
     last = np.array(gray.image.shape[::-1]) - 1 - gray.radius
     inner = ((gray.centres >= gray.radius) & (gray.centres <= last)).all(1)
-    sample = sample_lenses(lattice.indices(), texture.faint & blank & inner, settings.sample)
-    if sample.any():
-        matcher = Matcher(texture, *opposite_neighbours(lattice), setting, sample)
-        correlation = 1 - matcher.lens_costs(matcher.pair_costs(sample), sample)
-        matching = correlation.max(1) >= CLASSIFY.least_correlation
-        matching &= ~_match_like_shading(correlation, matcher, settings)
-        if matching.sum() >= settings.enough:
-            return None
-    return blank
-
-
-def _match_like_shading(
-    correlation: NDArray[np.float32], matcher: Matcher, settings: TexturelessSettings
-) -> NDArray[np.bool_]:
-    """(m,) bool: lenses that match near zero and hardly worse farther out, by correlations (m, k) at each shift."""
-    best, last = correlation.argmax(1), len(matcher.shifts) - 1
-    shift = matcher.shifts[best]
-    outward = np.where(shift < 0, -1, 1) * round(settings.correlation_length / (matcher.factor * matcher.step))
-    farther = correlation[np.arange(len(best)), np.clip(best + outward, 0, last)]
-    near_zero = np.abs(shift) < CLASSIFY.shading_reach * matcher.gray.pitch
-    return np.asarray(near_zero & (farther > settings.decay * correlation.max(1)))
+    sample = sample_lenses(lattice.indices(), texture.faint & blank & inner, 32)
+    if not sample.any():
+        return blank
+    matcher = Matcher(texture, neighbours_of(lattice), preset, sample)
+    correlation = 1 - matcher.lens_costs(matcher.pair_costs(sample), sample)
+    best, last_shift = correlation.argmax(1), len(matcher.shifts) - 1
+    shift, highest = matcher.shifts[best], correlation.max(1)
+    # Texture as fine as noise correlates with itself by less than half of that three pixels of the flat farther out.
+    outward = np.where(shift < 0, -1, 1) * round(3 / (matcher.factor * matcher.step))
+    farther = correlation[np.arange(len(best)), np.clip(best + outward, 0, last_shift)]
+    like_shading = (np.abs(shift) < SHADING_REACH * matcher.gray.pitch) & (farther > 0.5 * highest)
+    # Of noise, one lens in a hundred correlates half as much.
+    return None if ((highest >= LEAST_CORRELATION) & ~like_shading).sum() >= 3 else blank

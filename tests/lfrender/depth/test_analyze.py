@@ -144,14 +144,6 @@ def test_mono_and_colour_with_equal_channels_agree():
     np.testing.assert_allclose(first.filled_patch_size, second.filled_patch_size, atol=1e-3)
 
 
-def test_a_second_depth_counts_only_where_enough_lenses_have_it_as_their_first():
-    from lfrender.depth.validity.classify import occurs_among
-
-    known = np.concatenate([np.full(300, -20.0), np.full(100, -8.0), [11.0]]).astype(np.float32)
-    seconds = np.array([-19.5, -8.9, 11.0, 3.0, np.nan], np.float32)
-    assert occurs_among(seconds, known, 1.0).tolist() == [True, True, False, False, False]
-
-
 def test_points_half_a_pitch_from_a_depth_edge_have_the_right_depth(house):
     depth = lfrender.analyze(house.flat, house.truth.calibration)
     truth = house.truth

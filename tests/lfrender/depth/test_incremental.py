@@ -11,10 +11,8 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, simulate
-from lfcal import Calibration, FlatError, Lattice, OutputError
-from lfrender.data.frame_state import LocalMatch
-from lfrender.depth.incremental import changed_since, find_moved, load_reference_match
-from lfrender.flat.lens_graph import neighbour_rows
+from lfcal import Calibration, FlatError, OutputError
+from lfrender.depth.incremental import load_reference_match
 from lfrender.runtime.cache import cached
 
 # The part of the second flat that differs, order x0, y0, x1, y1.
@@ -85,18 +83,6 @@ def test_detail_of_changed_parts_is_restored_with_the_noise_of_the_earlier_pictu
     assert (as_new | as_old).all() and not as_old.all()
 
 
-def test_a_picture_is_updated_the_same_if_the_changed_lenses_must_be_found_again(house, first, second):
-    calibration = house.truth.calibration
-    depth, picture = update(house, first, second)
-    fresh = replace(depth)
-    np.testing.assert_array_equal(
-        changed_since(first[1], fresh, first[0], second, calibration),
-        changed_since(first[1], depth, first[0], second, calibration),
-    )
-    again = lfrender.render(second, calibration, fresh, previous=first)
-    np.testing.assert_array_equal(again.image, picture.image)
-
-
 def test_copies_of_a_depth_map_keep_what_the_next_frame_is_compared_with(house, first, second):
     depth, _ = update(house, first, second)
     assert 0 < depth.frame_state.kept.mean() < 1
@@ -151,32 +137,6 @@ def test_new_texture_keeps_its_depth_if_it_matches_there(drawn_flat):
         same, calibration, "fast", previous=(one.image, before), skip=("blank", "ranges", "still")
     )
     assert "steady" not in unchecked.saved
-
-
-@pytest.mark.parametrize(("error", "moves"), [(0.01, True), (0.1, False)])
-def test_an_offset_within_the_noise_does_not_count_as_motion(error, moves):
-    lattice = Lattice((20.0, 20.0), ((23.2, 0.0), (0.0, 23.2)), (240, 240), 11.0)
-    count = len(lattice)
-    every, none = np.ones(count, bool), np.zeros(count, np.float32)
-    then = LocalMatch(none, none, np.full(count, error, np.float32), every, every)
-    # Twice the smallest offset that counts, of all lenses to the same side.
-    now = replace(then, offset=np.full(count, 0.2, np.float32))
-    found, _ = find_moved(then, now, every, np.zeros(count, np.int8), neighbour_rows(lattice, lattice.steps))
-    assert found.all() if moves else not found.any()
-
-
-@pytest.mark.parametrize(("moved", "worse", "in_doubt"), [(0.01, 0.0, False), (0.06, 0.0, True), (0.0, 0.1, True)])
-def test_lenses_with_small_changes_are_doubtful(moved, worse, in_doubt):
-    lattice = Lattice((20.0, 20.0), ((23.2, 0.0), (0.0, 23.2)), (240, 240), 11.0)
-    count = len(lattice)
-    every, none = np.ones(count, bool), np.zeros(count, np.float32)
-    then = LocalMatch(none, none, np.full(count, 0.01, np.float32), every, every)
-    now = replace(then, offset=np.full(count, moved, np.float32), cost=np.full(count, worse, np.float32))
-    neighbours = neighbour_rows(lattice, lattice.steps)
-    found, doubtful = find_moved(then, now, every, np.zeros(count, np.int8), neighbours)
-    assert not found.any() and doubtful.all() == doubtful.any() == in_doubt
-    # A lens without a depth is always doubtful.
-    assert find_moved(then, then, ~every, np.ones(count, np.int8), neighbours)[1].all()
 
 
 def test_slow_changes_of_depth_do_not_accumulate_unnoticed(drawn_flat):

@@ -49,19 +49,6 @@ def test_a_region_analysed_by_fast_agrees_with_the_whole(house, found):
     assert np.percentile(np.abs(part.patch_size - found.patch_size)[both], 95) < 0.05
 
 
-def test_a_still_frame_of_fast_keeps_its_depth(house, found):
-    rng = np.random.default_rng(3)
-    noisy = np.clip(house.flat + rng.integers(-1, 2, house.flat.shape), 0, 255).astype(np.uint8)
-    first = lfrender.analyze(noisy, house.truth.calibration, "fast")
-    changed = noisy.copy()
-    changed[: len(noisy) // 4] = np.roll(noisy, 9, 1)[: len(noisy) // 4]
-    after = lfrender.analyze(changed, house.truth.calibration, "fast", previous=(noisy, first))
-    assert 0.5 < after.saved["still"] < 0.9
-    kept = house.truth.calibration.lattice.centres()[:, 1] > 0.5 * len(noisy)
-    # Noise alone may change a lens or two.
-    assert np.isclose(after.filled_patch_size, first.filled_patch_size, rtol=1e-6)[kept].mean() > 0.97
-
-
 def test_fast_gives_the_same_bits_with_one_thread(house, found):
     threads = numba.get_num_threads()
     numba.set_num_threads(1)

@@ -2,35 +2,11 @@
 
 from __future__ import annotations
 
-from threading import Thread
-
 import numpy as np
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.runtime.buffers import allocate_pooled, allocate_scratch
-
-
-def test_scratch_memory_is_reused_by_the_same_thread_only():
-    first = allocate_scratch("test", (100, 70), np.float32)
-    assert np.shares_memory(first, allocate_scratch("test", (50, 100), np.float32))
-    assert not np.shares_memory(first, allocate_scratch("other test", (100, 70), np.float32))
-    elsewhere = []
-    thread = Thread(target=lambda: elsewhere.append(allocate_scratch("test", (100, 70), np.float32)))
-    thread.start()
-    thread.join()
-    assert not np.shares_memory(first, elsewhere[0])
-
-
-def test_larger_arrays_and_other_types_get_new_memory():
-    small = allocate_scratch("growing", (10,), np.float32)
-    assert allocate_scratch("growing", (1000,), np.float32).shape == (1000,)
-    assert not np.shares_memory(small, allocate_scratch("growing", (10,), np.uint32))
-
-
-def test_scratch_memory_above_128_mebibytes_is_not_kept():
-    huge = allocate_scratch("huge", (1 << 27, 2), np.uint8)
-    assert not np.shares_memory(huge, allocate_scratch("huge", (1 << 27, 2), np.uint8))
+from lfrender.runtime.buffers import allocate_pooled
 
 
 def test_the_next_frame_does_not_change_depth_and_picture_of_the_last_one():

@@ -8,7 +8,7 @@ import sys
 import lfcal
 import lfrender
 from benchmarks.first_run import cached_kernels
-from lfrender.flat.lens_graph import opposite_neighbours
+from lfrender.depth.matching.neighbours import neighbours_of
 
 
 def compiled():
@@ -35,4 +35,5 @@ def test_unpickled_cameras_need_no_other_kernels(house):
 
 def test_neighbours_are_contiguous_as_after_unpickling():
     lattice = lfcal.Lattice((20.0, 30.0), [(12.0, 0.5), (6.0, 10.4)], (640, 480), 5.5)
-    assert all(half.flags.c_contiguous for half in opposite_neighbours(lattice))
+    neighbours = neighbours_of(lattice)
+    assert neighbours.forward.flags.c_contiguous and neighbours.backward.flags.c_contiguous

@@ -10,14 +10,8 @@ from scipy.ndimage import distance_transform_edt
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.data.surface import Surface
-from lfrender.depth.edges.agreement import Agreement, measure_agreement
-from lfrender.depth.edges.geometry import mark_levels
-from lfrender.depth.edges.locate_edges import locate_edges
-from lfrender.depth.edges.rims import keep_proven
-from lfrender.depth.edges.settings import DEFAULT
+from lfrender.depth.edges.locate_edges import FINER, locate_edges
 from lfrender.depth.pipeline import prepare_flat
-from lfrender.flat.lens_graph import nearest_lens
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +50,7 @@ def test_its_grid_is_finer_about_the_same_places(house_in_front):
     _, _, depth, _, gray, lattice = house_in_front
     after, before = locate_edges(gray, lattice, depth).surface, depth.surface
     finer = len(after.patch_size) // len(before.patch_size)
-    assert finer == round(before.spacing / after.spacing) == DEFAULT.finer
+    assert finer == round(before.spacing / after.spacing) == FINER
     middle = after.first[0] + 0.5 * (finer - 1) * after.spacing
     assert middle == pytest.approx(before.first[0])
 
@@ -105,57 +99,3 @@ def test_a_frame_after_another_has_edges_where_it_changed_and_the_old_ones_elsew
     v, u = (np.array([20, 150]) - before.surface.first[0]) / before.surface.spacing
     assert same[:, int(300 / before.surface.spacing) :].all()
     assert not same[int(v) : int(u), int(v) : int(u)].all()
-
-
-def test_lenses_that_differ_in_their_light_agree_less(house_in_front):
-    _, _, depth, _, gray, lattice = house_in_front
-    rng = np.random.default_rng(0)
-    gap = 0.04 * lattice.pitch
-    even = replace(depth, filled_patch_size=np.full_like(depth.filled_patch_size, 6.0))
-    light = np.ones_like(gray.image)
-    for (x, y), factor in zip(gray.centres, rng.normal(1, 0.1, len(gray.centres)), strict=True):
-        light[max(0, int(y) - 10) : int(y) + 10, max(0, int(x) - 10) : int(x) + 10] = factor
-    uneven = replace(gray, image=np.ascontiguousarray(gray.image * light))
-    assert measure_agreement(uneven, lattice, even, gap).share > 1.3 * measure_agreement(gray, lattice, even, gap).share
-
-
-@pytest.mark.parametrize(("fixed", "share"), [(0.02, 0.0), (0.0, 0.05)])
-def test_what_agrees_is_told_for_noise_and_for_light_that_grows_with_brightness(house_in_front, fixed, share):
-    _, _, depth, _, gray, lattice = house_in_front
-    even = replace(depth, filled_patch_size=np.full_like(depth.filled_patch_size, 6.0))
-    rng = np.random.default_rng(1)
-    # Lenses are compared with that to their right.
-    image = np.repeat(np.linspace(0.1, 0.9, len(gray.image), dtype=np.float32)[:, None], gray.image.shape[1], 1)
-    image += (rng.normal(0, 1, image.shape) * (fixed + share * image)).astype(np.float32)
-    found = measure_agreement(replace(gray, image=image), lattice, even, 0.04 * lattice.pitch)
-    bright, dark = (np.hypot(found.fixed, found.share * level) for level in (0.8, 0.2))
-    # Two pixels differ by more than one from its mean, and so do patches of few pixels from the median of all.
-    wanted = DEFAULT.noise * np.sqrt(2) * (fixed + share * np.array([0.8, 0.2]))
-    assert bright == pytest.approx(wanted[0], rel=0.3)
-    assert dark == pytest.approx(wanted[1], rel=0.5)
-
-
-def test_a_region_stays_only_where_its_rim_has_contrast(house_in_front):
-    _, _, _, _, gray, lattice = house_in_front
-    image = np.full_like(gray.image, 0.5)
-    # Lenses show the right half of this scene at a patch size of 6 px darker than the left one.
-    centres = gray.centres[nearest_lens(lattice, np.argwhere(np.ones(image.shape))[:, ::-1])].reshape(*image.shape, 2)
-    x = np.mgrid[: image.shape[0], : image.shape[1]][1]
-    image[centres[..., 0] - (x - centres[..., 0]) * lattice.pitch / 6.0 > 200] = 0.3
-    before = np.full((170, 210), -6.0, np.float32)
-    values = before.copy()
-    values[20:150, 101:] = 6.0
-    values[60:100, 20:50] = 6.0
-    values[140:, 80:] = values[:40, 80:] = -6.0
-    found = keep_proven(Surface(values, (0.0, 0.0), 2.0), before, replace(gray, image=image), lattice,
-                        Agreement(0.02, 0.05), 0.8)  # fmt: skip
-    assert (found[60:100, 20:50] == -6).all()
-    assert (found[45:135, 105:] == 6).all()
-
-
-def test_levels_are_marked_within_reach():
-    surface = np.full((9, 9), 5.0, np.float32)
-    surface[4, 4] = -5.0
-    level = np.uint64((-5.0 / 20 + 0.8) * 40)
-    marked = (mark_levels(surface, 20.0, 2) >> level) & np.uint64(1)
-    assert marked[4, 6] and marked[6, 4] and marked[6, 6] and not marked[4, 7] and not marked[7, 4]

@@ -83,17 +83,6 @@ def test_shading_common_to_all_lenses_is_not_taken_for_fine_texture(scenes):
     assert np.mean((quick.mode == 0) == (plain.mode == 0)) > 0.97
 
 
-@pytest.mark.parametrize("strength", [0.01, 0.03])
-def test_a_card_before_a_blank_wall_is_one_plane_under_weak_and_strong_shading(scenes, strength):
-    shot = scenes.shot_of(
-        *blank(scenes.camera(), ratio=0.2).surfaces, scenes.card(0.3, (150, 100), (450, 380)), noise=(4000, 5)
-    )
-    full, quick = scenes.both(replace(shot, flat=with_slopes(shot, strength)))
-    assert scenes.agreement(full, quick) > 0.99
-    known = quick.patch_size[quick.mode != 0]
-    assert np.quantile(np.abs(known - 0.3 * 23.2), 0.9) < 0.02
-
-
 def test_lenses_without_texture_are_filled_from_the_nearest_resolved_ones(scenes):
     cards = scenes.card(0.3, (40, 40), (200, 160)), scenes.card(-0.3, (440, 320), (600, 440))
     shot = scenes.shot_of(*blank(scenes.camera(), ratio=0.2).surfaces, *cards, noise=(4000, 5))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from data_synth import SCENES, Camera, simulate
+from lfrender.depth.matching.neighbours import neighbours_of
 from lfrender.depth.refinement.lens_plane import fit_lens_planes
 from lfrender.depth.refinement.pair_fit import fit_pairs
 from lfrender.flat.gray_flat import make_gray_flat
-from lfrender.flat.lens_graph import opposite_neighbours
 
 RATIO, FOCUS = -0.4, (-0.1, 0.04, 0.18)
 
@@ -29,9 +29,9 @@ def errors(kinds: bool, gamma: bool = True) -> np.ndarray:
     gray = make_gray_flat(shot.flat, shot.truth.calibration)
     gray = replace(gray, lens_type=shot.truth.lens_type.astype(np.int8) if kinds else None)
     start = (shot.truth.patch_size + 0.2).astype(np.float32)
-    halves = opposite_neighbours(shot.truth.calibration.lattice)
-    pairs = fit_pairs(gray, halves[0], start, np.full(len(start), 0.1, np.float32), 0.004, 5)
-    alone = fit_lens_planes(gray, *halves, pairs, start)
+    neighbours = neighbours_of(shot.truth.calibration.lattice)
+    pairs = fit_pairs(gray, neighbours.forward, start, np.full(len(start), 0.1, np.float32), 0.004, 5)
+    alone = fit_lens_planes(gray, neighbours, pairs, start)
     inner = (np.abs(gray.centres - np.array([209.5, 179.5])) < np.array([150, 120])).all(1)
     return (alone.patch_size - shot.truth.patch_size)[inner]
 

@@ -4,17 +4,16 @@ import dataclasses
 
 import numpy as np
 
+from lfrender.depth.matching.neighbours import neighbours_of
 from lfrender.depth.refinement.lens_plane import fit_lens_planes
 from lfrender.depth.refinement.pair_fit import fit_pairs
-from lfrender.flat.lens_graph import neighbour_rows
 
 
 def measure(gray, lattice, start, noise=0.005, iterations=8, scale=0.1):
-    rows = neighbour_rows(lattice, lattice.steps)
-    half = rows.shape[1] // 2
+    neighbours = neighbours_of(lattice)
     scale = np.full(len(start), scale, np.float32)
-    pairs = fit_pairs(gray, rows[:, :half], start.astype(np.float32), scale, noise, iterations)
-    return pairs, fit_lens_planes(gray, rows[:, :half], rows[:, half:], pairs, start.astype(np.float32))
+    pairs = fit_pairs(gray, neighbours.forward, start.astype(np.float32), scale, noise, iterations)
+    return pairs, fit_lens_planes(gray, neighbours, pairs, start.astype(np.float32))
 
 
 def test_pairs_of_a_plane_have_no_common_error_at_any_fraction_of_a_pixel(drawn_flat):
@@ -48,7 +47,7 @@ def test_neighbours_on_two_surfaces_are_fitted_from_both_sides(drawn_flat):
     gray, lattice, _truth, inner = drawn_flat(-6.0)
     start = np.where(gray.centres[:, 0] < 200, -6.0, 6.0).astype(np.float32)
     pairs, _ = measure(gray, lattice, start)
-    across = neighbour_rows(lattice, lattice.steps)[:, 0]
+    across = neighbours_of(lattice).forward[:, 0]
     edge = inner & (start < 0) & (start[across] > 0)
     assert edge.sum() >= 8
     assert np.abs(pairs.patch_size[edge, 0, 0] + 6.0).max() < 0.05

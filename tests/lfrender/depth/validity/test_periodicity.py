@@ -6,39 +6,7 @@ import pytest
 import lfrender
 from benchmarks.stress.outcome import depth_of_plane
 from benchmarks.stress.plane_flats import PlaneFlat
-from lfrender.depth.validity.periodicity import autocorrelation, find_periodic_texture, is_periodic
-
-
-def _wave(period, side=61):
-    y, x = np.mgrid[:side, :side]
-    return np.sin(2 * np.pi * x / period) + np.sin(2 * np.pi * y / period)
-
-
-def test_the_autocorrelation_of_a_wave_peaks_at_its_period():
-    seen = np.ones((61, 61), bool)
-    seen[40:, :20] = False
-    found = autocorrelation(5 + _wave(12.0), seen, 20)
-    assert found.shape == (41, 41)
-    assert found[20, 20] == pytest.approx(1)
-    assert found[20, 32] > 0.99 and found[32, 20] > 0.99
-    assert found[26, 26] < -0.95
-    assert is_periodic(found, 10.0) == (True, True)
-    # Less than three microimages are too few.
-    assert is_periodic(found, 2.0) == (False, False)
-
-
-def test_lags_of_little_overlap_or_flat_overlap_do_not_count():
-    seen = np.zeros((61, 61), bool)
-    seen[:, :15] = seen[:, 46:] = True
-    picture = np.random.default_rng(0).standard_normal((61, 61))
-    assert autocorrelation(picture, seen, 25)[25, 45] == -1
-    picture[:, 46:] = 0
-    assert autocorrelation(picture, np.ones((61, 61), bool), 50)[50, 90] < 0.1
-
-
-def test_random_texture_is_not_periodic():
-    picture = np.random.default_rng(1).standard_normal((61, 61))
-    assert is_periodic(autocorrelation(picture, np.ones((61, 61), bool), 20), 10.0) == (False, False)
+from lfrender.depth.validity.periodicity import find_periodic_texture
 
 
 # Wrong depths within reach match as well as the right one beyond it.
