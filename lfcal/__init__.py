@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .boards.board import Board
     from .camera.calibration import Calibration
-    from .camera.lens_blur import LensBlur
-    from .camera.lens_types import LensTypes
+    from .camera.lens_types import LensBlur, LensTypes
     from .camera.optics import Optics
     from .camera_files.read_write import load
     from .display.compare import compare
@@ -67,7 +66,7 @@ _HOMES = {
     "FlatError": "runtime.errors",
     "FlatSource": "images.stream",
     "Lattice": "lattice.lattice",
-    "LensBlur": "camera.lens_blur",
+    "LensBlur": "camera.lens_types",
     "LensTypes": "camera.lens_types",
     "LightFieldError": "runtime.errors",
     "MetricCalibration": "metric.result",

@@ -190,16 +190,16 @@ def _enclosed_share(dark: NDArray[np.bool_], index: NDArray[np.int64]) -> float:
     """Share of the lenses (n,) at indices (n, 2) that are dark between lit ones, in both lattice directions, and beside
     other dark ones: single lenses are missing on white images too."""
     i, j = (index - index.min(0) + 1).T
-    grid = np.zeros((i.max() + 2, j.max() + 2), np.bool_)
-    grid[i, j] = dark
-    enclosed = dark & (grid[i - 1, j] | grid[i + 1, j] | grid[i, j - 1] | grid[i, j + 1])
+    lit, gone = np.zeros((2, i.max() + 2, j.max() + 2), np.bool_)
+    lit[i, j], gone[i, j] = ~dark, dark
+    beside = gone[i - 1, j] | gone[i + 1, j] | gone[i, j - 1] | gone[i, j + 1]
+    enclosed = gone
     for axis in (0, 1):
-        row = index[:, 1 - axis] - index[:, 1 - axis].min()
-        first, last = np.full(row.max() + 1, np.iinfo(np.int64).max), np.full(row.max() + 1, np.iinfo(np.int64).min)
-        np.minimum.at(first, row[~dark], index[~dark, axis])
-        np.maximum.at(last, row[~dark], index[~dark, axis])
-        enclosed &= (first[row] < index[:, axis]) & (index[:, axis] < last[row])
-    return float(enclosed.mean())
+        before, after = (
+            np.flip(np.logical_or.accumulate(np.flip(lit, turned), axis), turned) for turned in ((), (axis,))
+        )
+        enclosed = enclosed & before & after
+    return float((enclosed[i, j] & beside).mean())
 
 
 def _find_large(flat: NDArray[Any], kind: str, filtered: bool, block: int) -> LatticeCandidate | None:
@@ -224,20 +224,21 @@ def _find_candidates(
     def lights() -> list[NDArray[np.float32]]:
         return [equalise_mosaic(flat) if filtered else luminance(flat) for flat in flats]
 
+    def search(kind: str) -> tuple[LatticeCandidate, Iterator[LatticeCandidate]]:
+        candidates = find_lattices(lights(), kind, filtered, hint)
+        return next(candidates), candidates
+
     others: Iterator[LatticeCandidate] = iter(())
     if found is None:
-        others = find_lattices(lights(), kind, filtered, hint)
         try:
-            found = next(others)
+            found, others = search(kind)
         except CalibrationError:
             if kind != "auto" or len(flats) > 1:
                 raise
             # Evenly lit, but no white image that can be fitted: it may be a scene.
-            others = find_lattices(lights(), "scene", filtered, hint)
-            found = next(others)
+            found, others = search("scene")
     if found.white and kind == "auto" and len(flats) == 1 and _shows_scene(found):
-        others = find_lattices(lights(), "scene", filtered, hint)
-        found = next(others)
+        found, others = search("scene")
     if not found.white and hint is None:
         found, others = find_lattices_without_glare(found, others, lights, filtered)
     yield found

@@ -24,8 +24,7 @@ from ..runtime.arrays import Frozen
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError
 from ..runtime.image_formats import MOSAICS
 from ..runtime.output_file import atomic_write
-from .lens_blur import LensBlur
-from .lens_types import LensTypes
+from .lens_types import LensBlur, LensTypes
 from .optics import Optics
 
 __all__ = ["Calibration"]
@@ -57,7 +56,7 @@ class Calibration(Frozen):
     lattice : Lattice
         Centres, pitch and usable radius.
     vignetting : Vignetting or None
-        Radial light falloff inside each microimage; None where there is none or it is unknown.
+        Radial light falloff inside each microimage.
     source : str
         What it was measured on: `"white"`, `"scene"`, `"published"` or `"truth"`.
     residual_rms : float [px]
@@ -71,31 +70,28 @@ class Calibration(Frozen):
     lens_types : LensTypes or None
         Types of microlenses of a multi-focus array; None where one type was found.
     mosaic : str or None
-        Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"` or
-        `"GBRG"`; None where flats have no colour mosaic.
-    mosaic_guessed : bool
-        Whether the colour filters were found on a flat: which are red and which blue is a guess then.
+        Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"`, `"GBRG"`.
     gain_map : GainMap or None
-        Relative illumination at every position in every microimage; None where only `vignetting` is known.
+        Relative illumination at every position in every microimage.
     defects : Defects
         Pixels and lenses to leave out.
     errors : LatticeErrors or None
-        Standard errors of the lattice's parameters and centres; None where not measured.
+        Standard errors of the lattice's parameters and centres.
     residuals : Residuals or None
         How far single microimages lie from the lattice; None where single ones do not show it, as in scenes.
     white_level : float or None
-        Largest value of its flats where that is less than their type holds, as 4095 for 12 bits in files of 16; None
-        where it is not, for floats, or unknown.
+        Largest value of its flats where that is less than their type holds, as 4095 for 12 bits in files of 16.
     optics : Optics or None
-        Main lens, distances and their covariance, which turn patch sizes into metres; None where not calibrated.
+        Main lens, distances and their covariance, which turn patch sizes into metres.
+    circle_agreement : float
+        Share of the circles found by Hough vote that lie on the lattice, beyond chance; NaN where not measured.
     lens_blur : LensBlur or None
-        Blur of the microlenses, which pictures with `detail` undo; None where it is not known.
+        Blur of the microlenses, which pictures with `detail` undo.
     encoded : bool or None
         Whether its flats are encoded for display, about as the square root of light, or linear; None where only their
         type tells it: those of 8 bits are.
-    circle_agreement : float
-        Up to 1: share of the circles found by Hough vote that lie on the lattice, beyond chance; NaN where not
-        measured.
+    mosaic_guessed : bool
+        Whether the colour filters were found on a flat: which are red and which blue is a guess then.
 
     Examples
     --------
@@ -195,10 +191,8 @@ class Calibration(Frozen):
             raise CameraFileError(f"not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE'")
         version = data.get("version")
         if version not in (_ROW_ORDER_VERSION, _VERSION):
-            raise CameraFileError(
-                f"version {version!r} is not known "
-                f"(this toolkit reads {_ROW_ORDER_VERSION} and {_VERSION}); calibrate again"
-            )
+            known_ones = f"{_ROW_ORDER_VERSION} and {_VERSION}"
+            raise CameraFileError(f"version {version!r} is not known, {known_ones} are; calibrate again")
         # Whoever never reads a camera file need not load the library that checks it.
         from .schema import check_fields, check_together
 
@@ -237,39 +231,21 @@ class Calibration(Frozen):
         return camera
 
     def gain(self) -> NDArray[np.float32]:
-        """Relative illumination of every pixel, 1 at the brightest place of the field.
-
-        (h, w) float32, NaN where it is unknown: in gaps, where microimages are cut off, in unlit lenses.
-        """
+        """(h, w) relative illumination of every pixel, 1 at the brightest; NaN where unknown: gaps, unlit lenses."""
         return self.region_gain().at(0, 0, *self.image_size)
 
     def flatten(self, flat: ArrayLike) -> NDArray[Any]:
         """Divide a flat by the gain of the camera, so that a white image of it becomes even.
 
-        Parameters
-        ----------
-        flat : (h, w) or (h, w, c) array_like
-            Unsigned integers or floats, of the size the camera is for.
-
-        Returns
-        -------
-        array of the shape and type of `flat`
-            Integers are rounded, and clipped at the highest value of their type. Pixels whose gain is unknown, NaN in
-            `gain()`, are left as they are.
-
-        Raises
-        ------
-        FlatError
-            If `flat` is no picture, or not of the size the camera is for.
+        `flat` (h, w) or (h, w, c), of unsigned integers or floats, keeps its type: integers are rounded and clipped.
+        Pixels whose gain is unknown, NaN in `gain()`, are left as they are. Raises FlatError for another size.
         """
         pixels = np.asarray(flat)
         if pixels.ndim not in (2, 3) or pixels.dtype.kind not in "uf" or 0 in pixels.shape:
             raise FlatError(f"flat of shape {pixels.shape} and type {pixels.dtype}; give a grey or colour picture")
-        if (pixels.shape[1], pixels.shape[0]) != self.image_size:
-            raise FlatError(
-                f"flat is {pixels.shape[1]} x {pixels.shape[0]} px, the camera is for "
-                f"{self.image_size[0]} x {self.image_size[1]} px; calibrate on a flat of that size"
-            )
+        if pixels.shape[1::-1] != self.image_size:
+            given, own = ("{} x {} px".format(*size) for size in (pixels.shape[1::-1], self.image_size))
+            raise FlatError(f"flat is {given}, the camera is for {own}; calibrate on a flat of that size")
         return self.region_gain().flatten(pixels)[0]
 
     def region_gain(self) -> RegionGain:
@@ -277,11 +253,10 @@ class Calibration(Frozen):
         return RegionGain(self._gain_map(), self.lattice)
 
     def usable_radius(self) -> NDArray[np.float64]:
-        """Radius up to which each microimage is lit.
+        """(n,) radius [px] up to which each microimage has half its light, in the order of `lattice.centres()`.
 
-        (n,) float64 [px] in the order of `lattice.centres()`: radius of the largest circle about the centre with at
-        least half the light of the brightest place of the lens, at most half the distance to the nearest microimage.
-        Where mechanical vignetting cuts a microimage it is the distance to the cut. 0 for unlit lenses.
+        At most half the distance to the nearest microimage; the distance to the cut where mechanical vignetting cuts a
+        microimage; 0 for unlit lenses.
         """
         return self._gain_map().usable_radius(self.lattice)
 

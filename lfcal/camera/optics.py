@@ -37,12 +37,9 @@ def object_slopes(image: Array, coefficients: Sequence[float] | Array) -> Array:
     x, y = image.T
     square = x * x + y * y
     gain = 1 + square * (k1 + square * (k2 + square * k3))
-    return np.column_stack(
-        [
-            x * gain + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-            y * gain + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
-        ]
-    )
+    bent_x = x * gain + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+    bent_y = y * gain + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+    return np.column_stack([bent_x, bent_y])
 
 
 def turn_to_array(tilt: Sequence[float] | Array) -> Array:
@@ -164,13 +161,10 @@ class Optics:
             Scene coordinates of the places, for the tilt of the array and the curvature of the field; by default all
             lie on the axis.
         """
-        ratio = np.asarray(ratio, dtype=np.float64)
-        if points is None or self.principal_point is None:
-            where = np.zeros((ratio.size, 2))
-        else:
+        ratio, where = np.asarray(ratio, dtype=np.float64), np.zeros((np.size(ratio), 2))
+        if points is not None and self.principal_point is not None:
             where = np.asarray(points, dtype=np.float64).reshape(-1, 2) - self.principal_point
-        found = self._behind(where, ratio.ravel())[0].reshape(ratio.shape)
-        return found  # type: ignore[no-any-return]
+        return self._behind(where, ratio.ravel())[0].reshape(ratio.shape)  # type: ignore[no-any-return]
 
     def positions(self, points: Array, ratio: ArrayLike, middle: ArrayLike | None = None) -> Array:
         """(n, 3) places [m] seen at scene coordinates (n, 2) [px]: x right, y down, z in front of the main lens.
@@ -253,12 +247,7 @@ class Optics:
     def load(cls, path: str | os.PathLike[str]) -> Optics:
         """Read a JSON file with `focal_length_mm`, `mla_distance_mm`, `sensor_distance_mm` and `pixel_mm`.
 
-        Camera files with optics, made by `lfcal metric`, can be read too.
-
-        Raises
-        ------
-        CameraFileError
-            If the file cannot be read, or a number is missing or wrong.
+        Camera files with optics, made by `lfcal metric`, can be read too. CameraFileError if a number is wrong.
         """
         remedy = f"give a JSON object with {', '.join(f'{name}_mm' for name in _LENGTHS)}"
         try:

@@ -89,23 +89,21 @@ def plot_falloff(calibration: Calibration, ax: Any) -> None:
 
 def _plot_centres(calibration: Calibration, ax: Any, most: int = 600) -> None:
     """Centres and usable circles of the microimages: all of them, or where they are too many those in the middle."""
-    from matplotlib.collections import EllipseCollection
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle
 
-    lattice, types, (width, height) = calibration.lattice, calibration.lens_types, calibration.image_size
+    lattice, types, size = calibration.lattice, calibration.lens_types, np.array(calibration.image_size)
     centres = lattice.centres()
-    left, top, right, bottom = -0.5, -0.5, width - 0.5, height - 0.5
-    title = f"{len(centres):,} microimages"
+    half, title = size / 2, f"{len(centres):,} microimages"
     if len(centres) > most:
-        side = lattice.pitch * most**0.5 / 2
-        left, right = max(left, width / 2 - side), min(right, width / 2 + side)
-        top, bottom = max(top, height / 2 - side), min(bottom, height / 2 + side)
-        title += ", those in the middle"
+        half, title = np.minimum(half, lattice.pitch * most**0.5 / 2), f"{title}, those in the middle"
+    (left, top), (right, bottom) = (size - 1) / 2 - half, (size - 1) / 2 + half
     inside = ((centres > (left, top)) & (centres < (right, bottom))).all(1)
     shown = centres[inside]
     kinds = np.zeros(len(shown), int) if types is None else types.of(lattice.indices()[inside])
-    sizes = np.full(len(shown), 2 * lattice.radius)
-    circles = EllipseCollection(sizes, sizes, 0 * sizes, units="xy", offsets=shown, offset_transform=ax.transData)
-    circles.set(facecolor="none", edgecolor=[TYPE_COLOURS[kind % 4] for kind in kinds], linewidth=0.6)
+    colours = [TYPE_COLOURS[kind % len(TYPE_COLOURS)] for kind in kinds]
+    circles = PatchCollection([Circle(centre, lattice.radius) for centre in shown])
+    circles.set(facecolor="none", edgecolor=colours, linewidth=0.6)
     ax.add_collection(circles)
     ax.plot(*shown.T, ".", markersize=2, color=TYPE_COLOURS[1])
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x [px]", ylabel="y [px]", title=title)

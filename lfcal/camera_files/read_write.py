@@ -10,21 +10,19 @@ import json
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 
 from ..camera.calibration import Calibration
 from ..camera.schema import check_plausible
-from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
 from ..runtime.image_formats import IMAGE_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
 from .text_files import (
     CENTRE_TOLERANCE,
-    HEADER,
+    Mode,
     format_centre_table,
     format_key_value,
     parse_centre_table,
@@ -49,26 +47,21 @@ def _parse_json(text: str, image_size: tuple[int, int] | None) -> Calibration:
     return camera
 
 
-@dataclass(frozen=True)
-class CameraFormat:
+class CameraFormat(NamedTuple):
     """One camera file format."""
 
     parse: Callable[[str, tuple[int, int] | None], Calibration]  # from the text of a file and the image size
-    format: Callable[[Calibration], str]  # the text of a file
-    recognise: Callable[[str], bool]  # from the first line that is neither empty nor a comment
+    format: Callable[[Calibration, Mode | None], str]  # the text of a file, of captures of that mode
+    recognise: str  # regular expression of the first line that is neither empty nor a comment
     is_exact: bool = False  # any lattice can be written; else what was written is read again and compared
 
 
 #: Every camera file format by its suffix. A new one is a line here and a module with its two functions.
 FORMATS = {
-    ".json": CameraFormat(_parse_json, Calibration.to_json, lambda line: line.startswith("{"), is_exact=True),
-    ".xml": CameraFormat(parse_xml, format_xml, lambda line: line.startswith("<")),
-    ".cfg": CameraFormat(
-        parse_key_value, format_key_value, lambda line: re.match(r"\w+\s*:\s*[-+.\d]", line) is not None
-    ),
-    ".csv": CameraFormat(
-        parse_centre_table, format_centre_table, lambda line: line.replace(" ", "") == HEADER, is_exact=True
-    ),
+    ".json": CameraFormat(_parse_json, lambda camera, _: camera.to_json(), r"{", is_exact=True),
+    ".xml": CameraFormat(parse_xml, lambda camera, _: format_xml(camera), r"<"),
+    ".cfg": CameraFormat(parse_key_value, format_key_value, r"\w+\s*:\s*[-+.\d]"),
+    ".csv": CameraFormat(parse_centre_table, lambda camera, _: format_centre_table(camera), r"i *, *j *,", True),
 }
 
 
@@ -79,14 +72,10 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
     ----------
     path : path-like
         JSON of `Calibration.save`, `RayCalibData` or `TSPCCalibData` XML, key : value lines, or a table of centres
-        `i,j,x,y`.
+        `i,j,x,y`; recognised by its content.
     image_size : (int, int) or None [px]
-        Width and height of the flats; needed for XML and tables, which lack it.
-
-    Raises
-    ------
-    CameraFileError
-        If the file is missing, is not of a known format, a field is wrong, or it belongs to another image size.
+        Width and height of the flats; needed for XML and tables, which lack it. CameraFileError if the file has another
+        one, is missing, or wrong.
 
     Examples
     --------
@@ -109,9 +98,8 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
         raise CameraFileError(f"{source}: cannot be read as a camera file ({error})") from error
     lines = (line.strip() for line in text.splitlines())
     first = next((line for line in lines if line and not line.startswith("#")), "")
-    known = next((form for form in FORMATS.values() if form.recognise(first)), None)
-    if known is None:
-        known = FORMATS.get(source.suffix.lower(), FORMATS[".json"])
+    by_suffix = FORMATS.get(source.suffix.lower(), FORMATS[".json"])
+    known = next((form for form in FORMATS.values() if re.match(form.recognise, first)), by_suffix)
     try:
         camera = known.parse(text, image_size)
         check_plausible(camera.lattice)
@@ -122,12 +110,7 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
         raise CameraFileError(f"{source}: {error}; calibrate on a flat instead") from error
 
 
-def convert(
-    calibration: Calibration,
-    path: str | os.PathLike[str],
-    *,
-    mode: Literal["telescopic", "binocular"] | None = None,
-) -> None:
+def convert(calibration: Calibration, path: str | os.PathLike[str], *, mode: Mode | None = None) -> None:
     """Write a camera in the format its suffix names; the file appears whole or not at all.
 
     `.json` is our own format and keeps everything. `.xml` (`RayCalibData`) keeps lattice, radius and the three lens
@@ -135,12 +118,8 @@ def convert(
     `i, j, x, y` of all centres. A `.cfg` file also states the `mode` of the captures; without one it is that in which
     the lens types are focused, or binocular where they do not tell.
 
-    Raises
-    ------
-    OutputError
-        If the suffix is of no known format or the file cannot be written.
-    CameraFileError
-        If the format cannot hold this lattice.
+    OutputError if the suffix is of no known format or the file cannot be written, CameraFileError if the format cannot
+    hold this lattice.
 
     Examples
     --------
@@ -154,20 +133,16 @@ def convert(
     """
     check_output(path, FORMATS)
     form = FORMATS[Path(path).suffix.lower()]
-    text = format_key_value(calibration, mode) if form.format is format_key_value else form.format(calibration)
+    text = form.format(calibration, mode)
     if not form.is_exact:
-        written = form.parse(text, calibration.image_size).lattice
-        if not _same_centres(calibration.lattice, written):
+        # Indices may be others: the same cell, and whole indices, are the same centres.
+        lattice, again = calibration.lattice, form.parse(text, calibration.image_size).lattice
+        index = again.to_index(lattice.centres())
+        apart = np.abs((index - np.rint(index)) @ again.basis).max()
+        cell = abs(abs(np.linalg.det(again.basis) / np.linalg.det(lattice.basis)) - 1)
+        if not max(apart, cell) <= CENTRE_TOLERANCE:
             raise CameraFileError(
                 f"{path}: this format cannot hold the lattice to {CENTRE_TOLERANCE} px; write .json or .csv"
             )
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def _same_centres(lattice: Lattice, again: Lattice) -> bool:
-    """Whether two lattices have the same centres, whatever their indices."""
-    index = again.to_index(lattice.centres())
-    apart = (index - np.rint(index)) @ again.basis
-    same_cell = abs(abs(np.linalg.det(again.basis) / np.linalg.det(lattice.basis)) - 1) < CENTRE_TOLERANCE
-    return bool(same_cell and np.abs(apart).max() <= CENTRE_TOLERANCE)

@@ -18,7 +18,7 @@ from ..runtime.errors import CameraFileError
 from .published import PublishedNumbers, calibration_from_corners, published_calibration, require_size
 
 __all__ = [
-    "CENTRE_TOLERANCE", "HEADER", "format_centre_table", "format_key_value", "parse_centre_table", "parse_key_value",
+    "CENTRE_TOLERANCE", "Mode", "format_centre_table", "format_key_value", "parse_centre_table", "parse_key_value",
 ]  # fmt: skip
 
 HEADER = "i,j,x,y"
@@ -27,6 +27,7 @@ CENTRE_TOLERANCE = 1e-3
 _CORNERS = ("LeftTop", "RightTop", "LeftBottom", "RightBottom")
 
 Vector = NDArray[np.float64]
+Mode = Literal["telescopic", "binocular"]
 
 
 def parse_key_value(text: str, image_size: tuple[int, int] | None) -> Calibration:
@@ -55,7 +56,7 @@ def parse_key_value(text: str, image_size: tuple[int, int] | None) -> Calibratio
     return published_calibration(origin, (basis[:, ::-1] if upright else basis) * pitch, size, pitch / 2, warnings)
 
 
-def format_key_value(calibration: Calibration, mode: Literal["telescopic", "binocular"] | None = None) -> str:
+def format_key_value(calibration: Calibration, mode: Mode | None = None) -> str:
     """Key : value lines with the centres of four microimages at the corners of a parallelogram.
 
     `IsKepler` is 1 for binocular captures: the flag names the modes the other way round. Without a `mode` it follows
@@ -107,7 +108,7 @@ def _outermost(lattice: Lattice, middle: Vector, across: Vector, down: Vector) -
     return first, columns, rows
 
 
-def _mode_of_types(calibration: Calibration) -> Literal["telescopic", "binocular"] | None:
+def _mode_of_types(calibration: Calibration) -> Mode | None:
     """The mode that all lens types are focused at, None where that is not known."""
     focus = calibration.lens_types.focus if calibration.lens_types is not None else None
     if focus is None or not (np.isfinite(focus).all() and abs(np.sign(focus).sum()) == len(focus)):

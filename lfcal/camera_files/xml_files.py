@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,52 +126,45 @@ def format_xml(calibration: Calibration) -> str:
     base[0, 1] = 0.0
     middle = lattice.middle
     offset = (lattice.origin + middle @ lattice.basis - (np.array(lattice.image_size) - 1) / 2) * [1, -1]
-    return (
-        '<?xml version="1.0"?>\n<RayCalibData version="1.0">\n'
-        + _pair("offset", "pix", offset)
-        + f'  <diameter units="pix">{lattice.pitch:.12f}</diameter>\n'
-        + f'  <rotation units="rad">{rotation:.12f}</rotation>\n'
-        + f'  <lens_border units="pix">{lattice.pitch / 2 - lattice.radius:.12f}</lens_border>\n'
-        + _pair("lens_base_x", "lens", base[0])
-        + _pair("lens_base_y", "lens", base[1])
-        + _types_xml(calibration.lens_types, lattice, middle, to_lens)
-        + "</RayCalibData>\n"
-    )
+    elements = [
+        _element("offset", "pix", x=offset[0], y=offset[1]),
+        f'<diameter units="pix">{lattice.pitch:.12f}</diameter>',
+        f'<rotation units="rad">{rotation:.12f}</rotation>',
+        f'<lens_border units="pix">{lattice.pitch / 2 - lattice.radius:.12f}</lens_border>',
+        _element("lens_base_x", "lens", x=base[0, 0], y=base[0, 1]),
+        _element("lens_base_y", "lens", x=base[1, 0], y=base[1, 1]),
+        *_type_elements(calibration.lens_types, lattice, middle, to_lens),
+    ]
+    root = ElementTree.fromstring(f'<RayCalibData version="1.0">{"".join(elements)}</RayCalibData>')
+    ElementTree.indent(root)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def _types_xml(
+def _type_elements(
     types: LensTypes | None, lattice: Lattice, middle: NDArray[np.int64], to_lens: NDArray[np.float64]
-) -> str:
-    """The rectangle after which three lens types repeat, and one lens of each next to the index `middle` (2,)."""
+) -> Iterator[str]:
+    """The rectangle after which three lens types repeat, and one lens of each next to the index `middle` (2,).
+
+    Types part half way between their foci in `s`: nearest and farthest virtual depth of each.
+    """
     if types is None or types.count != 3 or len(lattice.steps) != 6:
-        return ""
+        return
     steps = np.vstack([np.zeros((1, 2), dtype=int), lattice.steps])
     kinds = types.of(middle + steps)
     if set(kinds.tolist()) != {0, 1, 2}:
-        return ""
-    text = _pair("sub_grid_base", "lens", np.array([3.0, np.sqrt(3.0)]))
-    for kind, depths in enumerate(_depth_ranges(types)):
-        step = steps[np.flatnonzero(kinds == kind)[0]]
-        lens = _pair("offset", "lens", (step @ lattice.basis * [1, -1]) @ to_lens, "    ")
-        text += f'  <lens_type id="{kind}">\n{lens}'
-        if depths is not None:
-            ends = "".join(f"      <{end}>{at:.12f}</{end}>\n" for end, at in zip(("min", "max"), depths, strict=True))
-            text += f'    <depth_range units="virtual_depth">\n{ends}    </depth_range>\n'
-        text += "  </lens_type>\n"
-    return text
-
-
-def _depth_ranges(types: LensTypes) -> list[tuple[float, float] | None]:
-    """Nearest and farthest virtual depth of each type; types part half way between their foci in `s`."""
+        return
     assert types.focus is not None
     sizes = np.abs(types.focus)
-    if not types.ordered or np.isnan(sizes).any() or not (np.diff(sizes) < 0).all():
-        return [None] * types.count
+    known = types.ordered and (np.diff(sizes) < 0).all()
     ends = [1.0, *(2 / (sizes[1:] + sizes[:-1])), 100.0]
-    return [(float(near), float(far)) for near, far in pairwise(ends)]
+    yield _element("sub_grid_base", "lens", x=3.0, y=np.sqrt(3.0))
+    for kind in range(3):
+        x, y = (steps[np.flatnonzero(kinds == kind)[0]] @ lattice.basis * [1, -1]) @ to_lens
+        depths = _element("depth_range", "virtual_depth", min=ends[kind], max=ends[kind + 1]) if known else ""
+        yield f'<lens_type id="{kind}">{_element("offset", "lens", x=x, y=y)}{depths}</lens_type>'
 
 
-def _pair(name: str, units: str, xy: NDArray[np.float64], indent: str = "  ") -> str:
-    """An element with a child `x` and a child `y`."""
-    values = "".join(f"{indent}  <{axis}>{value:.12f}</{axis}>\n" for axis, value in zip("xy", xy, strict=True))
-    return f'{indent}<{name} units="{units}">\n{values}{indent}</{name}>\n'
+def _element(name: str, units: str, **children: float) -> str:
+    """An element with a child for each number."""
+    values = "".join(f"<{child}>{value:.12f}</{child}>" for child, value in children.items())
+    return f'<{name} units="{units}">{values}</{name}>'

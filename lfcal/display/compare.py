@@ -61,12 +61,7 @@ def compare(a: Calibration, b: Calibration, largest_change: float = 0.25) -> Lat
     a, b : Calibration
         For flats of one size.
     largest_change : float [pitch]
-        Basis vectors that differ by more are of different lattices; set by hand.
-
-    Raises
-    ------
-    CalibrationError
-        If the flats differ in size or the lattices in kind: no basis vector of one is anything like one of the other.
+        Basis vectors that differ by more are of different lattices, which raises CalibrationError.
 
     Examples
     --------

@@ -17,6 +17,9 @@ from .fit_check import FitCheck, check_fit
 __all__ = ["PlaceToCheck", "find_places_to_check", "show"]
 
 
+Vector = NDArray[np.float64]
+
+
 class PlaceToCheck(NamedTuple):
     """A place on a flat, and what to look at there."""
 
@@ -33,21 +36,8 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     Beside the five crops are the offsets of nine regions of the flat from the lattice, the residuals of the
     calibration, the gain map, and the light falloff inside a microimage.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    image : (h, w) or (h, w, 3) array_like
-        A white image or scene capture of this camera.
-
-    Returns
-    -------
-    (h, w, 3) uint8
-        RGB.
-
-    Raises
-    ------
-    FlatError
-        If the image is not of the size the calibration is for.
+    `image` (h, w) or (h, w, 3) is a white image or scene capture of this camera; FlatError if it is of another size.
+    The picture is (h, w, 3) uint8, RGB.
 
     Examples
     --------
@@ -124,7 +114,6 @@ def _describe(calibration: Calibration, fit: FitCheck) -> str:
     """Two lines: the lattice; and the flat, its lens types, how well it is known and fits."""
     lattice = calibration.lattice
     shape, rows, turned = describe_orientation(lattice)
-    words = f"{shape}, rows {rows}" if rows != "both ways" else shape
     residual = "" if np.isnan(calibration.residual_rms) else f", residual {calibration.residual_rms:.3f} px RMS"
     worry = "too much, calibrate on this flat" if fit.warning else f"no worry below {fit.limit:.1f}"
     known = f"off this flat by {fit.max_offset:.2f} px ({worry})"
@@ -132,31 +121,25 @@ def _describe(calibration: Calibration, fit: FitCheck) -> str:
     size = "{} x {} px".format(*calibration.image_size)
     types = "" if calibration.lens_types is None else f"{calibration.lens_types.count} lens types, "
     return (
-        f"{words}, pitch {lattice.pitch:.4f} px, rotation {turned:+.4f} deg, usable radius {lattice.radius:.2f} px, "
-        f"{len(lattice)} lenses\n"
+        f"{shape}, rows {rows}, pitch {lattice.pitch:.4f} px, rotation {turned:+.4f} deg, "
+        f"usable radius {lattice.radius:.2f} px, {len(lattice)} lenses\n"
         f"{size}, {types}from {calibration.source}{residual}, confidence {calibration.confidence:.2f}; {off}"
     )
 
 
 def _draw_crop(
-    axes: Any,
-    calibration: Calibration,
-    flat: NDArray[Any],
-    middle: NDArray[np.float64],
-    reach: float,
-    places: list[PlaceToCheck],
+    axes: Any, calibration: Calibration, flat: NDArray[Any], middle: Vector, reach: float, places: list[PlaceToCheck]
 ) -> None:
     """Crop of the flat, `reach` [px] wide around `middle` (2,), with centres, usable circles and defects."""
-    from matplotlib.collections import LineCollection, PatchCollection
+    from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
     lattice = calibration.lattice
-    left, top, right, bottom = *(middle - reach / 2), *(middle + reach / 2)
-    low = np.maximum(np.floor([left, top]).astype(int) - 1, 0)
-    high = np.minimum(np.ceil([right, bottom]).astype(int) + 2, lattice.image_size)
-    extent = low[0] - 0.5, high[0] - 0.5, high[1] - 0.5, low[1] - 0.5
-    crop = _stretch_contrast(flat[low[1] : high[1], low[0] : high[0]])
+    (left, top), (right, bottom) = middle - reach / 2, middle + reach / 2
+    x0, y0, x1, y1 = max(int(left) - 1, 0), max(int(top) - 1, 0), int(right) + 2, int(bottom) + 2
+    crop = _stretch_contrast(flat[y0:y1, x0:x1])
+    extent = x0 - 0.5, x0 + crop.shape[1] - 0.5, y0 + crop.shape[0] - 0.5, y0 - 0.5
     axes.imshow(crop, extent=extent, interpolation="bicubic")
     axes.set(xlim=(left, right), ylim=(bottom, top))
 
@@ -180,9 +163,7 @@ def _draw_crop(
     pixels = calibration.defects.pixels
     circles(pixels[near(pixels)], 1.5, "magenta")
     missing = lattice.points(calibration.defects.lenses)
-    arm = lattice.radius / np.sqrt(2)
-    ends = np.array([[[-arm, -arm], [arm, arm]], [[-arm, arm], [arm, -arm]]])
-    axes.add_collection(LineCollection((missing[near(missing), None, None] + ends).reshape(-1, 2, 2), color="magenta"))
+    axes.plot(*missing[near(missing)].T, "x", color="magenta", markersize=20)
     for place in places:
         found = place.circles[near(place.circles[:, :2])]
         circles(found[:, :2], found[:, 2], "white")

@@ -47,9 +47,9 @@ def find_mosaic(flat: NDArray[Any]) -> Mosaic | None:
     if len(blocks) == 0:
         return None
     alike, opposite, diagonal = _peaks(blocks)
-    # Peaks over what is beside them. On 14 captures, 25 white images and 900 lattices of whole pixels without filters
-    # sum and difference are unlike by 1.7 where either is above 0.7, and diagonals have 1.0 at most; with filters
-    # 9 to 700, by 20 and more; of a twentieth of the usual saturation, or in JPEG files of quality 50, about 1.
+    # On 14 captures, 25 white images and 900 lattices of whole pixels without filters sum and difference are unlike by
+    # 1.7 where either is above 0.7, and diagonals have 1.0 at most; with filters 9 to 700, by 20 and more; of a
+    # twentieth of the usual saturation, or in JPEG files of quality 50, about 1.
     unlike = max(alike, opposite) > 3 * min(alike, opposite)
     if not (unlike and max(alike, opposite) > 1) and not diagonal > 1.5:
         return None
@@ -59,13 +59,19 @@ def find_mosaic(flat: NDArray[Any]) -> Mosaic | None:
     outer, inner = phases[:, [0, 3]], phases[:, [1, 2]]
     # Where red and blue are hardly unlike, as on some white images, green is the brighter diagonal.
     green_inside = alike > opposite if unlike else inner.mean() > outer.mean()
-    red_first = _is_red_first(outer if green_inside else inner)
+    first, second = np.log((outer if green_inside else inner).T + 1e-6)
+    # Saturated things are red more often than blue, which no white balance changes: the logarithm of red over blue has
+    # the longer tail above its median (on 12 of 15 pictures). Where it has none, as on white images, the brighter is
+    # red.
+    low, middle, high = np.quantile(first - second, [0.02, 0.5, 0.98])
+    longer = high + low - 2 * middle
+    red_first = bool((longer if abs(longer) > 0.01 else middle) > 0)
     if green_inside:
         return "RGGB" if red_first else "BGGR"
     return "GRBG" if red_first else "GBRG"
 
 
-def _peaks(blocks: NDArray[np.float32]) -> tuple[float, float, float]:
+def _peaks(blocks: NDArray[np.float32]) -> list[float]:
     """Mean power about the frequencies of a mosaic over the highest beside them, in the upper quarter of the blocks.
 
     Of the sum and of the difference of what alternates from row to row and from column to column, and of what
@@ -81,22 +87,8 @@ def _peaks(blocks: NDArray[np.float32]) -> tuple[float, float, float]:
     near, beside = distance < 0.052, (distance > 0.09) & (distance < 0.26)
     highest = np.array([one[:, beside].max(1) for one in power]) + 1e-9 * (np.abs(spectrum) ** 2).mean((1, 2)) + 1e-30
     highest[:2] = highest[:2].max(0)
-    peaks = [one[:, near].mean(1) for one in power] / highest
     # A quarter of a scene is coloured.
-    alike, opposite, diagonal = np.quantile(peaks, 0.75, axis=1).tolist()
-    return alike, opposite, diagonal
-
-
-def _is_red_first(others: NDArray[np.float64]) -> bool:
-    """Whether the first of two colours (n, 2) is more likely red than blue; a guess.
-
-    Saturated things are red more often than blue, which no white balance changes: the logarithm of red over blue has
-    the longer tail above its median (on 12 of 15 pictures). Where it has none, as on white images, the brighter is red.
-    """
-    first, second = np.log(others.T + 1e-6)
-    low, middle, high = np.quantile(first - second, [0.02, 0.5, 0.98])
-    longer = high + low - 2 * middle
-    return bool((longer if abs(longer) > 0.01 else middle) > 0)
+    return np.quantile([one[:, near].mean(1) for one in power] / highest, 0.75, axis=1).tolist()
 
 
 def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:

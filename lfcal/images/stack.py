@@ -19,15 +19,11 @@ __all__ = [
     "select_contrasted",
 ]  # fmt: skip
 
+Light = NDArray[np.float32]
+
 
 def check_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
-    """The flats given, one or several, as arrays.
-
-    Raises
-    ------
-    FlatError
-        If one cannot be a flat, or their sizes differ.
-    """
+    """The flats given, one or several, as arrays; FlatError if one cannot be a flat, or their sizes differ."""
     given: Any = image
     several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
     if not several and np.ndim(given) != 4:
@@ -35,14 +31,36 @@ def check_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
     if len(given) == 0:
         raise FlatError("no flat is given; give at least one")
     flats = [_check_flat(flat, f"flat {k}") for k, flat in enumerate(given, 1)]
-    first = flats[0].shape
-    for k, flat in enumerate(flats, 1):
-        if flat.shape[:2] != first[:2]:
+    (height, width), *_ = sizes = [flat.shape[:2] for flat in flats]
+    for k, size in enumerate(sizes, 1):
+        if size != (height, width):
             raise FlatError(
-                f"flat {k} is {flat.shape[1]} x {flat.shape[0]} px, flat 1 is {first[1]} x {first[0]} px; "
-                "give flats of one camera"
+                f"flat {k} is {size[1]} x {size[0]} px, flat 1 is {width} x {height} px; give flats of one camera"
             )
     return flats
+
+
+def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
+    flat = np.asarray(image)
+    if flat.ndim not in (2, 3) or (flat.ndim == 3 and flat.shape[2] != 3):
+        raise FlatError(f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)")
+    if flat.dtype.kind not in "uif" or 0 in flat.shape:
+        raise FlatError(f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values")
+    if min(flat.shape[:2]) < 16:
+        raise FlatError(
+            f"{name} of {flat.shape[1]} x {flat.shape[0]} px is too small to be a flat; give the whole sensor"
+        )
+    if flat.dtype.kind == "f" and not np.isfinite(flat.sum(dtype=np.float64)):
+        bad = ~np.isfinite(flat).reshape(*flat.shape[:2], -1).all(-1)
+        if bad.any():
+            y, x = np.argwhere(bad)[0]
+            raise FlatError(
+                f"{bad.sum()} pixels of {name} are NaN or infinite, first at x={x}, y={y}; fill them in first"
+            )
+    # Sums of squares of larger values leave the range of single precision; unsigned ones are never as large.
+    if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > 1e30:
+        raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most 1e30 first")
+    return flat
 
 
 def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
@@ -54,52 +72,23 @@ def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
 
 
 def measure_overexposure(flat: NDArray[Any]) -> float:
-    """Share of the pixels of a flat at the largest value that its type, or a sensor of fewer bits, can have.
-
-    0 for masks, which have no more than two tones.
-    """
-    if flat.dtype.kind != "u" or is_mask(flat):
-        return 0.0
-    top = int(flat.max())
-    if top != np.iinfo(flat.dtype).max and top not in (1023, 4095, 16383):
+    """Share of the pixels at the largest value that their type, or a sensor of fewer bits, can have; 0 for masks."""
+    top = int(flat.max()) if flat.dtype.kind == "u" else 0
+    if is_mask(flat) or top not in (255, 1023, 4095, 16383, 65535) or (flat.dtype.itemsize > 1 and top == 255):
         return 0.0
     # One channel after the other: reductions over so few values take several times as long.
     channels = np.moveaxis(flat.reshape(*flat.shape[:2], -1), -1, 0)
     return float(np.logical_or.reduce([channel >= top for channel in channels]).mean())
 
 
-def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
-    """The flat as an array, or FlatError."""
-    flat = np.asarray(image)
-    if flat.ndim not in (2, 3) or (flat.ndim == 3 and flat.shape[2] != 3):
-        raise FlatError(f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)")
-    if flat.dtype.kind not in "uif" or 0 in flat.shape:
-        raise FlatError(f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values")
-    if flat.dtype.kind == "f" and not np.isfinite(flat.sum(dtype=np.float64)):
-        bad = ~np.isfinite(flat).reshape(*flat.shape[:2], -1).all(-1)
-        if bad.any():
-            y, x = np.argwhere(bad)[0]
-            where = f"first at x={x}, y={y}" + ("" if name == "image" else f" of {name}")
-            raise FlatError(f"{bad.sum()} pixels are NaN or infinite, {where}; fill them in first")
-    # Sums of squares of larger values leave the range of single precision; unsigned ones are never as large.
-    limit = 1e30
-    if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > limit:
-        raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most {limit:.0e} first")
-    if min(flat.shape[:2]) < 16:
-        raise FlatError(
-            f"{name} of {flat.shape[1]} x {flat.shape[0]} px is too small to be a flat; give the whole sensor"
-        )
-    return flat
-
-
-def select_contrasted(lights: Sequence[NDArray[np.float32]]) -> list[int]:
+def select_contrasted(lights: Sequence[Light]) -> list[int]:
     """Indices of the flats that have contrast, among `lights` (h, w) in one scale."""
     contrast = [float(light.std(dtype=np.float64)) for light in lights]
     # Less is a dark, saturated or blank flat.
     return [k for k, value in enumerate(contrast) if value >= 0.05 * max(contrast)]
 
 
-def combine_whites(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+def combine_whites(lights: Sequence[Light]) -> Light:
     """Weighted least-squares estimate of the light from all white images, by their exposures.
 
     `lights` (h, w) are linear, with any exposures and black levels; the result is in the scale of the best exposed one.
@@ -120,12 +109,11 @@ def combine_whites(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]
             continue
         a, b = few[best][both], sample[both]
         exposure = float(np.mean((a - a.mean()) * (b - b.mean())) / max(float(a.var()), 1e-30))
-        if not exposure > 0.05:
-            continue
-        black = float(b.mean() - exposure * a.mean())
-        good = light < np.float32(top)
-        total += np.where(good, np.float32(exposure) * (light - np.float32(black)), np.float32(0))
-        share += np.where(good, np.float32(exposure**2), np.float32(0))
+        if exposure > 0.05:
+            good = light < np.float32(top)
+            above_black = light - np.float32(b.mean() - exposure * a.mean())
+            total += np.where(good, np.float32(exposure) * above_black, np.float32(0))
+            share += np.where(good, np.float32(exposure**2), np.float32(0))
     known = share > 0
     if not known.any():
         return lights[best]
@@ -133,7 +121,7 @@ def combine_whites(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]
     return np.maximum(combined, np.float32(0))
 
 
-def average_scenes(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+def average_scenes(lights: Sequence[Light]) -> Light:
     """(h, w) mean of the lights of scenes, each scaled to mean 1."""
     total = np.zeros(lights[0].shape, np.float32)
     for light in lights:
@@ -141,7 +129,7 @@ def average_scenes(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]
     return total
 
 
-def clipping_level(light: NDArray[np.float32]) -> float:
+def clipping_level(light: Light) -> float:
     """Least light of clipped pixels in an array of any shape, infinite where none are clipped."""
     top = 0.995 * float(light.max())
     return top if float((light >= top).mean()) > 0.002 else float("inf")

@@ -28,7 +28,7 @@ __all__ = ["FlatSource", "open_flat", "subtract_dark"]
 _Read = Callable[[slice, slice], NDArray[Any]]
 
 
-class FlatSource:
+class FlatSource(ExitStack):
     """A flat in a file; close it after use, or use it in a `with` statement.
 
     Parameters
@@ -47,17 +47,17 @@ class FlatSource:
 
     Examples
     --------
-    >>> from tempfile import TemporaryDirectory
-    >>> import lfcal, numpy, tifffile
-    >>> with TemporaryDirectory() as folder:
-    ...     tifffile.imwrite(f"{folder}/big.tif", numpy.arange(600, dtype=numpy.uint16).reshape(20, 30))
-    ...     with lfcal.open_flat(f"{folder}/big.tif") as source:
-    ...         source.shape, source.read(5, 5, 15, 10).shape
-    ((20, 30), (5, 10))
+    >>> import lfcal, numpy, tempfile, tifffile
+    >>> path = f"{tempfile.mkdtemp()}/flat.tif"
+    >>> tifffile.imwrite(path, numpy.zeros((20, 30), numpy.uint16))
+    >>> with lfcal.open_flat(path) as source:
+    ...     source.shape, source.nbytes
+    ((20, 30), 1200)
     """
 
     def __init__(self, path: Path, read: _Read, shape: tuple[int, ...], in_parts: bool = True):
-        self.path, self._read, self._opened, self.in_parts = path, read, ExitStack(), in_parts
+        super().__init__()
+        self.path, self._read, self.in_parts = path, read, in_parts
         self.page: int | None = None
         self.dark: Path | None = None
         self._size = shape[0], shape[1]
@@ -74,28 +74,13 @@ class FlatSource:
     def read(self, left: int, top: int, right: int, bottom: int) -> NDArray[Any]:
         """Pixels of the columns from `left` to before `right` and rows from `top` to before `bottom`.
 
-        Raises
-        ------
-        FlatError
-            If that part is damaged, or holds NaN or infinity.
-        ValueError
-            If it is empty, or not on the flat.
+        FlatError if that part is damaged, or holds NaN or infinity; ValueError if it is empty, or not on the flat.
         """
         height, width = self._size
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
             raise ValueError(f"part {left, top, right, bottom} is not on a flat of {width} x {height} px")
         with file_errors(self.path):
             return checked_pixels(self._read(slice(top, bottom), slice(left, right)))
-
-    def close(self) -> None:
-        """Close the file; no part can be read any more."""
-        self._opened.close()
-
-    def __enter__(self) -> FlatSource:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def open_flat(
@@ -106,30 +91,20 @@ def open_flat(
     Parameters
     ----------
     path : path-like
-        The image file, or the folder of a Zarr array (needs the package `zarr`: `pip install 'lfrender[zarr]'`).
+        The image file, or the folder of a Zarr array.
     page : int or None
-        As in `read_flat`.
+        As in `read_flat`, which also says what is raised; damaged pixels are found when they are read.
     dark : path-like or None
         File of a dark frame, which is subtracted from every part (`subtract_dark`).
 
-    Returns
-    -------
-    FlatSource
-
-    Raises
-    ------
-    FlatError
-        As `read_flat`; damaged pixels are found when they are read.
-
     Examples
     --------
-    >>> from tempfile import TemporaryDirectory
-    >>> import lfcal, numpy, tifffile
-    >>> with TemporaryDirectory() as folder:
-    ...     tifffile.imwrite(f"{folder}/big.tif", numpy.arange(600, dtype=numpy.uint16).reshape(20, 30))
-    ...     with lfcal.open_flat(f"{folder}/big.tif") as source:
-    ...         source.shape, source.read(5, 5, 15, 10).shape
-    ((20, 30), (5, 10))
+    >>> import lfcal, numpy, tempfile, tifffile
+    >>> path = f"{tempfile.mkdtemp()}/flat.tif"
+    >>> tifffile.imwrite(path, numpy.zeros((20, 30), numpy.uint16))
+    >>> with lfcal.open_flat(path) as source:
+    ...     source.read(5, 5, 15, 10).shape
+    (5, 10)
     """
     source = _open(Path(path), page)
     source.page = page
@@ -152,7 +127,8 @@ def _subtract(source: FlatSource, path: Path) -> FlatSource:
                 return subtract_dark(pixels, black)
 
         less = FlatSource(source.path, read, source.shape, source.in_parts)
-        less.page, less.dark, less._opened = source.page, path, opened.pop_all()
+        less.page, less.dark = source.page, path
+        less.push(opened.pop_all())
     return less
 
 
@@ -166,7 +142,7 @@ def _open(source: Path, page: int | None) -> FlatSource:
         with suppress(Exception), ExitStack() as opened:
             tiff = opened.enter_context(open_tiff(source))
             flat = FlatSource(source, *part_reader(source, tiff, page))
-            flat._opened = opened.pop_all()
+            flat.push(opened.pop_all())
             return flat
     pixels = read_flat(source, page)
     return FlatSource(source, lambda rows, columns: pixels[rows, columns], pixels.shape, in_parts=False)
@@ -175,16 +151,8 @@ def _open(source: Path, page: int | None) -> FlatSource:
 def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
     """A flat less a dark frame (what the sensor shows without light), in its own type; integers are clipped at 0.
 
-    Parameters
-    ----------
-    flat : (h, w) or (h, w, c) array
-    dark : (h, w) or (h, w, c) array
-        A frame, or the mean of some, with the exposure of the flat and without light.
-
-    Raises
-    ------
-    FlatError
-        If both are not of one size and kind.
+    `flat` and `dark`, a frame or the mean of some with the exposure of the flat, are (h, w) or (h, w, c). FlatError if
+    they are not of one size and kind.
 
     Examples
     --------

@@ -49,10 +49,6 @@ class ZarrFlat:
         pixels = np.asarray(self.array[(*(0,) * self.leading, *parts)])
         return np.moveaxis(pixels, 0, -1) if self.channels_first else pixels
 
-    def whole(self) -> NDArray[Any]:
-        """All pixels."""
-        return self.read(slice(0, self.shape[0]), slice(0, self.shape[1]))
-
     def _check_chunks(self, parts: list[slice]) -> None:
         """FlatError where a chunk with these pixels is missing or truncated."""
         metadata = self.array.metadata
@@ -73,10 +69,9 @@ class ZarrFlat:
 
 def _is_blosc(metadata: Any) -> bool:
     """Whether each chunk is one block of Blosc, the usual compressor of version 2."""
-    if getattr(getattr(metadata, "compressor", None), "codec_id", None) == "blosc":
-        return True
+    old = getattr(getattr(metadata, "compressor", None), "codec_id", None)
     kinds = [type(codec).__name__ for codec in getattr(metadata, "codecs", None) or ()]
-    return "BloscCodec" in kinds and "ShardingCodec" not in kinds
+    return old == "blosc" or ("BloscCodec" in kinds and "ShardingCodec" not in kinds)
 
 
 def _is_whole_blosc(path: Path, size: int) -> bool:

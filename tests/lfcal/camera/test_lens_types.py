@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import lfcal
+from lfcal.cli.figures import summarise
 
 _MOSAIC = np.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 
@@ -35,20 +36,23 @@ def test_impossible_types_are_refused(cell, rest, word):
         lfcal.LensTypes(cell, **rest)
 
 
-def test_types_are_kept_in_a_camera_file_and_missing_in_older_ones(tmp_path):
-    lattice = lfcal.Lattice((10.25, 7.5), [[20.0, 0.5], [9.5, 17.0]], (200, 100), 9.5)
-    types = lfcal.LensTypes(_MOSAIC, True, [-0.4, float("nan"), -0.2], 0.97)
-    camera = lfcal.Calibration(lattice, lens_types=types)
-    path = tmp_path / "camera.json"
-    camera.save(path)
-    back = lfcal.load(path)
-    assert back.to_dict() == camera.to_dict()
-    np.testing.assert_array_equal(back.lens_types.focus, types.focus)
-    data = json.loads(path.read_text())
-    assert data["lens_types"]["focus"] == [-0.4, None, -0.2]
-    path.write_text(json.dumps(data | {"lens_types": {"count": 3, "cell": [[0, 7]]}}))
-    with pytest.raises(lfcal.CameraFileError, match=r"camera\.json"):
-        lfcal.load(path)
-    del data["lens_types"]
-    path.write_text(json.dumps(data))
-    assert lfcal.load(path).lens_types is None
+def test_types_may_be_missing_in_a_camera_file_but_not_wrong(tmp_path):
+    camera = lfcal.Calibration(lfcal.Lattice((10, 7), [[20, 0], [0, 20]], (200, 100), 9.5), lens_types=None)
+    data = {name: value for name, value in camera.to_dict().items() if name != "lens_types"}
+    assert lfcal.Calibration.from_dict(data).lens_types is None
+    with pytest.raises(lfcal.CameraFileError, match="lens_types"):
+        lfcal.Calibration.from_dict(data | {"lens_types": {"count": 3, "cell": [[0, 7]]}})
+
+
+def test_impossible_blur_is_refused():
+    with pytest.raises(ValueError, match="discs"):
+        lfcal.LensBlur(5.0, 0.5, [0.1], [0.02], [-0.3], np.ones((2, 3)), np.ones((2, 3)))
+    with pytest.raises(ValueError, match="positive"):
+        lfcal.LensBlur(0.0, 0.5, [0.1], [0.02], [-0.3], [[1.0]], [[1.0]])
+
+
+def test_blur_is_printed_in_a_plain_sentence():
+    camera = lfcal.Calibration(lfcal.Lattice([10, 10], [[20, 0], [0, 20]], (200, 100), 9))
+    blur = lfcal.LensBlur(5.0, 0.5, [0.1], [0.02], [-0.3, -0.1], np.ones((1, 2)), np.full((1, 2), 0.1))
+    sentence = "Microlenses blur over discs of 1.0 to 1.0 px at s / D from -0.30 to -0.10."
+    assert sentence in summarise(replace(camera, lens_blur=blur))

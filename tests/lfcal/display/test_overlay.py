@@ -39,30 +39,12 @@ def test_circles_are_drawn_in_all_five_crops(white):
             assert _pixels(picture[y : y + height, x : x + width], TYPE_COLOURS[0]) > 300
 
 
-def test_picture_depends_on_lattice_and_flat(white):
-    image, camera = white
-    lattice = camera.lattice
-    moved = lfcal.Calibration(lfcal.Lattice(lattice.origin + 3, lattice.basis, (700, 500), 9.0))
-    pictures = [lfcal.show(camera, image), lfcal.show(moved, image), lfcal.show(camera, image[::-1])]
-    assert all((pictures[0] != other).mean() > 0.01 for other in pictures[1:])
-
-
-@pytest.mark.parametrize(("kind", "pitch"), [(np.uint8, 6.0), (np.uint16, 150.0), (np.float32, 20.0)])
+@pytest.mark.parametrize(("kind", "pitch"), [(np.uint8, 6.0), (np.float32, 150.0)])
 def test_any_pitch_and_pixel_type_is_drawn(whites, kind, pitch):
     image, origin = whites.white_image(whites.turned(whites.SQUARE, pitch, 1), (620, 400))
     camera = lfcal.Calibration(lfcal.Lattice(origin, np.eye(2) * pitch, (620, 400), 0.45 * pitch))
     flat = (image / 65535 * (1 if kind is np.float32 else np.iinfo(kind).max)).astype(kind)
     assert _pixels(lfcal.show(camera, np.repeat(flat[..., None], 3, axis=2)), TYPE_COLOURS[0]) > 500
-
-
-def test_flat_without_microimages_is_drawn_too(white):
-    noise = np.random.default_rng(3).integers(0, 255, (500, 700)).astype(np.uint8)
-    assert _pixels(lfcal.show(white[1], noise), TYPE_COLOURS[0]) > 500
-
-
-def test_image_of_another_size_is_refused(white):
-    with pytest.raises(lfcal.FlatError, match="700 x 500"):
-        lfcal.show(white[1], white[0][:-1])
 
 
 def test_command_writes_the_picture_and_says_where_to_look(white, tmp_path):
@@ -84,17 +66,16 @@ def test_command_writes_the_picture_and_says_where_to_look(white, tmp_path):
     assert refused.exit_code == 2
 
 
-def test_circles_of_each_lens_type_have_their_own_colour(white):
-    image, camera = white
-    types = lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]], True)
-    picture = lfcal.show(replace(camera, lens_types=types), image)
-    assert min(_pixels(picture, colour) for colour in TYPE_COLOURS[:3]) > 500
-    assert _pixels(lfcal.show(camera, image), TYPE_COLOURS[1]) < 50
-
-
-def test_unlit_lens_is_crossed_out(white):
+def test_lens_types_have_their_own_colours_and_unlit_lenses_are_crossed_out(white):
     image, camera = white
     lattice = camera.lattice
     near = np.argmin(np.hypot(*(lattice.centres() - (349.5, 249.5)).T))
-    missing = replace(camera, defects=Defects(lenses=lattice.indices()[[near]].astype(np.int32)))
-    assert _pixels(lfcal.show(missing, image), "magenta") > _pixels(lfcal.show(camera, image), "magenta") + 60
+    marked = replace(
+        camera,
+        lens_types=lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]], True),
+        defects=Defects(lenses=lattice.indices()[[near]].astype(np.int32)),
+    )
+    plain, picture = lfcal.show(camera, image), lfcal.show(marked, image)
+    assert min(_pixels(picture, colour) for colour in TYPE_COLOURS[:3]) > 500
+    assert _pixels(plain, TYPE_COLOURS[1]) < 50
+    assert _pixels(picture, "magenta") > _pixels(plain, "magenta") + 60

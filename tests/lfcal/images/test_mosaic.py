@@ -39,13 +39,6 @@ def test_white_image_behind_a_mosaic_places_centres_within_three_thousandths(whi
     assert camera.mosaic in ((mosaic,) if stated else (mosaic, exchanged))
 
 
-@pytest.mark.parametrize(("shape", "pitch"), [("SQUARE", 10.0), ("SQUARE", 12.0), ("HEXAGON", 14.3)])
-def test_a_lattice_of_whole_pixels_is_no_mosaic(whites, shape, pitch):
-    basis = whites.turned(getattr(whites, shape), pitch, 0)
-    image, _ = whites.white_image(basis, (500, 400))
-    assert not lfcal.calibrate(image).warnings
-
-
 def test_scene_behind_a_mosaic_places_centres_within_a_twentieth_pixel(house):
     colour = house.flat.astype(np.float64) * [0.5, 1.0, 0.7]
     camera = lfcal.calibrate(_filtered(colour, "GRBG"), mosaic="GRBG")
@@ -54,14 +47,6 @@ def test_scene_behind_a_mosaic_places_centres_within_a_twentieth_pixel(house):
     miss = camera.lattice.centres() - truth.points(index)
     assert np.sqrt((miss**2).sum(1).mean()) < 0.05
     assert camera.source == "scene"
-
-
-def test_a_mosaic_is_kept_in_the_camera_file(whites, tmp_path):
-    image, _ = whites.white_image(whites.turned(whites.HEXAGON, 14.3, 3), (300, 260))
-    camera = lfcal.calibrate(_filtered(image, "BGGR"), mosaic="BGGR")
-    camera.save(tmp_path / "camera.json")
-    assert lfcal.load(tmp_path / "camera.json").mosaic == "BGGR"
-    assert lfcal.calibrate(image).to_dict()["mosaic"] is None
 
 
 def test_a_mosaic_of_a_colour_picture_or_of_unknown_name_is_refused(whites):
@@ -81,17 +66,8 @@ def test_where_green_is_is_measured_on_a_scene_and_neither_noise_nor_jpeg_hide_i
     assert find_mosaic(packed).index("G") == mosaic.index("G")
 
 
-def test_grey_flats_have_no_mosaic_compressed_or_not(house):
-    for grey in (house.flat[..., 1], house.white):
-        grey = (grey / 257).astype(np.uint8) if grey.dtype == np.uint16 else grey
-        assert find_mosaic(grey) is None
-        for quality in (95, 75, 50):
-            packed = cv2.imencode(".jpg", np.ascontiguousarray(grey), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-            assert find_mosaic(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)) is None
-
-
-@pytest.mark.parametrize("pitch", [6, 8, 10, 12, 16, 24])
-@pytest.mark.parametrize("origin", [(0.0, 0.0), (0.5, 0.5), (0.0, 0.5), (0.3, 0.2)])
+@pytest.mark.parametrize("pitch", [6, 10, 24])
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (0.5, 0.5), (0.3, 0.2)])
 def test_discs_on_whole_pixels_are_no_mosaic(pitch, origin):
     y, x = np.mgrid[:400, :400]
     dx, dy = ((value - start + pitch / 2) % pitch - pitch / 2 for value, start in zip((x, y), origin, strict=True))

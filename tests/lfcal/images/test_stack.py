@@ -1,4 +1,4 @@
-"""Several flats of one camera: their combination is better than each; useless flats are left out."""
+"""Several flats of one camera: checked, combined to a better one; useless and over-exposed ones are noticed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lfcal
+from lfcal.images.stack import estimate_white_level, measure_overexposure
 
 _SIZE = (500, 400)
 
@@ -46,13 +47,6 @@ def test_a_useless_flat_does_not_change_the_centres_of_a_good_one(whites, useles
         assert _error(whites, camera, basis, origin) < 1.5 * alone + 0.0005
 
 
-def test_a_stack_and_a_list_of_flats_are_the_same(whites, noisy):
-    images, _, _ = noisy
-    listed = lfcal.calibrate(images[:2], kind="white").lattice
-    stacked = lfcal.calibrate(np.stack([np.dstack([i] * 3) for i in images[:2]]), kind="white").lattice
-    np.testing.assert_allclose(stacked.centres(), listed.centres(), atol=0.002)
-
-
 def test_among_scenes_only_the_white_image_is_used(house):
     camera = lfcal.calibrate([house.flat, house.white])
     assert camera.source == "white"
@@ -65,3 +59,48 @@ def test_flats_of_different_sizes_are_refused_by_number(noisy):
         lfcal.calibrate([images[0], images[1][:, 1:]])
     with pytest.raises(lfcal.FlatError, match=r"flat 2 has shape \(8,\)"):
         lfcal.calibrate([images[0], np.zeros(8)])
+    stacked = np.stack([np.dstack([image] * 3) for image in images[:2]])
+    assert lfcal.calibrate(stacked, kind="white").source == "white"
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (np.full((100, 100), np.nan), "NaN"),
+        (np.where(np.eye(100) > 0, np.inf, 1.0), "infinite"),
+        (np.zeros((10, 10)), "too small"),
+        (np.zeros((50, 50, 4), np.uint8), "shape"),
+        (np.zeros((0, 5)), "non-empty"),
+        (np.ones((64, 64), complex), "real"),
+    ],
+)
+def test_array_that_cannot_be_a_flat_is_refused_with_the_reason(image, reason):
+    with pytest.raises(lfcal.FlatError, match=reason):
+        lfcal.calibrate(image)
+
+
+@pytest.mark.parametrize(("dtype", "largest", "level"), [
+    (np.uint16, 900, 1023), (np.uint16, 4095, 4095), (np.uint16, 40000, None), (np.uint8, 200, None),
+    (np.float32, 900, None),
+])  # fmt: skip
+def test_white_level_is_that_of_the_least_number_of_bits(dtype, largest, level):
+    assert estimate_white_level([np.array([[0, largest]], dtype)]) == level
+
+
+def test_overexposed_white_image_is_named_with_the_share_of_clipped_pixels(drawn):
+    truth = drawn("square", 24.3, 31.0, 34.0, size=(600, 500))
+    light = truth.light() + truth.noise * np.random.default_rng(1).standard_normal((500, 600))
+    image = np.rint(np.clip(2.2 * light, 0, 1) * 255).astype(np.uint8)
+    camera = lfcal.calibrate(image, "white")
+    assert any("over-exposed" in text for text in camera.warnings)
+    assert not any("over-exposed" in text for text in lfcal.calibrate(truth.image(), "white").warnings)
+
+
+def test_share_of_clipped_pixels_is_measured_at_the_limit_of_the_sensor():
+    flat = np.full((10, 10), 100, np.uint16)
+    flat[:3] = 4095
+    flat[3] = 80  # masks have two tones
+    assert measure_overexposure(flat) == 0.3
+    assert measure_overexposure(flat.astype(np.float32)) == 0.0
+    flat[:3] = 200
+    assert measure_overexposure(flat) == 0.0

@@ -1,4 +1,4 @@
-"""Camera files of key : value lines."""
+"""Camera files of key : value lines and tables of centres."""
 
 from __future__ import annotations
 
@@ -38,24 +38,19 @@ def test_square_lattice_is_refused(make_camera, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_key_value_file_of_another_image_size_is_refused(tmp_path):
-    text = "IsKepler : 1\nLensletWidth : 100\nLensletHeight : 80\nMIDiameter : 20\nMLADirection : 0\n"
-    text += "CentralMIOffsetX : 1\nCentralMIOffsetY : 2\n"
+def test_central_microimage_and_level_rows_are_read_and_other_sizes_refused(tmp_path):
     path = tmp_path / "camera.cfg"
-    path.write_text(text)
+    text = "# made by hand\n\nLensletWidth : {}\nLensletHeight : 80\nMIDiameter : {}\nMLADirection : 0\n"
+    text += "CentralMIOffsetX : 1\nCentralMIOffsetY : 2\n"
+    path.write_text(text.format(100, 20))
     np.testing.assert_allclose(lfcal.load(path).lattice.origin, [50.5, 37.5])
     with pytest.raises(lfcal.CameraFileError, match="100 x 80"):
         lfcal.load(path, (200, 80))
-
-
-@pytest.mark.parametrize("before", ["# made by hand\n\n", "\n# one\n# two\n"])
-def test_key_value_file_may_begin_with_comments_and_empty_lines(make_camera, tmp_path, before):
-    path = tmp_path / "camera.cfg"
-    convert(make_camera(_HEXAGON, 30, 0), path)
-    lattice = lfcal.load(path).lattice
-    path.write_text(before + path.read_text())
-    np.testing.assert_array_equal(lfcal.load(path).lattice.origin, lattice.origin)
-    path.write_text(before + "nothing of the kind\n")
+    for width, pitch, message in ((100.5, 20, "LensletWidth"), (100, 1e9, "microimages"), (100, "wide", "MIDiameter")):
+        path.write_text(text.format(width, pitch))
+        with pytest.raises(lfcal.CameraFileError, match=message):
+            lfcal.load(path)
+    path.write_text("# one\nnothing of the kind\n")
     with pytest.raises(lfcal.CameraFileError, match="key : number"):
         lfcal.load(path)
 
@@ -65,16 +60,14 @@ def pairs(path):
     return {key: float(value) for key, value in lines}
 
 
-@pytest.mark.parametrize("mode, flag", [("telescopic", 0), ("binocular", 1), (None, 1)])
-def test_flag_of_the_mode_names_the_modes_the_other_way_round(make_camera, tmp_path, mode, flag):
-    convert(make_camera(_HEXAGON, 30, 0), tmp_path / "camera.cfg", mode=mode)
-    assert pairs(tmp_path / "camera.cfg")["IsKepler"] == flag
-
-
-def test_flag_follows_from_the_focus_of_the_lens_types(make_camera, tmp_path):
+def test_flag_of_the_mode_is_the_other_way_round_and_follows_from_the_focus_of_the_lens_types(make_camera, tmp_path):
+    camera, path = make_camera(_HEXAGON, 30, 0), tmp_path / "camera.cfg"
+    for mode, flag in (("telescopic", 0), ("binocular", 1), (None, 1)):
+        convert(camera, path, mode=mode)
+        assert pairs(path)["IsKepler"] == flag
     types = lfcal.LensTypes([[0, 2, 1], [1, 0, 2], [2, 1, 0]], ordered=True, focus=[0.4, 0.3, 0.2])
-    convert(replace(make_camera(_HEXAGON, 30, 0), lens_types=types), tmp_path / "camera.cfg")
-    assert pairs(tmp_path / "camera.cfg")["IsKepler"] == 0
+    convert(replace(camera, lens_types=types), path)
+    assert pairs(path)["IsKepler"] == 0
 
 
 @pytest.mark.parametrize("upright", [False, True])
@@ -119,13 +112,27 @@ def test_corner_centres_are_whole_microimages_from_border_to_border(make_camera,
     assert 480 - 75 < written["RightBottomMICenterY"] < 480 - 14
 
 
-def test_size_of_half_a_pixel_and_a_pitch_larger_than_the_flat_are_refused(tmp_path):
-    path = tmp_path / "camera.cfg"
-    text = "LensletWidth : {}\nLensletHeight : 80\nMIDiameter : {}\nMLADirection : 0\n"
-    text += "CentralMIOffsetX : 1\nCentralMIOffsetY : 2\n"
-    path.write_text(text.format(100.5, 20))
-    with pytest.raises(lfcal.CameraFileError, match="LensletWidth"):
-        lfcal.load(path)
-    path.write_text(text.format(100, 1e9))
-    with pytest.raises(lfcal.CameraFileError, match="microimages"):
-        lfcal.load(path)
+def test_table_lists_every_centre_on_the_flat(make_camera, tmp_path):
+    camera = make_camera(_HEXAGON, 40, 2)
+    convert(camera, tmp_path / "camera.csv")
+    table = np.loadtxt(tmp_path / "camera.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(table[:, :2], camera.lattice.indices())
+    np.testing.assert_allclose(table[:, 2:], camera.lattice.centres(), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "a,b\n1,2\n", "i,j,x,y\n", "i,j,x,y\n0,0,1,nan\n", "i,j,x,y\n0,0,1,1\n1,0,5,1\n2,0,9,1\n", "i,j,x,y\n1,2\n"],
+)
+def test_damaged_table_is_refused_with_its_name(tmp_path, text):
+    (tmp_path / "camera.csv").write_text(text)
+    with pytest.raises(lfcal.CameraFileError, match=r"camera\.csv"):
+        lfcal.load(tmp_path / "camera.csv", (640, 480))
+
+
+def test_table_of_a_distorted_lattice_is_read_with_a_warning(make_camera, tmp_path):
+    camera = make_camera(_HEXAGON, 40, 2)
+    x, y = (camera.lattice.centres() + 1e-4 * (camera.lattice.centres() - 300) ** 2).T
+    rows = np.column_stack([camera.lattice.indices(), x, y])
+    np.savetxt(tmp_path / "camera.csv", rows, fmt="%.9g", delimiter=",", header="i,j,x,y", comments="")
+    assert "off the straight lattice" in lfcal.load(tmp_path / "camera.csv", (640, 480)).warnings[0]
