@@ -163,7 +163,7 @@ def _draw_crop(
     pixels = calibration.defects.pixels
     circles(pixels[near(pixels)], 1.5, "magenta")
     missing = lattice.points(calibration.defects.lenses)
-    axes.plot(*missing[near(missing)].T, "x", color="magenta", markersize=20)
+    axes.plot(*missing[near(missing)].T, "x", color="magenta", markersize=30, markeredgewidth=2)
     for place in places:
         found = place.circles[near(place.circles[:, :2])]
         circles(found[:, :2], found[:, 2], "white")

@@ -88,9 +88,6 @@ def test_white_images_of_a_lytro_archive_are_its_pages(tmp_path):
         np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "data.C.0", k), white)
     with pytest.raises(lfcal.FlatError, match="2 white images"):
         lfcal.read_flat(tmp_path / "data.C.0")
-
-
-def test_lytro_files_without_raw_pixels_say_what_to_export(tmp_path):
     (tmp_path / "a-stk.lfp").write_bytes(lytro_file(b"", {}, archive={"a.jpg": b"jpeg"}))
     with pytest.raises(lfcal.FlatError, match="export the raw one"):
         lfcal.read_flat(tmp_path / "a-stk.lfp")
