@@ -37,14 +37,14 @@ def find_changed_pixels(
     import cv2
 
     # Lenses may lie beyond the border of the picture. Large patches are sampled several times per output pixel, all
-    # within the pixel; another one for the rounding of the centres.
-    side = reach / grid.spacing + 2
+    # within the pixel; another one for the rounding of the centres, and 2 % for that of the distances.
+    side = 1.02 * reach / grid.spacing + 2
     beyond = int(np.ceil(side))
     at = np.rint((centres[stale] - grid.first) / grid.spacing).astype(int) + beyond
     still = np.ones((rows + 2 * beyond, columns + 2 * beyond), np.uint8)
     inside = ((at >= 0) & (at < still.shape[::-1])).all(1)
     still[at[inside, 1], at[inside, 0]] = 0
-    away = cv2.distanceTransform(still, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    away = cv2.distanceTransform(still, cv2.DIST_L2, cv2.DIST_MASK_5)
     return np.asarray(away[beyond : beyond + rows, beyond : beyond + columns] <= side)
 
 
