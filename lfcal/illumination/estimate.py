@@ -6,7 +6,7 @@ polynomials of the field follow them if significant (least squares).
 
 On a white image a lens has one unknown, its light. On a scene capture a plane is fitted to its inner part, and lenses
 that are no plane there have little weight. That suffices for the rims; the profile itself is taken from sums over many
-lenses (`scene_profile`). The light of single lenses cannot be measured from scenes.
+lenses (`profiles`). The light of single lenses cannot be measured from scenes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Coarse disparity of single lenses, against the depth of a simulated plane."""
+"""Coarse disparity of single lenses, against the depth of a simulated plane, and the mode of a scene."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from data_synth import SCENES, Camera, simulate
 from lfcal.images.preprocessing import sqrt_luminance
-from lfcal.lens_types.coarse_disparity import estimate_coarse_disparity
+from lfcal.lens_types.coarse_disparity import estimate_coarse_disparity, find_scene_mode
 from lfcal.lens_types.lens_sample import sample_lenses
 
 
@@ -21,3 +21,15 @@ def test_disparity_of_a_plane_is_found_to_a_step_of_the_grid(ratio):
     assert len(known) > 0.3 * sample.whole[:, 1:-1, 1:-1].sum()
     assert np.median(known) == pytest.approx(ratio, abs=0.051)
     assert (np.abs(known - ratio) < 0.08).mean() > 0.9
+
+
+@pytest.mark.parametrize("ratio, mode", [(0.35, "telescopic"), (-0.3, "binocular")])
+def test_mode_of_a_plane_is_found(ratio, mode):
+    camera = Camera.design(size=(400, 400), pitch=20)
+    flat = simulate(SCENES["plane"](camera, ratio=ratio), camera, samples=4).flat
+    assert find_scene_mode(flat, camera.lattice) == mode
+
+
+def test_blank_flat_has_no_mode():
+    camera = Camera.design(size=(400, 400), pitch=20)
+    assert find_scene_mode(np.full((400, 400), 90, np.uint8), camera.lattice) is None
