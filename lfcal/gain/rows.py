@@ -109,7 +109,7 @@ def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
     every = [np.concatenate([of[:, axis] for of in (starts, ends, indices)]) for axis in (0, 1)]
     low, high = np.array([of.min() for of in every]) - 4, np.array([of.max() for of in every]) + 4
     i, j = (np.arange(low[axis], high[axis] + 1) for axis in (0, 1))
-    centres = lattice.grid(i, j)
+    centres = lattice.points(np.stack(np.meshgrid(i, j), -1))
     points = centres.reshape(-1, 2)
     light = gain.light(points, lattice).reshape(centres.shape[:2])
     if len(gain.lens_gain):

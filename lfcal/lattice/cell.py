@@ -11,19 +11,9 @@ from numpy.typing import NDArray
 from .lattice import Lattice
 
 __all__ = [
-    "Cell",
-    "bin_offsets",
-    "cell_circumradius",
-    "cell_distances",
-    "cell_inradius",
-    "cell_normals",
-    "cell_row_bounds",
-    "clip_rows",
-    "is_outside_cell",
-    "nearest_offsets",
-    "row_interval",
-]
-
+    "Cell", "bin_offsets", "cell_circumradius", "cell_distances", "cell_normals", "cell_row_bounds", "clip_rows",
+    "is_outside_cell", "nearest_offsets", "row_interval",
+]  # fmt: skip
 
 _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
@@ -39,7 +29,7 @@ class Cell(NamedTuple):
     def of(cls, lattice: Lattice) -> Cell:
         """That of the lenses of a lattice."""
         normals, circumradius = cell_normals(lattice)
-        return cls(normals, cell_inradius(normals), circumradius)
+        return cls(normals, float(0.5 / np.hypot(*normals.T).max()), circumradius)
 
 
 def nearest_offsets(index: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -69,12 +59,10 @@ def cell_distances(
 
 def cell_normals(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
     """Normals (k, 2) with `delta @ normal <= 0.5` inside the cell of a lens, and its circumradius [px]."""
-    steps = lattice.steps @ lattice.basis
-    if len(steps) == 4:
-        # The shorter diagonal cuts the corners of an oblique cell.
-        a1, a2 = lattice.basis
-        diagonal = min(a1 + a2, a1 - a2, key=lambda d: float(d @ d))
-        steps = np.vstack([steps, diagonal, -diagonal])
+    a1, a2 = lattice.basis
+    # The shorter diagonal cuts the corners of an oblique cell.
+    half = np.array([a1, a2, min(a1 + a2, a1 - a2, key=lambda d: float(d @ d))])
+    steps = np.vstack([half, -half])
     normals = steps / (steps**2).sum(1, keepdims=True)
     return normals, cell_circumradius(normals)
 
@@ -87,11 +75,6 @@ def cell_circumradius(normals: NDArray[np.float64]) -> float:
     # Intersections of two sides, by Cramer's rule.
     corners = 0.5 * np.column_stack([two[1] - one[1], one[0] - two[0]])[met] / area[met, None]
     return float(np.hypot(*corners[(corners @ normals.T <= 0.5 + 1e-9).all(1)].T).max())
-
-
-def cell_inradius(normals: NDArray[np.float64]) -> float:
-    """Inradius of the cell with these normals [px]."""
-    return float(0.5 / np.hypot(*normals.T).max())
 
 
 def cell_row_bounds(normals: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,8 +15,8 @@ __all__ = ["Distortion"]
 
 # Beyond this share of the distance to the middle neighbouring lenses change places.
 _LARGEST = 0.3
-# Powers of x and y of the general part: fixed by the file format.
-_POWERS = ((2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
+# Powers of x and y of the general part, second and third order: fixed by the file format.
+_POWERS = tuple((order - q, q) for order in (2, 3) for q in range(order + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +59,8 @@ class Distortion(Frozen):
 
     def __post_init__(self) -> None:
         centre = np.array(self.centre, dtype=np.float64)
-        if centre.shape != (2,) or not np.isfinite(centre).all():
-            raise ValueError(f"distortion centre must be two finite numbers, got {self.centre!r}")
-        if not (np.isfinite([self.k1, self.k2, self.reach]).all() and self.reach > 0):
-            raise ValueError(f"distortion must be finite with reach > 0, got {self.k1!r}, {self.k2!r}, {self.reach!r}")
+        if centre.shape != (2,) or not np.isfinite([*centre, self.k1, self.k2, self.reach]).all() or self.reach <= 0:
+            raise ValueError(f"distortion must be finite numbers with reach > 0, got {self.centre!r}, {self.reach!r}")
         if abs(self.k1) + abs(self.k2) > _LARGEST:
             raise ValueError(f"distortion must stay below 0.3 in the corners, got {self.k1!r} and {self.k2!r}")
         self._set(centre=centre, k1=float(self.k1), k2=float(self.k2), reach=float(self.reach))
@@ -70,12 +68,10 @@ class Distortion(Frozen):
             self._set(middle=None)
             return
         general, middle = np.array(self.general, dtype=np.float64), np.array(self.middle, dtype=np.float64)
-        if general.shape != (2, len(_POWERS)) or not np.isfinite(general).all():
-            raise ValueError(f"general distortion must be (2, {len(_POWERS)}) finite numbers, got {self.general!r}")
-        if np.abs(general).sum(1).max() > _LARGEST * self.reach:
+        if general.shape != (2, len(_POWERS)) or middle.shape != (2,) or not np.isfinite(middle).all():
+            raise ValueError(f"general distortion must be (2, {len(_POWERS)}) numbers and a middle (2,)")
+        if not np.abs(general).sum(1).max() <= _LARGEST * self.reach:
             raise ValueError("general distortion must stay below 0.3 of half the diagonal")
-        if middle.shape != (2,) or not np.isfinite(middle).all():
-            raise ValueError(f"middle of a general distortion must be two finite numbers, got {self.middle!r}")
         self._set(general=general, middle=middle)
 
     @classmethod
@@ -99,16 +95,11 @@ class Distortion(Frozen):
             straight = self.centre + (bent - self._general(straight) - self.centre) / (1 + self._radial_scale(offset))
         return straight
 
-    def downscaled(self, factor: int) -> Distortion:
-        """The distortion of the flat after averaging blocks of `factor` x `factor` pixels."""
-        return Distortion(
-            (self.centre + 0.5) / factor - 0.5,
-            self.k1,
-            self.k2,
-            self.reach / factor,
-            None if self.general is None else self.general / factor,
-            None if self.middle is None else (self.middle + 0.5) / factor - 0.5,
-        )
+    def scaled(self, scale: float) -> Distortion:
+        """The distortion in pixels smaller by `scale`."""
+        general = None if self.general is None else self.general * scale
+        middle = None if self.middle is None else (self.middle + 0.5) * scale - 0.5
+        return Distortion((self.centre + 0.5) * scale - 0.5, self.k1, self.k2, self.reach * scale, general, middle)
 
     def derivatives(self, straight: NDArray[np.float64]) -> list[tuple[str, NDArray[np.float64]]]:
         """Names of the parameters, and derivative (n, 2) of the displacement of points (n, 2) by each of them.
@@ -128,19 +119,12 @@ class Distortion(Frozen):
         return columns
 
     def updated(self, change: Mapping[str, NDArray[np.float64]]) -> Distortion:
-        """The distortion after a least-squares step `change` of the parameters named in `derivatives`."""
-        most = 0.1 * self.reach
+        """The distortion after a least-squares step `change` of `"k1"` or `"general"`, as in `derivatives`."""
         general = self.general
         if general is not None and "general" in change:
             general = general + np.reshape(change["general"], general.shape)
-        return Distortion(
-            self.centre + np.clip(change.get("centre", np.zeros(2)), -most, most),
-            self.k1 + float(change.get("k1", np.zeros(1))[0]),
-            self.k2 + float(change.get("k2", np.zeros(1))[0]),
-            self.reach,
-            general,
-            self.middle,
-        )
+        k1 = self.k1 + float(change["k1"][0]) if "k1" in change else self.k1
+        return Distortion(self.centre, k1, self.k2, self.reach, general, self.middle)
 
     def _displacement(self, straight: NDArray[np.float64]) -> NDArray[np.float64]:
         offset = straight - self.centre

@@ -95,19 +95,15 @@ class Lattice(Frozen):
     def __post_init__(self) -> None:
         origin = np.array(self.origin, dtype=np.float64)
         basis = np.array(self.basis, dtype=np.float64)
-        if origin.shape != (2,) or not np.isfinite(origin).all():
-            raise ValueError(f"origin must be two finite numbers, got {self.origin!r}")
+        if origin.shape != (2,) or not np.abs(origin).max() < 1e9:
+            raise ValueError(f"origin must be two finite numbers on a flat, got {self.origin!r}")
         if basis.shape != (2, 2) or not np.isfinite(basis).all() or abs(np.linalg.det(basis)) < 1e-6:
             raise ValueError(f"basis must be two independent finite vectors, got {self.basis!r}")
-        if any(int(v) != v for v in self.image_size):
-            raise ValueError(f"image_size must be whole numbers of px, got {self.image_size!r}")
         width, height = (int(v) for v in self.image_size)
-        if width < 1 or height < 1:
-            raise ValueError(f"image_size must be positive (width, height), got {self.image_size!r}")
-        if width * height > 1 << 31 or np.abs(origin).max() > 1e9:
-            raise ValueError(f"no camera has {width} x {height} px or a microimage at {self.origin!r}")
+        if (width, height) != tuple(self.image_size) or width < 1 or height < 1:
+            raise ValueError(f"image_size must be a whole number of px in width and height, got {self.image_size!r}")
         across = np.abs(np.linalg.inv(basis)).max() * (width + height)
-        if across > 1e7 or width * height > (1 << 27) * abs(np.linalg.det(basis)):
+        if across > 1e7 or width * height > min(1 << 31, (1 << 27) * abs(np.linalg.det(basis))):
             raise ValueError(f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart")
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise ValueError(f"radius must be a positive number of px, got {self.radius!r}")
@@ -146,27 +142,18 @@ class Lattice(Frozen):
     @cached_property
     def _indices(self) -> NDArray[np.int64]:
         width, height = self.image_size
-        corners = np.array([(-0.5, -0.5), (width - 0.5, -0.5), (-0.5, height - 0.5), (width - 0.5, height - 0.5)])
-        if self.distortion is not None:
-            # Edges of the flat are curved lines on the straight lattice.
-            along = np.linspace(0, 1, 33)[:, None]
-            pairs = ((0, 1), (1, 3), (3, 2), (2, 0))
-            corners = np.vstack([corners[a] + along * (corners[b] - corners[a]) for a, b in pairs])
-        bounds = self.to_index(corners)
+        # Edges of the flat are curved lines on a distorted lattice.
+        along, ends = np.linspace(-0.5, 0.5, 33), np.array([-0.5, 0.5])
+        edges = np.vstack([np.stack(np.meshgrid(*pair), -1).reshape(-1, 2) for pair in ((along, ends), (ends, along))])
+        bounds = self.to_index((edges + 0.5) * [width, height] - 0.5)
         low, high = np.floor(bounds.min(0)).astype(int), np.ceil(bounds.max(0)).astype(int)
-        rows = np.arange(low[1], high[1] + 1)
-        first, last = self._row_ends(rows, low[0], high[0])
+        columns, rows = (np.arange(low[axis], high[axis] + 1) for axis in (0, 1))
         across, down = np.abs(self.basis[0])
         steep = down > 0.25 * across
         found, order = [], []
-        block = max(1, _CHUNK // (high[0] - low[0] + 1))
-        for start in range(0, len(rows), block):
-            few = slice(start, start + block)
-            count = np.maximum(last[few] - first[few] + 1, 0)
-            i = np.arange(count.sum()) + np.repeat(first[few] - np.cumsum(count) + count, count)
-            ij = np.column_stack([i, np.repeat(rows[few], count)])
-            centres = self.points(ij)
-            x, y = centres.T
+        for few in np.array_split(rows, -(-len(rows) * len(columns) // _CHUNK)):
+            ij = np.stack(np.meshgrid(columns, few), -1).reshape(-1, 2)
+            x, y = self.points(ij).T
             inside = np.flatnonzero((x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5))
             found.append(ij.take(inside, 0))
             if steep:
@@ -174,18 +161,6 @@ class Lattice(Frozen):
                 order.append(band * width + x[inside].astype(np.int64))
         indices = np.concatenate(found)
         return indices[np.argsort(np.concatenate(order))] if steep else indices
-
-    def _row_ends(self, rows: NDArray[np.int64], low: int, high: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First and last `i` (n,) of the lenses of rows `j` (n,) that may lie on the flat, within `low` to `high`."""
-        first, last = np.full(len(rows), float(low)), np.full(len(rows), float(high))
-        if self.distortion is None:
-            for axis in range(2):
-                step = self.basis[0, axis]
-                if abs(step) > 1e-6 * np.abs(self.basis).max():
-                    start = self.origin[axis] + rows * self.basis[1, axis]
-                    ends = np.sort([(-0.5 - start) / step, (self.image_size[axis] - 0.5 - start) / step], axis=0)
-                    first, last = np.maximum(first, ends[0] - 1), np.minimum(last, ends[1] + 1)
-        return np.floor(first).astype(np.int64), np.ceil(last).astype(np.int64)
 
     def indices(self) -> NDArray[np.int64]:
         """(n, 2) lattice indices `i, j` of all microimages whose centre lies on the flat.
@@ -218,18 +193,17 @@ class Lattice(Frozen):
 
     def downscaled(self, factor: int) -> Lattice:
         """The lattice of the flat after averaging blocks of `factor` x `factor` pixels."""
-        distortion = self.distortion
-        width, height = (max(1, n // factor) for n in self.image_size)
-        small = Lattice(
-            (self.origin + 0.5) / factor - 0.5,
-            self.basis / factor,
-            (width, height),
-            self.radius / factor,
-            None if distortion is None else distortion.downscaled(factor),
-        )
+        width, height = self.image_size
+        small = self.scaled(1 / factor, (max(1, width // factor), max(1, height // factor)))
         # Rounding must not add or remove lenses at the border.
         small.__dict__["_indices"] = self._indices
         return small
+
+    def scaled(self, scale: float, image_size: tuple[int, int]) -> Lattice:
+        """The lattice in pixels smaller by `scale`, on a flat of `image_size` of them."""
+        distortion = self.distortion and self.distortion.scaled(scale)
+        origin = (self.origin + 0.5) * scale - 0.5
+        return Lattice(origin, self.basis * scale, image_size, self.radius * scale, distortion)
 
     def points(self, index: ArrayLike) -> NDArray[np.float64]:
         """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which may be fractions and beyond the flat."""
@@ -241,16 +215,6 @@ class Lattice(Frozen):
             column += index[..., 1] * self.basis[1, axis]
             np.add(column, self.origin[axis], out=straight[..., axis])
         return straight if self.distortion is None else self.distortion.apply(straight)
-
-    def grid(self, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(m, n, 2) positions `x, y` [px] of all lenses whose index `i` is in `columns` (n,) and `j` in `rows` (m,)."""
-        straight = np.empty((len(rows), len(columns), 2))
-        for axis in range(2):
-            along, down = columns * self.basis[0, axis], rows * self.basis[1, axis]
-            np.add(along + down[:, None], self.origin[axis], out=straight[..., axis])
-        if self.distortion is None:
-            return straight
-        return self.distortion.apply(straight.reshape(-1, 2)).reshape(straight.shape)
 
     def to_index(self, points: ArrayLike) -> NDArray[np.float64]:
         """(n, 2) real-valued lattice indices of flat positions `points` (n, 2) [px]."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.kernels import kernel
 from .lattice import Lattice, reduce_basis
 from .lens_subset import StackedCrops
 
@@ -36,26 +35,6 @@ class LitLenses:
         return LitLenses(indices[inside], crop[inside])
 
 
-@kernel(share=lambda picture, centres, *_: len(centres))
-def _measure_core_and_gaps(begin, end, picture, centres, corners, core, gaps):
-    """Mean of a picture over the 3 x 3 px at the centre of each lens, and over the corners of its cell."""
-    height, width = picture.shape
-    for lens in range(begin, end):
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        x, y = int(np.rint(cx)), int(np.rint(cy))
-        total = 0.0
-        for row in range(y - 1, y + 2):
-            for column in range(x - 1, x + 2):
-                total += picture[row, column]
-        core[lens] = total / 9
-        total = 0.0
-        for k in range(len(corners)):
-            column = min(max(int(np.rint(cx + corners[k, 0])), 0), width - 1)
-            row = min(max(int(np.rint(cy + corners[k, 1])), 0), height - 1)
-            total += picture[row, column]
-        gaps[lens] = total / len(corners)
-
-
 def find_lit_lenses(
     picture: NDArray[np.float32],
     lattice: Lattice,
@@ -73,9 +52,16 @@ def find_lit_lenses(
     """
     if len(centres) == 0:
         return np.zeros(0, dtype=bool)
-    core, gaps = np.empty(len(centres)), np.empty(len(centres))
-    _measure_core_and_gaps(picture, centres, _cell_corners(lattice), core, gaps)
-    step = core - gaps
+
+    def mean_at(offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+        total = np.zeros(len(centres))
+        for offset in offsets:
+            x, y = np.rint(centres + offset).astype(np.int64).T
+            total += picture[y.clip(0, len(picture) - 1), x.clip(0, picture.shape[1] - 1)]
+        return total / len(offsets)
+
+    core = mean_at(np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), -1).reshape(-1, 2))
+    step = core - mean_at(_cell_corners(lattice))
     # Bright, without being dust or a hot pixel.
     few, bright = slice(None, None, max(1, len(core) // 20_000)), 0.95
     has_gaps = np.quantile(step[few], bright) > 0.3 * np.quantile(core[few], bright)

@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 
 from .distortion import Distortion
 
-__all__ = [
-    "TUKEY_CUTOFF",
-    "LatticeFit",
-    "field_rms",
-    "fit_affine",
-    "tukey_weights",
-]
+__all__ = ["TUKEY_CUTOFF", "LatticeFit", "field_rms", "fit_affine", "tukey_weights"]
 
 #: Residual [standard deviations] from which on the weight is zero: 95 % efficiency for normal residuals.
 TUKEY_CUTOFF = 4.685
@@ -41,52 +35,28 @@ class LatticeFit:
 
 
 def tukey_weights(squares: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Weights (n,) of two-dimensional residuals, and the variance that their median implies.
-
-    Parameters
-    ----------
-    squares : (n,) float64
-        Squared lengths of the residuals, over the variance expected of each.
-    """
+    """Weights (n,) of residuals in the plane, of squared length `squares` (n,), and the variance of their median."""
     # 2 ln 2 is the median of the squared length of a standard normal vector in the plane.
     variance = float(np.median(squares)) / 1.386 + 1e-30
     return np.clip(1 - squares / (variance * TUKEY_CUTOFF**2), 0, None) ** 2, variance
 
 
 def fit_affine(
-    design: NDArray[np.float64],
-    shifts: NDArray[np.float64],
-    prior: NDArray[np.float64],
-    passes: int = 6,
-    cutoff: float = TUKEY_CUTOFF,
+    design: NDArray[np.float64], shifts: NDArray[np.float64], prior: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Robust affine function through shifts.
+    """Robust affine function (3, 2) through shifts (n, 2) [px], and their weights (n,).
 
-    Parameters
-    ----------
-    design : (n, 3) float64
-        A 1 and two coordinates of each.
-    shifts : (n, 2) float64 [px]
-    prior : (n,) float64
-        Weights known beforehand, one over the variance; 0 leaves a shift out.
-    passes : int
-        Times that the weights are estimated.
-    cutoff : float [standard deviations]
-
-    Returns
-    -------
-    change : (3, 2) float64 [px]
-    weight : (n,) float64
+    `design` (n, 3) holds a 1 and two coordinates of each; `prior` (n,) weights known beforehand, one over the variance:
+    0 leaves a shift out.
     """
     change: NDArray[Any] = np.zeros((3, 2))
-    weight, root_prior = prior, np.sqrt(prior)
-    for _ in range(passes):
+    weight = prior
+    for _ in range(6):
         root = np.sqrt(weight)[:, None]
         change = np.linalg.lstsq(design * root, shifts * root, rcond=None)[0]
-        length = np.hypot(*(shifts - design @ change).T) * root_prior
-        # sqrt(2 ln 2) is the median length of a standard normal vector in the plane.
-        scale = float(np.median(length[prior > 0])) / 1.1774 + 1e-12
-        weight = np.clip(1 - (length / (cutoff * scale)) ** 2, 0, None) ** 2 * prior
+        squares = ((shifts - design @ change) ** 2).sum(1) * prior
+        variance = tukey_weights(squares[prior > 0])[1]
+        weight = np.clip(1 - squares / (variance * TUKEY_CUTOFF**2), 0, None) ** 2 * prior
     return change, weight
 
 

@@ -76,14 +76,10 @@ class LatticeErrors(Frozen):
         """
         index = lattice.indices()
         straight = lattice.origin + index @ lattice.basis
-        columns = [
-            factor[:, None] * np.eye(2)[axis]
-            for factor in (np.ones(len(index)), index[:, 0], index[:, 1])
-            for axis in (0, 1)
-        ]
+        factors = np.column_stack([np.ones(len(index)), index])
+        columns = [factors[:, [k]] * np.eye(2)[axis] for k in range(3) for axis in (0, 1)]
         if lattice.distortion is not None:
-            kinds = lattice.distortion.derivatives(straight)
-            columns += [values for name, values in kinds if name in self.names]
+            columns += [values for name, values in lattice.distortion.derivatives(straight) if name in self.names]
         design = np.stack(columns, axis=2)
         spread = (design.reshape(-1, len(self.names)) @ self.covariance).reshape(design.shape)
         errors: NDArray[np.float64] = np.sqrt(np.maximum((design * spread).sum((1, 2)), 0))

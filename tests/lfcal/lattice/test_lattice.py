@@ -75,15 +75,6 @@ def test_a_downscaled_lattice_has_the_same_lenses_in_larger_pixels():
     assert small.pitch == pytest.approx(lattice.pitch / 3)
 
 
-@pytest.mark.parametrize("distortion", [None, Distortion([390.0, 310.0], 0.01, 0.0, 500.0)])
-def test_a_grid_of_lenses_lies_where_each_of_them_does(distortion):
-    lattice = Lattice([100.0, 90.0], [[14.3, 0.2], [6.9, 12.4]], (800, 600), 6.0, distortion)
-    i, j = np.arange(-3, 5), np.arange(2, 9)
-    across, down = np.meshgrid(i, j)
-    expected = lattice.points(np.stack([across, down], -1).reshape(-1, 2)).reshape(len(j), len(i), 2)
-    np.testing.assert_array_equal(lattice.grid(i, j), expected)
-
-
 @pytest.mark.parametrize("basis", [[[20.1, 11.6], [0.0, 23.2]], [[23.2, 0.3], [11.9, 20.0]]])
 def test_lenses_come_from_top_to_bottom_each_once(basis):
     lattice = Lattice([301.3, 222.2], basis, (640, 480), 9.0)
