@@ -1,8 +1,8 @@
 """Fit of a white image: lattice and distortion, or two discs that cut each other, to the pixels of many lenses.
 
 All lenses share one lattice and one radial profile; each has its own gain. A distortion is kept only if it is
-significant and moves the centres. A few lenses find whether a disc cuts the microimages and, if so, give the lattice;
-else more of them select the distortion, and as many as are needed give the final values.
+significant and moves the centres. A few lenses find whether a disc cuts the microimages and, if so, some more give the
+lattice of both discs; else as many as are needed give the final values.
 """
 
 from __future__ import annotations
@@ -27,13 +27,10 @@ from .vignetting import compare_pixels, measure_centroid_offset, measure_narrowi
 
 __all__ = ["WhiteFit", "fit_white", "refine_on_parts"]
 
-# Pixels, and fewest lenses, that a cutting disc is searched for with, that it is fitted to, and that the distortion is
-# chosen with.
 # [px] of centroids beside the lattice, from which on they are doubtful.
 _CENTROIDS = 0.2
+# Pixels, and fewest lenses, that a cut and a distortion are looked for with.
 _SEARCH = 1e5, 150
-_DISCS = 8e5, 250
-_CHOICE = 6e5, 400
 
 
 @dataclass(frozen=True)
@@ -74,12 +71,9 @@ def fit_white(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixel
     discs = _find_cut(tones, plain, fit, lit)
     if discs is not None:
         return _summarise_discs(discs, plain.lenses)
-    for number, fewest in (_CHOICE, (pixels, 0)):
-        if number > fit.lenses.pixels:
-            lenses, lit = cut_out(tones, fit.lattice, number, fewest, fit.lenses, lit)
-            fit = converge(fit.lattice, lenses, fit.orders)
-        if number == _CHOICE[0]:
-            fit = _select_orders(fit)
+    if pixels > fit.lenses.pixels:
+        lenses, lit = cut_out(tones, fit.lattice, pixels, 0, fit.lenses, lit)
+        fit = _select_orders(converge(fit.lattice, lenses, fit.orders))
     residuals = Residuals(fit.lenses.indices.astype(np.int32), locate_lenses(fit).astype(np.float32))
     return WhiteFit(
         fit.lattice, None, _find_doubt(fit.lenses, fit.lattice),
@@ -122,7 +116,7 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit, lit: LitLenses) -> Two
     # A cut by one pixel narrows microimages by 0.2 px.
     if narrowing < max(0.01, 6 * error):
         return None
-    lenses, _ = cut_out(tones, plain.lattice, *_DISCS, plain.lenses, lit)
+    lenses, _ = cut_out(tones, plain.lattice, 8e5, 250, plain.lenses, lit)
     discs = fit_two_discs(lenses, plain.lattice)
     if discs is None:
         return None

@@ -39,8 +39,6 @@ from .shading import fit_gain_slope
 
 __all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
 
-# The same parameters with the two discs interchanged.
-_SWAPPED = np.array([2, 3, 0, 1, 5, 4, 6, 8, 7, 10, 9, 12, 11, 13, 14, 15, 16, 17, 18])
 _STEPS = np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
@@ -110,8 +108,12 @@ class TwoDiscs:
 
     def interchanged(self) -> TwoDiscs:
         """With the other disc as the lens."""
-        covariance = self.covariance[np.ix_(_SWAPPED, _SWAPPED)]
-        return replace(self, parameters=self.parameters[_SWAPPED], covariance=covariance, halves=self.halves[_SWAPPED])
+        order = np.arange(COUNT)
+        order[OFFSET] = np.roll(order[OFFSET], 2)
+        for pair in (GROWTH, RADIUS, LOG_BLUR, SHADING):
+            order[pair] = order[pair][::-1]
+        covariance = self.covariance[np.ix_(order, order)]
+        return replace(self, parameters=self.parameters[order], covariance=covariance, halves=self.halves[order])
 
     def difference(self, pair: slice, fault: float) -> float:
         """Second minus first value of a pair of parameters, in standard errors; `fault` is that of the model."""
@@ -178,8 +180,8 @@ def _lattice_of(lattice: Lattice, p: NDArray[np.float64]) -> Lattice:
 def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
     """The two discs that explain the microimages best, in any order; None where there are none.
 
-    `lenses` have been fitted without a cut, on `lattice`. First by `scipy.optimize.least_squares` on few pixels,
-    without what only matters near the end; then by Gauss-Newton steps on most of those near the edges.
+    `lenses` have been fitted without a cut, on `lattice`. First on few pixels without what only matters near the end,
+    then on more, at last by Gauss-Newton steps on most of those near the edges.
     """
     p, spread = _start(lenses)
     expected, everything = p, spread
@@ -194,14 +196,17 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
             # The gains of cut microimages had been fitted without a cut, and the slope of the light with them.
             gains = lenses.gain[pixels.rows] * np.maximum(gain, 1e-3)
             slope[pixels.rows] = fit_gain_slope(lenses.centres[pixels.rows], gains, lattice)
-            if number != 10_000 and lattice.distortion is None and abs(p[BEND]) < max(0.15, 6 * errors[BEND]):
-                # It would move centres by less than 0.01 px, or by chance.
-                p[BEND] = spread[BEND] = 0
+        if lattice.distortion is None and abs(p[BEND]) < max(0.15, 6 * errors[BEND]):
+            # It would move centres by less than 0.01 px, or by chance.
+            p[BEND] = spread[BEND] = 0
         pixels = _choose_pixels(lenses, slope, lattice, 150_000, p)
-        parameters, covariance, offsets, halves = _finish(pixels, p, expected, spread, low, high)
+        spread[(p <= low + 1e-6) | (p >= high - 1e-6)] = 0
+        p, covariance, offsets, halves = _finish(pixels, p, expected, spread)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return TwoDiscs(lattice, parameters, covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves)
+    return TwoDiscs(
+        lattice, np.clip(p, low, high), covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves
+    )
 
 
 def _start(lenses: Microimages) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -240,24 +245,22 @@ def _choose_pixels(
     known: NDArray[np.float64] | None = None,
 ) -> _Pixels:
     """At most `number` of the unclipped pixels in the cells of the lenses; with `known` discs most near their edges."""
-    xs, ys = lenses.places()
-    x, y = np.broadcast_arrays(xs, ys)
-    keep = lenses.light < lenses.saturation
-    for across, down in lenses.cell.normals:
-        keep &= across * x + down * y <= 0.5
-    lens = np.nonzero(keep)[0]
-    place, light = np.column_stack([x[keep], y[keep]]), lenses.light[keep].astype(np.float64)
-    field = field_position(lenses.centres, lattice)
+    rng, field = np.random.default_rng(0), field_position(lenses.centres, lattice)
+    # Most of those beside the edges are left out in the end.
+    drawn = np.flatnonzero(rng.random(lenses.light.size) < (3 if known is None else 10) * number / lenses.light.size)
+    lens, y, x = np.unravel_index(drawn, lenses.light.shape)
+    place = np.column_stack([x, y]) + (lenses.corners - lenses.centres)[lens]
+    light = lenses.light.ravel()[drawn].astype(np.float64)
+    keep = (light < lenses.saturation) & (place @ lenses.cell.normals.T <= 0.5).all(1)
+    lens, place, light = lens[keep], place[keep], light[keep]
     chance = np.ones(len(light))
     if known is not None:
         depth = [
             known[RADIUS][k] - np.hypot(*(place - known[OFFSET][2 * k : 2 * k + 2] - known[GROWTH][k] * field[lens]).T)
             for k in (0, 1)
         ]
-        near = np.min(np.abs(depth), axis=0) < 3 * math.exp(float(known[LOG_BLUR].max()))
-        chance[~near] = 0.1
-    chance *= number / chance.sum()
-    taken = np.random.default_rng(0).random(len(light)) < chance
+        chance[np.min(np.abs(depth), axis=0) > 3 * math.exp(float(known[LOG_BLUR].max()))] = 0.1
+    taken = rng.random(len(light)) < chance * (number / chance.sum())
     lens, place, light = lens[taken], place[taken], light[taken]
     light /= lenses.gain[lens] * (1 + (slope[lens] * place).sum(1)) * max(float(lenses.profile[0]), 1e-9)
     reach = float(np.hypot(*lattice.image_size) / 2)
@@ -306,7 +309,7 @@ def _minimise(
 
     start = np.clip(p, low + 1e-6, high - 1e-6)[free]
     solution: Any = least_squares(
-        lambda v: compare(v)[0], start, lambda v: compare(v)[1], (low[free], high[free]), "trf", ftol=1e-5,
+        lambda v: compare(v)[0], start, lambda v: compare(v)[1], (low[free], high[free]), "trf", ftol=1e-4,
         x_scale="jac", loss="soft_l1", f_scale=3.0, tr_solver="exact", max_nfev=30,
     )  # fmt: skip
     best, errors = p.copy(), np.zeros(COUNT)
@@ -316,15 +319,10 @@ def _minimise(
 
 
 def _finish(
-    pixels: _Pixels,
-    p: NDArray[np.float64],
-    expected: NDArray[np.float64],
-    spread: NDArray[np.float64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
+    pixels: _Pixels, p: NDArray[np.float64], expected: NDArray[np.float64], spread: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Gauss-Newton passes with Tukey's weights: parameters, covariance, offsets of single lenses, and `halves`."""
-    free, weight = np.flatnonzero(spread > 0), np.ones(len(pixels.light))
+    """Gauss-Newton steps with Tukey's weights: parameters, covariance, offsets of single lenses, and `halves`."""
+    free, weight, p = np.flatnonzero(spread > 0), np.ones(len(pixels.light)), p.copy()
     for _ in range(6):
         residual, table, _ = pixels.compare(p, weight)
         noise = 1.4826 * float(np.median(np.abs(residual))) + 1e-9
@@ -333,8 +331,7 @@ def _finish(
         rows = table * (weight / noise**2)[:, None]
         prior, pull = (stiff.T @ stiff)[np.ix_(free, free)], (stiff.T @ away)[free]
         normal = (rows.T @ table)[np.ix_(free, free)] + prior
-        step = _bounded_step(normal, (rows.T @ residual)[free] + pull, low[free] - p[free], high[free] - p[free])
-        p = p.copy()
+        step = np.linalg.solve(normal, (rows.T @ residual)[free] + pull)
         p[free] += step
         if step @ normal @ step < 0.1:
             break
@@ -351,17 +348,6 @@ def _finish(
     force = np.add.reduceat(weighted * residual[:, None], first)
     ridge = 1e-6 * np.trace(single.mean(0)) * np.eye(2)
     return p, covariance, np.linalg.solve(single + ridge, force[..., None])[..., 0], halves
-
-
-def _bounded_step(
-    normal: NDArray[np.float64], force: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Solution of normal equations; what would leave its bounds stays at them, and the rest is solved for once more."""
-    step = np.clip(np.linalg.solve(normal, force), low, high)
-    inside = (step > low) & (step < high)
-    left = force - normal[:, ~inside] @ step[~inside]
-    step[inside] = np.linalg.solve(normal[np.ix_(inside, inside)], left[inside])
-    return np.clip(step, low, high)
 
 
 def choose_lens(discs: TwoDiscs) -> TwoDiscs:
