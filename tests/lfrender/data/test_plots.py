@@ -65,7 +65,7 @@ def test_plots_lie_on_scene_coordinates(drawn):
         left, right, low, top = result.plot(plt.figure().gca()).images[0].get_extent()
         np.testing.assert_allclose((left, right), (-0.5, width - 0.5), atol=camera.lattice.pitch)
         np.testing.assert_allclose((top, low), (-0.5, height - 0.5), atol=camera.lattice.pitch)
-    assert len(camera.plot(plt.figure().gca()).collections[0].get_offsets()) == len(camera.lattice)
+    assert len(camera.plot(plt.figure().gca()).collections[0].get_paths()) == len(camera.lattice)
     plt.close("all")
 
 
