@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .detection.capture_kind import choose_white_or_scene
-from .detection.downscale import is_searched_at_half_size
 from .detection.first_lattice import (
     NO_MICROIMAGES,
     FirstLattice,
     find_first_lattices,
-    find_first_lattices_at_half_size,
     find_stated_lattices,
 )
 from .detection.settings import DETECTION
@@ -178,8 +176,7 @@ def _find_starts_on(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
     mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
     if mean == 0 or deviation < 1e-4 * mean:
         raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
-    half_size = is_searched_at_half_size((picture.shape[1], picture.shape[0]))
-    for start in (find_first_lattices_at_half_size if half_size else find_first_lattices)(picture):
+    for start in find_first_lattices(picture):
         if start.repeatability < DETECTION.repeatability and not start.confirmed:
             raise CalibrationError(NO_MICROIMAGES)
         yield start

@@ -156,7 +156,7 @@ def _calibrate(
                 "the lenses are lit too differently for a white image, and no lattice is proved if the flat is a scene;"
                 " give a white image, or state what it shows (--kind white or scene)"
             )
-    if camera.source == "scene" and not measured.parallax:
+    if camera.source == "scene" and (not measured.parallax or camera.circle_agreement < CALIBRATION.circles):
         camera = replace(camera, confidence=min(camera.confidence, CALIBRATION.shape_confidence))
     types, warnings = camera.lens_types, list(camera.warnings)
     if camera.confidence < _CONFIDENCE:
@@ -204,12 +204,12 @@ def _enclosed_share(dark: NDArray[np.bool_], index: NDArray[np.int64]) -> float:
 
 def _find_large(flat: NDArray[Any], kind: str, filtered: bool, block: int) -> LatticeCandidate | None:
     """The lattice of a large white image from parts of it; None where it is not large, or none is found so."""
-    from .detection.downscale import is_large_after_averaging, is_searched_in_pieces
+    from .detection import downscale
     from .lattice_search import find_lattice_in_crops, find_lattice_in_piece
 
-    size = flat.shape[1], flat.shape[0]
-    found = find_lattice_in_crops(flat, kind, filtered) if is_large_after_averaging(size, block) else None
-    if found is None and block == 1 and not filtered and is_searched_in_pieces(size):
+    pixels = flat.shape[0] * flat.shape[1]
+    found = find_lattice_in_crops(flat, kind, filtered) if pixels >= downscale.LARGE * block**2 else None
+    if found is None and block == 1 and not filtered and pixels >= downscale.PIECES:
         found = find_lattice_in_piece(flat, kind)
     return found
 

@@ -16,6 +16,9 @@ class CalibrationSettings:
     # of scenes whose microimages have the shape of lenses, but show no parallax: 5 of 15 captures, and 4 of 218
     # pictures that are no flats
     shape_confidence: float = 0.85
+    # agreement of circles below which parallax proves nothing: 61 scenes have 0.19 and more, 26 crops of captures 0.25;
+    # pictures that are no flats, but show parallax by chance, -0.05 to -0.11
+    circles: float = 0.1
     glare: float = 0.5  # [mean] standard deviation of the root of the luminance, beyond which a few bright places may
     # outweigh the microimages; files with gamma have up to 0.46, linear ones up to 0.9
     min_roundness: float = 0.55  # of the average microimage, below which they may have done so

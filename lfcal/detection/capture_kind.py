@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..images.preprocessing import normalise_locally, sqrt_luminance
 from ..lattice.cell import cell_normals
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
@@ -27,44 +29,23 @@ def choose_white_or_scene(
     if kind != "auto":
         return kind == "white", lights
     if len(lights) == 1:
-        return _is_evenly_lit_at(start, lights[0]), lights
-    from ..images.preprocessing import normalise_locally, sqrt_luminance
-
+        height, width = start.brightness.shape
+        factor = lights[0].shape[0] // height
+        small: Any = cv2.resize(
+            lights[0][: factor * height, : factor * width], (width, height), interpolation=cv2.INTER_AREA
+        )
+        return is_evenly_lit(start.brightness, small, start.lattice.downscaled(factor)), lights
     window = 2 * start.lattice.pitch
-    whites = [
-        light
-        for light in lights
-        if is_evenly_lit(normalise_locally(sqrt_luminance(light), window), light, start.lattice)
-    ]
+    levelled = [normalise_locally(sqrt_luminance(light), window) for light in lights]
+    whites = [light for light, own in zip(lights, levelled, strict=True) if is_evenly_lit(own, light, start.lattice)]
     return (True, whites) if whites else (False, lights)
 
 
-def _is_evenly_lit_at(start: FirstLattice, light: NDArray[np.float32]) -> bool:
-    """`is_evenly_lit` at the size at which the lattice was found."""
-    factor = light.shape[0] // start.brightness.shape[0]
-    if factor == 1:
-        return is_evenly_lit(start.brightness, light, start.lattice)
-    import cv2
-
-    height, width = start.brightness.shape
-    small: Any = cv2.resize(light[: factor * height, : factor * width], (width, height), interpolation=cv2.INTER_AREA)
-    return is_evenly_lit(start.brightness, small, start.lattice.downscaled(factor))
-
-
-def is_evenly_lit(
-    brightness: NDArray[np.float32] | StackedCrops,
-    light: NDArray[np.float32],
-    lattice: Lattice,
-) -> bool:
+def is_evenly_lit(brightness: NDArray[np.float32] | StackedCrops, light: NDArray[np.float32], lattice: Lattice) -> bool:
     """Whether the insides of lit microimages vary by little against the depth of the gaps between them.
 
-    Parameters
-    ----------
-    brightness : (h, w) float32, or crops
-        Locally normalised (`images.preprocessing.normalise_locally`).
-    light : (h, w) float32
-        Luminance of the flat, or of these crops.
-    lattice : Lattice [px]
+    `brightness` (h, w), or crops, is locally normalised (`images.preprocessing.normalise_locally`), `light` (h, w) the
+    luminance of the flat, or of these crops.
     """
     return (
         _scatter_inside(brightness, lattice, None) < DETECTION.scatter_inside
@@ -73,9 +54,7 @@ def is_evenly_lit(
 
 
 def _scatter_inside(
-    picture: NDArray[np.float32] | StackedCrops,
-    lattice: Lattice,
-    light: NDArray[np.float32] | None,
+    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, light: NDArray[np.float32] | None
 ) -> float:
     """Scatter about the mean at a distance inside microimages, over the depth of the gaps.
 

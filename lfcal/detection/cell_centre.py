@@ -5,7 +5,7 @@ The centre is where the average cell is most nearly a function of the distance t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +14,10 @@ from ..lattice.cell import bin_offsets
 from ..lattice.lattice import reduce_basis
 from .settings import DETECTION
 
-__all__ = [
-    "CentreGuess",
-    "choose_lens_centre",
-    "find_primitive_cell",
-    "find_round_centres",
-    "is_checkerboard",
-]
+__all__ = ["CentreGuess", "choose_lens_centre", "find_primitive_cell", "find_round_centres"]
 
 
-@dataclass(frozen=True)
-class CentreGuess:
+class CentreGuess(NamedTuple):
     """A possible microimage centre."""
 
     position: NDArray[np.float64]  # (2,) fractional lattice coordinates, 0..1
@@ -36,18 +29,13 @@ def find_primitive_cell(
     basis: NDArray[np.float64],
     again: list[NDArray[np.float64]] | None = None,
 ) -> NDArray[np.float64]:
-    """Smallest lattice on which the average cells repeat, `basis` itself or a finer one.
+    """Smallest lattice on which the average cells repeat, `basis` (2, 2) [px] itself or a finer one.
 
     Arrays with several lens types repeat exactly only with a cell two, three or four times as large, and their blur
     differs from lens to lens; but microimages of all types have the same outline, and are one lattice.
 
-    Parameters
-    ----------
-    cells : list of (bins, bins) float64
-        Average cell of each feature; `bins` a multiple of 6.
-    basis : (2, 2) float64 [px]
-    again : list of (bins, bins) float64 or None
-        The same from another part of the flat, so that noise cancels.
+    `cells` are the average cells (bins, bins) of each feature, bins a multiple of 6; `again` the same from another part
+    of the flat, so that noise cancels.
     """
     power = np.zeros(cells[0].shape)
     for cell, other in zip(cells, cells if again is None else again, strict=True):
@@ -73,24 +61,6 @@ def _unrepeated_share(power: NDArray[np.float64], shift: tuple[int, int], index:
     return float(power[phase % index != 0].sum()) / varying if varying > min_energy else 1.0
 
 
-def is_checkerboard(brightness: NDArray[np.float64], edges: NDArray[np.float64]) -> bool:
-    """Whether average cells (bins, bins) are their own negative half a cell further, with the same edges.
-
-    Gaps between round microimages are never round microimages themselves.
-    """
-    half = brightness.shape[0] // 2
-    return any(
-        _autocorrelation(brightness, shift) < -DETECTION.negative and _autocorrelation(edges, shift) > 0.3
-        for shift in half * np.array([(1, 0), (0, 1), (1, 1)])
-    )
-
-
-def _autocorrelation(cell: NDArray[np.float64], shift: NDArray[np.int64]) -> float:
-    """Correlation of a periodic picture with itself, shifted by `shift` (columns, rows)."""
-    g = cell - cell.mean()
-    return float((g * np.roll(g, (-shift[1], -shift[0]), axis=(0, 1))).sum() / max((g * g).sum(), 1e-30))
-
-
 def _span(generators: list[tuple[int, int]]) -> NDArray[np.float64]:
     """Basis (2, 2) of all integer combinations of `generators`, by Euclid's algorithm on the columns."""
     x, y, rest = 0, 0, 0
@@ -102,21 +72,12 @@ def _span(generators: list[tuple[int, int]]) -> NDArray[np.float64]:
 
 
 def choose_lens_centre(
-    guesses: list[CentreGuess],
-    light: NDArray[np.float64],
-    basis: NDArray[np.float64],
+    guesses: list[CentreGuess], light: NDArray[np.float64], basis: NDArray[np.float64]
 ) -> CentreGuess:
     """The guess that is a lens and no gap: the roundest, unless one nearly as round is clearly brighter.
 
-    Gaps of a square array are as round as the lenses, but no lens is darker than the gaps around it.
-
-    Parameters
-    ----------
-    guesses : list of CentreGuess
-        Roundest first.
-    light : (bins, bins) float64
-        Average cell of the luminance.
-    basis : (2, 2) float64 [px]
+    Gaps of a square array are as round as the lenses, but no lens is darker than the gaps around it. `guesses` are
+    sorted, roundest first; `light` (bins, bins) is the average cell of the luminance.
     """
     bins = light.shape[0]
     inside = _distance_to_corner(basis, bins) < 0.25 * np.sqrt(abs(np.linalg.det(basis)))
@@ -131,14 +92,7 @@ def choose_lens_centre(
 
 
 def find_round_centres(cells: list[NDArray[np.float64]], basis: NDArray[np.float64]) -> list[CentreGuess]:
-    """Up to four points about which the average cells are round, roundest first, at least 0.3 pitch apart.
-
-    Parameters
-    ----------
-    cells : list of (bins, bins) float64
-        Average cell of each feature; bin `k` covers `[k, k + 1) / bins`.
-    basis : (2, 2) float64 [px]
-    """
+    """Up to four points about which the average cells (bins, bins) are round, roundest first, 0.3 pitch apart."""
     bins = cells[0].shape[0]
     distance = _distance_to_corner(basis, bins)
     rings = 24
@@ -160,7 +114,7 @@ def find_round_centres(cells: list[NDArray[np.float64]], basis: NDArray[np.float
     remaining = roundness.copy()
     while len(guesses) < 4 and remaining.max() > 0:
         row, column = np.unravel_index(int(remaining.argmax()), remaining.shape)
-        position = (np.array([column, row]) + 0.5 + _vertex(roundness, int(row), int(column))) / bins % 1
+        position = (np.array([column, row]) + 0.5) / bins
         guesses.append(CentreGuess(position, float(remaining[row, column])))
         remaining[np.roll(distance, (row, column), axis=(0, 1)) < 0.3 * pitch] = 0
     return guesses
@@ -169,13 +123,3 @@ def find_round_centres(cells: list[NDArray[np.float64]], basis: NDArray[np.float
 def _distance_to_corner(basis: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
     """(bins, bins) distance [px] from each bin to the lattice point nearest to it, if one is the middle of bin 0, 0."""
     return np.linalg.norm(bin_offsets(basis, bins, np.array([0.5, 0.5]) / bins), axis=2)
-
-
-def _vertex(values: NDArray[np.float64], row: int, column: int) -> NDArray[np.float64]:
-    """Offset (column, row) [bins] of the vertex of the parabola through a maximum of a periodic picture."""
-    offset = np.zeros(2)
-    for axis, line in enumerate((np.roll(values[row], 1 - column), np.roll(values[:, column], 1 - row))):
-        below, top, above = line[:3]
-        bend = below - 2 * top + above
-        offset[axis] = np.clip(0.5 * (below - above) / bend, -0.5, 0.5) if bend < 0 else 0.0
-    return offset

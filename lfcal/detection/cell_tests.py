@@ -8,8 +8,7 @@ lenses, noise cancels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import gcd
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +18,11 @@ from ..lattice.cell import bin_offsets, cell_distances, nearest_offsets
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses
 from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError
-from .folding import HIGHEST_HARMONIC, TileFolds
 from .settings import DETECTION
 
-__all__ = ["AverageCell", "check_cell", "check_edges", "find_shape_doubt", "measure_average_cell"]
+__all__ = ["AverageCell", "check_cell", "find_shape_doubt", "measure_average_cell"]
+
+_Distances = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def check_cell(
@@ -32,55 +32,28 @@ def check_cell(
     centre: NDArray[np.float64],
     repeatability: float,
 ) -> CalibrationError | None:
-    """CalibrationError where the average cell cannot be a microimage; returned, not raised, where a scene may be why.
+    """Why the average cell is no microimage, unless parallax proves one; None if it may be one.
 
-    Parameters
-    ----------
-    cells : list of (bins, bins) float64
-        Average cell of each feature; bin `k` covers `[k, k + 1) / bins`.
-    light : (bins, bins) float64
-        Average cell of the luminance.
-    basis : (2, 2) float64 [px]
-    centre : (2,) float64
-        Microimage centre in fractional lattice coordinates.
-    repeatability : float
-        Correlation of the average cells of two halves of the flat.
+    Raised, not returned, where no scene that is left in the average of a thousand lenses can be why: that differs from
+    one half of the flat to the other.
+
+    `cells` (bins, bins) are the average cells of each feature, `light` that of the luminance; the microimage has its
+    `centre` (2,) in fractional lattice coordinates, and average cells of two halves of the flat this `repeatability`.
     """
-    off_line = _off_line_energy(np.mean([_power(cell) for cell in cells], axis=0))
-    if off_line < DETECTION.off_line_energy:
-        raise CalibrationError(f"stripes repeat on the image, in one direction only; {RAW_FLAT_ADVICE}")
     # Where light hardly varies, only edges are left.
-    if light.std() > 0.05 * light.mean():
-        # Correlation of two halves limits what any model can explain of their mean.
-        possible = 2 * repeatability / (1 + repeatability)
-        distances = cell_distances(basis, bin_offsets(basis, len(light), centre).reshape(-1, 2))
-        explained = float(np.mean([_explained_share(_smooth(cell), distances) for cell in cells]))
-        least = DETECTION.radial_share if off_line > 0.1 else DETECTION.radial_share_rows
-        if explained < least * possible:
-            pitch = float(np.sqrt(abs(np.linalg.det(basis))))
-            error = CalibrationError(
-                f"a pattern repeats every {pitch:.1f} px that has no microimages; {RAW_FLAT_ADVICE}"
-            )
-            if explained < DETECTION.radial_share_scene * possible:
-                raise error
-            return error
-    return None
-
-
-def check_edges(tone: TileFolds) -> None:
-    """CalibrationError where the average cell has no edge as light behind a lens has.
-
-    Parameters
-    ----------
-    tone : TileFolds
-        Root of the luminance on the reduced lattice, with bins far smaller than a pixel.
-    """
-    pitch = float(np.sqrt(abs(np.linalg.det(tone.basis))))
-    # Below 10 px, the own blur of a sensor can leave less; harmonics finer than 2.2 px are aliases of coarser ones.
-    if pitch > 10 and _energy_beyond_first(tone, 2.2) < DETECTION.edge_energy:
-        raise CalibrationError(
-            f"crossed waves without any edge repeat every {pitch:.1f} px, not microimages; {RAW_FLAT_ADVICE}"
-        )
+    if light.std() <= 0.05 * light.mean():
+        return None
+    # Correlation of two halves limits what any model can explain of their mean.
+    possible = 2 * repeatability / (1 + repeatability)
+    distances = cell_distances(basis, bin_offsets(basis, len(light), centre).reshape(-1, 2))
+    explained = float(np.mean([_explained_share(_smooth(cell), distances) for cell in cells]))
+    if explained >= DETECTION.radial_share * possible:
+        return None
+    pitch = float(np.sqrt(abs(np.linalg.det(basis))))
+    error = CalibrationError(f"a pattern repeats every {pitch:.1f} px that has no microimages; {RAW_FLAT_ADVICE}")
+    if explained < DETECTION.radial_share_scene * possible or repeatability > DETECTION.pattern_repeatability:
+        raise error
+    return error
 
 
 def _smooth(cell: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -90,49 +63,14 @@ def _smooth(cell: NDArray[np.float64]) -> NDArray[np.float64]:
     return cell
 
 
-def _power(cell: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(bins, bins) shares of the variance by harmonic `[k, h]`."""
-    energy = np.abs(np.fft.fft2(cell - cell.mean())) ** 2
-    shares: NDArray[np.float64] = energy / max(float(energy.sum()), 1e-30)
-    return shares
-
-
-def _orders(bins: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Harmonics `h, k` of the bins of a transform."""
-    order = np.rint(np.fft.fftfreq(bins) * bins).astype(int)
-    k, h = np.meshgrid(order, order, indexing="ij")
-    return h, k
-
-
-def _off_line_energy(power: NDArray[np.float64]) -> float:
-    """Share of the energy that is not on the strongest line of harmonics through zero."""
-    h, k = _orders(len(power))
-    lines = [(a, b) for a in range(4) for b in range(-3, 4) if gcd(a, b) == 1]
-    return 1 - max(float(power[h * b == k * a].sum()) for a, b in lines)
-
-
-def _energy_beyond_first(tone: TileFolds, shortest_harmonic: float) -> float:
-    """Share of the energy of the light in harmonics that are not first ones in both directions."""
-    total, count = (v.sum(0, dtype=np.float64) for v in (tone.total, tone.count))
-    light = total**2 / np.maximum(count, 1)
-    # Deviations weighted by their pixels: where the pitch is a whole number of pixels most bins are empty.
-    power = np.abs(np.fft.fft2(light - light.sum() / count.sum() * count)) ** 2
-    h, k = _orders(tone.bins)
-    highest = np.clip(np.hypot(*tone.basis.T) / shortest_harmonic, 1, HIGHEST_HARMONIC)
-    power *= (abs(h) <= highest[0]) & (abs(k) <= highest[1])
-    return float(power[np.maximum(abs(h), abs(k)) > 1].sum() / max(power.sum(), 1e-30))
-
-
-def _explained_share(cell: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
+def _explained_share(cell: NDArray[np.float64], distances: _Distances) -> float:
     """Share of the variance of a cell that a sum of a function of each distance explains, 0..1."""
     values = cell.ravel() - cell.mean()
     left = values - _fit_distances(values, distances)
     return 1 - float(left @ left) / max(float(values @ values), 1e-30)
 
 
-def _fit_distances(
-    values: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def _fit_distances(values: NDArray[np.float64], distances: _Distances) -> NDArray[np.float64]:
     """Least-squares sum of a piecewise linear function of each distance (n,), to `values` (n,) or columns (n, m)."""
     columns, nodes = [], 16
     for distance in distances:
@@ -143,55 +81,37 @@ def _fit_distances(
     return fitted
 
 
-@dataclass(frozen=True)
-class AverageCell:
+class AverageCell(NamedTuple):
     """Figures of the luminance in the average cell."""
 
-    half_correlation: float  # of the average cells of two halves of the lenses
-    unexplained: float  # share of what these have in common that is no function of the distances to centre and border
-    # correlation with itself half a cell further, over `half_correlation`; the least of three directions
-    half_shift: float
-    gap_brightness: float  # light half way to the neighbours over that in the middle, in the brightest direction
-    error: float  # standard error of `unexplained` and `half_shift`
-    # energy of a difference that most cells have, with either sign, over that of the mean; 0 if there is none
-    alternating: float
+    unexplained: float  # share of what two halves of the lenses have in common that is no function of the distances
+    half_shift: float  # correlation with itself half a cell further, the least of three directions
+    error: float  # standard error of both
+    edges: float  # share of the energy beyond the first harmonics
 
 
 def find_shape_doubt(
-    picture: NDArray[np.float32] | StackedCrops,
-    lattice: Lattice,
-    clear_gaps: bool = False,
+    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, clear_gaps: bool = False
 ) -> str | None:
     """Why the average cell may be no microimage, None where its shape proves it.
 
-    Parameters
-    ----------
-    picture : (h, w) float32, or crops
-        As made by `images.preprocessing.sqrt_luminance`.
-    lattice : Lattice [px]
-    clear_gaps : bool
-        Whether there are dark gaps at all borders of cells, which proves a microimage of any shape.
-
-    Raises
-    ------
-    CalibrationError
-        If dark places have the shape of light ones.
+    `picture` (h, w), or crops, is as made by `images.preprocessing.sqrt_luminance`; `clear_gaps` tells that there are
+    dark gaps at all borders of cells, which proves a microimage of any shape. Raises `CalibrationError` if dark places
+    have the shape of light ones.
     """
     cell = measure_average_cell(picture, lattice)
     if cell is None:
         return "there are too few of them to measure their shape"
     margin = 2 * cell.error
-    if cell.half_shift + margin < DETECTION.half_shift:
+    # Below 10 px, the blur of a sensor can leave no edges.
+    waves = lattice.pitch > 10 and cell.edges < DETECTION.edge_energy
+    if waves or cell.half_shift + margin < DETECTION.half_shift:
         raise CalibrationError(
             f"light and dark places of one shape repeat every {lattice.pitch:.1f} px, as on a checkerboard or in "
             f"crossed waves, not microimages; {RAW_FLAT_ADVICE}"
         )
     if cell.half_shift - margin < DETECTION.half_shift:
         return "a checkerboard or crossed waves could look like them"
-    if cell.alternating > DETECTION.alternating:
-        return "two kinds of them alternate, as threads or bricks do"
-    if cell.gap_brightness > DETECTION.gap_brightness:
-        return "the gaps between them are not darker than their middles"
     if not clear_gaps and cell.unexplained + margin > DETECTION.unexplained:
         return "the light in them does not have the shape of that behind a lens"
     return None
@@ -203,8 +123,7 @@ def measure_average_cell(picture: NDArray[np.float32] | StackedCrops, lattice: L
     share = (np.arange(samples) + 0.5) / samples - 0.5
     column, row = np.meshgrid(share, share)
     offsets = nearest_offsets(np.column_stack([column.ravel(), row.ravel()]), lattice.basis)
-    steps = lattice.steps @ lattice.basis
-    reach = float(np.hypot(*np.vstack([offsets, steps]).T).max()) + 1
+    reach = float(np.hypot(*offsets.T).max()) + 1
     if isinstance(picture, StackedCrops):
         _, centres, crop = picture.lenses(lattice, reach)
         chosen = np.linspace(0, len(centres) - 1, min(lenses, len(centres))).astype(int)
@@ -217,43 +136,24 @@ def measure_average_cell(picture: NDArray[np.float32] | StackedCrops, lattice: L
     level = cells.mean(1)
     # Darker ones may lie beside the array.
     lit = level > 0.2 * np.quantile(level, 0.95)
-    if lit.sum() < 4:
+    cells = cells[lit] / level[lit, None]
+    if len(cells) < 4:
         return None
-    centres, cells, level = centres[lit], cells[lit], level[lit]
-    cells /= level[:, None]
     a, b = (half.mean(0) - 1 for half in (cells[::2], cells[1::2]))
     common = float(a @ b)
     correlation = common / max(float(np.sqrt((a @ a) * (b @ b))), 1e-30)
     if correlation <= 0:
-        return AverageCell(correlation, 1.0, -1.0, 1.0, float("inf"), 0.0)
+        return AverageCell(1.0, -1.0, float("inf"), 1.0)
     both = np.column_stack([a, b])
     left = both - _fit_distances(both, cell_distances(lattice.basis, offsets))
     square = b.reshape(samples, samples)
     shifts = samples // 2 * np.array([(1, 0), (0, 1), (1, 1)])
     half_shift = min(float(a @ np.roll(square, tuple(shift), (0, 1)).ravel()) / common for shift in shifts)
-    core = cells[:, np.hypot(*offsets.T) < 0.25 * np.hypot(*steps.T).min()].mean()
-    gap = max(float((interpolate_linear(picture, centres + step / 2) ** 2 / level).mean()) for step in steps)
+    one, other = (np.fft.fft2(half.reshape(samples, samples)) for half in (a, b))
+    energy = (one * other.conj()).real
+    first = np.ix_([-1, 0, 1], [-1, 0, 1])
     # Noise is as many independent values as a cell has pixels.
     values = min(abs(np.linalg.det(lattice.basis)), samples**2)
-    return AverageCell(
-        half_correlation=correlation,
-        unexplained=float(left.prod(1).sum()) / common,
-        half_shift=half_shift,
-        gap_brightness=gap / core,
-        error=float((1 - correlation) / correlation / np.sqrt(values)),
-        alternating=_alternating_energy(cells, centres),
-    )
-
-
-def _alternating_energy(cells: NDArray[np.float64], centres: NDArray[np.float64]) -> float:
-    """`AverageCell.alternating` of cells (n, samples) at `centres` (n, 2) [px], without a linear trend."""
-    middle = centres - centres.mean(0)
-    trend = np.column_stack([np.ones(len(cells)), middle / max(float(np.abs(middle).max()), 1e-12)])
-    left = cells - trend @ np.linalg.lstsq(trend, cells, rcond=None)[0]
-    values, vectors = np.linalg.eigh(left @ left.T / len(cells))
-    # Participation ratio: the share of cells of equal amplitude that would have the same sum of fourth powers.
-    share = 1 / (float(((vectors[:, -1] ** 2) ** 2).sum()) * len(cells))
-    # Noise has a share of a half, dust of a few.
-    if share < 0.7 or values[-1] < 3 * values[-2]:
-        return 0.0
-    return float(values[-1] / ((cells.mean(0) - 1) ** 2).sum())
+    error = float((1 - correlation) / correlation / np.sqrt(values))
+    edges = 1 - float(energy[first].sum() / energy.sum())
+    return AverageCell(float(left.prod(1).sum()) / common, half_shift, error, edges)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -13,26 +12,13 @@ from ..camera.calibration import Calibration
 from ..gain.defects import Defects
 from ..gain.gain_map import GainMap
 from ..gain.vignetting import Vignetting
-from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CalibrationError
 
-__all__ = [
-    "ENOUGH",
-    "LARGE",
-    "PIECES",
-    "average_blocks",
-    "choose_block_size",
-    "is_large_after_averaging",
-    "is_searched_at_half_size",
-    "is_searched_in_pieces",
-    "upscale_calibration",
-]
+__all__ = ["LARGE", "PIECES", "average_blocks", "choose_block_size", "upscale_calibration"]
 
-# [px] flats of more are averaged in blocks,
+# [px] flats of more are averaged in blocks, down to about a third.
 LARGE = 4.8e7
-# down to about so many.
-ENOUGH = 1.6e7
 # White images of fewer are as soon calibrated as a whole as in pieces.
 PIECES = 6e6
 
@@ -40,10 +26,7 @@ PIECES = 6e6
 def choose_block_size(flat: NDArray[Any]) -> int:
     """Side [px] of the blocks that a flat (h, w) or (h, w, 3) is to be averaged in: 1 where it is not large.
 
-    Raises
-    ------
-    CalibrationError
-        If a large flat shows no lattice in its middle, nor beside it.
+    Raises `CalibrationError` if a large flat shows no lattice in its middle, nor beside it.
     """
     height, width = flat.shape[:2]
     if height * width < LARGE:
@@ -51,7 +34,7 @@ def choose_block_size(flat: NDArray[Any]) -> int:
     from ..images.mosaic import find_mosaic
 
     pitch = _find_pitch(flat)
-    block = max(1, min(int(pitch / 9), round(np.sqrt(height * width / ENOUGH))))
+    block = max(1, min(int(pitch / 9), round(np.sqrt(3 * height * width / LARGE))))
     # Whole cells of a colour mosaic average to grey.
     return block - block % 2 if block > 1 and find_mosaic(flat) else block
 
@@ -62,40 +45,22 @@ def _find_pitch(flat: NDArray[Any]) -> float:
     from .first_lattice import find_first_lattice
 
     height, width = flat.shape[:2]
-
-    def pitch_in_part(across: float, down: float, side: int) -> float:
+    error: CalibrationError | None = None
+    small, large = 1024, 2400
+    beside = ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8))
+    for across, down, side in ((0.5, 0.5, small), *((*place, large) for place in beside)):
         left, top = int(across * max(0, width - side)), int(down * max(0, height - side))
         part = np.ascontiguousarray(flat[top : top + side, left : left + side])
-        return find_first_lattice(sqrt_luminance(luminance(part))).lattice.pitch
-
-    # In the middle first, where twelve pitches across are enough; then in larger parts.
-    with suppress(CalibrationError):
-        pitch = pitch_in_part(0.5, 0.5, 1024)
-        if pitch * 12 < 1024:
-            return pitch
-    error: CalibrationError | None = None
-    for across, down in ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8)):
         try:
-            return pitch_in_part(across, down, 2400)
+            pitch = find_first_lattice(sqrt_luminance(luminance(part))).lattice.pitch
         except CalibrationError as failure:
             error = error or failure
+            continue
+        # Twelve pitches across are enough.
+        if pitch * 12 < side or side == large:
+            return pitch
     assert error is not None
     raise error
-
-
-def is_searched_in_pieces(size: tuple[int, int]) -> bool:
-    """Whether the lattice of a white image of `size` (width, height) is first looked for in a piece of it."""
-    return size[0] * size[1] >= PIECES
-
-
-def is_large_after_averaging(size: tuple[int, int], block: int) -> bool:
-    """Whether a flat of `size` (width, height) is large even when averaged in blocks."""
-    return size[0] * size[1] / block**2 >= LARGE
-
-
-def is_searched_at_half_size(size: tuple[int, int]) -> bool:
-    """Whether the first lattice of a flat of `size` (width, height) is looked for at half that size."""
-    return size[0] * size[1] >= 3e6
 
 
 def average_blocks(flat: NDArray[Any], block: int, rows: int = 32) -> NDArray[np.float32]:
@@ -114,22 +79,9 @@ def average_blocks(flat: NDArray[Any], block: int, rows: int = 32) -> NDArray[np
 
 
 def upscale_calibration(camera: Calibration, block: int, image_size: tuple[int, int]) -> Calibration:
-    """Calibration of a flat from that of its averages.
-
-    Parameters
-    ----------
-    camera : Calibration
-        Of the flat averaged in squares of `block` px.
-    block : int [px]
-    image_size : (int, int) [px]
-        Width and height of the flat.
-    """
+    """Calibration of a flat of `image_size` (width, height) from that of its averages in squares of `block` px."""
     small = camera.lattice
-    shift = (block - 1) / 2
-    lattice = Lattice(
-        small.origin * block + shift, small.basis * block, image_size, small.radius * block,
-        None if small.distortion is None else _upscale_distortion(small.distortion, block, shift),
-    )  # fmt: skip
+    lattice = small.scaled(block, image_size)
     vignetting = camera.vignetting and Vignetting(camera.vignetting.profile, camera.vignetting.step * block)
     gain = None if camera.gain_map is None else _upscale_gain(camera.gain_map, small, lattice, block)
     # Averages show no defects of single pixels.
@@ -142,24 +94,10 @@ def upscale_calibration(camera: Calibration, block: int, image_size: tuple[int, 
     )  # fmt: skip
 
 
-def _upscale_distortion(bend: Distortion, block: int, shift: float) -> Distortion:
-    return Distortion(
-        bend.centre * block + shift, bend.k1, bend.k2, bend.reach * block,
-        None if bend.general is None else bend.general * block,
-        None if bend.middle is None else bend.middle * block + shift,
-    )  # fmt: skip
-
-
 def _upscale_gain(gain: GainMap, small: Lattice, lattice: Lattice, block: int) -> GainMap:
     own = gain.lens_gain
     if len(own):
         known = {tuple(index): value for index, value in zip(small.indices().tolist(), own.tolist(), strict=True)}
         own = np.array([known.get(tuple(index), 1.0) for index in lattice.indices().tolist()], np.float32)
-    return replace(
-        gain,
-        step=gain.step * block,
-        radius=gain.radius * block,
-        lens_gain=own,
-        rim=gain.rim * block,
-        cut=gain.cut * block,
-    )  # fmt: skip
+    radius, rim, cut = (length * block for length in (gain.radius, gain.rim, gain.cut))
+    return replace(gain, step=gain.step * block, radius=radius, lens_gain=own, rim=rim, cut=cut)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,30 +22,20 @@ from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.errors import CalibrationError
-from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres, is_checkerboard
-from .cell_tests import check_cell, check_edges
-from .folding import CELL_TILES, fold_lit_tiles, fold_tiles, measure_repeatability
+from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres
+from .cell_tests import check_cell
+from .folding import BINS, CELL_TILES, fold_lit_tiles, fold_tiles, measure_repeatability
 from .gaps import Gaps, gap_tone, measure_gaps, window_likelihood
 from .settings import DETECTION
 from .spectrum import find_bases, is_same_lattice
-from .tile_lattice import LARGEST_CHANGE, finer_bases, fit_harmonics, refine_basis, similar_bases
+from .tile_lattice import finer_bases, fit_harmonics, has_run_away, refine_basis, similar_bases
 
-__all__ = [
-    "NO_MICROIMAGES",
-    "FirstLattice",
-    "find_first_lattice",
-    "find_first_lattices",
-    "find_first_lattices_at_half_size",
-    "find_stated_lattices",
-    "fit_first_lattice",
-]
+__all__ = ["NO_MICROIMAGES", "FirstLattice", "find_first_lattice", "find_first_lattices", "find_stated_lattices"]
 
 NO_MICROIMAGES = (
     "no microimages found: something repeats on the image, but not alike in all of it; "
     "give a raw flat from the sensor, not a rendered or scaled picture"
 )
-# Bins along an average cell: a multiple of 6, so that halves and thirds of a cell are whole bins.
-_BINS = 36
 
 
 @dataclass(frozen=True)
@@ -67,51 +58,46 @@ class FirstLattice:
         return window_likelihood(self.brightness, scale * basis, int(8 * scale * self.lattice.pitch))
 
 
-def find_first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
-    """Lattice from the best supported basis of the spectrum.
+def find_first_lattice(picture: NDArray[np.float32], basis: NDArray[np.float64] | None = None) -> FirstLattice:
+    """Lattice of a picture (h, w), as made by `images.preprocessing.sqrt_luminance`.
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-        As made by `images.preprocessing.sqrt_luminance`.
-
-    Raises
-    ------
-    CalibrationError
-        If nothing repeats in two directions, or no microimages do.
+    Its basis is the best supported one of the spectrum, or `basis` (2, 2) [px] where that is known to some percent.
+    Raises `CalibrationError` if nothing repeats in two directions, or no microimages do.
     """
-    return _build_lattice(next(find_bases(picture)), picture, edge_strength(picture))
-
-
-def fit_first_lattice(picture: NDArray[np.float32], basis: NDArray[np.float64]) -> FirstLattice:
-    """Lattice of a picture (h, w) whose `basis` (2, 2) [px] is known to some percent, and nothing of its centres.
-
-    Raises
-    ------
-    CalibrationError
-        If no microimages repeat on the picture at about this basis.
-    """
-    return _build_lattice(basis, picture, edge_strength(picture))
+    return _build_lattice(next(find_bases(picture)) if basis is None else basis, picture, edge_strength(picture))
 
 
 def find_first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
     """`find_first_lattice` and, where that is doubtful or turns out to be wrong, certain others, the roundest first.
 
-    Raises
-    ------
-    CalibrationError
-        As `find_first_lattice`, if there is none at all.
+    At half the size of a picture (h, w) of many pixels, where that leaves no doubt: `FirstLattice.brightness` is then
+    of half the size. Raises `CalibrationError` if there is none at all.
     """
-    yield from _build_lattices(find_bases(picture), picture)
+    start: FirstLattice | None = None
+    starts: Iterator[FirstLattice] = iter(())
+    # Smaller microimages show too little at half size.
+    fewest = 11.0
+    if picture.size >= 3e6:
+        height, width = (length // 2 for length in picture.shape)
+        half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        with suppress(CalibrationError):
+            bases = find_bases(half)
+            first = next(bases)
+            if 2 * _inradius(first) >= fewest:
+                starts = _build_lattices(chain([first], bases), half)
+                start = next(starts)
+    if start is None or start.lattice.pitch < fewest or start.doubt is not None:
+        yield from _build_lattices(find_bases(picture), picture)
+        return
+    for found in chain([start], starts):
+        lattice = found.lattice.scaled(2, picture.shape[::-1])
+        yield replace(found, lattice=lattice, half_difference=2 * found.half_difference)
 
 
 def find_stated_lattices(picture: NDArray[np.float32], hint: LatticeHint) -> list[FirstLattice]:
     """Lattices of a picture (h, w) as stated, the roundest first.
 
-    Raises
-    ------
-    CalibrationError
-        If nothing repeats on the picture as stated, or in more than one way.
+    Raises `CalibrationError` if nothing repeats on the picture as stated, or in more than one way.
     """
     bases: list[NDArray[np.float64]] = []
     with suppress(CalibrationError):
@@ -123,7 +109,7 @@ def find_stated_lattices(picture: NDArray[np.float32], hint: LatticeHint) -> lis
             break
         with suppress(CalibrationError, np.linalg.LinAlgError):
             one = _build_lattice(basis, picture, edges)
-            if hint.allows(one.lattice) and one.repeatability >= DETECTION.stated_repeatability:
+            if hint.allows(one.lattice) and one.repeatability >= DETECTION.repeatability / 2:
                 found.append(replace(one, doubt=None))
     if not found:
         turned = "" if hint.rotation is None else f", turned by about {hint.rotation:g} degrees"
@@ -142,60 +128,28 @@ def find_stated_lattices(picture: NDArray[np.float32], hint: LatticeHint) -> lis
     return sorted(found, key=lambda one: -one.roundness)
 
 
-def find_first_lattices_at_half_size(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
-    """`find_first_lattices` of a picture (h, w) of many pixels, at half its size where that leaves no doubt.
-
-    `FirstLattice.brightness` is then of half the size; the lattice is in px of the picture.
-    """
-    import cv2
-
-    height, width = (length // 2 for length in picture.shape)
-    half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-    bases = find_bases(half)
-    # [px] microimages of a flat at half size show all that is needed from here on
-    min_pitch = 11.0
-    start: FirstLattice | None = None
-    starts: Iterator[FirstLattice] = iter(())
-    with suppress(CalibrationError):
-        first = next(bases)
-        # A basis alone tells that the pitch is too short to be halved.
-        if 2 * _inradius(first) >= min_pitch:
-            starts = _build_lattices(chain([first], bases), half)
-            start = next(starts)
-    if start is None or start.lattice.pitch < min_pitch or start.doubt is not None:
-        yield from find_first_lattices(picture)
-        return
-    for found in chain([start], starts):
-        small = found.lattice
-        lattice = Lattice(2 * small.origin + 0.5, 2 * small.basis, picture.shape[::-1], 2 * small.radius)
-        yield replace(found, lattice=lattice, half_difference=2 * found.half_difference)
-
-
 def _build_lattices(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
-    """`find_first_lattices` from bases of the spectrum."""
+    """Lattices from bases of the spectrum: the first if it is certain, certain others, else the best of the rest."""
     edges = edge_strength(picture)
     error: CalibrationError | None = None
     given: list[FirstLattice] = []
+    certain: list[FirstLattice] = []
     uncertain: list[FirstLattice] = []
-    tried = [next(bases)]
-    try:
-        first = _build_lattice(tried[0], picture, edges)
-        if _is_certain(first):
-            given.append(first)
-            yield first
-        else:
-            uncertain.append(first)
-    except CalibrationError as failure:
-        error = failure
-    certain = []
+    tried = []
     for basis in bases:
         tried.append(basis)
-        with suppress(CalibrationError):
+        try:
             found = _build_lattice(basis, picture, edges)
-            if _is_certain(found):
-                certain.append(replace(found, doubt=found.doubt or error or CalibrationError(NO_MICROIMAGES)))
-            else:
-                uncertain.append(found)
+        except CalibrationError as failure:
+            error = failure if len(tried) == 1 else error
+            continue
+        if not _is_certain(found):
+            uncertain.append(found)
+        elif len(tried) == 1:
+            given.append(found)
+            yield found
+        else:
+            certain.append(replace(found, doubt=error or found.doubt or CalibrationError(NO_MICROIMAGES)))
     # The average of several lens types is less round than that of one.
     for found in sorted(certain, key=lambda one: -one.roundness):
         if not any(is_same_lattice(found.lattice.basis, one.lattice.basis) for one in given):
@@ -241,7 +195,7 @@ def _confirm_by_circles(
             uncertain = [*uncertain, _build_lattice(proposed, picture, edges)]
     ranked = [
         (find_circles(picture, one.lattice.pitch).agreement(one.lattice), one) for one in uncertain
-        if one.repeatability >= DETECTION.stated_repeatability and np.isfinite(one.half_difference)
+        if one.repeatability >= DETECTION.repeatability / 2 and np.isfinite(one.half_difference)
     ]  # fmt: skip
     ranked = [pair for pair in ranked if pair[0] >= 0.2]
     return [replace(one, confirmed=True) for _, one in sorted(ranked, key=lambda pair: -pair[0])]
@@ -261,61 +215,52 @@ def _build_lattice(
     """`find_first_lattice` from a basis of the spectrum; CalibrationError where that is none of microimages."""
     height, width = picture.shape
     start = basis
-    basis, side, features, coherence = _refine_cell(basis, picture, edges)
-    basis, gaps = _choose_by_gaps(features, [basis, *similar_bases(basis, start)], side)
+    basis, side, features = _refine_cell(basis, picture, edges)
+    basis, gaps = _choose_by_gaps(features[0], [basis, *similar_bases(basis, start)], side)
     # Smaller microimages hold too few pixels; a hundredth is for errors of measurement.
     if 2 * _inradius(basis) < 0.99 * 6:
         raise CalibrationError(
             f"the image repeats every {2 * _inradius(basis):.1f} px; microimages must be at least 6 px apart, "
             "give the flat at the full resolution of the sensor"
         )
-    folds = fold_lit_tiles(picture, features, basis, side, _BINS)
-    cells = [fold.mean() for fold in folds]
-    if coherence < DETECTION.coherence:
-        raise CalibrationError(NO_MICROIMAGES)
-    (tone,) = fold_tiles([picture], basis, side, 4 * _BINS, CELL_TILES)
-    check_edges(tone)
-    if is_checkerboard(cells[0], cells[1]):
-        raise CalibrationError("a checkerboard repeats on the image, not microimages; give a raw flat from the sensor")
-    light = tone.mean().reshape(_BINS, 4, _BINS, 4).mean((1, 3)) ** 2
-    centre = choose_lens_centre(find_round_centres(cells, basis), light, basis)
-    repeatability = measure_repeatability(folds)
     if gaps.lack_some():
         raise CalibrationError(NO_MICROIMAGES)
+    folds = fold_lit_tiles(picture, features, basis, side)
+    cells = [fold.mean() for fold in folds]
+    light = fold_tiles([picture], basis, side, BINS, CELL_TILES)[0].mean() ** 2
+    centre = choose_lens_centre(find_round_centres(cells, basis), light, basis)
+    repeatability = measure_repeatability(folds)
     doubt, place = None, gaps.centre @ gaps.basis
     proved = gaps.prove_lattice() and gap_tone(light, gaps) < DETECTION.gap_tone
     if not proved:
         place = centre.position @ basis
         doubt = check_cell(cells, light, basis, centre.position, repeatability)
-        if doubt is not None and (
-            centre.roundness < DETECTION.doubtful_roundness or repeatability > DETECTION.doubtful_repeatability
-        ):
-            raise doubt
     middle = (np.array([width, height]) - 1) / 2
     fit = fit_harmonics(folds[1:], _nearest_point(middle, place, basis))
-    _check_change(fit.basis, basis)
+    if has_run_away(fit.basis, basis):
+        raise CalibrationError(NO_MICROIMAGES)
     origin, basis = _nearest_point(middle, fit.origin, fit.basis), reduce_basis(fit.basis)
     lattice = Lattice(origin, basis, (width, height), _inradius(basis))
     return FirstLattice(lattice, features[0], centre.roundness, fit.half_difference, repeatability, doubt, proved)
 
 
 def _choose_by_gaps(
-    features: list[NDArray[np.float32]], choices: list[NDArray[np.float64]], side: int
+    brightness: NDArray[np.float32], choices: list[NDArray[np.float64]], side: int
 ) -> tuple[NDArray[np.float64], Gaps]:
     """The likeliest of several bases (2, 2) [px], where gaps prove it, else the first; and the gaps of its cells.
 
     Scene detail that moves from lens to lens draws the period after it, but then gaps do not lie over gaps.
     """
-    likely = max(choices, key=lambda one: window_likelihood(features[0], one, side))
-    gaps = measure_gaps(features, likely, side)
+    likely = max(choices, key=lambda one: window_likelihood(brightness, one, side))
+    gaps = measure_gaps(brightness, likely, side)
     if gaps.prove_lattice():
         return gaps.basis, gaps
     if likely is not choices[0]:
-        gaps = measure_gaps(features, choices[0], side)
+        gaps = measure_gaps(brightness, choices[0], side)
     if gaps.lack_some():
         # Cells of several lenses, as of an array of several types.
         for finer in finer_bases(gaps.basis):
-            found = measure_gaps(features, finer, side)
+            found = measure_gaps(brightness, finer, side)
             if found.prove_lattice():
                 return found.basis, found
     return choices[0], gaps
@@ -323,9 +268,9 @@ def _choose_by_gaps(
 
 def _refine_cell(
     basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], int, list[NDArray[np.float32]], float]:
-    """Refined basis of the cell of one microimage, side of the tiles [px], normalised features and coherence."""
-    coherence, window = 0.0, 0.0
+) -> tuple[NDArray[np.float64], int, list[NDArray[np.float32]]]:
+    """Refined basis of the cell of one microimage, side of the tiles [px], and normalised features."""
+    window = 0.0
     for _ in range(3):
         pitch = float(np.sqrt(abs(np.linalg.det(basis))))
         if not 1 / 2 <= 2 * pitch / max(window, 1e-9) <= 2:
@@ -333,18 +278,13 @@ def _refine_cell(
             features = [normalise_locally(feature, window) for feature in (picture, edges)]
         # Tiles hold enough lenses for an average, and are small against a wandering period.
         side = int(max(2.5 * pitch, min(8 * pitch, min(picture.shape) / 5)))
-        refined, coherence = refine_basis(fold_lit_tiles(picture, features, basis, side, _BINS))
-        _check_change(refined, basis)
+        refined = refine_basis(fold_lit_tiles(picture, features, basis, side))
+        if has_run_away(refined, basis):
+            raise CalibrationError(NO_MICROIMAGES)
         basis, changed = _single_cell(features, refined, side)
         if not changed:
             break
-    return basis, side, features, coherence
-
-
-def _check_change(refined: NDArray[np.float64], basis: NDArray[np.float64]) -> None:
-    """CalibrationError where a refinement has run away from `basis`."""
-    if not np.abs(refined @ np.linalg.inv(basis) - np.eye(2)).max() < LARGEST_CHANGE:
-        raise CalibrationError(NO_MICROIMAGES)
+    return basis, side, features
 
 
 def _single_cell(
@@ -357,7 +297,7 @@ def _single_cell(
     """
     for multiple in (1, 2, 3):
         wide = basis * multiple
-        folds = fold_tiles(features, wide, side, _BINS, CELL_TILES)
+        folds = fold_tiles(features, wide, side, BINS, CELL_TILES)
         first, second = zip(*(fold.half_means() for fold in folds), strict=True)
         found = find_primitive_cell(list(first), wide, list(second))
         if abs(abs(np.linalg.det(found) / np.linalg.det(basis)) - 1) > 0.1:

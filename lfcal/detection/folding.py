@@ -10,19 +10,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from ..runtime.kernels import kernel
 
 __all__ = [
-    "CELL_TILES", "HIGHEST_HARMONIC", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_lit_tiles", "fold_tiles",
+    "BINS", "CELL_TILES", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_lit_tiles", "fold_tiles",
     "measure_repeatability",
 ]  # fmt: skip
 
-# Structure of a microimage finer than a sixth of the pitch tells little about its place.
-HIGHEST_HARMONIC = 6
+#: Bins along an average cell: a multiple of 6, so that halves and thirds of a cell are whole bins.
+BINS = 36
 #: Tiles that give an average cell, evenly spread.
 CELL_TILES = 60
 #: Pixels of a row handled by one vector loop of fixed length: rows of microimages are too short for others.
@@ -107,12 +109,15 @@ class TileFolds:
 
     @cached_property
     def harmonics(self) -> NDArray[np.complex64]:
-        """(t, bins, 7) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 + k*b2`, h up to 6."""
+        """(t, bins, 7) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 + k*b2`, h up to 6.
+
+        Structure finer than a sixth of the pitch tells little about the place of a microimage.
+        """
         level = self.total.sum((1, 2), keepdims=True) / np.maximum(self.count.sum((1, 2), keepdims=True), 1)
         # Sums of deviations: bins without pixels must not count as dark.
         values = self.total - level * self.count
         # For so few harmonics a matrix product is several times as fast as a transform.
-        phase = 2 * np.pi / self.bins * np.outer(np.arange(self.bins), np.arange(HIGHEST_HARMONIC + 1))
+        phase = 2 * np.pi / self.bins * np.outer(np.arange(self.bins), np.arange(7))
         waves = np.exp(-1j * phase).astype(np.complex64).view(np.float32)
         rows = (values.reshape(-1, self.bins) @ waves).view(np.complex64).reshape(len(values), self.bins, -1)
         return np.fft.fft(rows, axis=1).astype(np.complex64)
@@ -132,35 +137,21 @@ class TileFolds:
         # A pitch of a whole number of pixels leaves bins empty: average over the width of a pixel.
         for axis, length in ((1, np.hypot(*self.basis[0])), (0, np.hypot(*self.basis[1]))):
             width = int(np.ceil(self.bins / length)) | 1
-            total, count = (_periodic_box(v, width, axis) for v in (total, count))
+            total, count = (width * uniform_filter1d(v, width, axis, mode="wrap") for v in (total, count))
         return np.where(count > 0.5, total / np.maximum(count, 0.5), level)
 
 
-def _periodic_box(values: NDArray[np.float64], width: int, axis: int) -> NDArray[np.float64]:
-    """Sums of `width` (odd) neighbours along `axis` of a square, wrapping around."""
-    count, rows = len(values), np.moveaxis(values, axis, 0)
-    wrapped = rows.take(np.arange(-(width // 2), count + width // 2), 0, mode="wrap")
-    total = wrapped[:count].copy()
-    for k in range(1, width):
-        total += wrapped[k : k + count]
-    return np.moveaxis(total, 0, axis)
-
-
 def fold_tiles(
-    pictures: Sequence[NDArray[np.float32]], basis: NDArray[np.float64], side: int, bins: int, most: int | None = None
+    pictures: Sequence[NDArray[np.float32]],
+    basis: NDArray[np.float64],
+    side: int,
+    bins: int = BINS,
+    most: int | None = None,
 ) -> list[TileFolds]:
-    """Average one or two pictures over the cells of a lattice with its origin at (0, 0), tile by tile.
+    """Average one or two pictures (h, w) over the cells of a lattice with its origin at (0, 0), tile by tile.
 
-    Parameters
-    ----------
-    pictures : one or two (h, w) float32
-    basis : (2, 2) float64 [px]
-    side : int [px]
-        Side of the square tiles.
-    bins : int
-        Bins along each lattice vector.
-    most : int or None
-        Use about so many tiles, evenly spread; all of them with None.
+    `side` [px] is about that of the square tiles, `bins` the bins along each lattice vector; about `most` tiles are
+    used, evenly spread, or all of them.
     """
     height, width = pictures[0].shape
     rows, columns = max(1, round(height / side)), max(1, round(width / side))
@@ -180,32 +171,15 @@ def fold_tiles(
 
 
 def fold_lit_tiles(
-    picture: NDArray[np.float32],
-    features: list[NDArray[np.float32]],
-    basis: NDArray[np.float64],
-    side: int,
-    bins: int,
+    picture: NDArray[np.float32], features: list[NDArray[np.float32]], basis: NDArray[np.float64], side: int
 ) -> list[TileFolds]:
     """Folds of the features, without tiles beside the array: dark ones in which next to nothing repeats."""
-    folds = fold_tiles(features, basis, side, bins)
-    tone = _tile_means(picture, folds[0].side)
-    power = sum(fold.lattice_power() for fold in folds)
+    folds = fold_tiles(features, basis, side)
+    power = np.sum([fold.lattice_power() for fold in folds], axis=0)
+    tone = np.ravel(cv2.resize(picture, folds[0].grid[::-1], interpolation=cv2.INTER_AREA))
     # Stray light has a sixth of the light of the array.
-    beside = tone < 0.4 * np.quantile(tone, 0.9)
-    beside &= power < 0.1 * np.quantile(power, 0.9)
+    beside = (tone < 0.4 * np.quantile(tone, 0.9)) & (power < 0.1 * np.quantile(power, 0.9))
     return [fold.mask(~beside) for fold in folds] if beside.any() else folds
-
-
-def _tile_means(picture: NDArray[np.float32], side: int) -> NDArray[np.float64]:
-    """Mean of a picture in each square tile, row by row, from about 32 x 32 samples."""
-    step = max(1, side // 32)
-    few = picture[::step, ::step]
-    # First sample of each row and column of tiles.
-    rows, columns = (np.arange(0, length, side) + step - 1 for length in picture.shape)
-    rows, columns = (np.minimum(v // step, n - 1) for v, n in zip((rows, columns), few.shape, strict=True))
-    total = np.add.reduceat(np.add.reduceat(few, columns, axis=1, dtype=np.float64), rows, axis=0)
-    area = np.outer(np.diff(rows, append=few.shape[0]), np.diff(columns, append=few.shape[1]))
-    return np.asarray((total / np.maximum(area, 1)).ravel())
 
 
 def measure_repeatability(folds: list[TileFolds]) -> float:

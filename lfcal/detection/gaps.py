@@ -2,30 +2,26 @@
 
 All pixels are sorted by their place in the cell of a lattice. The root mean square of brightness above that of the
 gaps, `sqrt(variance + (mean - darkest)^2)`, is large wherever light or scene content comes through a lens, and small in
-gaps, whatever the shape of the aperture: disc, square, hexagon, or a disc cut off. It is so too in flats whose gaps
-a camera has brightened afterwards, where only content ends at them. On a lattice too fine some borders of the cells
-have no gap: they are compared one by one, on cells of two and three steps each way.
+gaps, whatever the shape of the aperture: disc, square, hexagon, or a disc cut off. On a lattice too fine some borders
+of the cells have no gap: they are compared one by one, on cells of two and three steps each way.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.cell import bin_offsets, cell_distances
 from ..lattice.lattice import reduce_basis
-from .folding import CELL_TILES, fold_tiles
+from .folding import BINS, CELL_TILES, fold_tiles
 from .settings import DETECTION
 
 __all__ = ["Gaps", "gap_tone", "measure_gaps", "window_likelihood"]
 
-_BINS = 36  # along a cell
 
-
-@dataclass(frozen=True)
-class Gaps:
+class Gaps(NamedTuple):
     """Gaps at the borders of the cells of a lattice."""
 
     basis: NDArray[np.float64]  # (2, 2) [px] reduced
@@ -34,11 +30,10 @@ class Gaps:
     weakest: float  # 1 - RMS at a border over that in the cells beside it; 1 is a black gap, 0 none
     strongest: float
     content: float  # standard deviation in the middle of cells, of what differs from one to another, over `contrast`
-    by_brightness: bool  # gaps are dark; else they only show less change
 
     def lack_some(self) -> bool:
         """Whether some borders have clear gaps and others none: the cells are not those of one lens each."""
-        return self.weakest < DETECTION.missing_gap and self.strongest > DETECTION.clear_gap
+        return self.strongest > DETECTION.clear_gap and self.weakest < 0.1 * self.strongest
 
     def prove_lattice(self) -> bool:
         """Whether gaps part all cells from each other, and these have content of their own: an array of lenses."""
@@ -46,7 +41,6 @@ class Gaps:
             self.weakest >= DETECTION.clear_gap
             and self.contrast >= DETECTION.dark_gap
             and self.content >= DETECTION.content
-            and self.by_brightness
         )
 
 
@@ -54,103 +48,60 @@ def window_likelihood(brightness: NDArray[np.float32], basis: NDArray[np.float64
     """Gain in log likelihood [nats per pixel] if each place of a cell has a mean and a variance of its own.
 
     The same window everywhere with content of its own inside: greatest where gaps lie over gaps in all of the flat.
-
-    Parameters
-    ----------
-    brightness : (h, w) float32
-        Locally normalised.
-    basis : (2, 2) float64 [px]
-    side : int [px]
-        Of the tiles that are averaged.
+    `brightness` (h, w) is locally normalised; `side` [px] is that of the tiles that are averaged.
     """
-    value, square = (fold.mean() for fold in fold_tiles([brightness, brightness**2], basis, side, _BINS))
+    value, square = (fold.mean() for fold in fold_tiles([brightness, brightness**2], basis, side, BINS))
     variance = np.maximum(square - value**2, 0)
     whole = float(variance.mean() + value.var())
     # Places of no variance at all, as in saturated gaps, must not count without limit.
     return float(0.5 * (np.log(whole) - np.log(variance + 0.001 * whole).mean()))
 
 
-def measure_gaps(
-    features: list[NDArray[np.float32]],
-    basis: NDArray[np.float64],
-    side: int,
-) -> Gaps:
+def measure_gaps(brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int) -> Gaps:
     """Gaps of a lattice, of which only the `basis` (2, 2) [px] is known.
 
-    Parameters
-    ----------
-    features : list of (h, w) float32
-        Brightness and edges, locally normalised. Edges are used where brightness shows little.
-    side : int [px]
-        Of the tiles that are averaged.
+    `brightness` (h, w) is locally normalised; `side` [px] is that of the tiles that are averaged.
     """
     basis = reduce_basis(basis)
     middle, border = _cell_parts(basis)
-    template = np.conj(np.fft.fft2(middle - border))
-    contrast, chosen, best = -np.inf, 0, middle
-    at: NDArray[np.float64] = np.zeros(2)
-    fold = _Fold(features[0], basis, side)
-    for number in range(1 + len(features)):
-        # Brightness, then the standard deviation of brightness and of edges.
-        rms = fold.rms(features[max(number - 1, 0)], 1, number == 0)
-        found = np.fft.ifft2(np.fft.fft2(rms) * template).real
-        if found.max() > contrast:
-            contrast, chosen, best = float(found.max()), number, rms
-            at = np.array(np.unravel_index(int(found.argmax()), found.shape), dtype=np.float64)[::-1] + 0.5
-        # Where brightness is faint, edges count too.
-        if number == 0 and contrast > 0.3:
-            break
-    centre = _most_symmetric(best, at, basis)
-    feature, weakest, strongest = features[max(chosen - 1, 0)], np.inf, -np.inf
+    power = fold_tiles([brightness], basis, side, BINS, CELL_TILES)[0].lattice_power()
+    # Tiles in which next to nothing repeats lie beside the array.
+    lit = power >= 0.1 * np.quantile(power, 0.9)
+    pictures = [brightness, brightness**2]
+    weakest, strongest = np.inf, -np.inf
     # Borders are told apart on cells of up to three steps each way.
     for cells in (1, 2, 3):
-        rms = fold.rms(feature, cells, chosen == 0)
-        found = _border_contrasts(rms, cells, centre, basis)
-        weakest, strongest = min(weakest, float(found.min())), max(strongest, float(found.max()))
-    variance = fold.moments(feature, 1)[1]
-    shift = np.floor(centre * _BINS).astype(int)
-    content = float(np.sqrt((variance * np.roll(middle, shift[::-1], (0, 1))).sum())) / contrast
-    return Gaps(basis, centre, contrast, weakest, strongest, content, chosen == 0)
+        bins = BINS if cells == 1 else cells * BINS * 2 // 3
+        folds = fold_tiles(pictures, cells * basis, side, bins, CELL_TILES)
+        value, square = (fold.mask(lit).mean() for fold in folds)
+        variance = np.maximum(square - value**2, 0)
+        # Above the level of the gaps.
+        rms = np.sqrt(variance + np.maximum(value - np.quantile(value, 0.01), 0) ** 2)
+        if cells == 1:
+            found = np.fft.ifft2(np.fft.fft2(rms) * np.conj(np.fft.fft2(middle - border))).real
+            contrast = float(found.max())
+            at = np.array(np.unravel_index(int(found.argmax()), found.shape), dtype=np.float64)[::-1] + 0.5
+            centre = _most_symmetric(rms, at, basis)
+            shift = np.floor(centre * BINS).astype(int)[::-1]
+            content = float(np.sqrt((variance * np.roll(middle, shift, (0, 1))).sum())) / contrast
+        contrasts = _border_contrasts(rms, cells, centre, basis)
+        weakest, strongest = min(weakest, float(contrasts.min())), max(strongest, float(contrasts.max()))
+    return Gaps(basis, centre, contrast, weakest, strongest, content)
 
 
 def gap_tone(light: NDArray[np.float64], gaps: Gaps) -> float:
     """Light at the borders of the average cell (bins, bins) over that in its middle."""
-    middle, border = _cell_parts(gaps.basis)
-    shift = np.floor(gaps.centre * _BINS).astype(int)[::-1]
-    inside, between = (float((light * np.roll(part, shift, (0, 1))).sum()) for part in (middle, border))
+    shift = np.floor(gaps.centre * BINS).astype(int)[::-1]
+    inside, between = (float((light * np.roll(part, shift, (0, 1))).sum()) for part in _cell_parts(gaps.basis))
     return between / max(inside, 1e-30)
-
-
-class _Fold:
-    """Pixels of a flat by their place in cells of a lattice, without tiles in which next to nothing repeats."""
-
-    def __init__(self, brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int):
-        self.basis, self.side = basis, side
-        power = fold_tiles([brightness], basis, side, _BINS, CELL_TILES)[0].lattice_power()
-        # Tiles in which next to nothing repeats lie beside the array.
-        self.lit = power >= 0.1 * np.quantile(power, 0.9)
-
-    def moments(self, feature: NDArray[np.float32], cells: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Mean and variance (bins, bins) of a feature over `cells` x `cells` cells."""
-        bins = _BINS if cells == 1 else cells * _BINS * 2 // 3
-        folds = fold_tiles([feature, feature**2], cells * self.basis, self.side, bins, CELL_TILES)
-        value, square = (fold.mask(self.lit).mean() for fold in folds)
-        return value, np.maximum(square - value**2, 0)
-
-    def rms(self, feature: NDArray[np.float32], cells: int, with_mean: bool) -> NDArray[np.float64]:
-        """(bins, bins) root mean square over the darkest place of a cell, or standard deviation only."""
-        value, variance = self.moments(feature, cells)
-        # The level of the gaps.
-        darkest = np.quantile(value, 0.01)
-        return np.sqrt(variance + np.maximum(value - darkest, 0) ** 2 if with_mean else variance)
 
 
 def _cell_parts(basis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weights (bins, bins) of the middle and of the border of a cell about bin (0, 0), each of sum 1."""
-    far, to_border = cell_distances(basis, bin_offsets(basis, _BINS, np.array([0.5, 0.5]) / _BINS).reshape(-1, 2))
+    far, to_border = cell_distances(basis, bin_offsets(basis, BINS, np.array([0.5, 0.5]) / BINS).reshape(-1, 2))
     inradius = to_border.max()
-    parts = (far < 0.6 * inradius, to_border < max(1.5 * inradius / _BINS, 0.5))
-    middle, border = (part.reshape(_BINS, -1) / part.sum() for part in parts)
+    parts = (far < 0.6 * inradius, to_border < max(1.5 * inradius / BINS, 0.5))
+    middle, border = (part.reshape(BINS, -1) / part.sum() for part in parts)
     return middle, border
 
 
@@ -171,10 +122,7 @@ def _most_symmetric(
 
 
 def _border_contrasts(
-    rms: NDArray[np.float64],
-    cells: int,
-    centre: NDArray[np.float64],
-    basis: NDArray[np.float64],
+    rms: NDArray[np.float64], cells: int, centre: NDArray[np.float64], basis: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Contrast of every border between neighbours among `cells` x `cells`, as `Gaps.weakest`."""
     first, second = basis

@@ -29,64 +29,66 @@ class NeighbourComparison:
     tone_spread: float  # standard deviation of the mean of a microimage from those of its neighbours, relative
     texture: float  # standard deviation inside a microimage, relative, without what all have in common
     gap_tone: float  # tone half way between neighbours over that inside
-    noise: float = float("nan")  # mean difference of adjacent pixels in lenses with least detail
-    typical_noise: float = float("nan")  # the same in half of the lenses
-    # mean difference of neighbours, shifted by the disparity that fits the other neighbours best
-    matched: float = float("nan")
-    unshifted: float = float("nan")  # mean difference of neighbours without a shift
-    distant: float = float("nan")  # mean difference of places inside a microimage as far apart as two microimages
+    noise: float = np.nan  # mean difference of adjacent pixels in lenses with least detail
+    typical_noise: float = np.nan  # the same in half of the lenses
+    matched: float = np.nan  # mean difference of neighbours, shifted by the disparity that fits the others best
+    unshifted: float = np.nan  # mean difference of neighbours without a shift
+    distant: float = np.nan  # mean difference of places inside a microimage as far apart as two microimages
     # difference of neighbours without a shift in the median lens, and that of places across the same microimage
-    typical_unshifted: float = float("nan")
-    typical_across: float = float("nan")
+    typical_unshifted: float = np.nan
+    typical_across: float = np.nan
+
+    def has_texture(self, white: bool) -> bool:
+        """Whether microimages show more than noise."""
+        noise = self.typical_noise if white else self.noise
+        # The mean distance of two standard normal values is 1.128.
+        return self.texture > max(_least_texture(white), 2 * noise / 1.128)
+
+    def matches(self) -> bool:
+        """Whether the disparity reduces differences, without those of noise, by enough."""
+        matched = max(self.matched**2 - self.noise**2, 0)
+        return max(min(self.unshifted, self.distant) ** 2 - self.noise**2, 0) >= DETECTION.gain**2 * matched
+
+    def is_alike_unmoved(self) -> bool:
+        """Whether neighbours show nearly the same at the same place, as in unfocused cameras, whose `s` is near zero.
+
+        Places across a lens then differ by more, though nearer to each other than neighbours are: a picture behind a
+        mesh differs by less. What all lenses have in common, as tiles, is left out before; a few lenses at an outline,
+        where neighbours do differ, are not typical.
+        """
+        unmoved = max(self.typical_unshifted**2 - self.noise**2, 0)
+        return self.typical_across**2 - self.noise**2 >= DETECTION.unmoved_gain**2 * unmoved
 
 
-def check_parallax(
-    picture: NDArray[np.float32],
-    lattice: Lattice,
-    white: bool,
-    single: bool = True,
-) -> bool:
+def check_parallax(picture: NDArray[np.float32], lattice: Lattice, white: bool, single: bool = True) -> bool:
     """Whether neighbours are seen to show the same, shifted, which proves them to be microimages.
 
     False where lenses show next to nothing, noise hides it, or neighbours show nearly the same unmoved, as those of an
-    unfocused camera.
+    unfocused camera. Raises `CalibrationError` if what repeats on the flat cannot be microimages.
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-        As made by `images.preprocessing.sqrt_luminance`.
-    lattice : Lattice [px]
-        Its radius is that of the usable part of the microimages.
-    white : bool
-        Whether the flat is a white image.
-    single : bool
-        False for the mean of several scenes, which has more than one disparity in one place.
-
-    Raises
-    ------
-    CalibrationError
-        If what repeats on the flat cannot be microimages.
+    `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`, of a `white` image or a scene; the radius of
+    the lattice is that of the usable part of the microimages. A mean of several scenes, not a `single` one, has more
+    than one disparity in one place.
     """
-    found = compare_neighbours(picture, lattice, DETECTION.texture_white if white else DETECTION.texture_scene)
+    found = compare_neighbours(picture, lattice, _least_texture(white))
     if found is None:
         return False
     every = f"every {lattice.pitch:.1f} px"
-    if found.gap_tone > (DETECTION.gap_tone_white if white else DETECTION.gap_tone_scene):
+    if found.gap_tone > DETECTION.bright_gap:
         raise CalibrationError(
             f"a pattern with bright lines or dark dots repeats {every}, not microimages; {RAW_FLAT_ADVICE}"
         )
-    if found.tone_spread > max(DETECTION.tone_spread, DETECTION.tone_over_texture * found.texture):
+    if found.tone_spread > max(_least_texture(True), found.texture):
         raise CalibrationError(f"tiles of single tones repeat {every}, not microimages; {RAW_FLAT_ADVICE}")
-    if not (single and _has_texture(found, white)):
+    if not (single and found.has_texture(white)):
         return False
-    if not _matches(found, DETECTION.gain):
-        if _is_alike_unmoved(found):
-            return False
-        raise CalibrationError(
-            f"a pattern repeats {every}, but neighbours do not show the same, shifted, as microimages do; "
-            f"{RAW_FLAT_ADVICE}"
-        )
-    return True
+    if found.matches():
+        return True
+    if found.is_alike_unmoved():
+        return False
+    raise CalibrationError(
+        f"a pattern repeats {every}, but neighbours do not show the same, shifted, as microimages do; {RAW_FLAT_ADVICE}"
+    )
 
 
 def shows_scene(picture: NDArray[np.float32], lattice: Lattice) -> bool:
@@ -94,44 +96,19 @@ def shows_scene(picture: NDArray[np.float32], lattice: Lattice) -> bool:
 
     `picture` and `lattice` are those of `check_parallax`.
     """
-    found = compare_neighbours(picture, lattice, DETECTION.texture_white)
-    if found is None or not found.texture > DETECTION.texture_white:
+    found = compare_neighbours(picture, lattice, _least_texture(True))
+    if found is None or not found.texture > _least_texture(True):
         return False
     # Fine texture looks like noise, but noise does not match in neighbours.
-    if not _has_texture(found, True):
-        return _matches(found, DETECTION.sure_gain)
-    return _matches(found, DETECTION.gain) or _is_alike_unmoved(found)
+    return found.matches() or (found.has_texture(True) and found.is_alike_unmoved())
 
 
-def _has_texture(found: NeighbourComparison, white: bool) -> bool:
-    """Whether microimages show more than noise."""
-    least, noise = (DETECTION.texture_white, found.typical_noise) if white else (DETECTION.texture_scene, found.noise)
-    # The mean distance of two standard normal values is 1.128.
-    return found.texture > max(least, 2 * noise / 1.128)
-
-
-def _matches(found: NeighbourComparison, gain: float) -> bool:
-    """Whether the disparity reduces differences, without those of noise, at least by the factor `gain`."""
-    matched = max(found.matched**2 - found.noise**2, 0)
-    other = max(min(found.unshifted, found.distant) ** 2 - found.noise**2, 0)
-    return other >= gain**2 * matched
-
-
-def _is_alike_unmoved(found: NeighbourComparison) -> bool:
-    """Whether neighbours show nearly the same at the same place, as in unfocused cameras, whose `s` is near zero.
-
-    Places across a lens then differ by more, though nearer to each other than neighbours are: a picture behind a mesh
-    differs by less. What all lenses have in common, as tiles, is left out before; a few lenses at an outline, where
-    neighbours do differ, are not typical.
-    """
-    unmoved = max(found.typical_unshifted**2 - found.noise**2, 0)
-    return found.typical_across**2 - found.noise**2 >= DETECTION.unmoved_gain**2 * unmoved
+def _least_texture(white: bool) -> float:
+    return DETECTION.texture_white if white else DETECTION.texture_scene
 
 
 def compare_neighbours(
-    picture: NDArray[np.float32],
-    lattice: Lattice,
-    min_texture: float = 0.0,
+    picture: NDArray[np.float32], lattice: Lattice, min_texture: float = 0.0
 ) -> NeighbourComparison | None:
     """Compare lenses with their neighbours, as for `check_parallax`; None where there are too few.
 
@@ -140,18 +117,15 @@ def compare_neighbours(
     steps = lattice.steps @ lattice.basis
     nearest, reach = float(np.hypot(*steps.T).min()), float(np.hypot(*steps.T).max())
     indices, centres = sample_lenses(lattice, 1.5 * reach + 1, 450)
-    fewest = 24
-    if len(centres) < fewest:
-        return None
     grid = np.linspace(-1, 1, 9)
     core = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     core = core[np.hypot(*core.T) < 1 + 1e-9] * min(0.6 * nearest / 2, 0.7 * lattice.radius)
     values = interpolate_linear(picture, centres[:, None] + core)
     tones = values.mean(1)
     # Stray light beside an array has a sixth of its light.
-    lit = tones > 0.45 * np.quantile(tones, 0.95)
+    lit = tones > 0.45 * np.quantile(tones, 0.95) if len(tones) else np.zeros(0, np.bool_)
     indices, centres, values, tones = indices[lit], centres[lit], values[lit], tones[lit]
-    if len(centres) < fewest:
+    if len(centres) < 24:
         return None
     shape = values / tones[:, None]
     texture = float(np.sqrt(np.median(((shape - np.median(shape, axis=0)) ** 2).mean(1))))
@@ -188,10 +162,7 @@ def _spread(second_difference: NDArray[np.float64], types: NDArray[np.int64]) ->
 
 
 def _compare_shifted(
-    picture: NDArray[np.float32],
-    centres: NDArray[np.float64],
-    steps: list[NDArray[np.float64]],
-    radius: float,
+    picture: NDArray[np.float32], centres: NDArray[np.float64], steps: list[NDArray[np.float64]], radius: float
 ) -> tuple[float, ...]:
     """The last seven figures of `NeighbourComparison`, on lines along each of the `steps` to neighbours."""
     samples = 33
@@ -226,27 +197,14 @@ def _compare_shifted(
     # Lenses with least detail give the noise.
     plain, typical = np.quantile(np.mean(noise, axis=0), (0.1, 0.5))
     typical_across = np.median(np.mean(across, axis=0))
-    return tuple(
-        map(
-            float,
-            (
-                plain,
-                typical,
-                np.mean(matched),
-                unshifted.mean(),
-                np.mean(distant),
-                np.median(unshifted),
-                typical_across,
-            ),
-        )
-    )
+    figures = plain, typical, np.mean(matched), unshifted.mean(), np.mean(distant), np.median(unshifted), typical_across
+    return tuple(map(float, figures))
 
 
 def _difference(own: NDArray[np.float64], other: NDArray[np.float64], shift: int) -> NDArray[np.float64]:
     """(n,) mean difference of lines of a lens and those of its neighbour, `shift` samples further."""
     samples = own.shape[1]
     shift = int(np.clip(shift, 1 - samples, samples - 1))
-    a, b = (
-        (own[:, : samples - shift], other[:, shift:]) if shift >= 0 else (own[:, -shift:], other[:, : samples + shift])
-    )
-    return np.abs(a - b).mean((1, 2))
+    if shift < 0:
+        own, other, shift = other, own, -shift
+    return np.abs(own[:, : samples - shift] - other[:, shift:]).mean((1, 2))

@@ -16,40 +16,27 @@ class DetectionSettings:
     clear_support: float = 0.3  # of a basis by the spectrum, above which longer periods are not looked for
     min_support: float = 0.1  # below which no pattern repeats
     # Of the average microimages of tiles and of two halves of a flat.
-    coherence: float = 0.05  # least share of the harmonics' energy common to all tiles; compressed flats have 1/8
     repeatability: float = 0.8  # least correlation of the average microimages of two halves of the flat
-    stated_repeatability: float = 0.4  # the same where the pitch was stated beforehand
     half_difference: float = 0.03  # [pitch] between lattices of two halves: scenes 0.01, detail of a plane 0.05
-    doubtful_roundness: float = 0.6  # least of a doubtful average microimage: scenes 0.62, bricks mostly below 0.5
-    doubtful_repeatability: float = 0.99  # most of a doubtful one: scenes reach 0.98, bricks 1
     # Of its cell.
     other_energy: float = 0.3  # energy not repeated in a smaller cell: lens types leave 0.2, lenses and gaps 0.5
-    negative: float = 0.945  # correlation of a checkerboard with its negative: boards 0.98, soft oblong discs 0.93
     gap_light: float = 0.85  # most of a gap over that of a lens, unless the picture has been flattened
-    off_line_energy: float = 0.04  # least off the strongest line of harmonics: stripes 0, touching oblong lenses 0.05
     radial_share: float = 0.8  # least share of a cell that distances to centre and border explain
     radial_share_scene: float = 0.65  # the same where a scene may be left in the average of a thousand lenses
-    radial_share_rows: float = 0.93  # the same where rows dominate, as in print
-    edge_energy: float = 5e-3  # least beyond the first harmonics; discs have 0.05
+    pattern_repeatability: float = 0.99  # and where two halves are so alike: scenes reach 0.98, bricks 1
     unexplained: float = 0.06  # most share that the two distances leave: white images up to 0.05, mostly 0.01
-    gap_brightness: float = 0.96  # most light half way to a neighbour over that in the middle: touching lenses 0.86
     half_shift: float = -0.95  # correlation with itself half a cell further: boards -1, blurred lenses -0.92
-    alternating: float = 0.1  # energy of two kinds of cells over that of the mean: threads and bricks 0.25 to 0.5
+    edge_energy: float = 5e-3  # least beyond the first harmonics: waves 0, discs 0.05
     # Of gaps; contrasts measured on captures, white images and cameras drawn at random.
     clear_gap: float = 0.25  # weakest gap from which on it proves a lattice; lattices too fine have up to 0.02
     dark_gap: float = 0.58  # contrast that dark gaps have [standard deviations]: bricks 0.5, arrays 0.6 to 2.4
     gap_tone: float = 0.65  # light of dark gaps over that of cells: arrays up to 0.6, bars from 0.7
     content: float = 0.15  # least content of cells over the contrast: weaves 0.13, scenes 0.17
-    missing_gap: float = 0.04  # weakest gap below which there is none: lattices too fine have up to 0.02, arrays 0.1
     # Of neighbours that show the same, shifted.
-    tone_spread: float = 0.03  # differences of whole lenses that are made so
-    tone_over_texture: float = 1.3  # most spread of whole lenses over what one shows: scenes 0.8
-    gap_tone_white: float = 1.1  # most tone of a gap over that of a lens, in a white image
-    gap_tone_scene: float = 1.25  # and in a scene, where flattened ones have up to 1.17
+    bright_gap: float = 1.25  # most tone of a gap over that of a lens: sheets with holes 2, flattened scenes 1.17
     texture_white: float = 0.03  # contrast inside microimages from which on a white image is a scene
     texture_scene: float = 0.012  # and from which on a scene shows something
     gain: float = 1.3  # least factor by which the right disparity reduces differences: scenes 1.7, patterns 1.2
-    sure_gain: float = 1.6  # the same whatever the noise
     # Least factor by which places across a lens differ more than neighbours that are alike unmoved: 1.5 to 12 in
     # captures of light-field microscopes and quarters of them, up to 1.3 in pictures behind meshes and sets of tiles.
     unmoved_gain: float = 1.4

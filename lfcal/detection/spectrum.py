@@ -7,151 +7,121 @@ peaks that are one frequency bin wide and lie at all integer combinations of two
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations, zip_longest
-from typing import Any
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft2
 
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import reduce_basis
 from ..runtime.errors import CalibrationError
 from .settings import DETECTION
 
-__all__ = ["Candidate", "Spectrum", "compute_spectra", "find_bases", "find_candidate_bases", "is_same_lattice"]
-
-# Factors of downscaling at which periods are looked for.
-_REDUCTIONS = 1, 2, 4
+__all__ = ["Candidate", "find_bases", "is_same_lattice"]
 
 
-@dataclass(frozen=True)
-class Spectrum:
-    """Whitened log power of a flat."""
-
-    # (n, n // 2 + 1) log power above its local background, in standard deviations; row n // 2 is zero frequency
-    prominence: NDArray[np.float32]
-    size: int  # [px] side n of the windows
-    reduction: int  # factor by which the flat was downscaled first
-
-    def at(self, frequency: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Largest prominence within a bin of each `frequency` (k, 2) [cycles per px of the reduced flat]."""
-        rows, columns = self.prominence.shape
-        flip = np.where(frequency[:, :1] < 0, -1.0, 1.0)
-        place = np.rint(frequency * flip * self.size).astype(int)
-        best = np.full(len(frequency), -np.inf, dtype=np.float32)
-        for dy in (-1, 0, 1):
-            for dx in (-1, 0, 1):
-                x = np.clip(np.abs(place[:, 0] + dx), 0, columns - 1)
-                y = (place[:, 1] + dy + self.size // 2) % rows
-                np.maximum(best, self.prominence[y, x], out=best)
-        return best
-
-
-@dataclass(frozen=True)
-class Candidate:
+class Candidate(NamedTuple):
     """A lattice basis [px of the flat] and how well the spectrum supports it, 0..1."""
 
     basis: NDArray[np.float64]
     support: float
 
 
-def _windows(height: int, width: int, size: int) -> list[tuple[int, int]]:
-    """Top left corners `(y, x)` of up to three windows: the middle, then two far ends where they are not the middle."""
-    middle = ((height - size) // 2, (width - size) // 2)
-    rows = (0, height - size) if height >= 1.5 * size else (middle[0], middle[0])
-    columns = (0, width - size) if width >= 1.5 * size else (middle[1], middle[1])
-    return list(dict.fromkeys([middle, (rows[0], columns[0]), (rows[1], columns[1])]))
+def find_bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
+    """Bases to try: the best supported over short and long periods, then others; CalibrationError where there is none.
 
-
-def compute_spectra(
-    picture: NDArray[np.float32],
-    reduction: int,
-    backgrounds: tuple[int, ...],
-) -> list[Spectrum]:
-    """Average log power spectrum of brightness and edges over a few windows, less its local background.
-
-    Parameters
-    ----------
-    picture : (h, w) float32
-        As made by `images.preprocessing.sqrt_luminance`.
-    reduction : int
-        Factor by which the flat is downscaled, which brings long periods into the window.
-    backgrounds : tuple of int [bins]
-        Side of the box over which the background is averaged, for each spectrum wanted. A narrow box removes what
-        repeats over a few lenses only: its peaks are wider than a bin.
-
-    Returns
-    -------
-    list of Spectrum
-        One for each background; empty where the flat is too small for four of the shortest periods.
+    Detail of a flat scene repeats at another period than that of the lenses, and may have stronger peaks. `picture`
+    (h, w) is as made by `images.preprocessing.sqrt_luminance`.
     """
-    import cv2
+    wide: list[list[Candidate]] = []
+    spectra = []
+    for reduction in (1, 2, 4):
+        log_power = _log_power(picture, reduction)
+        if log_power is None:
+            break
+        spectra.append((log_power, reduction))
+        wide.append(_find_candidates(_whiten(log_power, 21), reduction))
+        if wide[-1] and wide[-1][0].support > DETECTION.clear_support:
+            break
+    best = max((found[0] for found in wide if found), key=lambda one: one.support, default=None)
+    if best is None or best.support < DETECTION.min_support:
+        raise CalibrationError(
+            "no pattern repeats in two directions all over the image; "
+            "give a raw flat from the sensor, not a rendered or scaled picture"
+        )
+    tried = [best.basis]
+    yield best.basis
+    for reduction in (1, 2, 4)[len(spectra) :]:
+        log_power = _log_power(picture, reduction)
+        if log_power is not None:
+            spectra.append((log_power, reduction))
+    # In boxes of few bins only peaks of a bin or two stand out: the lattice.
+    narrow = [
+        one
+        for power, reduction in spectra
+        for side in (7, 9)
+        for one in _find_candidates(_whiten(power, side), reduction)
+    ]
+    narrow.sort(key=lambda one: -one.support)
+    for candidate in narrow + [one for rank in zip_longest(*wide) for one in rank if one is not None]:
+        if len(tried) >= 10:
+            return
+        if not any(is_same_lattice(candidate.basis, basis) for basis in tried):
+            tried.append(candidate.basis)
+            yield candidate.basis
 
+
+def is_same_lattice(one: NDArray[np.float64], other: NDArray[np.float64], tolerance: float = 0.04) -> bool:
+    """Whether two bases span the same points, to a share of their steps."""
+    steps = one @ np.linalg.inv(other)
+    whole = np.rint(steps)
+    return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < tolerance)
+
+
+def _log_power(picture: NDArray[np.float32], reduction: int) -> NDArray[np.float32] | None:
+    """(n, n // 2 + 1) mean log power of brightness and edges over a few windows; row n // 2 is zero frequency.
+
+    None where the picture, downscaled by the factor `reduction`, which brings long periods into the windows, is too
+    small for four of the shortest periods.
+    """
     if reduction > 1:
         smaller: Any = cv2.resize(picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
         picture = smaller
     height, width = picture.shape
-    size = min(1024, min(height, width)) // 2 * 2
-    if size < 4.0 * 4.0:
-        return []
+    size = min(1024, height, width) // 2 * 2
+    if size < 16:
+        return None
     taper = np.hanning(size).astype(np.float32)
     log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
-    windows = _windows(height, width, size)
-    for y, x in windows:
+    windows = {((height - size) // 2, (width - size) // 2), (0, 0), (height - size, width - size)}
+    for y, x in sorted(windows):
         window = np.ascontiguousarray(picture[y : y + size, x : x + size])
         for feature in (window, edge_strength(window)):
-            levelled = normalise_locally(feature, size / 10)
-            levelled *= taper[:, None]
-            levelled *= taper
-            log_power += _log_power(levelled)
-    log_power /= 2 * len(windows)
-    log_power = np.fft.fftshift(log_power, axes=0)
-    return [_whiten(log_power, side, reduction) for side in backgrounds]
+            levelled = normalise_locally(feature, size / 10) * taper[:, None] * taper
+            log_power += np.log(np.abs(rfft2(levelled)) ** 2 + np.float32(1e-6))
+    return np.fft.fftshift(log_power / np.float32(2 * len(windows)), axes=0)
 
 
-def _whiten(log_power: NDArray[np.float32], side: int, reduction: int) -> Spectrum:
-    """Log power (n, n // 2 + 1) less its mean in a box, over its spread."""
-    import cv2
-
-    size = len(log_power)
+def _whiten(log_power: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """Log power less its mean in a box of `side` bins, over its spread: its prominence in standard deviations."""
     # Mirror the half plane across zero frequency before averaging: there is no edge at fx = 0.
-    margin = min(side, size // 4)
-    mirrored = np.roll(log_power[::-1, margin:0:-1], 1 - size % 2, axis=0)
+    margin = min(side, len(log_power) // 4)
+    mirrored = np.roll(log_power[::-1, margin:0:-1], 1, axis=0)
     background = cv2.blur(np.hstack([mirrored, log_power]), (margin | 1, margin | 1))[:, margin:]
     prominence = log_power - background
     # Every fourth row is enough to estimate the spread.
     few = prominence[::4]
     middle = float(np.median(few))
     spread = 1.4826 * float(np.median(np.abs(few - middle))) + 1e-6
-    return Spectrum((prominence - middle) / np.float32(spread), size, reduction)
+    return np.asarray((prominence - middle) / np.float32(spread))
 
 
-def _log_power(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Log power (n, n // 2 + 1) of a picture (n, n) of even size."""
-    import cv2
-
-    size = len(picture)
-    # OpenCV's transform of real values, several times as fast as NumPy's: real and imaginary parts alternate along
-    # rows; first and last column are transforms of real values themselves, and alternate downwards.
-    squares = np.square(cv2.dft(picture))
-    power = np.empty((size, size // 2 + 1), np.float32)
-    np.add(squares[:, 1:-1:2], squares[:, 2::2], out=power[:, 1:-1])
-    for column in (0, -1):
-        ends = squares[:, column]
-        power[0, column], power[size // 2, column] = ends[0], ends[-1]
-        power[1 : size // 2, column] = ends[1:-1:2] + ends[2::2]
-        power[size // 2 + 1 :, column] = power[size // 2 - 1 : 0 : -1, column]
-    power += np.float32(1e-6)
-    return np.asarray(np.log(power, out=power))
-
-
-def _find_peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _find_peaks(p: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Strongest narrow peaks: frequencies (k, 2) [cycles per px], refined within the bin, and prominences (k,)."""
-    import cv2
-
-    p = spectrum.prominence
-    n = spectrum.size
+    n = len(p)
     highest = cv2.dilate(p, np.ones((5, 5), np.uint8))
     y, x = np.nonzero((p >= highest) & (p > DETECTION.prominence))
     fy = y - n // 2
@@ -186,30 +156,24 @@ def _reduce_bases(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _fit_to_peaks(
-    reciprocal: NDArray[np.float64],
-    peaks: NDArray[np.float64],
-    strength: NDArray[np.float64],
-    size: int,
+    reciprocal: NDArray[np.float64], peaks: NDArray[np.float64], strength: NDArray[np.float64], size: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Least-squares reciprocal bases (m, 2, 2) through all peaks near their nodes, and a mask (m, k) of those."""
-    on, before = np.zeros((len(reciprocal), len(peaks)), dtype=bool), np.full((len(reciprocal), len(peaks), 2), np.nan)
+    """Least-squares reciprocal bases (m, 2, 2) through all peaks near their nodes, and a mask (m, k) of those.
+
+    Without those whose peaks all lie on one line.
+    """
+    on = np.zeros((len(reciprocal), len(peaks)), dtype=bool)
     for _ in range(4):
-        index = peaks @ np.linalg.inv(reciprocal)
-        node = np.rint(index)
-        apart = (index - node) @ reciprocal
+        node = np.rint(peaks @ np.linalg.inv(reciprocal))
+        apart = peaks - node @ reciprocal
         on = (np.hypot(apart[..., 0], apart[..., 1]) * size < 1) & (np.abs(node).sum(-1) > 0)
         chosen = node * on[..., None]
         gram = chosen.transpose(0, 2, 1) @ chosen
         # Whole numbers: nodes on one line give exactly 0.
-        turned = gram[:, 0, 0] * gram[:, 1, 1] != gram[:, 0, 1] ** 2
-        active = turned & (chosen != before).any((1, 2))
-        if not active.any():
-            break
-        before = chosen
-        few = chosen[active]
-        weighted = few.transpose(0, 2, 1) * strength
-        reciprocal = reciprocal.copy()
-        reciprocal[active] = np.linalg.solve(weighted @ few, weighted @ peaks)
+        crossed = gram[:, 0, 0] * gram[:, 1, 1] != gram[:, 0, 1] ** 2
+        chosen, on = chosen[crossed], on[crossed]
+        weighted = chosen.transpose(0, 2, 1) * strength
+        reciprocal = np.linalg.solve(weighted @ chosen, weighted @ peaks)
     return reciprocal, on
 
 
@@ -223,21 +187,16 @@ def _lowest_nodes(reciprocal: NDArray[np.float64], count: int = 12) -> NDArray[n
     return np.take_along_axis(nodes, order[..., None], axis=1)
 
 
-def find_candidate_bases(spectrum: Spectrum) -> list[Candidate]:
+def _find_candidates(prominence: NDArray[np.float32], reduction: int) -> list[Candidate]:
     """Lattices whose harmonics explain the peaks, six at most, best supported first.
 
     Support is the share of peaks on the nodes of the candidate (a fraction of the true period misses most) times
     the share of its lowest nodes that have a peak (a multiple of the true period leaves most without).
-
-    Returns
-    -------
-    list of Candidate
-        Empty where no two independent periods stand out.
     """
-    peaks, strength = _find_peaks(spectrum)
+    peaks, strength = _find_peaks(prominence)
     if len(peaks) < 3:
         return []
-    n = spectrum.size
+    n = len(prominence)
     reciprocal = _reduce_bases(_peak_pairs(peaks))
     lengths = np.hypot(reciprocal[..., 0], reciprocal[..., 1])
     # Periods of four pixels to a quarter of the window: shorter ones leave nothing to see in a microimage.
@@ -251,16 +210,24 @@ def find_candidate_bases(spectrum: Spectrum) -> list[Candidate]:
     covered = np.maximum(0.0, (on_node @ strength**2 / (strength**2).sum() - chance) / (1 - chance))
     nodes = _lowest_nodes(reciprocal)
     near = np.abs(nodes).max(2) < 0.45
-    occupied = (spectrum.at(nodes.reshape(-1, 2)) > DETECTION.prominence).reshape(near.shape) & near
+    occupied = _is_peak(prominence, nodes) & near
     support = np.where(near.sum(1) >= 3, covered * occupied.sum(1) / np.maximum(near.sum(1), 1), 0.0)
     distinct: list[Candidate] = []
     for best in np.argsort(-support, kind="stable").tolist():
-        basis = reduce_basis(np.linalg.inv(reciprocal[best]).T) * spectrum.reduction
+        basis = reduce_basis(np.linalg.inv(reciprocal[best]).T) * reduction
         if all(np.abs(basis - other.basis).max() > 0.02 * np.abs(other.basis).max() for other in distinct):
             distinct.append(Candidate(basis, float(support[best])))
         if len(distinct) == 6:
             break
     return distinct
+
+
+def _is_peak(prominence: NDArray[np.float32], nodes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(m, k) whether there is a peak within a bin of each of the `nodes` (m, k, 2) [cycles per px]."""
+    size, columns = prominence.shape
+    highest = cv2.dilate(prominence, np.ones((3, 3), np.uint8))
+    x, y = np.moveaxis(np.rint(nodes * np.where(nodes[..., :1] < 0, -1, 1) * size).astype(int), -1, 0)
+    return np.asarray(highest[(y + size // 2) % size, x.clip(0, columns - 1)] > DETECTION.prominence)
 
 
 def _peak_pairs(peaks: NDArray[np.float64], seeds: int = 10) -> NDArray[np.float64]:
@@ -270,49 +237,3 @@ def _peak_pairs(peaks: NDArray[np.float64], seeds: int = 10) -> NDArray[np.float
     pairs = peaks[np.array(list(combinations(chosen, 2)))]
     lengths = np.hypot(pairs[..., 0], pairs[..., 1])
     return pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]]
-
-
-def find_bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
-    """Bases to try: the best supported over short and long periods, then others; CalibrationError where there is none.
-
-    Detail of a flat scene repeats at another period than that of the lenses, and may have stronger peaks.
-    """
-    best, wide = None, []
-    for reduction in _REDUCTIONS:
-        spectra = compute_spectra(picture, reduction, (21,))
-        if not spectra:
-            break
-        wide.append(find_candidate_bases(spectra[0]))
-        for candidate in wide[-1][:1]:
-            if best is None or candidate.support > best.support:
-                best = candidate
-        if best is not None and best.support > DETECTION.clear_support:
-            break
-    if best is None or best.support < DETECTION.min_support:
-        raise CalibrationError(
-            "no pattern repeats in two directions all over the image; "
-            "give a raw flat from the sensor, not a rendered or scaled picture"
-        )
-    tried = [best.basis]
-    yield best.basis
-    # In boxes of few bins only peaks of a bin or two stand out: the lattice.
-    narrow = [
-        candidate
-        for reduction in _REDUCTIONS
-        for spectrum in compute_spectra(picture, reduction, (7, 9))
-        for candidate in find_candidate_bases(spectrum)
-    ]
-    narrow.sort(key=lambda one: -one.support)
-    for candidate in narrow + [one for rank in zip_longest(*wide) for one in rank if one is not None]:
-        if len(tried) >= 10:
-            return
-        if not any(is_same_lattice(candidate.basis, basis) for basis in tried):
-            tried.append(candidate.basis)
-            yield candidate.basis
-
-
-def is_same_lattice(one: NDArray[np.float64], other: NDArray[np.float64], tolerance: float = 0.04) -> bool:
-    """Whether two bases span the same points, to a share of their steps."""
-    steps = one @ np.linalg.inv(other)
-    whole = np.rint(steps)
-    return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < tolerance)

@@ -18,37 +18,23 @@ from numpy.typing import NDArray
 
 from ..lattice.lattice import reduce_basis
 from ..lattice.robust_fit import field_rms, fit_affine
-from .folding import HIGHEST_HARMONIC, TileFolds
+from .folding import TileFolds
 
-__all__ = ["LARGEST_CHANGE", "HarmonicFit", "finer_bases", "fit_harmonics", "refine_basis", "similar_bases"]
-
-# Of a basis by its refinement; right ones move by a thousandth.
-LARGEST_CHANGE = 0.05
+__all__ = ["HarmonicFit", "finer_bases", "fit_harmonics", "has_run_away", "refine_basis", "similar_bases"]
 
 
-def refine_basis(folds: list[TileFolds]) -> tuple[NDArray[np.float64], float]:
-    """Lattice basis that makes the tiles of all features coherent.
+def has_run_away(refined: NDArray[np.float64], basis: NDArray[np.float64]) -> bool:
+    """Whether a refinement has changed a basis (2, 2) by more than a twentieth; right ones move by a thousandth."""
+    return not np.abs(refined @ np.linalg.inv(basis) - np.eye(2)).max() < 0.05
 
-    Parameters
-    ----------
-    folds : list of TileFolds
-        One per feature, all on the same tiles and basis.
 
-    Returns
-    -------
-    basis : (2, 2) float64 [px]
-    coherence : float
-        Share of the harmonics' energy that all tiles have in common, 0..1.
-    """
+def refine_basis(folds: list[TileFolds]) -> NDArray[np.float64]:
+    """Basis (2, 2) [px] that makes the tiles of all features, on the same tiles and basis, coherent."""
     first = folds[0]
     rows, columns = first.grid
     centre = first.centre
-    spacing = np.array(
-        [
-            centre[min(1, columns - 1), 0] - centre[0, 0] or 1.0,
-            centre[min(columns, len(centre) - 1), 1] - centre[0, 1] or 1.0,
-        ]
-    )
+    beside, below = centre[min(1, columns - 1), 0], centre[min(columns, len(centre) - 1), 1]
+    spacing = np.array([beside - centre[0, 0] or 1.0, below - centre[0, 1] or 1.0])
     spectra = [fold.harmonics for fold in folds]
     chosen = _strongest(spectra)
     index = np.array([(h, k) for _, h, k in chosen], dtype=np.float64)
@@ -61,9 +47,8 @@ def refine_basis(folds: list[TileFolds]) -> tuple[NDArray[np.float64], float]:
     fringes = [_fringe(field.reshape(rows, columns), spacing) for field in stack]
     weight = np.array([share for _, share in fringes])[:, None]
     start = np.linalg.lstsq(index * weight, np.array([f for f, _ in fringes]) * weight, rcond=None)[0]
-    change, coherence = _maximise_coherence(stack, index, centre - centre.mean(0), start)
-    reciprocal = np.linalg.inv(first.basis).T + change
-    return np.asarray(np.linalg.inv(reciprocal).T), coherence
+    change = _maximise_coherence(stack, index, centre - centre.mean(0), start)
+    return np.asarray(np.linalg.inv(np.linalg.inv(first.basis).T + change).T)
 
 
 def finer_bases(basis: NDArray[np.float64]) -> list[NDArray[np.float64]]:
@@ -75,14 +60,14 @@ def finer_bases(basis: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def similar_bases(refined: NDArray[np.float64], start: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Bases that differ from a refined one by at most `LARGEST_CHANGE`: of the cells of `start`, and regular ones."""
+    """Bases near a refined one: of the cells of `start`, and regular ones."""
     a, b = refined = reduce_basis(refined)
     found = [np.rint(6 * refined @ np.linalg.inv(start)) / 6 @ start]
     for degrees in (90.0, 60.0, 120.0):
         angle = np.radians(degrees) * np.sign(a[0] * b[1] - a[1] * b[0])
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         found += [np.array([a, a @ turn]), np.array([b @ turn.T, b])]
-    return [one for one in found if np.abs(one @ np.linalg.inv(refined) - np.eye(2)).max() < LARGEST_CHANGE]
+    return [one for one in found if not has_run_away(one, refined)]
 
 
 def _strongest(spectra: list[NDArray[np.complex64]], count: int = 8) -> list[tuple[int, int, int]]:
@@ -113,7 +98,7 @@ def _fringe(field: NDArray[np.complex64], spacing: NDArray[np.float64]) -> tuple
 
 def _maximise_coherence(
     stack: NDArray[np.complex64], index: NDArray[np.float64], offset: NDArray[np.float64], start: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], float]:
+) -> NDArray[np.float64]:
     """Change (2, 2) of the reciprocal basis at which the fields (m, t) of tiles at `offset` (t, 2) agree best."""
     import nlopt
 
@@ -132,7 +117,7 @@ def _maximise_coherence(
     search.set_xtol_abs(2e-4)
     search.set_maxeval(600)
     best = search.optimize(max(guesses, key=lambda guess: energy(guess, np.empty(0))))
-    return best.reshape(2, 2) / reach, float(search.last_optimum_value())
+    return np.asarray(best).reshape(2, 2) / reach
 
 
 @dataclass(frozen=True)
@@ -146,15 +131,7 @@ class HarmonicFit:
 
 
 def fit_harmonics(folds: list[TileFolds], origin: NDArray[np.float64]) -> HarmonicFit:
-    """Refine origin and basis of a lattice from folded tiles.
-
-    Parameters
-    ----------
-    folds : list of TileFolds
-        One per feature, on the same tiles and basis, that basis being right to a fraction of the pitch.
-    origin : (2,) float64 [px]
-        A microimage centre.
-    """
+    """Refine a basis, right to a fraction of the pitch, and a microimage centre `origin` (2,) [px] by folded tiles."""
     first = folds[0]
     basis, centre = first.basis, first.centre
     inverse = np.linalg.inv(basis)
@@ -189,7 +166,7 @@ def _coefficients(
 ) -> tuple[NDArray[np.complex128], NDArray[np.int64]]:
     """Coefficients (t, m) relative to `origin`, bounded in size, and their harmonics (m, 2)."""
     # Finer harmonics are aliases of coarser ones, or the colour mosaic.
-    highest = max(1, min(HIGHEST_HARMONIC, int(np.hypot(*folds[0].basis.T).min() / 2.2)))
+    highest = max(1, min(folds[0].harmonics.shape[2] - 1, int(np.hypot(*folds[0].basis.T).min() / 2.2)))
     span = range(-highest, highest + 1)
     index = np.array([(h, k) for h in span for k in span if h > 0 or (h == 0 and k > 0)])
     phase = index @ (origin @ np.linalg.inv(folds[0].basis)) - index.sum(1) * 0.5 / folds[0].bins

@@ -316,10 +316,10 @@ def _compare(reduced: _Reduced, given: Lattice) -> tuple[Lattice | None, _Misfit
 
 def _find_lattices(picture: NDArray[np.float32], given: Lattice) -> Iterator[Lattice]:
     """Lattices on a picture: at the basis of the given one, and where that is not there, of the spectrum."""
-    from ..detection.first_lattice import find_first_lattices, fit_first_lattice
+    from ..detection.first_lattice import find_first_lattice, find_first_lattices
 
     with suppress(CalibrationError, np.linalg.LinAlgError):
-        start = fit_first_lattice(picture, given.basis)
+        start = find_first_lattice(picture, given.basis)
         if start.repeatability > 0.5:
             yield start.lattice
     for start in islice(find_first_lattices(picture), 3):

@@ -9,7 +9,7 @@ from lfcal.detection import downscale
 
 
 def test_large_white_image_is_placed_within_a_hundredth_pixel(whites, set_downscale):
-    set_downscale(large=4e5, enough=1e5)
+    set_downscale(large=3e5)
     basis = whites.turned(whites.HEXAGON, 45.3, 17)
     image, origin = whites.white_image(basis, (1103, 905))
     assert downscale.choose_block_size(image) == 3

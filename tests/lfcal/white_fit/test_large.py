@@ -34,7 +34,7 @@ def found_lattices(monkeypatch, set_downscale):
 @pytest.fixture
 def in_parts(found_lattices, monkeypatch, set_downscale):
     """Small images count as too large to be held as a whole."""
-    set_downscale(pieces=5e5, large=5e5, enough=2e5)
+    set_downscale(pieces=5e5, large=5e5)
     monkeypatch.setattr(large, "sample_parts", partial(large.sample_parts, side=160, pixels=6e5))
     return found_lattices
 
