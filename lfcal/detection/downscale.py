@@ -99,5 +99,5 @@ def _upscale_gain(gain: GainMap, small: Lattice, lattice: Lattice, block: int) -
     if len(own):
         known = {tuple(index): value for index, value in zip(small.indices().tolist(), own.tolist(), strict=True)}
         own = np.array([known.get(tuple(index), 1.0) for index in lattice.indices().tolist()], np.float32)
-    radius, rim, cut = (length * block for length in (gain.radius, gain.rim, gain.cut))
-    return replace(gain, step=gain.step * block, radius=radius, lens_gain=own, rim=rim, cut=cut)
+    rim, cut = gain.rim * block, gain.cut * block
+    return replace(gain, step=gain.step * block, radius=gain.radius * block, lens_gain=own, rim=rim, cut=cut)
