@@ -201,12 +201,10 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
             p[BEND] = spread[BEND] = 0
         pixels = _choose_pixels(lenses, slope, lattice, 150_000, p)
         spread[(p <= low + 1e-6) | (p >= high - 1e-6)] = 0
-        p, covariance, offsets, halves = _finish(pixels, p, expected, spread)
+        p, covariance, offsets, halves = _finish(pixels, p, expected, spread, low, high)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return TwoDiscs(
-        lattice, np.clip(p, low, high), covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves
-    )
+    return TwoDiscs(lattice, p, covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves)
 
 
 def _start(lenses: Microimages) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -319,7 +317,12 @@ def _minimise(
 
 
 def _finish(
-    pixels: _Pixels, p: NDArray[np.float64], expected: NDArray[np.float64], spread: NDArray[np.float64]
+    pixels: _Pixels,
+    p: NDArray[np.float64],
+    expected: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Gauss-Newton steps with Tukey's weights: parameters, covariance, offsets of single lenses, and `halves`."""
     free, weight, p = np.flatnonzero(spread > 0), np.ones(len(pixels.light)), p.copy()
@@ -332,7 +335,7 @@ def _finish(
         prior, pull = (stiff.T @ stiff)[np.ix_(free, free)], (stiff.T @ away)[free]
         normal = (rows.T @ table)[np.ix_(free, free)] + prior
         step = np.linalg.solve(normal, (rows.T @ residual)[free] + pull)
-        p[free] += step
+        p[free] = np.clip(p[free] + step, low[free], high[free])
         if step @ normal @ step < 0.1:
             break
     covariance, halves = np.zeros((COUNT, COUNT)), np.zeros(COUNT)

@@ -27,7 +27,7 @@ def test_rays_through_a_tilted_array_meet_the_points_that_the_model_of_the_calib
     points = np.column_stack([rng.uniform(-6, 6, (40, 2)), depth])
     scene = values[0] * points[:, :2] / points[:, 2:] + values[3:5]
     centres = scene + rng.uniform(-24, 24, (40, 2))
-    seen = project(values, BENT.pixel, points, centres).position
+    seen = project(values, BENT.pixel, points, centres)
     vector = _camera_vector(BENT)
     for point, centre, position in zip(points, centres, seen, strict=True):
         x, y = (centre - BENT.principal_point) * BENT.pixel / BENT.spread

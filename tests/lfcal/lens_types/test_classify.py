@@ -46,9 +46,7 @@ def types_at(camera, origin, basis):
     return camera.lens_types.of(camera.lattice.indices()), true
 
 
-@pytest.mark.parametrize(
-    ("lattice", "sign", "rotation"), [("hex", -1, 0.0), ("hex-vertical", 1, 7.0), ("square", -1, 2.0)]
-)
+@pytest.mark.parametrize(("lattice", "sign", "rotation"), [("hex-vertical", 1, 7.0), ("square", -1, 2.0)])
 def test_three_types_are_found_in_a_scene_and_ordered_from_large_to_small_patch_size(lattice, sign, rotation):
     foci = tuple(-sign * f for f in _FOCI)
     taken = capture("slope", foci, lattice, rotation=rotation, left=sign * 0.58, right=sign * 0.16)
@@ -68,8 +66,7 @@ def test_types_are_found_without_detail_by_the_blur_of_their_rims():
     assert types.ordered and np.isnan(types.focus).all()
 
 
-@pytest.mark.parametrize("scene", ["house", "clutter", "blank"])
-@pytest.mark.parametrize("focus", [0.04, -0.3])
+@pytest.mark.parametrize(("scene", "focus"), [("house", 0.04), ("clutter", -0.3)])
 def test_single_type_array_is_not_split(scene, focus):
     # At this pitch each third lens meets the pixels alike, which must not be taken for a type.
     taken = capture(scene, focus, pitch=70 / 3, size=(520, 500))
@@ -96,8 +93,9 @@ def test_scene_that_repeats_every_third_lens_is_not_taken_for_types(whites):
     assert np.ptp([np.nanmean(contrast[third == kind]) for kind in range(3)]) > 0.2
 
 
-@pytest.mark.parametrize("shape", ["HEXAGON", "SQUARE"])
-@pytest.mark.parametrize("pitch", [9.5, 19.5, 21.0, 64 / 3, 70 / 3])
+@pytest.mark.parametrize(
+    ("shape", "pitch"), [("HEXAGON", 9.5), ("SQUARE", 19.5), ("HEXAGON", 21.0), ("SQUARE", 64 / 3)]
+)
 def test_white_image_of_equal_lenses_has_one_type_at_any_beat_with_the_pixels(whites, shape, pitch):
     basis = whites.turned(getattr(whites, shape), pitch, 0)
     for soft in (1.0, 4.0):

@@ -18,15 +18,15 @@ def _error(camera, truth):
     return float(np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()))
 
 
-@pytest.mark.parametrize("decibels", [40, 26, 18])
+@pytest.mark.parametrize("decibels", [40, 18])
 def test_error_of_whole_microimages_is_within_three_times_the_cramer_rao_bound(drawn, decibels):
-    truth = drawn("hexagonal", 14.3, 11.0, decibels, size=(900, 700))
+    truth = drawn("hexagonal", 14.3, 11.0, decibels, size=(500, 400))
     camera = lfcal.calibrate(truth.image())
     assert camera.lattice.distortion is None
     assert _error(camera, truth) < 3 * truth.bound()
 
 
-@pytest.mark.parametrize("strength", [0.3, -0.3])
+@pytest.mark.parametrize("strength", [-0.3])
 def test_centres_of_cut_microimages_are_those_of_whole_discs_and_the_flat_passes_the_check(drawn, strength):
     truth = drawn("hexagonal", 20.3, 5.0, 26.0, strength=strength, size=(1000, 800))
     image = truth.image()
@@ -37,14 +37,14 @@ def test_centres_of_cut_microimages_are_those_of_whole_discs_and_the_flat_passes
 
 
 def test_radial_distortion_is_fitted(drawn):
-    truth = drawn("square", 20.3, 5.0, 26.0, k1=0.005, size=(1000, 800))
+    truth = drawn("square", 20.3, 5.0, 26.0, k1=0.005, size=(700, 560))
     camera = lfcal.calibrate(truth.image())
     assert camera.lattice.distortion is not None
     assert _error(camera, truth) < 0.02
 
 
 def test_shading_centred_below_the_microlens_does_not_move_centres(drawn):
-    truth = drawn("hexagonal", 20.3, 5.0, 32.0, size=(1000, 800), inner=0.0)
+    truth = drawn("hexagonal", 20.3, 5.0, 32.0, size=(600, 480), inner=0.0)
     image = truth.image()
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
     places = np.column_stack([x.ravel(), y.ravel()])
@@ -104,7 +104,7 @@ def test_general_distortion_of_scanned_film_is_fitted(drawn):
     assert np.sqrt((miss**2).sum(1).mean()) < 0.05
 
 
-@pytest.mark.parametrize("exposure", [1.3, 2.2])
+@pytest.mark.parametrize("exposure", [2.2])
 def test_clipped_middles_of_microimages_do_not_move_centres(drawn, exposure):
     truth = drawn("square", 24.3, 31.0, 34.0, size=(700, 500), outer=0.6)
     light = truth.light() + truth.noise * np.random.default_rng(1).standard_normal((500, 700))

@@ -24,7 +24,6 @@ SIZE = (1100, 800)
     ("edges", "blur", "cut_blur", "k1"),
     [
         ("product", 0.6, 1.0, 0.003),
-        ("product", 1.7, 1.0, 0.0),
         ("product", 0.6, 1.4, 0.0),
         ("overlap", 0.7, 1.0, -0.003),
     ],
@@ -50,7 +49,6 @@ def test_two_equal_discs_without_shading_are_doubtful_and_said_so():
 @pytest.mark.parametrize(
     ("shape", "pitch", "strength", "soft", "most"),
     [
-        ("hexagonal", 22.4, -0.25, 0.97, 0.0025),
         ("hexagonal", 18.9, 0.3, 1.1, 0.004),
         ("square", 14.9, 0.26, 0.88, 0.006),
     ],

@@ -147,7 +147,7 @@ def test_bad_frame_is_reported_and_the_others_are_rendered(sequence, tmp_path):
     result = CliRunner().invoke(main, [*arguments, "-c", str(tmp_path / "camera.json")], catch_exceptions=False)
     figures = json.loads(result.stdout)
     assert result.exit_code == 1 and figures["rendered"] == 2 and figures["failed"] == 2
-    assert "truncated" in figures["warnings"][0] and "f10" in figures["warnings"][1]
+    assert "cannot be read" in figures["warnings"][0] and "f10" in figures["warnings"][1]
     assert sorted(path.name for path in (tmp_path / "out").glob("*.png")) == ["f8.png", "f9.png"]
 
 

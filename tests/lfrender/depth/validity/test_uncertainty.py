@@ -69,10 +69,10 @@ def test_a_texture_that_repeats_along_the_lattice_yields_no_confident_wrong_dept
 def test_planes_err_as_much_as_they_state():
     # All lenses of a plane err together, so that it takes many planes to tell.
     excess = []
-    for seed, ratio in enumerate((-0.5, -0.42, -0.34, -0.26, -0.18, 0.15, 0.2, 0.25, 0.3, 0.35)):
-        camera = Camera.design((420, 320), 15.0, rotation=3.0 * seed)
+    for seed, ratio in enumerate((-0.5, -0.34, -0.18, 0.15, 0.25, 0.35)):
+        camera = Camera.design((300, 240), 15.0, rotation=3.0 * seed)
         scene = SCENES["plane"](camera, ratio=ratio, seed=seed)
-        shot = simulate(scene, camera, samples=32, seed=seed, noise=(4000.0, 4.0))
+        shot = simulate(scene, camera, samples=16, seed=seed, noise=(4000.0, 4.0))
         depth = lfrender.analyze(shot.flat, shot.truth.calibration)
         known = (shot.truth.mode != 0) & (depth.mode != 0)
         error = (depth.patch_size - shot.truth.patch_size)[known]
