@@ -156,7 +156,10 @@ def _calibrate(
                 "the lenses are lit too differently for a white image, and no lattice is proved if the flat is a scene;"
                 " give a white image, or state what it shows (--kind white or scene)"
             )
-    if camera.source == "scene" and (not measured.parallax or camera.circle_agreement < CALIBRATION.circles):
+    if camera.source == "scene" and measured.parallax and camera.circle_agreement < CALIBRATION.circles:
+        # Neighbours that match by chance prove nothing.
+        camera = replace(camera, confidence=min(camera.confidence, CALIBRATION.unproven_confidence))
+    elif camera.source == "scene" and not (measured.parallax and np.isfinite(camera.circle_agreement)):
         camera = replace(camera, confidence=min(camera.confidence, CALIBRATION.shape_confidence))
     types, warnings = camera.lens_types, list(camera.warnings)
     if camera.confidence < _CONFIDENCE:

@@ -14,7 +14,7 @@ from ..lattice.cell import bin_offsets
 from ..lattice.lattice import reduce_basis
 from .settings import DETECTION
 
-__all__ = ["CentreGuess", "choose_lens_centre", "find_primitive_cell", "find_round_centres"]
+__all__ = ["CentreGuess", "choose_lens_centre", "find_primitive_cell", "find_round_centres", "is_checkerboard"]
 
 
 class CentreGuess(NamedTuple):
@@ -59,6 +59,25 @@ def _unrepeated_share(power: NDArray[np.float64], shift: tuple[int, int], index:
     phase = order[None, :] * shift[0] + order[:, None] * shift[1]
     varying = float(power[phase != 0].sum())
     return float(power[phase % index != 0].sum()) / varying if varying > min_energy else 1.0
+
+
+def is_checkerboard(brightness: NDArray[np.float64], edges: NDArray[np.float64]) -> bool:
+    """Whether average cells (bins, bins) are their own negative half a cell further, with the same edges.
+
+    Gaps between round microimages are never round microimages themselves.
+    """
+    # Boards reach 0.98, soft oblong discs 0.93.
+    half = len(brightness) // 2
+    return any(
+        _likeness(brightness, shift) < -0.945 and _likeness(edges, shift) > 0.3
+        for shift in ((half, 0), (0, half), (half, half))
+    )
+
+
+def _likeness(cell: NDArray[np.float64], shift: tuple[int, int]) -> float:
+    """Correlation of a periodic picture with itself, shifted by (rows, columns)."""
+    rest = cell - cell.mean()
+    return float((rest * np.roll(rest, shift, (0, 1))).sum() / max(float((rest * rest).sum()), 1e-30))
 
 
 def _span(generators: list[tuple[int, int]]) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.errors import CalibrationError
-from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres
+from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres, is_checkerboard
 from .cell_tests import check_cell
 from .folding import BINS, CELL_TILES, fold_lit_tiles, fold_tiles, measure_repeatability
 from .gaps import Gaps, gap_tone, measure_gaps, window_likelihood
@@ -227,6 +227,8 @@ def _build_lattice(
         raise CalibrationError(NO_MICROIMAGES)
     folds = fold_lit_tiles(picture, features, basis, side)
     cells = [fold.mean() for fold in folds]
+    if is_checkerboard(cells[0], cells[1]):
+        raise CalibrationError("a checkerboard repeats on the image, not microimages; give a raw flat from the sensor")
     light = fold_tiles([picture], basis, side, BINS, CELL_TILES)[0].mean() ** 2
     centre = choose_lens_centre(find_round_centres(cells, basis), light, basis)
     repeatability = measure_repeatability(folds)
