@@ -60,8 +60,8 @@ def classify_lenses(
 
     correlation = match.normalised_correlation / signal
     reason = _reasons_alone(textured, match, refined, error, neighbours, similar, pitch)
-    # Lenses that share too few pixels for a fit, and have no neighbour at their depth: the search alone is biased toward
-    # shifts at which more pixels are shared.
+    # Lenses that share too few pixels for a fit, and have no neighbour at their depth: the search alone prefers shifts
+    # at which more pixels are shared.
     measured = np.isfinite(error)
     reason[(reason == 0) & ~measured & (similar(measured) == 0)] = 2
     reason[_may_match_by_chance(reason == 0, match, refined, signal, similar, pitch)] = 3
