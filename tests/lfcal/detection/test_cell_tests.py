@@ -10,7 +10,7 @@ from benchmarks.white_images import WhiteImage
 from lfcal.detection.cell_tests import find_shape_doubt, measure_average_cell
 from lfcal.images.preprocessing import sqrt_luminance
 
-_SMALL, _LARGE = (300, 260), (800, 600)
+_SMALL, _LARGE = (300, 260), (500, 400)
 
 
 @pytest.mark.parametrize(("period", "degrees"), [(9, 7), (60, 33.3)])

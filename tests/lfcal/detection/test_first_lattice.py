@@ -12,9 +12,9 @@ from lfcal.detection.first_lattice import find_first_lattices
 from lfcal.images.preprocessing import sqrt_luminance
 
 
-@pytest.mark.parametrize(("side", "degrees", "blur"), [(15, 4, 0.5), (20, 0, 0.8), (50, 30, 2.0)])
+@pytest.mark.parametrize(("side", "degrees", "blur"), [(15, 4, 0.5), (20, 0, 0.8)])
 def test_photograph_of_a_checkerboard_is_refused(patterns, side, degrees, blur):
-    board = 40 + 160 * patterns.board(degrees, side, (900, 700))
+    board = 40 + 160 * patterns.board(degrees, side, (500, 400))
     with pytest.raises(lfcal.CalibrationError):
         lfcal.calibrate(patterns.photograph(board, blur))
 
