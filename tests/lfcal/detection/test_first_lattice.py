@@ -26,8 +26,7 @@ def test_small_noisy_picture_of_a_checkerboard_is_refused(patterns, side, degree
         lfcal.calibrate(patterns.photograph(board, 1.0, noise, seed=3)[:160, :250])
 
 
-@pytest.mark.parametrize("shape", ["SQUARE", "HEXAGON"])
-@pytest.mark.parametrize("pitch", [5.0, 5.4])
+@pytest.mark.parametrize(("shape", "pitch"), [("SQUARE", 5.0), ("HEXAGON", 5.4)])
 def test_pitch_below_six_pixels_is_refused_with_its_value(whites, shape, pitch):
     image, _ = whites.white_image(whites.turned(getattr(whites, shape), pitch, 0), (700, 500))
     with pytest.raises(lfcal.CalibrationError, match=f"{pitch:.1f} px"):
