@@ -19,8 +19,8 @@ from .settings import CALIBRATION
 if TYPE_CHECKING:
     from .detection.first_lattice import FirstLattice
     from .lattice.lens_subset import StackedCrops
-    from .white_fit.cat_eye import CatEye
     from .white_fit.fit import WhiteFit
+    from .white_fit.vignetting import CatEye
 
 __all__ = ["FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
 
@@ -141,7 +141,7 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
     The first lattice is straight and goes through the middles of the visible microimages; those of cut ones lie off
     the centre by up to half of the cut.
     """
-    from .white_fit.cat_eye import field_position
+    from .white_fit.vignetting import field_position
 
     lattice = white.lattice
     centres = lattice.points(np.rint(lattice.to_index(places)))

@@ -92,12 +92,12 @@ def calibrate(
 
     from .images.stack import check_flats, estimate_white_level, measure_overexposure
 
-    flats = check_flats(_read_paths(image))
+    flats = check_flats(image)
+    clipped = max(measure_overexposure(flat) for flat in flats)
     for flat in flats:
         check_mosaic(mosaic, flat)
-    # The equations are too small for more threads to pay off.
-    clipped = max(measure_overexposure(flat) for flat in flats)
     try:
+        # The equations are too small for more threads to pay off.
         with threadpool_limits(1, "blas"):
             filtered = mosaic is not None or any(find_mosaic(flat) for flat in flats)
             camera = _calibrate(flats, kind, filtered and all(flat.ndim == 2 for flat in flats), hint)
@@ -114,17 +114,6 @@ def calibrate(
     for flat in flats:
         camera = camera.with_mosaic_of(flat)
     return camera
-
-
-def _read_paths(image: Any) -> Any:
-    """The flats given, with the pixels of files in the place of their paths."""
-    if isinstance(image, (str, os.PathLike)):
-        from .images.read import read_flat
-
-        return read_flat(image)
-    if isinstance(image, (list, tuple)) and any(isinstance(one, (str, os.PathLike)) for one in image):
-        return [_read_paths(one) for one in image]
-    return image
 
 
 def _calibrate(

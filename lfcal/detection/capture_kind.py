@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from ..images.preprocessing import normalise_locally, sqrt_luminance
 from ..lattice.cell import cell_normals
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops
-from ..lattice.lit_lenses import find_lit_lenses
+from ..lattice.lens_subset import StackedCrops, find_lit_lenses
 from .first_lattice import FirstLattice
 from .settings import DETECTION
 

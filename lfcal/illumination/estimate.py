@@ -24,7 +24,7 @@ from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF
-from ..white_fit.cat_eye import CatEye
+from ..white_fit.vignetting import CatEye
 from .profiles import fit_scene_profile
 from .residuals import Residuals, collect_residuals
 from .sample import draw_sample

@@ -15,7 +15,7 @@ from ..gain.vignetting import Vignetting
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.errors import CalibrationError
-from ..white_fit.cat_eye import CatEye
+from ..white_fit.vignetting import CatEye
 from .defect_search import find_defects
 from .estimate import estimate_gain
 from .lens_light import find_unlit_in_scene, measure_lens_lights

@@ -5,6 +5,7 @@ Flats without contrast, such as dark or saturated ones, are left out; clipped pi
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.errors import FlatError
 from .preprocessing import is_mask
+from .read import read_flat
 
 __all__ = [
     "average_scenes", "check_flats", "clipping_level", "combine_whites", "estimate_white_level", "measure_overexposure",
@@ -22,9 +24,9 @@ __all__ = [
 Light = NDArray[np.float32]
 
 
-def check_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
+def check_flats(image: Any) -> list[NDArray[Any]]:
     """The flats given, one or several, as arrays; FlatError if one cannot be a flat, or their sizes differ."""
-    given: Any = image
+    given: Any = _read_paths(image)
     several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
     if not several and np.ndim(given) != 4:
         return [_check_flat(given, "image")]
@@ -38,6 +40,15 @@ def check_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
                 f"flat {k} is {size[1]} x {size[0]} px, flat 1 is {width} x {height} px; give flats of one camera"
             )
     return flats
+
+
+def _read_paths(image: Any) -> Any:
+    """The flats given, with the pixels of files in the place of their paths."""
+    if isinstance(image, (str, os.PathLike)):
+        return read_flat(image)
+    if isinstance(image, (list, tuple)) and any(isinstance(one, (str, os.PathLike)) for one in image):
+        return [_read_paths(one) for one in image]
+    return image
 
 
 def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:

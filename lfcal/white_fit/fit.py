@@ -3,29 +3,221 @@
 All lenses share one lattice and one radial profile; each has its own gain. A distortion is kept only if it is
 significant and moves the centres. A few lenses find whether a disc cuts the microimages and, if so, some more give the
 lattice of both discs; else as many as are needed give the final values.
+
+Each Gauss-Newton pass solves for the global parameters, then for the radial profile and the gains of the lenses, which
+are hardly correlated with the positions of whole microimages. Weights of pixels, rings and lenses follow the residuals
+(IRLS).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops
-from ..lattice.lit_lenses import LitLenses
+from ..lattice.lens_subset import LitLenses, StackedCrops
 from ..lattice.residuals import Residuals
-from ..lattice.robust_fit import TUKEY_CUTOFF
+from ..lattice.robust_fit import TUKEY_CUTOFF, field_rms, tukey_weights
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.errors import CalibrationError
-from .cat_eye import CatEye
-from .gauss_newton import Fit, add_distortion, converge, distortion_orders, explains_better, locate_lenses
+from .kernel import Sums
 from .microimages import Microimages, cut_out
 from .two_discs import TwoDiscs, choose_lens, fit_two_discs
-from .vignetting import compare_pixels, measure_centroid_offset, measure_narrowing
+from .vignetting import CatEye, compare_pixels, measure_centroid_offset, measure_narrowing
 
 __all__ = ["WhiteFit", "fit_white", "refine_on_parts"]
+
+# Damping of a step by robust weights: for Tukey's biweight and normal residuals the ratio of the means of second and
+# first derivative is 0.76 / 0.91, a little more as pixels of several lenses have one variance.
+_STEP_SCALE = 0.86
+_NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat or a white image"
+
+
+@dataclass(frozen=True)
+class Step:
+    """A Gauss-Newton step of `p` global parameters, and the equations of `n` lenses that it comes from."""
+
+    names: list[str]  # (p,)
+    jacobian: NDArray[np.float64]  # (n, 2, p) of the centres with the parameters
+    normal: NDArray[np.float64]  # (n, 2, 2) of the position of each lens
+    right: NDArray[np.float64]  # (n, 2)
+    change: NDArray[np.float64]  # (p,)
+    covariance: NDArray[np.float64]  # (p, p)
+    weight: NDArray[np.float64]  # (n,) of the lenses
+
+    @property
+    def shift_rms(self) -> float:
+        """Movement of the centres, RMS [px]."""
+        return field_rms(self.jacobian, self.change)
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard error of a centre, RMS [px]."""
+        spread = np.einsum("nap,pq,naq->n", self.jacobian, self.covariance, self.jacobian, optimize=True)
+        return float(np.sqrt(max(spread.mean(), 0.0)))
+
+    @property
+    def offsets(self) -> NDArray[np.float64]:
+        """(n, 2) [px] from the centres after the step to those that single microimages show."""
+        return np.linalg.solve(self.normal, self.right[..., None])[..., 0] / _STEP_SCALE - self.jacobian @ self.change
+
+    @property
+    def residual_rms(self) -> float:
+        """Distance of single microimages from the lattice, robust RMS [px]."""
+        return float(np.sqrt(np.average((self.offsets**2).sum(1), weights=self.weight)))
+
+    def half_difference(self) -> float:
+        """RMS distance over the flat between the steps of every other microimage and of the others [px]."""
+        one, two = (
+            _solve(self.jacobian[k::2], self.normal[k::2], self.right[k::2], self.weight[k::2])[0] for k in (0, 1)
+        )
+        return field_rms(self.jacobian, one - two)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A lattice with the distortion `orders` that were fitted, its microimages, and the last step."""
+
+    lattice: Lattice
+    orders: tuple[str, ...]
+    lenses: Microimages
+    step: Step
+
+
+def distortion_orders(lattice: Lattice) -> tuple[str, ...]:
+    """Names of the parameters that a lattice is distorted by."""
+    bend = lattice.distortion
+    return () if bend is None else ("k1",) if bend.general is None else ("general",)
+
+
+def add_distortion(lattice: Lattice, general: bool = False) -> Lattice:
+    """The lattice with a distortion of zero strength if it has none, or with a `general` one."""
+    bend = lattice.distortion or Distortion.zero(lattice.image_size)
+    if general and bend.general is None:
+        bend = replace(bend, general=np.zeros((2, 7)), middle=(np.array(lattice.image_size) - 1) / 2)
+    return replace(lattice, distortion=bend)
+
+
+def converge(lattice: Lattice, lenses: Microimages, orders: tuple[str, ...], passes: int = 10) -> Fit:
+    """Gauss-Newton passes until a step is shorter than 0.3 standard errors of the centres.
+
+    Raises `CalibrationError` if the microimages show no edges, or keep to no lattice.
+    """
+    start = lattice.basis
+    for _ in range(passes):
+        sums = lenses.sums()
+        step = _solve_step(lattice, lenses, sums, orders)
+        lattice = _moved(lattice, step)
+        if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < 0.05:
+            raise CalibrationError(_NO_LATTICE)
+        lenses = lenses.at(lattice).learn(sums, step.jacobian @ step.change, lattice)
+        if step.shift_rms < 0.3 * step.uncertainty:
+            break
+    return Fit(lattice, orders, lenses, step)
+
+
+def explains_better(fit: Fit, orders: tuple[str, ...], least_shift: float = 0.01) -> bool:
+    """Whether the parameters `orders` instead of its own would explain a converged fit significantly better.
+
+    Its last step is solved again with them: they count from six standard errors on, if they move centres by
+    `least_shift` [px, RMS].
+    """
+    lattice = add_distortion(fit.lattice, "general" in orders)
+    jacobian, names = _jacobian(lattice, fit.lenses.indices, orders)
+    change, covariance, _ = _solve(jacobian, fit.step.normal, fit.step.right, fit.step.weight)
+    new = np.array([name in orders and name not in fit.orders for name in names])
+    size = change[new] @ np.linalg.pinv(covariance[np.ix_(new, new)]) @ change[new] / new.sum()
+    return bool(size > 36 and field_rms(jacobian, change) > least_shift)
+
+
+def _jacobian(
+    lattice: Lattice, indices: NDArray[np.int64], orders: tuple[str, ...]
+) -> tuple[NDArray[np.float64], list[str]]:
+    """Derivatives (n, 2, p) of the centres with origin, basis and the distortion `orders`, and the p names."""
+    factors = np.column_stack([np.ones(len(indices)), indices])
+    columns = [factors[:, [k]] * np.eye(2)[axis] for k in range(3) for axis in range(2)]
+    names = ["origin", "origin", "a1", "a1", "a2", "a2"]
+    if lattice.distortion is not None:
+        straight = lattice.origin + indices @ lattice.basis
+        found = [(name, values) for name, values in lattice.distortion.derivatives(straight) if name in orders]
+        names += [name for name, _ in found]
+        columns += [values for _, values in found]
+    return np.stack(columns, axis=2), names
+
+
+def _moved(lattice: Lattice, step: Step) -> Lattice:
+    """The lattice after a step."""
+    by = {name: step.change[[k for k, other in enumerate(step.names) if other == name]] for name in step.names}
+    bend = None if lattice.distortion is None else lattice.distortion.updated(by)
+    basis = lattice.basis + np.array([by["a1"], by["a2"]])
+    return replace(lattice, origin=lattice.origin + by["origin"], basis=basis, distortion=bend)
+
+
+def _solve_step(lattice: Lattice, lenses: Microimages, sums: Sums, orders: tuple[str, ...]) -> Step:
+    """The next step of all global parameters; the gains are eliminated (Schur complement)."""
+    jacobian, names = _jacobian(lattice, lenses.indices, orders)
+    normal, right = _position_equations(sums)
+    try:
+        return Step(names, jacobian, normal, right, *_solve(jacobian, normal, right))
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(_NO_LATTICE) from error
+
+
+def _position_equations(sums: Sums) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Normal matrices (n, 2, 2) and right sides (n, 2) of the positions, without the gains."""
+    share = sums.normal[:, :2, 2] / np.maximum(sums.normal[:, 2, 2], 1e-30)[:, None]
+    normal = np.triu(sums.normal[:, :2, :2]) + np.triu(sums.normal[:, :2, :2], 1).transpose(0, 2, 1)
+    normal = normal - share[:, :, None] * sums.normal[:, None, :2, 2]
+    # So that those of blank lenses can be inverted.
+    normal += 1e-9 * np.trace(normal.sum(0)) / len(normal) * np.eye(2)
+    return normal, sums.right[:, :2] - share * sums.right[:, [2]]
+
+
+def locate_lenses(fit: Fit) -> NDArray[np.float64]:
+    """(n, 2) [px] from the centres on the lattice to those that the pixels of single microimages show."""
+    offsets = fit.step.offsets
+    far = np.flatnonzero(np.hypot(*offsets.T) > 2.5 * fit.step.residual_rms)
+    if len(far):
+        # Pixels on their edges are outliers of the common fit: here the weights are so low that each one counts.
+        lenses = fit.lenses.select(far)
+        lenses, start = replace(lenses, ring_weight=1e-9 * lenses.ring_weight), lenses.centres
+        for _ in range(5):
+            normal, right = _position_equations(lenses.sums())
+            shift = np.linalg.solve(normal, right[..., None])[..., 0]
+            lenses = replace(lenses, centres=lenses.centres + np.clip(shift, -0.5, 0.5))
+        offsets[far] = lenses.centres - start
+    return offsets
+
+
+def _solve(
+    jacobian: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    right: NDArray[np.float64],
+    weight: NDArray[np.float64] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Change (p,) of the global parameters, covariance (p, p) and Tukey's weights (n,) of the lenses.
+
+    Weights are of the distance of each lens from the common change; those that are nearly known need only one pass.
+    """
+    lenses, _, count = jacobian.shape
+    matter = (normal @ jacobian).reshape(-1, count)
+    columns, force = jacobian.reshape(-1, count), right.reshape(-1)
+    alone = np.linalg.solve(normal, right[..., None])[..., 0]
+    passes = 3 if weight is None else 1
+    weight = np.ones(lenses) if weight is None else weight
+    for _ in range(passes):
+        weighted = (np.repeat(weight, 2)[:, None] * columns).T
+        information = weighted @ matter
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
+        covariance = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
+        change = covariance @ (weighted @ force)
+        left = alone - (columns @ change).reshape(lenses, 2)
+        weight, variance = tukey_weights(((normal @ left[..., None])[..., 0] * left).sum(1))
+    return change / _STEP_SCALE, covariance * variance / _STEP_SCALE**2, weight
+
 
 # [px] of centroids beside the lattice, from which on they are doubtful.
 _CENTROIDS = 0.2

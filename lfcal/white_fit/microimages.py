@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ..images.stack import clipping_level
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops, sample_mask
-from ..lattice.lit_lenses import LitLenses
+from ..lattice.lens_subset import LitLenses, StackedCrops, sample_mask
 from ..runtime.errors import CalibrationError
 from .kernel import Rings, Sums, Windows, add_lenses, copy_squares
 from .shading import fit_gain_slope, fit_shade

@@ -19,7 +19,6 @@ from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..lattice.standard_errors import LatticeErrors
-from .cat_eye import CatEye, field_position
 from .disc_light import (
     BEND,
     CORRELATION,
@@ -36,6 +35,7 @@ from .disc_light import (
 )  # fmt: skip
 from .microimages import Microimages
 from .shading import fit_gain_slope
+from .vignetting import CatEye, field_position
 
 __all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
 

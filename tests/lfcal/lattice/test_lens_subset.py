@@ -7,7 +7,7 @@ import pytest
 
 from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import Lattice
-from lfcal.lattice.lens_subset import StackedCrops, sample_lenses, select_whole_lenses
+from lfcal.lattice.lens_subset import LitLenses, StackedCrops, sample_lenses, select_whole_lenses
 
 
 @pytest.mark.parametrize("size", [(400, 300), (2400, 1800)])
@@ -36,3 +36,15 @@ def test_lenses_of_parts_are_those_of_the_flat_well_inside_them():
     at = np.rint(centres).astype(int)
     there = at - parts.offsets[part]
     np.testing.assert_array_equal(parts.picture[there[:, 1], there[:, 0]], picture[at[:, 1], at[:, 0]])
+
+
+def test_dark_lenses_and_their_neighbours_are_left_out():
+    # 400 x 300 px of round microimages, those left of x = 150 px unlit.
+    lattice = Lattice([5.0, 5.0], [[10.0, 0.0], [0.0, 10.0]], (400, 300), 4.0)
+    y, x = np.mgrid[:300, :400]
+    light = np.where((np.hypot(x % 10 - 5, y % 10 - 5) < 4) & (x > 150), 1.0, 0.02)
+    tones = StackedCrops.of(np.sqrt(light).astype(np.float32))
+    lit = LitLenses.find(tones, lattice, 7.0, 0.2)
+    # The first lit column is at 155 px, the one next to the dark ones.
+    assert lattice.points(lit.indices)[:, 0].min() == 165
+    assert len(lit.indices) == 23 * 28
