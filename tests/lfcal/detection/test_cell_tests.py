@@ -13,8 +13,7 @@ from lfcal.images.preprocessing import sqrt_luminance
 _SMALL, _LARGE = (300, 260), (500, 400)
 
 
-@pytest.mark.parametrize(("period", "degrees"), [(9, 7), (60, 33.3)])
-@pytest.mark.parametrize("square", [False, True])
+@pytest.mark.parametrize(("period", "degrees", "square"), [(9, 7, True), (60, 33.3, False)])
 def test_grating_whose_lines_meet_the_pixel_rows_regularly_is_refused(patterns, period, degrees, square):
     u, _ = patterns.rotate(degrees, _LARGE)
     wave = np.sin(2 * np.pi * u / period)
@@ -22,9 +21,7 @@ def test_grating_whose_lines_meet_the_pixel_rows_regularly_is_refused(patterns, 
         lfcal.calibrate(patterns.photograph(128 + 100 * (np.sign(wave) if square else wave)))
 
 
-@pytest.mark.parametrize(
-    ("width", "height", "mortar", "degrees"), [(40, 15, 2, 0), (60, 20, 3, 5), (30, 15, 1.5, 31), (48, 24, 4, 5)]
-)
+@pytest.mark.parametrize(("width", "height", "mortar", "degrees"), [(30, 15, 1.5, 31), (48, 24, 4, 5)])
 def test_brick_wall_is_refused_or_gets_a_low_confidence(patterns, width, height, mortar, degrees):
     joint = patterns.bricks(degrees, width, height, mortar, _LARGE)
     try:
@@ -50,16 +47,14 @@ def test_faint_brick_wall_is_refused_or_gets_a_low_confidence(patterns, height, 
     assert any("nothing on the flat proves" in warning for warning in camera.warnings)
 
 
-@pytest.mark.parametrize(("period", "degrees"), [(14, 9), (24, 45)])
-@pytest.mark.parametrize("twill", [False, True])
+@pytest.mark.parametrize(("period", "degrees", "twill"), [(14, 9, True), (24, 45, False)])
 def test_plain_weave_and_twill_are_refused(patterns, period, degrees, twill):
     thread = patterns.weave(degrees, period, twill, _LARGE)
     with pytest.raises(lfcal.CalibrationError):
         lfcal.calibrate(patterns.photograph(30 + 180 * thread))
 
 
-@pytest.mark.parametrize(("period", "degrees"), [(20, 0), (45, 11)])
-def test_crossed_waves_are_refused(patterns, period, degrees):
+def test_crossed_waves_are_refused(patterns, period=45, degrees=11):
     u, v = patterns.rotate(degrees, _LARGE)
     a, b = np.sin(2 * np.pi * u / period), np.sin(2 * np.pi * v / period)
     for picture in (128 + 100 * a * b, 128 + 50 * (a + b), 20 + 50 * (1 + a) * (1 + b)):

@@ -19,14 +19,14 @@ def test_photograph_of_a_checkerboard_is_refused(patterns, side, degrees, blur):
         lfcal.calibrate(patterns.photograph(board, blur))
 
 
-@pytest.mark.parametrize(("side", "degrees", "noise"), [(24.4, 0, 8), (7.1, 33, 4), (8.4, 45, 5)])
+@pytest.mark.parametrize(("side", "degrees", "noise"), [(24.4, 0, 8), (7.1, 33, 4)])
 def test_small_noisy_picture_of_a_checkerboard_is_refused(patterns, side, degrees, noise):
     board = 127.5 + 115 * (2 * patterns.board(degrees, side, (900, 700)) - 1)
     with pytest.raises(lfcal.CalibrationError):
         lfcal.calibrate(patterns.photograph(board, 1.0, noise, seed=3)[:160, :250])
 
 
-@pytest.mark.parametrize(("shape", "pitch"), [("SQUARE", 5.0), ("HEXAGON", 5.4)])
+@pytest.mark.parametrize(("shape", "pitch"), [("SQUARE", 5.0)])
 def test_pitch_below_six_pixels_is_refused_with_its_value(whites, shape, pitch):
     image, _ = whites.white_image(whites.turned(getattr(whites, shape), pitch, 0), (700, 500))
     with pytest.raises(lfcal.CalibrationError, match=f"{pitch:.1f} px"):

@@ -71,7 +71,7 @@ def _capture(name):
     return lfcal.read_flat(_CAPTURES / name)
 
 
-@pytest.mark.parametrize("part", [np.s_[:, :], np.s_[:1459, :785], np.s_[1459:, :785], np.s_[1459:, 785:]])
+@pytest.mark.parametrize("part", [np.s_[:, :], np.s_[1459:, :785], np.s_[1459:, 785:]])
 def test_camera_of_the_2008_paper_is_found_whole_and_in_quarters(part):
     flat = _capture("Square.jpg")
     top, left = part[0].start or 0, part[1].start or 0

@@ -93,7 +93,7 @@ def test_white_image_with_lens_types_and_uneven_light_is_not_taken_for_a_pattern
     check_parallax(sqrt_luminance(np.maximum(light, 0)), lattice, white=True)
 
 
-@pytest.mark.parametrize(("pitch", "ratio", "contrast"), [(28.8, -0.2, 0.5), (20.0, 0.35, 0.4)])
+@pytest.mark.parametrize(("pitch", "ratio", "contrast"), [(20.0, 0.35, 0.4)])
 def test_scene_that_is_nearly_even_within_its_microimages_is_no_white_image(pitch, ratio, contrast):
     camera = Camera.design((int(pitch * 31), int(pitch * 23)), pitch, "square", -13.0)
     shot = simulate(SCENES["plane"](camera, ratio=ratio, seed=21), camera, samples=12, noise=(10000, 4))

@@ -30,7 +30,7 @@ def test_four_white_images_halve_the_error_of_one(whites, noisy):
     assert _error(whites, together, basis, origin) < 0.75 * np.sqrt(np.mean(np.square(single)))
 
 
-@pytest.mark.parametrize("useless", ["dark", "saturated", "eight times as bright"])
+@pytest.mark.parametrize("useless", ["dark", "eight times as bright"])
 def test_a_useless_flat_does_not_change_the_centres_of_a_good_one(whites, useless):
     basis = whites.turned(whites.HEXAGON, 14.3, 3)
     good, origin = whites.white_image(basis, _SIZE)

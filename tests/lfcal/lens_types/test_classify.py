@@ -107,7 +107,6 @@ def test_white_image_of_equal_lenses_has_one_type_at_any_beat_with_the_pixels(wh
     ("shape", "cell", "soft"),
     [
         ("HEXAGON", _MOSAIC, (5.0, 3.0, 1.0)),
-        ("SQUARE", np.array([[0, 1], [1, 0]]), (4.0, 1.0)),
         ("SQUARE", np.array([[0, 2], [3, 1]]), (7.0, 5.0, 3.0, 1.0)),
     ],
 )

@@ -88,8 +88,8 @@ def test_another_number_of_squares_is_named(boards):
 
 
 def test_a_board_with_fewer_corners_than_most_flats_show_is_refused(boards):
-    flats = [boards[2](k) for k in (0, 1, 2, 5, 8)]
-    with pytest.raises(BoardError, match="5 flats show a checkerboard of 9 x 6 corners, not of 8 x 6"):
+    flats = [boards[2](k) for k in (0, 1, 2)]
+    with pytest.raises(BoardError, match="3 flats show a checkerboard of 9 x 6 corners, not of 8 x 6"):
         calibrate_metric(flats, boards[1], (8, 6), 7.0, pixel=0.0055)
 
 

@@ -25,8 +25,9 @@ def errors(shot, depth):
     return np.abs(depth.patch_size - truth.patch_size)[(truth.mode != 0) & ~truth.mixed]
 
 
-@pytest.mark.parametrize("lattice", ["hex", "hex-vertical", "square"])
-@pytest.mark.parametrize("ratio", [-0.5, -0.2, 0.2, 0.5])
+@pytest.mark.parametrize(
+    ("lattice", "ratio"), [("hex", -0.5), ("hex", 0.2), ("hex-vertical", 0.5), ("square", -0.2), ("square", 0.5)]
+)
 def test_mode_and_patch_size_of_a_plane_are_found_on_every_lattice(lattice, ratio):
     shot = capture("plane", lattice, ratio=ratio)
     depth = lfrender.analyze(shot.flat, shot.truth.calibration)

@@ -135,8 +135,7 @@ def test_wrong_arguments_are_refused_with_the_reason():
         lfrender.render(shot.flat, other, depth)
 
 
-@pytest.mark.parametrize("lattice", ["hex", "square"])
-@pytest.mark.parametrize("ratio", [-0.41, 0.28])
+@pytest.mark.parametrize(("lattice", "ratio"), [("hex", -0.41), ("square", 0.28)])
 @pytest.mark.parametrize("profile", [None, Vignetting(np.linspace(1.0, 0.7, 14), 1.0)], ids=["even", "vignetting"])
 def test_fixed_patches_give_the_picture_of_the_nearest_lenses(ratio, lattice, profile):
     shot = capture("plane", lattice, ratio=ratio)
