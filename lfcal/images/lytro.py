@@ -25,6 +25,11 @@ _SHA1_BYTES = 80  # "sha1-", 40 digits, zeros
 # Width, height and bits of sensors by the bytes of their packed pixels, for archives without descriptions.
 _SENSORS = {3280 * 3280 * 12 // 8: (3280, 3280, 12), 7728 * 5368 * 10 // 8: (7728, 5368, 10)}
 
+_REMEDY = (
+    "these are made from the raw one, which lies beside it in the library of Lytro Desktop and on the camera: raw.lfp or "
+    "IMG_1234.lfp without -stk (first camera), IMG_1234.LFR (Illum)"
+)
+
 
 def read_lytro(path: Path, page: int | None) -> NDArray[np.uint16]:
     """The raw pixels (h, w) of a Lytro file: of its picture, or of white image number `page` of an archive."""
@@ -39,7 +44,7 @@ def read_lytro(path: Path, page: int | None) -> NDArray[np.uint16]:
     files = {str(entry.get("name", "")).upper(): sections[entry["dataRef"]] for entry in entries}
     raw = sorted(name for name in files if name.endswith(".RAW"))
     if not raw:
-        raise FlatError("holds no raw picture; open it with Lytro Desktop and export the raw one (.lfr, .lfp)")
+        raise FlatError(f"holds no raw picture, only {_describe(sections, tables)}; {_REMEDY}")
     if page is None and len(raw) > 1:
         raise FlatError(f"the archive holds {len(raw)} white images; give the number of one (--page)")
     if not 0 <= (page or 0) < len(raw):
@@ -77,6 +82,15 @@ def _parse(data: memoryview) -> Any:
         return json.loads(bytes(data).rstrip(b"\0"))
     except (ValueError, RecursionError) as error:
         raise FlatError(f"damaged Lytro file: a description is no JSON ({error})") from error
+
+
+def _describe(sections: dict[str, memoryview], tables: list[Any]) -> str:
+    """What a file without raw pictures holds."""
+    keys = ("imageArray", "depthLut", "depthMap", "depthImage")
+    stack, *depth = (any(any(_find(table, key)) for table in tables) for key in keys)
+    count = sum(bytes(data[:3]) == b"\xff\xd8\xff" for data in sections.values())
+    kind = "JPEG, a refocus stack" if stack else "JPEG"
+    return f"{count} finished pictures ({kind}){' and a depth map' if any(depth) else ''}"
 
 
 def _find(value: Any, key: str) -> Iterator[dict[str, Any]]:

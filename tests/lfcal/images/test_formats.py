@@ -14,13 +14,18 @@ import lfcal
 RNG = np.random.default_rng(4)
 
 
+START = struct.pack(">4s4sII", b"\x89LFP", b"\r\n\x1a\n", 1, 0)
+
+
+def section(kind: bytes, data: bytes) -> tuple[bytes, str]:
+    """A section of a Lytro file, and its name."""
+    name = "sha1-" + hashlib.sha1(data).hexdigest()
+    head = struct.pack(">4s4sII", kind, b"\r\n\x1a\n", 0, len(data)) + name.encode().ljust(80, b"\0")
+    return (head + data).ljust(-(-(96 + len(data)) // 16) * 16, b"\0"), name
+
+
 def lytro_file(picture: bytes, about: dict, *, archive: dict[str, bytes] | None = None) -> bytes:
     """A Lytro file of one picture, or an archive of files by their name."""
-
-    def section(kind: bytes, data: bytes) -> tuple[bytes, str]:
-        name = "sha1-" + hashlib.sha1(data).hexdigest()
-        head = struct.pack(">4s4sII", kind, b"\r\n\x1a\n", 0, len(data)) + name.encode().ljust(80, b"\0")
-        return (head + data).ljust(-(-(96 + len(data)) // 16) * 16, b"\0"), name
 
     parts, table = [], {}
     if archive is None:
@@ -36,8 +41,7 @@ def lytro_file(picture: bytes, about: dict, *, archive: dict[str, bytes] | None 
             part, reference = section(b"\x89LFC", data)
             parts.append(part)
             table["files"].append({"name": name, "dataRef": reference})
-    head = struct.pack(">4s4sII", b"\x89LFP", b"\r\n\x1a\n", 1, 0)
-    return head + section(b"\x89LFM", json.dumps(table).encode())[0] + b"".join(parts)
+    return START + section(b"\x89LFM", json.dumps(table).encode())[0] + b"".join(parts)
 
 
 def pack(pixels, bits):
@@ -88,8 +92,18 @@ def test_white_images_of_a_lytro_archive_are_its_pages(tmp_path):
         np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "data.C.0", k), white)
     with pytest.raises(lfcal.FlatError, match="2 white images"):
         lfcal.read_flat(tmp_path / "data.C.0")
-    (tmp_path / "a-stk.lfp").write_bytes(lytro_file(b"", {}, archive={"a.jpg": b"jpeg"}))
-    with pytest.raises(lfcal.FlatError, match="export the raw one"):
+
+
+def test_a_lytro_file_of_finished_pictures_is_refused_with_what_it_holds(tmp_path):
+    pictures = [section(b"\x89LFC", b"\xff\xd8\xff\xe0 picture %d" % k) for k in range(4)]
+    depth, about = section(b"\x89LFC", bytes(1600)), {"representation": "jpeg"}
+    stack = {"imageArray": [about | {"imageRef": name, "lambda": k} for k, (_, name) in enumerate(pictures)]}
+    stack["depthLut"] = {"width": 20, "height": 20, "representation": "raw", "imageRef": depth[1]}
+    kind = {"type": "com.lytro.acceleration.refocusStack", "vendorContent": stack}
+    table = json.dumps({"picture": {"frameArray": [], "accelerationArray": [kind]}}).encode()
+    parts = [START, section(b"\x89LFM", table)[0], depth[0], *(part for part, _ in pictures)]
+    (tmp_path / "a-stk.lfp").write_bytes(b"".join(parts))
+    with pytest.raises(lfcal.FlatError, match=r"4 finished .*refocus stack\) and a depth map; .*raw\.lfp"):
         lfcal.read_flat(tmp_path / "a-stk.lfp")
 
 
