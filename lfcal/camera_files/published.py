@@ -1,8 +1,6 @@
-"""What the published files share: numbers by their names, and the lattice as it stands there, with warnings."""
+"""What the published files share: numbers by their names, and lattices of which they name the corner centres."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,28 +9,22 @@ from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CameraFileError
 
-__all__ = ["PublishedNumbers", "calibration_from_corners", "published_calibration", "require_size"]
+__all__ = ["PublishedNumbers", "calibration_from_corners"]
 
 
-@dataclass(frozen=True)
-class PublishedNumbers:
+class PublishedNumbers(dict[str, str]):
     """The texts of a file by their names, read as finite numbers; CameraFileError with the name where one is none."""
-
-    texts: dict[str, str]
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.texts
 
     def number(self, name: str) -> float:
         """A finite number."""
-        if name not in self.texts:
+        if name not in self:
             raise CameraFileError(f"'{name}' is missing")
         try:
-            value = float(self.texts[name])
+            value = float(self[name])
         except ValueError:
             value = np.nan
         if not np.isfinite(value):
-            raise CameraFileError(f"'{name}' is {self.texts[name].strip()!r}, not a number")
+            raise CameraFileError(f"'{name}' is {self[name].strip()!r}, not a number")
         return value
 
     def positive(self, name: str) -> float:
@@ -45,25 +37,6 @@ class PublishedNumbers:
     def point(self, x: str, y: str) -> NDArray[np.float64]:
         """(2,) two numbers."""
         return np.array([self.number(x), self.number(y)])
-
-
-def require_size(image_size: tuple[int, int] | None) -> tuple[int, int]:
-    """The size that was given for a file without one; CameraFileError where none was."""
-    if image_size is None:
-        raise CameraFileError("has no image size; give image_size as (width, height)")
-    return image_size
-
-
-def published_calibration(
-    origin: NDArray[np.float64],
-    basis: NDArray[np.float64],
-    image_size: tuple[int, int],
-    radius: float,
-    warnings: list[str],
-) -> Calibration:
-    """Calibration with the reduced basis of that lattice."""
-    lattice = Lattice(origin, reduce_basis(basis), image_size, radius)
-    return Calibration(lattice, None, "published", warnings=tuple(warnings))
 
 
 def calibration_from_corners(
@@ -87,5 +60,6 @@ def calibration_from_corners(
         slip = np.sign(float(sideways @ along)) or 1.0
         sideways = sideways - slip * 0.5 * along / rows
     first = np.mean(corners, axis=0) - (down + across) / 2
+    lattice = Lattice(first, reduce_basis([along, sideways + along / 2]), image_size, pitch / 2)
     warning = "only the corner centres are published, good to a few pixels; calibrate on a flat for better"
-    return published_calibration(first, np.array([along, sideways + along / 2]), image_size, pitch / 2, [warning])
+    return Calibration(lattice, warnings=(warning,))

@@ -20,62 +20,57 @@ from ..camera.schema import check_plausible
 from ..runtime.errors import CameraFileError
 from ..runtime.image_formats import IMAGE_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
-from .text_files import (
-    CENTRE_TOLERANCE,
-    Mode,
-    format_centre_table,
-    format_key_value,
-    parse_centre_table,
-    parse_key_value,
-)  # fmt: skip
+from .centre_table import format_centre_table, parse_centre_table
+from .text_files import Mode, format_key_value, parse_key_value
 from .xml_files import format_xml, parse_xml
 
 __all__ = ["FORMATS", "CameraFormat", "convert", "load"]
 
+# [px] a format that moves centres further cannot hold the lattice.
+_TOLERANCE = 1e-3
 
-def _parse_json(text: str, image_size: tuple[int, int] | None) -> Calibration:
+
+def _parse_json(text: str, _image_size: tuple[int, int] | None) -> Calibration:
     try:
-        data = json.loads(text)
+        return Calibration.from_dict(json.loads(text))
     except (json.JSONDecodeError, RecursionError) as error:
         raise CameraFileError(f"not valid JSON ({error}); make one with 'lfcal calibrate'") from error
-    camera = Calibration.from_dict(data)
-    if image_size is not None and tuple(image_size) != camera.image_size:
-        raise CameraFileError(
-            f"is for flats of {camera.image_size[0]} x {camera.image_size[1]} px, "
-            f"not of {image_size[0]} x {image_size[1]} px; calibrate on a flat of that size"
-        )
-    return camera
 
 
 class CameraFormat(NamedTuple):
     """One camera file format."""
 
-    parse: Callable[[str, tuple[int, int] | None], Calibration]  # from the text of a file and the image size
+    parse: Callable[..., Calibration]  # from the text of a file and the image size
     format: Callable[[Calibration, Mode | None], str]  # the text of a file, of captures of that mode
     recognise: str  # regular expression of the first line that is neither empty nor a comment
+    has_size: bool  # whether files have the image size; readers of others are given it
     is_exact: bool = False  # any lattice can be written; else what was written is read again and compared
 
 
+# Of tables: a line of numbers, or names of columns.
+_TABLE = r"[-+.\d]+(e[-+]?\d+)?[,;\s]+[-+.\d]|(?=[^:{<]*$)(?=.*x)(?=.*y)"
 #: Every camera file format by its suffix. A new one is a line here and a module with its two functions.
 FORMATS = {
-    ".json": CameraFormat(_parse_json, lambda camera, _: camera.to_json(), r"{", is_exact=True),
-    ".xml": CameraFormat(parse_xml, lambda camera, _: format_xml(camera), r"<"),
-    ".cfg": CameraFormat(parse_key_value, format_key_value, r"\w+\s*:\s*[-+.\d]"),
-    ".csv": CameraFormat(parse_centre_table, lambda camera, _: format_centre_table(camera), r"i *, *j *,", True),
+    ".json": CameraFormat(_parse_json, lambda camera, _: camera.to_json(), r"{", True, is_exact=True),
+    ".xml": CameraFormat(parse_xml, lambda camera, _: format_xml(camera), r"<", False),
+    ".cfg": CameraFormat(parse_key_value, format_key_value, r"\w+\s*:\s*[-+.\d]", True),
+    ".csv": CameraFormat(parse_centre_table, lambda camera, _: format_centre_table(camera), _TABLE, False, True),
 }
 
 
-def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None) -> Calibration:
+def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None, *, y_up: bool = False) -> Calibration:
     """Read a camera file: our own JSON, or one of another program.
 
     Parameters
     ----------
     path : path-like
-        JSON of `Calibration.save`, `RayCalibData` or `TSPCCalibData` XML, key : value lines, or a table of centres
-        `i,j,x,y`; recognised by its content.
+        JSON of `Calibration.save`, `RayCalibData` or `TSPCCalibData` XML, key : value lines, or a table of centres with
+        the columns x, y, and radius, type, i, j where known; recognised by its content.
     image_size : (int, int) or None [px]
         Width and height of the flats; needed for XML and tables, which lack it. CameraFileError if the file has another
         one, is missing, or wrong.
+    y_up : bool
+        Whether y of a table of centres counts from the middle of the lowest row of pixels up, as makers do.
 
     Examples
     --------
@@ -99,9 +94,15 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
     lines = (line.strip() for line in text.splitlines())
     first = next((line for line in lines if line and not line.startswith("#")), "")
     by_suffix = FORMATS.get(source.suffix.lower(), FORMATS[".json"])
-    known = next((form for form in FORMATS.values() if re.match(form.recognise, first)), by_suffix)
+    form = next((form for form in FORMATS.values() if re.match(form.recognise, first, re.I)), by_suffix)
     try:
-        camera = known.parse(text, image_size)
+        if image_size is None and not form.has_size:
+            raise CameraFileError("has no image size; give image_size as (width, height)")
+        is_table = form.parse is parse_centre_table
+        camera = form.parse(text, image_size, y_up) if is_table else form.parse(text, image_size)
+        if image_size is not None and tuple(image_size) != camera.image_size:
+            own, given = ("{} x {} px".format(*size) for size in (camera.image_size, image_size))
+            raise CameraFileError(f"is for flats of {own}, not of {given}; calibrate on a flat of that size")
         check_plausible(camera.lattice)
         return camera
     except CameraFileError as error:
@@ -115,8 +116,8 @@ def convert(calibration: Calibration, path: str | os.PathLike[str], *, mode: Mod
 
     `.json` is our own format and keeps everything. `.xml` (`RayCalibData`) keeps lattice, radius and the three lens
     types of a hexagonal array, `.cfg` (key : value, with four corner centres) a hexagonal lattice, `.csv` the columns
-    `i, j, x, y` of all centres. A `.cfg` file also states the `mode` of the captures; without one it is that in which
-    the lens types are focused, or binocular where they do not tell.
+    `i, j, x, y, radius, type` of all centres. A `.cfg` file also states the `mode` of the captures; without one it is
+    that in which the lens types are focused, or binocular where they do not tell.
 
     OutputError if the suffix is of no known format or the file cannot be written, CameraFileError if the format cannot
     hold this lattice.
@@ -140,9 +141,9 @@ def convert(calibration: Calibration, path: str | os.PathLike[str], *, mode: Mod
         index = again.to_index(lattice.centres())
         apart = np.abs((index - np.rint(index)) @ again.basis).max()
         cell = abs(abs(np.linalg.det(again.basis) / np.linalg.det(lattice.basis)) - 1)
-        if not max(apart, cell) <= CENTRE_TOLERANCE:
+        if not max(apart, cell) <= _TOLERANCE:
             raise CameraFileError(
-                f"{path}: this format cannot hold the lattice to {CENTRE_TOLERANCE} px; write .json or .csv"
+                f"{path}: this format cannot hold the lattice to {_TOLERANCE} px; write .json or .csv"
             )
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

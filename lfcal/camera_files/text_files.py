@@ -1,59 +1,51 @@
-"""Camera files of lines: `key : value`, for hexagonal lattices, and tables of all centres, `i,j,x,y`.
+"""Camera files of lines `key : value`, for hexagonal lattices.
 
-Key : value files are those of the converters for lenslet video (TLCT, RLC 4.0), whose programs expect `IsKepler` and,
-for three lens types, `NearFocalLenType`.
+They are those of the converters for lenslet video (TLCT, RLC 4.0), whose programs expect `IsKepler` and, for three lens
+types, `NearFocalLenType`.
 """
 
 from __future__ import annotations
 
-import csv
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
-from ..lattice.lattice import Lattice
+from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CameraFileError
-from .published import PublishedNumbers, calibration_from_corners, published_calibration, require_size
+from .published import PublishedNumbers, calibration_from_corners
 
-__all__ = [
-    "CENTRE_TOLERANCE", "Mode", "format_centre_table", "format_key_value", "parse_centre_table", "parse_key_value",
-]  # fmt: skip
+__all__ = ["Mode", "format_key_value", "parse_key_value"]
 
-HEADER = "i,j,x,y"
-#: [px] a format that moves centres further cannot hold the lattice.
-CENTRE_TOLERANCE = 1e-3
 _CORNERS = ("LeftTop", "RightTop", "LeftBottom", "RightBottom")
 
 Vector = NDArray[np.float64]
 Mode = Literal["telescopic", "binocular"]
 
 
-def parse_key_value(text: str, image_size: tuple[int, int] | None) -> Calibration:
+def parse_key_value(text: str, _image_size: tuple[int, int] | None) -> Calibration:
     """The camera in lines `key : value`; `MLADirection` 1 has hexagons in upright rows."""
-    texts: dict[str, str] = {}
+    numbers = PublishedNumbers()
     for row, line in enumerate(text.splitlines(), 1):
         if line.strip() and not line.lstrip().startswith("#"):
             key, colon, value = line.partition(":")
             if not colon:
                 raise CameraFileError(f"line {row} is not 'key : number'; is this a camera file?")
-            texts[key.strip()] = value
-    numbers = PublishedNumbers(texts)
+            numbers[key.strip()] = value
     width, height = (numbers.positive(f"Lenslet{side}") for side in ("Width", "Height"))
     if width % 1 or height % 1:
         raise CameraFileError(f"LensletWidth and LensletHeight must be whole numbers of px, got {width} and {height}")
     size = int(width), int(height)
-    if image_size is not None and tuple(image_size) != size:
-        raise CameraFileError(f"is for flats of {size[0]} x {size[1]} px, not of {image_size[0]} x {image_size[1]} px")
     pitch, upright = numbers.positive("MIDiameter"), numbers.number("MLADirection") == 1
     if "LeftTopMICenterX" in numbers:
         corners = [numbers.point(f"{name}MICenterX", f"{name}MICenterY") for name in _CORNERS]
         return calibration_from_corners(corners, pitch, upright, size)
     origin = (np.array(size) - 1) / 2 + numbers.point("CentralMIOffsetX", "CentralMIOffsetY") * [1, -1]
-    basis = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
-    warnings = ["the file gives no angle finer than upright or level rows"]
-    return published_calibration(origin, (basis[:, ::-1] if upright else basis) * pitch, size, pitch / 2, warnings)
+    basis = pitch * np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
+    warning = "the file gives no angle finer than upright or level rows"
+    lattice = Lattice(origin, reduce_basis(basis[:, ::-1] if upright else basis), size, pitch / 2)
+    return Calibration(lattice, warnings=(warning,))
 
 
 def format_key_value(calibration: Calibration, mode: Mode | None = None) -> str:
@@ -136,34 +128,3 @@ def _near_type(calibration: Calibration, mode: str | None, middle: Vector, uprig
     index = np.rint(lattice.to_index(places[:, ::-1] if upright else places)).astype(int)
     found = np.flatnonzero(types.of(index) == nearest)
     return int(found[0]) if len(found) == 1 else None
-
-
-def parse_centre_table(text: str, image_size: tuple[int, int] | None) -> Calibration:
-    """Least-squares lattice through the centres of a table."""
-    size = require_size(image_size)
-    try:
-        header, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
-        values = np.array([[float(cell) for cell in row] for row in rows])
-        if [name.strip() for name in header] != HEADER.split(","):
-            raise ValueError(f"the first line is not {HEADER}")
-        if values.ndim != 2 or values.shape[1] != 4 or not np.isfinite(values).all():
-            raise ValueError("each line must hold four finite numbers")
-        design = np.column_stack([np.ones(len(values)), values[:, :2]])
-        fit, _, rank, _ = np.linalg.lstsq(design, values[:, 2:], rcond=None)
-        if rank < 3:
-            raise ValueError("at least three centres that are not in one row are needed")
-        steps = Lattice(fit[0], fit[1:], size, 1.0).steps @ fit[1:]
-        misfit = float(np.linalg.norm(design @ fit - values[:, 2:], axis=1).max())
-        warning = f"centres lie up to {misfit:.3f} px off the straight lattice read"
-        return Calibration(
-            Lattice(fit[0], fit[1:], size, float(np.linalg.norm(steps, axis=1).min() / 2)),
-            warnings=(warning,) if misfit > CENTRE_TOLERANCE else (),
-        )
-    except (ValueError, csv.Error) as error:
-        raise CameraFileError(f"cannot be read as a table of centres ({error})") from error
-
-
-def format_centre_table(calibration: Calibration) -> str:
-    """The columns `i, j, x, y` of all microimages whose centre lies on the flat."""
-    rows = zip(calibration.lattice.indices(), calibration.lattice.centres(), strict=True)
-    return HEADER + "\n" + "".join(f"{i},{j},{x:.9f},{y:.9f}\n" for (i, j), (x, y) in rows)

@@ -6,7 +6,6 @@ In them y points up and angles turn counter-clockwise on the screen.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -15,16 +14,16 @@ from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
-from ..lattice.lattice import Lattice
+from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CameraFileError
-from .published import PublishedNumbers, calibration_from_corners, published_calibration, require_size
+from .published import PublishedNumbers, calibration_from_corners
 
 __all__ = ["format_xml", "parse_xml"]
 
 _SAME_ANGLE = np.radians(1)  # files give six digits: angles further apart are not rounding
 
 
-def parse_xml(text: str, image_size: tuple[int, int] | None) -> Calibration:
+def parse_xml(text: str, size: tuple[int, int]) -> Calibration:
     """The camera in an XML file."""
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import ParseError, fromstring
@@ -33,9 +32,9 @@ def parse_xml(text: str, image_size: tuple[int, int] | None) -> Calibration:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise CameraFileError(f"not valid XML ({error})") from error
-    size, numbers = require_size(image_size), PublishedNumbers(dict(_texts(root)))
+    numbers = PublishedNumbers(_texts(root))
     if root.tag == "RayCalibData":
-        types = [PublishedNumbers(dict(_texts(element))) for element in root.findall("lens_type")]
+        types = [PublishedNumbers(_texts(element)) for element in root.findall("lens_type")]
         return _parse_raytrix(numbers, types, size)
     if root.tag == "TSPCCalibData":
         corners = [numbers.point(f"centers/{k}/x", f"centers/{k}/y") for k in ("ltop", "rtop", "lbot", "rbot")]
@@ -72,19 +71,18 @@ def _parse_raytrix(numbers: PublishedNumbers, types: list[PublishedNumbers], siz
     radius = pitch / 2 - (numbers.number("lens_border") if "lens_border" in numbers else 0.0)
     if radius <= 0:
         raise CameraFileError(f"radius must be positive, got {radius}")
-    parameters = numbers.texts.get("distortion/parameter", "")
+    parameters = numbers.get("distortion/parameter", "")
     if any(abs(float(v)) > 0 for v in parameters.replace(",", ";").split(";") if v.strip()):
         warnings.append("the file names a lens distortion, which is left out; calibrate on a flat for better")
-    camera = published_calibration(origin, base @ to_pixels, size, radius, warnings)
-    if len(types) < 2:
-        return camera
-    found = _types_at(np.array([one.point("offset/x", "offset/y") for one in types]) @ to_pixels, camera.lattice)
-    warning = (
-        "the lens types of the file do not lie on its lattice and are left out; calibrate on a flat"
-        if found is None
-        else "the order of the lens types in such files is often wrong and was not taken over; calibrate on a flat"
-    )
-    return replace(camera, lens_types=found, warnings=(*camera.warnings, warning))
+    lattice, found = Lattice(origin, reduce_basis(base @ to_pixels), size, radius), None
+    if len(types) > 1:
+        found = _types_at(np.array([one.point("offset/x", "offset/y") for one in types]) @ to_pixels, lattice)
+        warnings.append(
+            "the lens types of the file do not lie on its lattice and are left out; calibrate on a flat"
+            if found is None
+            else "the order of the lens types in such files is often wrong and was not taken over; calibrate on a flat"
+        )
+    return Calibration(lattice, lens_types=found, warnings=tuple(warnings))
 
 
 def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | None:
@@ -143,10 +141,7 @@ def format_xml(calibration: Calibration) -> str:
 def _type_elements(
     types: LensTypes | None, lattice: Lattice, middle: NDArray[np.int64], to_lens: NDArray[np.float64]
 ) -> Iterator[str]:
-    """The rectangle after which three lens types repeat, and one lens of each next to the index `middle` (2,).
-
-    Types part half way between their foci in `s`: nearest and farthest virtual depth of each.
-    """
+    """Where three types repeat, a lens of each beside `middle` (2,), and depths, which part half way in `s`."""
     if types is None or types.count != 3 or len(lattice.steps) != 6:
         return
     steps = np.vstack([np.zeros((1, 2), dtype=int), lattice.steps])

@@ -17,6 +17,8 @@ from .figures import describe, summarise
 from .metric import board, metric
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from ..camera.calibration import Calibration
 
 __all__ = ["main"]
@@ -236,6 +238,7 @@ def compare(report: cl.Report, given: Any) -> None:
     "lfcal convert camera.json -o calibration.xml",
     "lfcal convert calibration.xml --image flat.png -o camera.json",
     "lfcal convert camera.json --image flat.png -o camera.cfg",
+    "lfcal convert centres.csv --image white.png -o camera.json",
 )
 @click.argument("camera", type=_INPUT)
 @_output("FILE", ".xml, .cfg, .csv or .json to write.")
@@ -243,47 +246,64 @@ def compare(report: cl.Report, given: Any) -> None:
     "--mode", click.Choice(["telescopic", "binocular"]),
     "Of the captures, which a .cfg file states.  [default: as --image, or the focus of the lens types]",
 )  # fmt: skip
+@cl.option(
+    "--y-up/--y-down", None, "Where y of a table of centres points.  [default: as --image shows, else down]",
+    default=None,
+)  # fmt: skip
 @cl.with_options(*_SIZE_OPTIONS)
 @cl.report_options
 def convert(report: cl.Report, given: Any) -> None:
     """Write CAMERA in the format of another program, or the reverse.
 
-    The suffix of the output chooses the format.
+    The suffix of the output chooses the format. CAMERA may be a maker's table of centres: lines of x, y, radius and
+    type, or with a header that names the columns.
     """
     from ..camera_files.read_write import FORMATS
     from ..camera_files.read_write import convert as run
 
     output, image, mode = given.output, given.image, given.mode
     check_output(output, FORMATS, [given.camera, image])
-    camera = _read(given.camera, _read_size(given))
-    if mode is None and image is not None and output.suffix.lower() == ".cfg":
-        from .. import read_flat
+    pixels = _read_image(given)
+    size = given.size if pixels is None else (pixels.shape[1], pixels.shape[0])
+    camera = _read(given.camera, size, bool(given.y_up))
+    if pixels is not None and given.y_up is None and (up := _read(given.camera, size, True)) != camera:
+        from ..display.fit_check import choose_orientation
+
+        camera = choose_orientation(camera, up, pixels)
+    if mode is None and pixels is not None and output.suffix.lower() == ".cfg":
         from ..lens_types.coarse_disparity import find_scene_mode
 
-        mode = find_scene_mode(read_flat(image), camera.lattice)
+        mode = find_scene_mode(pixels, camera.lattice)
     run(camera, output, mode=mode)
-    report.finish({"written": str(output), **describe(camera)}, *summarise(camera), f"{output} is written.")
+    rms = f", {camera.residual_rms:.3f} px (RMS) from the centres of the table"
+    rms = rms if camera.source == "published" and camera.lenses_used else ""
+    report.finish({"written": str(output), **describe(camera)}, *summarise(camera), f"{output} is written{rms}.")
 
 
-def _read_size(given: Any) -> tuple[int, int] | None:
-    """Width and height [px] from `--size` or `--image`, None without either."""
+def _read_image(given: Any) -> NDArray[Any] | None:
+    """The pixels of `--image`, None without it."""
     if given.image is None:
-        size: tuple[int, int] | None = given.size
-        return size
+        return None
     if given.size is not None:
         raise click.UsageError("--size and --image exclude each other")
     from .. import read_flat
 
-    height, width = read_flat(given.image).shape[:2]
-    return width, height
+    return read_flat(given.image)
 
 
-def _read(path: Path, size: tuple[int, int] | None) -> Calibration:
+def _read_size(given: Any) -> tuple[int, int] | None:
+    """Width and height [px] from `--size` or `--image`, None without either."""
+    pixels = _read_image(given)
+    size: tuple[int, int] | None = given.size if pixels is None else (pixels.shape[1], pixels.shape[0])
+    return size
+
+
+def _read(path: Path, size: tuple[int, int] | None, y_up: bool = False) -> Calibration:
     """A camera file of any format; an error about its missing size names the options for it."""
     from .. import CameraFileError, load
 
     try:
-        return load(path, size)
+        return load(path, size, y_up=y_up)
     except CameraFileError as error:
         if size is None and "image_size" in str(error):
             raise CameraFileError(f"{path}: has no image size; add --size WxH or --image") from error

@@ -22,7 +22,7 @@ from ..lattice.orientation import describe_orientation
 from ..runtime.arrays import Frozen
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, CameraFileError, FlatError, check_type
 
-__all__ = ["CameraCheck", "FitCheck", "check_camera", "check_fit"]
+__all__ = ["CameraCheck", "FitCheck", "check_camera", "check_fit", "choose_orientation"]
 
 _REMEDY = "give the camera of this flat, or calibrate on it"
 # [pitch] from which on pictures show a shift of the whole flat, at most 0.05 with right cameras on 60 simulated flats;
@@ -192,6 +192,16 @@ def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
         f"turned flat, or with another camera; {_REMEDY}",
         adjusted=replace(calibration, lattice=replace(lattice, origin=lattice.origin + shift)),
     )
+
+
+def choose_orientation(down: Calibration, up: Calibration, image: ArrayLike) -> Calibration:
+    """Of two readings of a table of centres, whose y points down or up, the one that an image confirms."""
+    right = [check.checked and check.problem is None for check in (check_camera(one, image) for one in (down, up))]
+    index = up.lattice.to_index(down.lattice.centres())
+    if right[0] != right[1] or np.abs(index - np.rint(index)).max() < _STRETCH:
+        return up if right[1] and not right[0] else down
+    warning = "the image does not show whether y of the table points up or down; it was taken to point down"
+    return replace(down, warnings=(*down.warnings, warning))
 
 
 def _describe_other(given: Lattice, found: Lattice, factor: int) -> str:

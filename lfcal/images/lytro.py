@@ -26,8 +26,8 @@ _SHA1_BYTES = 80  # "sha1-", 40 digits, zeros
 _SENSORS = {3280 * 3280 * 12 // 8: (3280, 3280, 12), 7728 * 5368 * 10 // 8: (7728, 5368, 10)}
 
 _REMEDY = (
-    "these are made from the raw one, which lies beside it in the library of Lytro Desktop and on the camera: raw.lfp or "
-    "IMG_1234.lfp without -stk (first camera), IMG_1234.LFR (Illum)"
+    "these are made from the raw one, which lies beside it in the library of Lytro Desktop and on the camera: raw.lfp "
+    "or IMG_1234.lfp without -stk (first camera), IMG_1234.LFR (Illum)"
 )
 
 
