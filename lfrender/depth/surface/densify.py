@@ -122,7 +122,8 @@ def densify(
     shape, start, spacing = grid_shape(lattice, cells)
     lenses = lens_array(lattice, TOLERANCE * lattice.pitch, gray.radius)
     gap = np.float32(lenses.gap)
-    table = np.column_stack([gray.centres, trust, values, seconds]).astype(np.float32)
+    # Weights are positive, for means over them: a depth NaN would be looked up beyond the flat.
+    table = np.column_stack([gray.centres, np.maximum(trust, 1e-3), values, seconds]).astype(np.float32)
     around = neighbour_rows(lattice, lenses.ring)
     agreeing = _agree(values, seconds, around, gap)
     old = None

@@ -62,6 +62,13 @@ def test_values_far_from_an_edge_are_those_of_the_lenses_about_them(edged_flat):
     assert np.abs(found.patch_size - (6 + 0.004 * x))[inside, inside].max() < 0.02
 
 
+def test_lenses_of_no_confidence_leave_no_point_without_depth(edged_flat):
+    gray, lattice, values = edged_flat
+    nothing = np.full((len(values), 2), np.nan, np.float32)
+    found = densify(gray, lattice, values, nothing, np.where(values == FAR, np.float32(0), 1), 0.001, CELLS)
+    assert np.isfinite(found.patch_size).all()
+
+
 def test_a_coarse_grid_beyond_all_lenses_leaves_no_point_without_depth():
     # In the corners of a small flat of long cells no lens lies near.
     flat = PlaneFlat(
