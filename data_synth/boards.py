@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
-from .capture import write_png
+from .capture import read_png, write_png
 from .surfaces import Patch, Scene
 from .transfer import develop
 
@@ -82,6 +82,16 @@ class BoardShoot:
             "poses": poses,
         }
         (target / "truth.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> BoardShoot:
+        """Read what `save` has written."""
+        target = Path(folder)
+        about = json.loads((target / "truth.json").read_text(encoding="utf-8"))
+        flats = tuple(read_png(target / pose["file"]) for pose in about["poses"])
+        turns, shifts = (np.array([pose[key] for pose in about["poses"]]) for key in ("R", "t_mm"))
+        camera, square = Camera(**about["camera"]), about["board"]["square_mm"]
+        return cls(flats, read_png(target / "white.png"), turns, shifts, square, camera)
 
     def summary(self) -> dict[str, Any]:
         """Counts and sizes as plain values."""

@@ -19,7 +19,7 @@ from lfcal import Calibration
 
 from .camera import Camera
 
-__all__ = ["Capture", "Truth", "load_capture", "write_png"]
+__all__ = ["Capture", "Truth", "load_capture", "read_png", "write_png"]
 
 _SCHEMA = "lfsynth-capture"
 _VERSION = 1
@@ -195,7 +195,7 @@ def load_capture(folder: str | os.PathLike[str]) -> Capture:
     except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{source}: truth is incomplete or damaged ({error}); simulate it again") from error
     size = (camera.height, camera.width)
-    flat, white, reference = (_read_png(source / f"{name}.png") for name in ("flat", "white", "reference"))
+    flat, white, reference = (read_png(source / f"{name}.png") for name in ("flat", "white", "reference"))
     if (
         flat.shape != (size if camera.mosaic else (*size, 3))
         or white.shape != size
@@ -218,7 +218,8 @@ def _png(picture: NDArray[Any]) -> bytes:
     return data.tobytes()
 
 
-def _read_png(path: Path) -> NDArray[Any]:
+def read_png(path: Path) -> NDArray[Any]:
+    """Read a picture, grey or RGB; ValueError if it is none."""
     picture = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise ValueError(f"{path}: not a picture; simulate it again")

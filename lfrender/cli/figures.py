@@ -44,8 +44,7 @@ def capture_figures(
         return figures
     import numpy as np
 
-    from ..data.depth_map import REASONS
-    from ..output.depth_picture import MODES
+    from ..data.depth_map import MODES, REASONS
     from ..rendering.traditional import find_depth_problem
 
     if problem := find_depth_problem(depth):

@@ -231,7 +231,7 @@ def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
 
     from lfcal import check_camera, load
 
-    from ..data.region import crop_lattice
+    from ..depth.region import crop_lattice
 
     size = np.array(pixels.shape[1::-1])
     calibration = load(path, (int(size[0]), int(size[1])))

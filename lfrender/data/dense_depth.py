@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from lfcal import Optics, OutputError
 from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
 
-from .depth_map import DepthMap, default_scale
+from .depth_map import DEPTH_ADVICE, DepthMap, default_scale
 from .rendering import Picture, PictureGrid, check_scale
 from .surface import edge_step, sample_surface_at
 
@@ -71,11 +72,10 @@ class DenseDepth(Picture, Frozen):
 
 
 def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) -> DenseDepth:
-    """Patch size at every pixel of the picture that `render` draws at `scale`, as the kernels read it.
+    """Patch size at every pixel of the picture that `render` draws at `scale` [px per pitch], by default its own.
 
     Between the grid values of `DepthMap.surface` it is linear on one surface, and the nearest across a depth edge.
-    `scale` is in pixels per pitch, by default that of `render`; ValueError beyond four times the pitch. Unresolved
-    places have the depth of those around them if `fill`, else NaN.
+    Unresolved places have the depth of those around them if `fill`, else NaN. Errors are those of `render`.
 
     Examples
     --------
@@ -86,6 +86,7 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
     """
     import cv2
 
+    check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     pitch = depth.pitch
     grid = PictureGrid(depth.image_size, pitch, check_scale(default_scale(depth) if scale is None else scale, pitch))
     shape, edge, around = grid.size[::-1], edge_step(pitch), np.ones((3, 3), np.uint8)
@@ -108,11 +109,11 @@ def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
 
 
 def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArray[np.float32] | None = None) -> None:
-    """Write the patch sizes [px] as 32-bit TIFF or OpenEXR, with the affine as JSON, or as PFM; whole or not at all.
+    """Write the patch sizes [px], or the `distance` of `dense_distance`, as 32-bit TIFF, OpenEXR, or PFM.
 
-    With `distance`, as `dense_distance` makes it, that is written in their place. Validity and standard errors [px] are
-    the second and third page of the TIFF, and channels of OpenEXR; PFM has no room for them. OutputError if the ending
-    is none of these, the package OpenEXR is needed, or the folder cannot be written.
+    Affine, validity and standard errors [px] are JSON and two pages of the TIFF, comment and channels of OpenEXR; PFM
+    has no room for them. OutputError if the ending is another, the package OpenEXR is needed, or nothing can be
+    written.
 
     Examples
     --------
@@ -123,6 +124,7 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArr
     ...     Path(folder, "depth.tif").exists()
     True
     """
+    check_type(dense, DenseDepth, "dense", "lfrender.data.dense_depth.dense_depth makes one of a DepthMap")
     path = Path(path)
     check_output(path, set(DENSE_FORMATS))
     suffix, values = path.suffix.lower(), dense.patch_size if distance is None else distance
@@ -132,21 +134,17 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArr
     about = {"software": "lfrender", "content": content, "pitch": dense.pitch, "affine": dense.affine.tolist()}
     with atomic_write(path) as temporary:
         if suffix == ".pfm":
-            height, width = values.shape
             # Rows from the bottom up; the negative scale says little-endian.
-            rows = np.ascontiguousarray(values[::-1], "<f4")
-            temporary.write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + rows.tobytes())
+            head = "Pf\n{1} {0}\n-1.0\n".format(*values.shape)
+            temporary.write_bytes(head.encode() + values[::-1].astype("<f4").tobytes())
         elif suffix == ".exr":
             import OpenEXR
 
-            kind = {
-                "compression": OpenEXR.ZIP_COMPRESSION,
-                "type": OpenEXR.scanlineimage,
-                "comments": json.dumps(about),
-            }
-            channels = {"Y": np.ascontiguousarray(values), "resolved": dense.resolved.astype(np.float32)}
-            channels["validity"] = dense.validity.astype(np.float32) / np.float32(255)
-            channels["standard_error"] = dense.standard_error
+            kind = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+            channels = {
+                "Y": np.ascontiguousarray(values), "resolved": dense.resolved.astype(np.float32),
+                "validity": dense.validity / np.float32(255), "standard_error": dense.standard_error,
+            }  # fmt: skip
             with OpenEXR.File(kind | {"comments": json.dumps(about)}, channels) as file:
                 file.write(str(temporary))
         else:

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, CalibrationError, FlatSource, LightFieldError, Optics
 from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.errors import CAMERA_ADVICE, check_type
+from lfcal.runtime.notebook import html_card
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.quantiles import quantile
@@ -20,20 +22,24 @@ from .flat_samples import is_same_flat, sample_flat
 from .frame_state import FrameState
 from .surface import Surface
 
-__all__ = ["BINOCULAR", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap", "default_scale"]
+__all__ = [
+    "BINOCULAR", "DEPTH_ADVICE", "MODES", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap",
+    "default_scale",
+]  # fmt: skip
 
 #: Codes of `DepthMap.mode`.
-TELESCOPIC = 1
-BINOCULAR = -1
-UNRESOLVED = 0
+TELESCOPIC, BINOCULAR, UNRESOLVED = 1, -1, 0
+MODES = {TELESCOPIC: "telescopic", BINOCULAR: "binocular", UNRESOLVED: "unresolved"}
 #: Why a lens is unresolved, by the code in `DepthMap.reason`; 0 is resolved.
 REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the microlenses", "not analysed")
+#: Where a depth map comes from, for `check_type`.
+DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
-# Arrays and numbers of a file that bear the name of their field.
+# Arrays and numbers of a file that bear the name of their field; derived ones are for other programs.
 _SAVED = (
-    "patch_size", "mode", "magnification", "confidence", "standard_error", "filled", "pitch", "image_size", "preset",
-    "reason",
+    "patch_size", "standard_error", "confidence", "reason", "pitch", "image_size", "preset", "mode", "magnification",
+    "filled",
 )  # fmt: skip
 _OPTIONAL = ("flat_samples", "centres")
 
@@ -101,7 +107,7 @@ class DepthMap(Frozen):
     surface: Surface
     pitch: float
     image_size: tuple[int, int]
-    preset: str = field(default="balanced")
+    preset: str = "balanced"
     reason: NDArray[np.int8] = None  # type: ignore[assignment]
     saved: dict[str, float] = field(default_factory=dict)
     frame_state: FrameState = field(default_factory=FrameState, repr=False, compare=False)
@@ -109,22 +115,21 @@ class DepthMap(Frozen):
     centres: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        n = len(self.patch_size)
+        check_type(self.surface, Surface, "surface", "lfrender.data.surface.Surface makes one")
         names = ("patch_size", "standard_error", "confidence", "filled_patch_size")
         self._set(**{name: np.array(getattr(self, name), dtype=np.float32) for name in names})
-        reason = self.reason
+        reason, n = self.reason, np.size(self.patch_size)
         if reason is None:
             reason = np.where(np.isfinite(self.patch_size), 0, np.where(self.confidence > 0, 2, 1))
         self._set(reason=np.array(reason, np.int8), image_size=(int(self.image_size[0]), int(self.image_size[1])))
-        for name in (*names, "reason"):
-            if getattr(self, name).shape != (n,):
-                raise ValueError(f"{name} must have one value per lens ({n}), got shape {getattr(self, name).shape}")
-        if self.centres is not None and self.centres.shape != (n, 2):
-            raise ValueError(f"centres must have one place per lens ({n}), got shape {self.centres.shape}")
+        shapes = dict.fromkeys((*names, "reason"), (n,)) | ({} if self.centres is None else {"centres": (n, 2)})
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
         if ((self.reason == 0) != np.isfinite(self.patch_size)).any():
             raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
         if not (np.isfinite(self.filled_patch_size).all() and np.isfinite(self.surface.patch_size).all()):
-            raise ValueError("drawn and surface must be finite")
+            raise ValueError("filled_patch_size and surface must be finite")
 
     def __len__(self) -> int:
         return len(self.patch_size)
@@ -194,6 +199,7 @@ class DepthMap(Frozen):
         """The optics, and the centres of the lenses if they are known."""
         if isinstance(camera, Optics):
             return camera, None
+        check_type(camera, Calibration, "camera", f"{CAMERA_ADVICE}; or give lfcal.Optics")
         if camera.optics is None:
             raise CalibrationError("the camera file holds no optics; measure them with 'lfcal metric FLAT...'")
         if len(camera.lattice) != len(self):
@@ -207,25 +213,26 @@ class DepthMap(Frozen):
         return plot_depth(self, ax)
 
     def __repr__(self) -> str:
-        names = (TELESCOPIC, "telescopic"), (BINOCULAR, "binocular"), (UNRESOLVED, "unresolved")
-        shares = [f"{np.mean(self.mode == code):.0%} {name}" for code, name in names] if len(self) else []
+        shares = [f"{np.mean(self.mode == code):.0%} {name}" for code, name in MODES.items()] if len(self) else []
         return f"DepthMap({', '.join([f'{len(self)} lenses', *shares])}; {self.preset!r})"
 
     def _repr_html_(self) -> str:
-        from .plots import depth_html
-
-        return depth_html(self)
+        figures, known = {}, self.magnification[np.isfinite(self.magnification)]
+        if known.size:
+            figures["magnification"] = f"{known.min():.2f} to {known.max():.2f}, median {np.median(known):.2f}"
+            figures["standard error of s"] = f"{np.median(self.standard_error[self.mode != 0]):.2g} px (median)"
+        if self.saved:
+            figures["saved"] = ", ".join(f"{name} {part:.0%}" for name, part in self.saved.items())
+        return html_card(repr(self), figures, self.plot)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
-        fields = {name: getattr(self, name) for name in _SAVED}
-        fields["drawn"], fields["surface"] = self.filled_patch_size, self.surface.patch_size
-        fields["surface_first"], fields["surface_spacing"] = self.surface.first, self.surface.spacing
-        fields["saved_by"] = np.array(list(self.saved), str)
-        fields["saved"] = np.array(list(self.saved.values()), np.float64)
-        fields |= {name: value for name in _OPTIONAL if (value := getattr(self, name)) is not None}
+        surface, saved = self.surface, self.saved
+        values = {name: value for name in (*_SAVED, *_OPTIONAL) if (value := getattr(self, name)) is not None}
+        values |= {"drawn": self.filled_patch_size, "surface": surface.patch_size, "surface_first": surface.first}
+        values |= {"saved_by": np.array(list(saved), str), "saved": np.array(list(saved.values()), np.float64)}
         with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
-            np.savez(stream, version=np.int64(_VERSION), **fields)
+            np.savez(stream, version=np.int64(_VERSION), surface_spacing=surface.spacing, **values)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> DepthMap:
@@ -238,14 +245,13 @@ class DepthMap(Frozen):
             version = int(data["version"])
             if version != _VERSION:
                 raise DepthFileError(f"{path}: version {version} is not known (this is {_VERSION}); {remedy}")
-            surface = np.ascontiguousarray(data["surface"], np.float32)
+            grid, first = np.ascontiguousarray(data["surface"], np.float32), tuple(data["surface_first"].tolist())
             saved = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True) if "saved" in data else ()
             more = {name: data[name].astype(np.float32) for name in _OPTIONAL if name in data and data[name].size}
-            reason: Any = data.get("reason")
+            surface, reason = Surface(grid, first, float(data["surface_spacing"])), data.get("reason")
             return cls(
-                data["patch_size"], data["standard_error"], data["confidence"], data["drawn"],
-                Surface(surface, tuple(data["surface_first"].tolist()), float(data["surface_spacing"])),
-                float(data["pitch"]), tuple(data["image_size"].tolist()), str(data["preset"]), reason,
+                data["patch_size"], data["standard_error"], data["confidence"], data["drawn"], surface,
+                float(data["pitch"]), tuple(data["image_size"].tolist()), str(data["preset"]), reason,  # type: ignore
                 dict(saved), **more,
             )  # fmt: skip
         except DepthFileError:
@@ -270,5 +276,6 @@ def default_scale(depth: DepthMap) -> float:
     >>> bool(1 < default_scale(lfrender.data.example()[2]) < 23.2)
     True
     """
+    check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
     return max(1.0, quantile(sizes, 0.98)) if sizes.size else 1.0

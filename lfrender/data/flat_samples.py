@@ -25,7 +25,5 @@ def sample_flat(flat: NDArray | FlatSource) -> NDArray[np.float32]:
 
 def is_same_flat(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
     """Whether the samples of two flats are the same but for rounding; also of another type, bit depth or exposure."""
-    if one.shape != other.shape:
-        return False
     # Rounding to 8 bits differs by 0.01 of the standard deviation.
-    return float(np.sqrt(np.mean((one - other) ** 2))) <= 0.02 * float(one.std()) + 1e-6
+    return one.shape == other.shape and bool(np.sqrt(np.mean((one - other) ** 2)) <= 0.02 * one.std() + 1e-6)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 __all__ = ["FrameState", "LocalMatch"]
 
 
-@dataclass(frozen=True)
-class LocalMatch:
+class LocalMatch(NamedTuple):
     """How lenses match at and about the depth they had."""
 
     cost: NDArray[np.float32]  # (n,) at that depth
@@ -24,7 +23,7 @@ class LocalMatch:
 
     def where(self, mask: NDArray[np.bool_], other: LocalMatch) -> LocalMatch:
         """This one, with the lenses of `mask` (n,) taken from another."""
-        return LocalMatch(*(np.where(mask, getattr(other, f.name), getattr(self, f.name)) for f in fields(self)))
+        return LocalMatch(*(np.where(mask, theirs, own) for theirs, own in zip(other, self, strict=True)))
 
 
 @dataclass
@@ -37,8 +36,7 @@ class FrameState:
     kept: NDArray[np.bool_] | None = None  # (n,) lenses that have kept their depth from an earlier frame
     complete: LocalMatch | None = None  # the reference of all lenses; made when the first next frame needs it
     changed: NDArray[np.bool_] | None = None  # (n,) lenses that show something else than in the frame of `previous`
-    previous: weakref.ref[Any] | None = None  # weakref of DepthMap
+    previous: weakref.ref[Any] | None = None  # of a DepthMap
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
-        """Pickles hold what cannot be made again from the frame."""
-        return FrameState, (self.reference, self.kept)
+        return FrameState, (self.reference, self.kept)  # the others can be made again

@@ -1,4 +1,4 @@
-"""Depth maps and pictures in a notebook, on Matplotlib axes, and in napari."""
+"""Depth maps and pictures on Matplotlib axes, and in napari."""
 
 from __future__ import annotations
 
@@ -8,80 +8,51 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration
-from lfcal.runtime.notebook import html_card
 
 if TYPE_CHECKING:
     from .depth_map import DepthMap
     from .rendering import Rendering
 
-__all__ = ["depth_html", "napari_layers", "plot_depth", "plot_rendering", "rendering_html"]
-
-# Colour of unresolved lenses, as in the maps of `lfrender.output.depth_picture`.
-_UNRESOLVED = (150, 150, 150)
-
-
-def depth_html(depth: DepthMap) -> str:
-    """HTML with the magnification over the scene in colours, unresolved lenses grey, and the figures of a depth map."""
-    modes = ((1, "telescopic"), (-1, "binocular"), (0, "unresolved"))
-    figures = {
-        "lenses": f"{len(depth)}, preset {depth.preset}",
-        "modes": ", ".join(f"{name} {float(np.mean(depth.mode == code)):.1%}" for code, name in modes),
-    }
-    known = depth.magnification[np.isfinite(depth.magnification)]
-    if known.size:
-        figures["magnification"] = f"{known.min():.2f} to {known.max():.2f}, median {np.median(known):.2f}"
-        figures["standard error of s"] = f"{np.median(depth.standard_error[depth.mode != 0]):.2g} px (median)"
-    if depth.saved:
-        figures["saved"] = ", ".join(f"{name} {part:.0%}" for name, part in depth.saved.items())
-    return html_card("DepthMap", figures, depth.plot)
-
-
-def rendering_html(rendering: Rendering) -> str:
-    """HTML with a picture and its key figures."""
-    height, width = rendering.image.shape[:2]
-    figures = {
-        "picture": f"{width} x {height} px, {rendering.image.dtype}",
-        "scale": f"{rendering.scale:.2f} px per pitch",
-        "seen by lenses": f"{float(np.mean(rendering.valid)):.1%}",
-    }
-    return html_card("Rendering", figures, rendering.plot)
+__all__ = ["napari_layers", "plot_depth", "plot_rendering"]
 
 
 def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
     """`DepthMap.plot`."""
-    import matplotlib.pyplot as plt
     from matplotlib.colors import LogNorm
 
-    ax = ax or plt.gca()
     (shown, low, high), surface = _magnification(depth), depth.surface
     lens = depth.nearest_lens(shown.shape, surface.first, surface.spacing)
     if lens is not None:
         shown[depth.filled[lens]] = np.nan
-    left, top = (first - surface.spacing / 2 for first in surface.first)
-    extent = (left, left + shown.shape[1] * surface.spacing, top + shown.shape[0] * surface.spacing, top)
-    drawn = ax.imshow(shown, extent=extent, norm=LogNorm(low, high), cmap="turbo", interpolation="nearest")
-    ax.set_facecolor(np.array(_UNRESOLVED) / 255)
-    bar = ax.figure.colorbar(drawn, ax=ax, label="magnification M (grey: unresolved)")
+    corner = np.array(surface.first) - surface.spacing / 2
+    place = corner, corner + surface.spacing * np.array(shown.shape[::-1])
+    drawn = _show(ax, shown, *place, "Magnification", norm=LogNorm(low, high), cmap="turbo", interpolation="nearest")
+    # Grey as in the maps of `lfrender.output.depth_picture`.
+    drawn.axes.set_facecolor(np.full(3, 150 / 255))
+    bar = drawn.figure.colorbar(drawn, ax=drawn.axes, label="magnification M (grey: unresolved)")
     bar.set_ticks(np.geomspace(low, high, 5), labels=[f"{tick:.2g}" for tick in np.geomspace(low, high, 5)])
     bar.minorticks_off()
-    ax.set(xlabel="x [flat px]", ylabel="y [flat px]", title="Magnification")
-    return ax
+    return drawn.axes
 
 
 def plot_rendering(rendering: Rendering, ax: Any = None) -> Any:
     """`Rendering.plot`."""
-    import matplotlib.pyplot as plt
-
-    ax = ax or plt.gca()
     image = rendering.image
     if image.dtype.kind == "u":
         image = image / np.float32(rendering.white or np.iinfo(image.dtype).max)
     height, width = image.shape[:2]
-    corners = rendering.affine @ [[-0.5, width - 0.5], [-0.5, height - 0.5], [1.0, 1.0]]
-    extent = (corners[0, 0], corners[0, 1], corners[1, 1], corners[1, 0])
-    ax.imshow(np.clip(np.squeeze(image), 0, 1), extent=extent, cmap="gray", vmin=0, vmax=1)
-    ax.set(xlabel="x [flat px]", ylabel="y [flat px]", title=f"{rendering.scale:.1f} px per pitch")
-    return ax
+    place = rendering.affine @ [-0.5, -0.5, 1], rendering.affine @ [width - 0.5, height - 0.5, 1]
+    look: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 1}
+    return _show(ax, np.clip(np.squeeze(image), 0, 1), *place, f"{rendering.scale:.1f} px per pitch", **look).axes
+
+
+def _show(ax: Any, image: NDArray, first: NDArray, last: NDArray, title: str, **look: Any) -> Any:
+    """A picture on Matplotlib axes between two corners of it in scene coordinates."""
+    import matplotlib.pyplot as plt
+
+    ax = ax or plt.gca()
+    ax.set(xlabel="x [flat px]", ylabel="y [flat px]", title=title)
+    return ax.imshow(image, extent=(first[0], last[0], last[1], first[1]), **look)
 
 
 def napari_layers(
@@ -112,10 +83,9 @@ def napari_layers(
         place = {"scale": rendering.affine[[1, 0], [1, 0]], "translate": rendering.affine[[1, 0], 2]}
         layers.append((image, {"name": "rendering", "rgb": image.ndim == 3, **place}, "image"))
     if depth is not None:
-        shown, low, high = _magnification(depth)
-        surface = depth.surface
+        (shown, *limits), surface = _magnification(depth), depth.surface
         place = {"scale": np.full(2, surface.spacing), "translate": np.array(surface.first[::-1])}
-        looks = {"colormap": "turbo", "contrast_limits": (low, high), "opacity": 0.5}
+        looks = {"colormap": "turbo", "contrast_limits": tuple(limits), "opacity": 0.5}
         layers.append((shown, {"name": "magnification", **looks, **place}, "image"))
     if calibration is not None:
         look = {"size": 3, "face_color": "cyan", "name": "centres"}
@@ -125,8 +95,7 @@ def napari_layers(
 
 def _magnification(depth: DepthMap) -> tuple[NDArray[np.float32], float, float]:
     """Magnification on the grid of the surface, clipped to the range of nearly all of it, and that range."""
-    size = np.abs(depth.surface.patch_size)
-    whole = depth.pitch / np.maximum(size, 1e-3 * depth.pitch)
+    whole = depth.pitch / np.maximum(np.abs(depth.surface.patch_size), 1e-3 * depth.pitch)
     low, high = (float(value) for value in np.percentile(whole, (1, 99)))
     high = max(high, 1.2 * low)
     return np.clip(whole, low, high), low, high

@@ -23,14 +23,7 @@ __all__ = ["Registry", "open_registry", "write_registry"]
 
 @dataclass(frozen=True)
 class Registry:
-    """Files with known hashes at one place, from `open_registry`.
-
-    Parameters
-    ----------
-    base : str
-        A folder or an address.
-    hashes : dict of str to str
-        `sha256:` and the hash, by name.
+    """Files at `base`, a folder or an address, with their `hashes` (`sha256:...`) by name; from `open_registry`.
 
     Examples
     --------
@@ -52,10 +45,7 @@ class Registry:
         return sorted(self.hashes)
 
     def fetch(self, name: str) -> Path:
-        """The file, from the cache if it is there with the right hash.
-
-        FlatError if there is no such file, it cannot be fetched, or its hash is not the one listed.
-        """
+        """The file, from the cache if it is there; FlatError if there is none, or its hash is not the one listed."""
         if name not in self.hashes:
             raise FlatError(f"{name}: is not in the registry at {self.base}; it has {', '.join(self.names[:8])}")
         try:
@@ -103,8 +93,6 @@ def open_registry(
         raise FlatError(f"{path}: cannot be read as a list of hashes ({error})") from error
     found = {}
     for number, line in enumerate(lines, 1):
-        if not line.strip() or line.startswith("#"):
-            continue
         name, _, value = line.rpartition(" ")
         if not re.fullmatch(r"sha256:[0-9a-f]{64}", value) or ".." in Path(name).parts or Path(name).is_absolute():
             raise FlatError(f"{path}: line {number} is not 'NAME sha256:HASH'; write_registry makes the list")
@@ -126,8 +114,7 @@ def write_registry(folder: str | os.PathLike[str]) -> Path:
     for path in sorted(Path(folder).rglob("*")):
         name = path.relative_to(folder)
         if path.is_file() and path != target and not any(part.startswith(".") for part in name.parts):
-            with path.open("rb") as stream:
-                lines.append(f"{name.as_posix()} sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}\n")
+            lines.append(f"{name.as_posix()} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}\n")
     with atomic_write(target) as temporary:
         temporary.write_text("".join(lines), encoding="utf-8")
     return target

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lfcal import LightFieldError
 from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.notebook import html_card
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -198,9 +199,7 @@ class Rendering(Picture, Frozen):
         )
 
     def _repr_html_(self) -> str:
-        from .plots import rendering_html
-
-        return rendering_html(self)
+        return html_card(repr(self), {}, self.plot)
 
 
 def finish_picture(

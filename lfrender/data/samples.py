@@ -16,7 +16,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from .depth_map import DepthMap
 
 __all__ = ["board", "cache_folder", "clutter", "example", "house", "periodic", "plane", "ramp", "slope"]
-
-_Made = TypeVar("_Made")
 
 
 def cache_folder() -> Path:
@@ -56,13 +54,14 @@ def _scene(name: str, about: str) -> Callable[..., Capture]:
         from data_synth import SCENES, Camera, load_capture, simulate
 
         design = Camera.design(size=size, pitch=pitch, **camera)
+        recipe: dict[str, Any] = {"samples": samples, "seed": seed}
 
         def trace() -> Capture:
             # Noise of a pixel: a full well of 9000 electrons, and 5 of them when it is read.
-            scene = SCENES[name](design, seed=seed)
-            return simulate(scene, design, samples=samples, seed=seed, noise=(9000.0, 5.0))
+            return simulate(SCENES[name](design, seed=seed), design, noise=(9000.0, 5.0), **recipe)
 
-        return _cached(name, design, {"samples": samples, "seed": seed}, load_capture, trace)
+        sample: Capture = _cached(name, design, recipe, load_capture, trace)
+        return sample
 
     make.__name__ = make.__qualname__ = name
     make.__doc__ = f"""{about}
@@ -122,16 +121,17 @@ def board(
     >>> len(shoot.flats), shoot.white.shape
     (2, (240, 300))
     """
-    from data_synth import Camera, shoot_board
+    from data_synth import BoardShoot, Camera, shoot_board
 
     design = Camera.design(size=size, pitch=pitch, **camera)
-    recipe = {"poses": poses, "samples": samples, "seed": seed}
-    return _cached("board", design, recipe, _load_board, lambda: shoot_board(design, poses, samples=samples, seed=seed))
+    recipe: dict[str, Any] = {"poses": poses, "samples": samples, "seed": seed}
+    shoot: BoardShoot = _cached("board", design, recipe, BoardShoot.load, lambda: shoot_board(design, **recipe))
+    return shoot
 
 
 def _cached(
-    name: str, camera: Camera, recipe: dict[str, Any], load: Callable[[Path], _Made], make: Callable[[], Any]
-) -> _Made:
+    name: str, camera: Camera, recipe: dict[str, Any], load: Callable[[Path], Any], make: Callable[[], Any]
+) -> Any:
     """A sample from its folder in the cache, made and saved there if it is not whole."""
     about = json.dumps([_simulator_digest(), dataclasses.asdict(camera), recipe], sort_keys=True, default=list)
     folder = cache_folder() / "samples" / f"{name}-{hashlib.sha256(about.encode()).hexdigest()[:16]}"
@@ -141,19 +141,16 @@ def _cached(
         except (OSError, ValueError, KeyError):
             # Damaged, or left by a run that was killed: made again.
             shutil.rmtree(folder, ignore_errors=True)
-    unfinished = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
-    sample = make()
+    sample, unfinished = make(), folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
     try:
         unfinished.parent.mkdir(parents=True, exist_ok=True)
         sample.save(unfinished)
+        unfinished.replace(folder)
+    except OSError as error:
         # Another process may have been faster; its files are the same.
         if not folder.is_dir():
-            unfinished.replace(folder)
-    except OSError as error:
-        if not folder.is_dir():
-            raise OutputError(
-                f"{folder}: cannot be written ({error.strerror or error}); set LFRENDER_CACHE to another folder"
-            ) from error
+            message = f"cannot be written ({error.strerror or error}); set LFRENDER_CACHE to another folder"
+            raise OutputError(f"{folder}: {message}") from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
     # Read again, so that the first call and all later ones give the same.
@@ -167,14 +164,3 @@ def _simulator_digest() -> str:
 
     sources = sorted((item for item in files(data_synth).iterdir() if item.name.endswith(".py")), key=lambda s: s.name)
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
-
-
-def _load_board(folder: Path) -> BoardShoot:
-    from data_synth import BoardShoot, Camera
-    from lfcal import read_flat
-
-    about = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    flats = tuple(read_flat(folder / pose["file"]) for pose in about["poses"])
-    turns, shifts = (np.array([pose[key] for pose in about["poses"]]) for key in ("R", "t_mm"))
-    camera = Camera(**about["camera"])
-    return BoardShoot(flats, read_flat(folder / "white.png"), turns, shifts, about["board"]["square_mm"], camera)

@@ -7,15 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.kernels import FAST, kernel
 
-__all__ = [
-    "DepthGrid", "Surface", "constant_surface", "edge_step", "mark_changed_places", "patch_size_at",
-    "sample_surface_at",
-]  # fmt: skip
+__all__ = ["DepthGrid", "Surface", "constant_surface", "edge_step", "patch_size_at", "sample_surface_at"]
 
 
 class DepthGrid(NamedTuple):
@@ -100,34 +97,15 @@ def edge_step(pitch: float) -> float:
 
 
 def sample_surface_at(
-    surface: Surface, edge: float, shape: tuple[int, int], first: ArrayLike, spacing: float
+    surface: Surface, edge: float, shape: tuple[int, int], first: Any, spacing: float
 ) -> NDArray[np.float32]:
-    """Patch size [px] at every pixel of a picture of this shape.
+    """Patch size [px] at every pixel of a picture of this shape; `edge` [px] is as `edge_step`.
 
-    Its pixels are `spacing` apart on the flat, (0, 0) lies at `first` (2,); `edge` [px] is as `edge_step`.
+    Its pixels are `spacing` apart on the flat, (0, 0) lies at `first` (2,).
     """
     out = np.empty(shape, np.float32)
-    first_x, first_y = (float(n) for n in np.asarray(first))
-    _sample(surface.patch_size, surface.grid(edge), first_x, first_y, spacing, out)
+    _sample(surface.patch_size, surface.grid(edge), float(first[0]), float(first[1]), spacing, out)
     return out
-
-
-def mark_changed_places(
-    before: Surface, after: Surface, places: NDArray[np.floating], reach: float, changed: NDArray[np.bool_]
-) -> None:
-    """Set `changed` (n,) where a grid value differs within `reach` [px] of `places` (n, 2); the grids are the same."""
-    import cv2
-
-    differ = before.patch_size != after.patch_size
-    if not differ.any():
-        return
-    # How many values differ above and to the left of each corner of the grid.
-    total = cv2.integral(differ.view(np.uint8))
-    at, side = (places - after.first) / after.spacing, reach / after.spacing
-    size = np.array(differ.shape[::-1])
-    left, top = np.clip(np.ceil(at - side), 0, size).astype(int).T
-    right, bottom = np.clip(np.floor(at + side) + 1, 0, size).astype(int).T
-    changed |= total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left] > 0
 
 
 def constant_surface(patch_size: float) -> Surface:

@@ -11,12 +11,12 @@ from lfcal import Calibration
 
 from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_flat
-from ..data.region import check_region, crop_flat, embed_region, rescale_depth, select_lenses
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from .edges.locate_edges import locate_edges
 from .incremental import update_depth
 from .pipeline import estimate_depth_map, prepare_flat
 from .presets import PRESETS, Shortcuts
+from .region import check_region, crop_flat, embed_region, rescale_depth, select_lenses
 
 __all__ = ["PRESETS", "analyze"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import weakref
 from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -20,7 +20,6 @@ from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import DepthMap
 from ..data.frame_state import FrameState, LocalMatch
-from ..data.region import rescale_depth
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_connected, dilate_mask, neighbour_rows
@@ -33,6 +32,7 @@ from .matching.matcher import Matcher
 from .matching.neighbours import neighbours_of
 from .pipeline import estimate_depth_map, estimate_lens_by_lens, prepare_flat
 from .presets import PRESETS, Shortcuts
+from .region import rescale_depth
 from .same_surface import TOLERANCE
 from .surface.scene_grid import grid_shape
 from .validity.textureless import find_textureless
@@ -174,9 +174,8 @@ def save_reference_match(depth: DepthMap, path: Path) -> None:
     """
     state = depth.frame_state
     if state.reference is not None and state.kept is not None:
-        values = {f.name: getattr(state.reference, f.name) for f in fields(LocalMatch)}
         with atomic_write(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, kept=state.kept, **values)
+            np.savez(file, kept=state.kept, **state.reference._asdict())
 
 
 def load_reference_match(depth: DepthMap, path: Path) -> DepthMap:
@@ -189,7 +188,7 @@ def load_reference_match(depth: DepthMap, path: Path) -> DepthMap:
     try:
         # np.load leaves a damaged file open if it opened it itself.
         with open(path, "rb") as stream, np.load(stream) as file:
-            reference = LocalMatch(*(file[f.name] for f in fields(LocalMatch)))
+            reference = LocalMatch(*(file[name] for name in LocalMatch._fields))
             return replace(depth, frame_state=FrameState(reference, file["kept"]))
     except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
         raise OutputError(f"{path}: damaged ({error}); render everything anew (--overwrite)") from error

@@ -19,11 +19,11 @@ from lfcal import Calibration, FlatSource, Lattice
 
 from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_flat
-from ..data.region import empty_lenses, rescale_depth, rows_of
 from ..data.surface import Surface
 from ..depth.edges.locate_edges import FINER, locate_edges, refine_grid
 from ..depth.pipeline import SceneStatistics, estimate_lens_by_lens
 from ..depth.presets import PRESETS, Shortcuts
+from ..depth.region import empty_lenses, rescale_depth, rows_of
 from ..depth.same_surface import TOLERANCE
 from ..depth.surface.scene_grid import grid_shape
 from ..depth.validity.textureless import find_textureless

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from lfcal import Calibration, CalibrationError, FlatError, FlatSource, Lattice, open_flat
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 
-from ..data.region import crop_lattice
 from ..depth.presets import Preset
+from ..depth.region import crop_lattice
 from ..depth.surface.scene_grid import grid_shape
 from ..flat.demosaicing import SUPPORT, demosaic
 from ..flat.validation import exposure_rows

@@ -15,12 +15,10 @@ from ..data.rendering import Rendering
 from ..flat.lens_graph import nearest_lens
 
 __all__ = [
-    "MODES", "MODE_COLOURS", "colour_scale", "confidence_picture", "depth_picture", "magnification_limits",
+    "MODE_COLOURS", "colour_scale", "confidence_picture", "depth_picture", "magnification_limits",
     "magnification_picture", "mode_picture",
 ]  # fmt: skip
 
-#: Names of the codes of modes.
-MODES = {1: "telescopic", -1: "binocular", 0: "unresolved"}
 #: Colours of the modes, which colour-blind eyes can tell apart too.
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 

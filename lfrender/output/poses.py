@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, Optics
 
 from ..data.depth_map import DepthMap
-from ..data.viewpoint import virtual_depth
+from ..rendering.warped_surface import virtual_depth
 
 __all__ = ["ViewCamera", "ViewRig", "view_rig"]
 

@@ -14,8 +14,8 @@ from lfcal import Calibration, Lattice
 from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.output_file import atomic_write, check_folder, make_folder
 
-from ..data.region import check_region
 from ..data.rendering import Rendering
+from ..depth.region import check_region
 from .formats import FORMATS, PictureError, check_format
 from .picture import write_picture
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,7 @@ from lfcal import Calibration
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import PictureGrid, Rendering
-from ..data.surface import Surface, mark_changed_places
+from ..data.surface import Surface
 from ..depth.incremental import changed_since
 from ..flat.validation import check_flat
 from .renderer import Renderer
@@ -29,13 +31,15 @@ def find_changed_pixels(
     columns, rows = grid.size
     if before.patch_size.shape != now.patch_size.shape or before.first != now.first or before.spacing != now.spacing:
         return np.ones((rows, columns), bool)
-    stale = changed.copy()
-    # The depth between grid values depends on all four of them.
-    mark_changed_places(before, now, centres, reach + 1.5 * now.spacing, stale)
-    if not stale.any():
-        return np.zeros((rows, columns), bool)
     import cv2
 
+    # The depth between grid values depends on all four of them; lenses beyond the grid have its nearest value.
+    differ = (before.patch_size != now.patch_size).astype(np.uint8)
+    beside = np.ones((2 * int(np.ceil(reach / now.spacing)) + 5,) * 2, np.uint8)
+    near = replace(now, patch_size=cv2.dilate(differ, beside).astype(np.float32))
+    stale = changed | (near.at(centres) > 0)
+    if not stale.any():
+        return np.zeros((rows, columns), bool)
     # Lenses may lie beyond the border of the picture. Large patches are sampled several times per output pixel, all
     # within the pixel; another one for the rounding of the centres, and 2 % for that of the distances.
     side = 1.02 * reach / grid.spacing + 2

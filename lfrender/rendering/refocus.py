@@ -12,9 +12,9 @@ from lfcal import Calibration
 from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
-from ..data.viewpoint import virtual_depth
 from ..flat.validation import check_flat
 from .renderer import REFOCUS_REACH, Renderer
+from .warped_surface import virtual_depth
 
 __all__ = ["focal_stack", "refocus", "stack_depths"]
 

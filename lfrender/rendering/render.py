@@ -13,10 +13,10 @@ from lfcal import Calibration, CalibrationError
 from lfcal.runtime.errors import check_type
 
 from ..data.depth_map import DepthMap, default_scale
-from ..data.region import check_region
 from ..data.rendering import Part, Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..depth.analyze import analyze
+from ..depth.region import check_region
 from ..detail.noise import measure_noise
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from .redraw import redraw

@@ -17,7 +17,6 @@ from lfcal import Calibration
 
 from ..data.rendering import Part, PictureGrid, convert_to_dtype
 from ..data.surface import Surface, edge_step, sample_surface_at
-from ..data.viewpoint import Viewpoint
 from ..detail.filters import DetailFilters, make_filters
 from ..detail.noise import is_encoded
 from ..detail.restore import HALO, choose_filters, find_places, restore_detail
@@ -30,6 +29,7 @@ from .blend.lens_table import tabulate_lenses
 from .blend.lit_flat import LitFlat, light_flat
 from .blend.records import ONE_SAMPLE, Flat, Grid, Lenses, Output, Weighting
 from .fixed_patch import render_patches, shows_patches
+from .warped_surface import Viewpoint
 
 __all__ = ["AGREEMENT", "BLUR", "REACH", "REFOCUS_REACH", "VIEW_REACH", "Renderer"]
 

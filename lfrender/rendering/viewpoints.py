@@ -13,11 +13,11 @@ from lfcal.runtime.errors import check_type
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering, check_scale, finish_picture
-from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.analyze import analyze
 from ..flat.validation import check_flat
 from .blend.lit_flat import LitFlat
 from .renderer import Renderer
+from .warped_surface import Viewpoint, virtual_depth
 
 __all__ = ["circle_offsets", "grid_offsets", "still_depth", "views", "views_with_depth"]
 

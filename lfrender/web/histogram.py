@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..data.depth_map import DepthMap
-from ..output.depth_picture import MODE_COLOURS, MODES, magnification_limits
+from ..data.depth_map import MODES, DepthMap
+from ..output.depth_picture import MODE_COLOURS, magnification_limits
 from .templates import fill
 
 __all__ = ["magnification_histogram"]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 from lfcal.runtime.output_file import atomic_write
 
-from ..data.depth_map import REASONS, DepthMap
-from ..output.depth_picture import MODE_COLOURS, MODES, magnification_limits
+from ..data.depth_map import MODES, REASONS, DepthMap
+from ..output.depth_picture import MODE_COLOURS, magnification_limits
 from .calibration_figure import calibration_panels, enlarged_crop
 from .histogram import magnification_histogram
 from .report_pictures import ReportPictures, data_urls, draw_pictures, fit_width, maps, picture_url

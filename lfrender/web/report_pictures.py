@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, Lattice
 from lfcal.runtime.arrays import to_eight_bits
 
-from ..data.depth_map import BINOCULAR, TELESCOPIC, DepthMap
+from ..data.depth_map import BINOCULAR, MODES, TELESCOPIC, DepthMap
 from ..data.rendering import PictureGrid, Rendering
-from ..output.depth_picture import MODES, confidence_picture, magnification_picture, mode_picture
+from ..output.depth_picture import confidence_picture, magnification_picture, mode_picture
 from ..rendering.render import render
 from ..rendering.traditional import traditional
 

@@ -15,7 +15,6 @@ from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.surface import edge_step
-from ..data.viewpoint import Viewpoint, virtual_depth
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
 from ..flat.lens_graph import lens_offsets, nearest_lens
@@ -25,6 +24,7 @@ from ..output.depth_picture import colour_scale, magnification_limits
 from ..rendering.blend.lit_flat import dilate_mask
 from ..rendering.blend.occlusion import project_surface
 from ..rendering.renderer import AGREEMENT, BLUR, REACH, REFOCUS_REACH, VIEW_REACH
+from ..rendering.warped_surface import Viewpoint, virtual_depth
 
 __all__ = ["viewer_scene"]
 

@@ -21,7 +21,7 @@ export function surfaceAt(surface, x, y) {
   return at(fy > 0.5 ? j1 : j, fx > 0.5 ? i1 : i);
 }
 
-// Patch size of the surface visible at Y from viewpoint q; virtual depth `still` does not move (lfrender/data/viewpoint.py).
+// Patch size of the surface visible at Y from viewpoint q; virtual depth `still` does not move (lfrender/rendering/warped_surface.py).
 export function visiblePatchSize(scene, x, y, q, still) {
   const { surface, pitch } = scene;
   const [nearest, farthest] = surface.virtual;

@@ -1,6 +1,6 @@
 #version 300 es
 // The kernel of lfrender/rendering/blend/blend_pixels.py as a shader, in the symbols of docs/geometry.md: a lens at c shows the
-// scene point X at c + q - (X - c) s / D. With WARP defined, the surface visible from q (lfrender/data/viewpoint.py).
+// scene point X at c + q - (X - c) s / D. With WARP defined, the surface visible from q (lfrender/rendering/warped_surface.py).
 precision highp float;
 precision highp int;
 precision highp sampler2D;

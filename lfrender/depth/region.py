@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -11,35 +11,35 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
+from ..data.depth_map import REASONS, DepthMap
+from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import lens_grid
 from ..runtime.cache import cached_latest
-from .depth_map import DepthMap
-from .surface import Surface
 
 __all__ = [
     "check_region", "crop_flat", "crop_lattice", "embed_region", "empty_lenses", "rescale_depth", "rows_of",
     "select_lenses",
 ]  # fmt: skip
 
-# Code in `DepthMap.reason`.
-_NOT_ANALYSED = 4
-
 
 def check_region(roi: tuple[float, float, float, float], lattice: Lattice) -> tuple[float, float, float, float]:
     """Two opposite corners of a part of the flat as `x0 < x1`, `y0 < y1`, or a ValueError that says what is wrong."""
     try:
-        x0, y0, x1, y1 = (float(v) for v in roi)
+        corners = np.array(roi, float).reshape(2, 2)
     except (TypeError, ValueError):
         raise ValueError(f"roi must be four numbers x0, y0, x1, y1 [px], got {roi!r}") from None
+    (x0, y0), (x1, y1) = np.sort(corners, axis=0).tolist()
     width, height = lattice.image_size
-    given = " ".join(f"{value:g}" for value in (x0, y0, x1, y1))
-    if not all(map(math.isfinite, (x0, y0, x1, y1))) or x0 == x1 or y0 == y1:
-        raise ValueError(f"roi {given} has no area: give two opposite corners, x0 y0 x1 y1 [px]")
-    x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
+    if not np.isfinite(corners).all() or x0 == x1 or y0 == y1:
+        raise ValueError(f"roi {_text(roi)} has no area: give two opposite corners, x0 y0 x1 y1 [px]")
     if x1 < 0 or y1 < 0 or x0 >= width or y0 >= height:
-        raise ValueError(f"roi {given} lies outside the flat of {width} x {height} px")
+        raise ValueError(f"roi {_text(roi)} lies outside the flat of {width} x {height} px")
     return x0, y0, x1, y1
+
+
+def _text(roi: Iterable[float]) -> str:
+    return " ".join(f"{value:g}" for value in roi)
 
 
 def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> NDArray[np.bool_]:
@@ -47,15 +47,13 @@ def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> N
     centres = lattice.centres()
     inside = np.asarray(((centres >= roi[:2]) & (centres <= roi[2:])).all(1), bool)
     if not inside.any():
-        given = " ".join(f"{value:g}" for value in roi)
-        raise ValueError(f"no microlens has its centre in roi {given}: make it larger than {lattice.pitch:.1f} px")
+        raise ValueError(f"no microlens has its centre in roi {_text(roi)}: make it larger than {lattice.pitch:.1f} px")
     return inside
 
 
 def crop_flat(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tuple[GrayFlat, Lattice]:
     """Crop a flat and its lattice to the lenses `inside` and those around that support them."""
-    centres = lattice.centres()[inside]
-    size = np.array(lattice.image_size)
+    centres, size = lattice.centres()[inside], np.array(lattice.image_size)
     # The reach of the shading correction. Parts end at multiples of a pitch: the next frame mostly has the same part.
     around, step = 4.5 * lattice.pitch, int(np.ceil(lattice.pitch))
     low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
@@ -83,12 +81,12 @@ def embed_region(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArra
     """
     rows = rows_of(sub, lattice)
     chosen = inside[rows]
-    values = empty_lenses(len(lattice), float(np.median(depth.filled_patch_size[chosen])), _NOT_ANALYSED)
+    filled = float(np.median(depth.filled_patch_size[chosen]))
+    values = empty_lenses(len(lattice), filled, REASONS.index("not analysed"))
     for name, whole in values.items():
         whole[rows[chosen]] = getattr(depth, name)[chosen]
-    (first_x, first_y), (x, y) = depth.surface.first, (lattice.origin - sub.origin).tolist()
-    surface = replace(depth.surface, first=(first_x + x, first_y + y))
-    saved = {**depth.saved, "roi": 1 - float(inside.mean())}
+    x, y = (lattice.origin - sub.origin + depth.surface.first).tolist()
+    surface, saved = replace(depth.surface, first=(x, y)), {**depth.saved, "roi": 1 - float(inside.mean())}
     return DepthMap(
         **values, surface=surface, pitch=lattice.pitch, image_size=lattice.image_size, preset=depth.preset, saved=saved
     )
@@ -112,20 +110,15 @@ def rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
 
 
 def rescale_depth(
-    depth: DepthMap,
-    lattice: Lattice,
-    factor: float,
-    saved: dict[str, float] | None = None,
-    flat_samples: NDArray[np.float32] | None = None,
+    depth: DepthMap, lattice: Lattice, factor: float, flat_samples: NDArray[np.float32] | None = None
 ) -> DepthMap:
-    """The same depth in pixels `factor` times as small, those of `lattice`; what else is given replaces that of it."""
-    first_x, first_y = ((x + 0.5) * factor - 0.5 for x in depth.surface.first)
+    """The same depth in pixels `factor` times as small, those of `lattice`."""
+    x, y = ((first + 0.5) * factor - 0.5 for first in depth.surface.first)
     scale = np.float32(factor)
-    surface = Surface(depth.surface.patch_size * scale, (first_x, first_y), depth.surface.spacing * factor)
+    sizes = {name: scale * getattr(depth, name) for name in ("patch_size", "standard_error", "filled_patch_size")}
+    surface = Surface(depth.surface.patch_size * scale, (x, y), depth.surface.spacing * factor)
     return replace(
-        depth, patch_size=depth.patch_size * scale, standard_error=depth.standard_error * scale,
-        filled_patch_size=depth.filled_patch_size * scale, surface=surface, pitch=lattice.pitch,
-        image_size=lattice.image_size, centres=lattice.centres().astype(np.float32),
-        saved=depth.saved if saved is None else saved,
+        depth, **sizes, surface=surface, pitch=lattice.pitch, image_size=lattice.image_size,
+        centres=lattice.centres().astype(np.float32),
         flat_samples=depth.flat_samples if flat_samples is None else flat_samples,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.kernels import FAST, kernel
 
-from .surface import Surface, patch_size_at
+from ..data.surface import Surface, patch_size_at
 
 __all__ = ["Viewpoint", "virtual_depth"]
 
