@@ -69,7 +69,7 @@ def cramer_rao(found: MetricCalibration) -> np.ndarray:
     turns = np.array([pose.rotation for pose in found.poses])
     shifts = np.array([pose.translation + pose.rotation @ board.middle for pose in found.poses])
     points, seen = board.points - board.middle, found.observations
-    one = adjust(camera, optics.pixel, Poses(turns, shifts), points, seen, found.fitted, shape=found.board_shape)
+    one = adjust(camera, optics.pixel, Poses(turns, shifts), points, seen, found.fitted, found.board_shape)
     one = replace(one, covariance=one.covariance / one.cluster)
     return np.array([pose_of(one, m, board, seen, pose.name).standard_errors for m, pose in enumerate(found.poses)])
 
@@ -147,7 +147,7 @@ def real_r12(folder: Path) -> None:
         errors = optics.standard_errors
         print(
             f"R12: {len(one.free)} parameters ({' '.join(one.free[6:])}), "
-            f"{one.rms:.4f} px RMS over {len(seen)} corners; "
+            f"{np.sqrt((one.residual**2).sum(1).mean()):.4f} px RMS over {len(seen)} corners; "
             f"F = {optics.focal_length:.2f} +- {errors[0]:.2f}, L = {optics.mla_distance:.2f} +- {errors[1]:.2f}, "
             f"b = {optics.sensor_distance:.4f} +- {errors[2]:.4f} mm; variances widened by {one.cluster * factor:.1f}"
         )

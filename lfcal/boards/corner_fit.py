@@ -10,7 +10,6 @@ lines.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,28 +24,14 @@ Array = NDArray[Any]
 _UNKNOWNS = 5  # shift x and y, mean grey, half contrast, blur
 
 
-@dataclass(frozen=True)
-class CornerFits:
-    """Corners in microimages.
+class CornerFits(NamedTuple):
+    """Corners in microimages."""
 
-    Parameters
-    ----------
-    position : (n, 2) float64 [px]
-    error : (n,) float64 [px]
-        Standard error along each axis, from the residuals.
-    contrast : (n,) float64
-        Half the difference of the grey values; its sign tells which squares are dark.
-    blur : (n,) float64 [px]
-        Standard deviation of the blur.
-    good : (n,) bool
-        Whether the fit can be used.
-    """
-
-    position: Array
-    error: Array
-    contrast: Array
-    blur: Array
-    good: NDArray[np.bool_]
+    position: Array  # (n, 2) [px]
+    error: Array  # (n,) [px] standard error along each axis, from the residuals
+    contrast: Array  # (n,) half the difference of the grey values; its sign tells which squares are dark
+    blur: Array  # (n,) [px] standard deviation of the blur
+    good: NDArray[np.bool_]  # (n,) whether the fit can be used
 
 
 class _Sums(NamedTuple):

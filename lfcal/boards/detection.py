@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,23 +14,12 @@ from .focus_sweep import FocusedPicture
 __all__ = ["DetectedBoard", "detect", "other_size"]
 
 
-@dataclass(frozen=True)
-class DetectedBoard:
-    """Points of a board as an all-in-focus picture shows them.
+class DetectedBoard(NamedTuple):
+    """Points of a board as an all-in-focus picture shows them."""
 
-    Parameters
-    ----------
-    corner : (k,) int64
-        Which points of the board.
-    scene : (k, 2) float64 [px]
-        Scene coordinates.
-    inverse_ratio : (k,) float64
-        `D / s` of a plane through all of them.
-    """
-
-    corner: NDArray[np.int64]
-    scene: NDArray[np.float64]
-    inverse_ratio: NDArray[np.float64]
+    corner: NDArray[np.int64]  # (k,) which points of the board
+    scene: NDArray[np.float64]  # (k, 2) [px] scene coordinates
+    inverse_ratio: NDArray[np.float64]  # (k,) `D / s` of a plane through all of them
 
 
 def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:

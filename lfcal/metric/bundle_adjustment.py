@@ -84,50 +84,20 @@ class Poses:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """A fitted camera with poses. The unknowns are 14 parameters of the camera, 6 of each pose, 5 of the shape.
+    """A fitted camera with poses. The unknowns are 14 parameters of the camera, 6 of each pose, 5 of the shape."""
 
-    Parameters
-    ----------
-    camera : (14,) float64
-        The parameters `INTERNAL`.
-    free : tuple of str
-        Those of `INTERNAL` and `SHAPE` that were fitted.
-    poses : Poses
-    shape : (5,) float64 [mm]
-        Of the board, `SHAPE`; 0 where it is taken to be flat.
-    board : (k, 3) float64 [mm]
-        Points of the board with that shape.
-    residual : (n, 2) float64 [px]
-        Observed minus predicted.
-    weight : (n,) float64
-        1, or 0 of outliers.
-    noise : float
-        Standard deviation of residuals over stated errors.
-    cluster : float
-        Factor, at least 1, by which errors that the microimages of a corner share widen the covariance.
-    covariance : (14 + 6 m + 5, 14 + 6 m + 5) float64
-        Of camera, poses and shape, `noise` and `cluster` included; 0 of what was not fitted.
-    normal, right : (m, 25, 25), (m, 25) float64
-        Normal equations of each pose.
-    """
-
-    camera: Array
-    free: tuple[str, ...]
+    camera: Array  # (14,) the parameters `INTERNAL`
+    free: tuple[str, ...]  # those of `INTERNAL` and `SHAPE` that were fitted
     poses: Poses
-    shape: Array
-    board: Array
-    residual: Array
-    weight: Array
-    noise: float
-    cluster: float
-    covariance: Array
-    normal: Array
-    right: Array
-
-    @property
-    def rms(self) -> float:
-        """Of the distances between observed and predicted positions [px], outliers included."""
-        return float(np.sqrt((self.residual**2).sum(1).mean()))
+    shape: Array  # (5,) [mm] of the board, `SHAPE`; 0 where it is taken to be flat
+    board: Array  # (k, 3) [mm] points of the board with that shape
+    residual: Array  # (n, 2) [px] observed minus predicted
+    weight: Array  # (n,) 1, or 0 of outliers
+    noise: float  # standard deviation of residuals over stated errors
+    cluster: float  # factor, at least 1, by which errors that the microimages of a corner share widen the covariance
+    covariance: Array  # of camera, poses and shape, `noise` and `cluster` included; 0 of what was not fitted
+    normal: Array  # (m, 25, 25) normal equations of each pose, with their right side
+    right: Array  # (m, 25)
 
 
 def unknowns(free: Sequence[str], poses: int) -> NDArray[np.int64]:
@@ -167,25 +137,12 @@ def adjust(
     board: Array,
     observations: Observations,
     free: Sequence[str],
-    *,
     shape: Array | None = None,
 ) -> Adjusted:
-    """Fit the parameters `free` of `INTERNAL` and `SHAPE`, and all poses.
+    """Fit the parameters `free` of `INTERNAL` and `SHAPE` (none: poses alone), and all poses.
 
-    Parameters
-    ----------
-    camera : (14,) float64
-        Start, with the values of what is not free.
-    pixel : float [mm]
-    poses : Poses
-        Start.
-    board : (k, 3) float64 [mm]
-        Points of the flat board, about its middle.
-    observations : Observations
-    free : names of `INTERNAL` and `SHAPE`
-        Empty to fit poses alone.
-    shape : (5,) float64 [mm], optional
-        Start; by default the board is flat.
+    `camera` (14,), `poses` and `shape` (5,) [mm] (by default flat) are the start, `board` (k, 3) [mm] the points of the
+    flat board about its middle.
     """
     count, chosen = len(poses.rotation), unknowns(free, len(poses.rotation))
     problem = _Problem(poses, pixel, board, observations, chosen)
@@ -202,15 +159,12 @@ def adjust(
     found = problem.residual(values)
     noise = float(np.sqrt((weight @ found**2).sum() / max(2 * weight.sum() - len(chosen), 1.0)))
     cluster = _cluster_factor(found, weight, noise, observations)
-    normal, right = _normal_equations(
-        linearise(camera, pixel, poses, shaped, observations), found, weight, observations.pose, count
-    )
-    covariance = np.zeros((len(values), len(values)))
-    whole = gather(normal, right)[0][np.ix_(chosen, chosen)]
-    covariance[np.ix_(chosen, chosen)] = inverse(whole) * noise**2 * cluster
-    off = found * observations.error[:, None]
+    rows = linearise(camera, pixel, poses, shaped, observations)
+    equations = _normal_equations(rows, found, weight, observations.pose, count)
+    covariance, off = np.zeros((len(values), len(values))), found * observations.error[:, None]
+    covariance[np.ix_(chosen, chosen)] = inverse(gather(*equations)[0][np.ix_(chosen, chosen)]) * noise**2 * cluster
     return Adjusted(
-        camera, tuple(free), poses, values[-_LAST:], shaped, off, weight, noise, cluster, covariance, normal, right
+        camera, tuple(free), poses, values[-_LAST:], shaped, off, weight, noise, cluster, covariance, *equations
     )
 
 
@@ -231,11 +185,9 @@ class _Problem:
 
     def residual(self, values: Array) -> Array:
         """(n, 2) observed minus predicted positions over their errors."""
-        camera, poses, board = self.state(values)
-        o = self.observations
-        return (o.position - project(camera, self.pixel, poses.of_board(board[o.corner], o.pose), o.centre)) / o.error[
-            :, None
-        ]
+        (camera, poses, board), o = self.state(values), self.observations
+        seen = project(camera, self.pixel, poses.of_board(board[o.corner], o.pose), o.centre)
+        return np.asarray((o.position - seen) / o.error[:, None])
 
     def normal(self, values: Array, weight: Array) -> tuple[Array, Array]:
         """Normal equations of what is fitted."""

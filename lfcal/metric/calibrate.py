@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -109,6 +110,12 @@ def calibrate_metric(
         raise ValueError(f"pixel must be a positive number of mm below 1, got {pixel!r}")
     found, missing = _prepare_all(flats, names, calibration, board, progress)
     warnings += [f"{flat.name}: {flat.reason}; left out" for flat in missing]
+    fitted, observations = _fit(found, calibration, board, pixel)
+    return _result(fitted, pixel, calibration, board, found, observations, (*warnings, *_doubts(fitted, board)))
+
+
+def _fit(found: list[BoardFlat], calibration: Calibration, board: Board, pixel: float) -> tuple[Adjusted, Observations]:
+    """Camera and poses, with as many parameters as the data ask for, and the corners that they are fitted to."""
     points = board.points - board.middle
     camera, poses = _first([flat.detected for flat in found if flat.detected], calibration, board)
     # Where a first camera expects the corners, then from where the fitted one shows them.
@@ -129,19 +136,25 @@ def calibrate_metric(
             f"{', '.join(lost)}: the board does not fit the camera of the other flats; were focus, zoom or camera "
             "changed, or is it another board? Leave these flats out"
         )
+    return fitted, observations
+
+
+def _doubts(fitted: Adjusted, board: Board) -> list[str]:
+    """Warnings about a fitted camera."""
+    warnings = []
     if fitted.noise > 6:  # of the noise of the pixels
         warnings.append(
             f"corners lie {fitted.noise:.0f} times as far from the model as their noise explains; is the board flat, "
             "are squares and pixel right, was nothing moved?"
         )
     if fitted.shape.any():
-        off = fitted.board - points
+        off = fitted.board - board.points + board.middle
         warnings.append(
             f"the board is not flat and square (bent by {np.ptp(off[:, 2]):.2g} mm, points "
             f"{np.hypot(*off[:, :2].T).max():.2g} mm aside), which is reckoned with; one on glass or "
             "aluminium measures better"
         )
-    return _result(fitted, pixel, calibration, board, found, observations, tuple(warnings))
+    return warnings
 
 
 def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, name: str = "flat") -> BoardPose:
@@ -211,12 +224,9 @@ def _prepare_all(
 ) -> tuple[list[BoardFlat], list[BoardFlat]]:
     """Flats with the board, and those without."""
     checked = [_checked(flat, name, calibration) for flat, name in zip(flats, names, strict=True)]
-    sweep = FocusSweep(calibration.lattice)
+    work = partial(prepare, calibration=calibration, board=board, sweep=FocusSweep(calibration.lattice))
     with ThreadPoolExecutor(max(1, min(len(checked), os.cpu_count() or 1, 8))) as pool:
-        jobs = [
-            pool.submit(prepare, flat, name, calibration, board, sweep)
-            for flat, name in zip(checked, names, strict=True)
-        ]
+        jobs = [pool.submit(work, *each) for each in zip(checked, names, strict=True)]
         for done, _ in enumerate(as_completed(jobs), 1):
             if progress is not None:
                 progress(done, len(jobs))

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -28,26 +28,13 @@ __all__ = ["Pinhole", "equivalent_pinhole", "read_libpleno", "write_libpleno", "
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class Pinhole:
-    """OpenCV's model of a camera.
+class Pinhole(NamedTuple):
+    """OpenCV's model of a camera."""
 
-    Parameters
-    ----------
-    matrix : (3, 3) float64 [px]
-        `K`, of the pixels of the picture.
-    distortion : (5,) float64
-        `k1, k2, p1, p2, k3`.
-    size : (int, int) [px]
-        Width and height of the picture.
-    error : float [px]
-        Largest difference from the optics over the field.
-    """
-
-    matrix: Array
-    distortion: Array
-    size: tuple[int, int]
-    error: float
+    matrix: Array  # (3, 3) [px] `K`, of the pixels of the picture
+    distortion: Array  # (5,) `k1, k2, p1, p2, k3`
+    size: tuple[int, int]  # [px] width and height of the picture
+    error: float  # [px] largest difference from the optics over the field
 
 
 def equivalent_pinhole(calibration: Calibration, scale: float | None = None) -> Pinhole:
@@ -89,10 +76,11 @@ def write_pinhole(path: str | os.PathLike[str], calibration: Calibration, scale:
         raise CameraFileError(f"{path}: unknown format of a pinhole camera; use {', '.join(known)}")
     # Written in memory: the writer goes by the ending, which a temporary name does not have.
     storage = cv2.FileStorage(f"camera{suffix}", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
-    storage.write("image_width", pinhole.size[0])
-    storage.write("image_height", pinhole.size[1])
-    storage.write("camera_matrix", pinhole.matrix)
-    storage.write("distortion_coefficients", pinhole.distortion.reshape(1, 5))
+    width, height = pinhole.size
+    figures: dict[str, Any] = {"image_width": width, "image_height": height, "camera_matrix": pinhole.matrix,
+                               "distortion_coefficients": pinhole.distortion[None]}  # fmt: skip
+    for name, value in figures.items():
+        storage.write(name, value)
     text = storage.releaseAndGetString()
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -127,37 +115,20 @@ def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> N
         "main_lens": {"f": optics.focal_length, "pose": _pose(np.eye(3), np.zeros(3))},
         "mla": {
             "focal_lengths": list(optics.microlens_focal_lengths),
-            "mesh": {
-                "geometry": 1 if len(calibration.lattice.steps) == 6 else 0,
-                "pitch": [[pitch, pitch]],
-                "pose": _pose(axes, np.array([*start, -far])),
-            },
+            "mesh": {"geometry": int(len(calibration.lattice.steps) == 6), "pitch": [[pitch, pitch]],
+                     "pose": _pose(axes, [*start, -far])},
         },
         "mode": 1 if front else 2,
         "pp": [list(principal)],
-        "sensor": {
-            "width": width,
-            "height": height,
-            "scale": pixel,
-            "pose": _pose(axes, np.array([*start, -(far + near)])),
-        },
-    }
+        "sensor": {"width": width, "height": height, "scale": pixel, "pose": _pose(axes, [*start, -(far + near)])},
+    }  # fmt: skip
     _write_js(Path(path), data)
-    poses = [
-        {"frame": pose.name, "pose": _pose(pose.rotation.T, -pose.rotation.T @ pose.translation)}
-        for pose in result.poses
-    ]
+    poses = [{"frame": p.name, "pose": _pose(p.rotation.T, -p.rotation.T @ p.translation)} for p in result.poses]
     _write_js(Path(path).with_stem(f"{Path(path).stem}-poses"), {"poses": poses})
 
 
 def read_libpleno(path: str | os.PathLike[str]) -> Optics:
-    """Main lens, distances, distortion and microlenses of an `intrinsics.js` of libpleno.
-
-    Raises
-    ------
-    CameraFileError
-        If the file cannot be read, or a number is missing.
-    """
+    """The optics in an `intrinsics.js` of libpleno; CameraFileError if it cannot be read, or a number is missing."""
 
     def row(values: Any) -> list[float]:
         """The numbers of a vector, which libpleno writes as the row of a matrix."""
@@ -165,15 +136,13 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
 
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
-        far, bent = float(data["D"]), data.get("distortions_inverse", {})
+        lengths = (float(data["main_lens"]["f"]), float(data["D"]), float(data["d"]), float(data["sensor"]["scale"]))
+        far, bent = lengths[1], data.get("distortions_inverse", {})
         k1, k2, k3 = (k * far ** (2 * n + 2) for n, k in enumerate(row(bent.get("radial", (0, 0, 0)))))
         along, across = (-p * far for p in row(bent.get("tangential", (0, 0))))
         principal = row(data["pp"]) if "pp" in data else None
         return Optics(
-            float(data["main_lens"]["f"]),
-            far,
-            float(data["d"]),
-            float(data["sensor"]["scale"]),
+            *lengths,
             principal_point=None if principal is None else (principal[0], principal[1]),
             radial=(k1, k2, k3),
             tangential=(across, along),
@@ -190,16 +159,12 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
 def _distortion_mm(coefficients: Array, far: float) -> dict[str, Any]:
     """`k1, k2, k3, p1, p2` of slopes as those of lengths [mm] in the image plane, in a frame turned by 180 degrees."""
     k1, k2, k3, p1, p2 = coefficients
-    return {
-        "model": 0,
-        "radial": [[k1 / far**2, k2 / far**4, k3 / far**6]],
-        "tangential": [[-p2 / far, -p1 / far]],
-        "depth": [[0.0, 0.0, 0.0]],
-    }
+    radial, tangential = [k1 / far**2, k2 / far**4, k3 / far**6], [-p2 / far, -p1 / far]
+    return {"model": 0, "radial": [radial], "tangential": [tangential], "depth": [[0.0, 0.0, 0.0]]}
 
 
-def _pose(rotation: Array, translation: Array) -> dict[str, Any]:
-    return {"rotation": rotation.tolist(), "translation": [translation.tolist()]}
+def _pose(rotation: Array, translation: Sequence[float] | Array) -> dict[str, Any]:
+    return {"rotation": np.asarray(rotation).tolist(), "translation": [np.asarray(translation).tolist()]}
 
 
 def _write_js(path: Path, data: dict[str, Any]) -> None:

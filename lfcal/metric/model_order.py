@@ -39,7 +39,7 @@ def select_order(start: Adjusted, pixel: float, board: NDArray[Any], observation
         }
         passed = [group for group in gains if gains[group] > math.log(2 * corners)]
         tried = [
-            adjust(found.camera, pixel, found.poses, board, observations, (*found.free, *group), shape=found.shape)
+            adjust(found.camera, pixel, found.poses, board, observations, (*found.free, *group), found.shape)
             for group in sorted(passed, key=lambda group: -gains[group])[:2]
         ]
         best = min(tried, key=lambda one: one.noise, default=found)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,26 +24,14 @@ __all__ = ["BoardFlat", "measure", "prepare"]
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class BoardFlat:
-    """A flat of a board, with the light of its camera divided out, and the board as first detected.
-
-    Parameters
-    ----------
-    name : str
-    light : (h, w) float32
-    detected : DetectedBoard or None
-    reason : str
-        Why no board was found.
-    other : str
-        Number of corners of the larger checkerboard that the flat shows; empty where it shows none.
-    """
+class BoardFlat(NamedTuple):
+    """A flat of a board, with the light of its camera divided out, and the board as first detected."""
 
     name: str
-    light: NDArray[np.float32]
+    light: NDArray[np.float32]  # (h, w)
     detected: DetectedBoard | None
-    reason: str = ""
-    other: str = ""
+    reason: str = ""  # why no board was found
+    other: str = ""  # number of corners of the larger checkerboard that the flat shows
 
 
 def prepare(flat: Array, name: str, calibration: Calibration, board: Board, sweep: FocusSweep) -> BoardFlat:

@@ -74,14 +74,10 @@ class BoardPose(Frozen):
         """Plain numbers."""
         errors = self.standard_errors
         return {
-            "flat": self.name,
-            "rotation": self.rotation.tolist(),
-            "translation_mm": self.translation.tolist(),
-            "turn_error_degrees": np.rad2deg(errors[:3]).tolist(),
-            "translation_error_mm": errors[3:].tolist(),
-            "rms_px": self.rms,
-            "observations": self.observations,
-        }
+            "flat": self.name, "rotation": self.rotation.tolist(), "translation_mm": self.translation.tolist(),
+            "turn_error_degrees": np.rad2deg(errors[:3]).tolist(), "translation_error_mm": errors[3:].tolist(),
+            "rms_px": self.rms, "observations": self.observations,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -149,20 +145,12 @@ class MetricCalibration(Frozen):
 
     def save_poses(self, path: str | os.PathLike[str]) -> None:
         """Write the poses, with what they were measured on, as JSON."""
-        data = {
-            "schema": "lfcal-poses",
-            "version": 1,
-            "board": {
-                "pattern": self.board.pattern,
-                "columns": self.board.columns,
-                "rows": self.board.rows,
-                "square_mm": self.board.square,
-                "shape_mm": dict(zip(SHAPE, self.board_shape.tolist(), strict=True)),
-            },
-            "fitted": list(self.fitted),
-            "rms_px": self.rms,
-            "poses": [pose.to_dict() for pose in self.poses],
-        }
+        board = {
+            "pattern": self.board.pattern, "columns": self.board.columns, "rows": self.board.rows,
+            "square_mm": self.board.square, "shape_mm": dict(zip(SHAPE, self.board_shape.tolist(), strict=True)),
+        }  # fmt: skip
+        data = {"schema": "lfcal-poses", "version": 1, "board": board, "fitted": list(self.fitted), "rms_px": self.rms,
+                "poses": [pose.to_dict() for pose in self.poses]}  # fmt: skip
         with atomic_write(path) as temporary:
             temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 

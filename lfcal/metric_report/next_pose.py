@@ -2,12 +2,13 @@
 
 Candidates stand near, in the middle and far, in the middle and the corners of the field, tilted in four directions.
 Each adds the information that its corners would bring (normal equations, the pose eliminated) to that of the
-calibration; the best one leaves the smallest mean variance of distance.
+calibration; the best one leaves the smallest mean variance of distances. They are ranked only: errors that all poses
+share, such as those of corners near the rims of microimages, do not become smaller with more of them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -15,11 +16,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..metric.bundle_adjustment import POSE, Observations, Poses, eliminate, linearise
+from ..metric.bundle_adjustment import POSE, Observations, Poses, eliminate, inverse, linearise
 from ..metric.result import MetricCalibration
 from ..metric.uncertainty import internal_camera
 
-__all__ = ["NextPose", "suggest_poses"]
+__all__ = ["suggest_poses"]
 
 Array = NDArray[Any]
 _PLACES = {
@@ -31,70 +32,36 @@ _WAYS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class NextPose:
-    """A pose to shoot.
-
-    Parameters
-    ----------
-    distance : float [mm]
-    where, how : str
-        Place in the field, and tilt.
-    gain : float
-        Expected standard error of distances with this pose over that without, averaged over field and range.
-    """
-
-    distance: float
-    where: str
-    how: str
-    gain: float
-
-
-def suggest_poses(found: MetricCalibration, count: int = 3) -> tuple[NextPose, ...]:
-    """The best further poses, each given the ones before."""
+def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float, str, str]]:
+    """Distance [mm], place in the field and tilt of the best further poses, each given those before."""
     optics = found.optics
     assert optics.covariance is not None
     camera, change = internal_camera(optics)
-    fitted = np.flatnonzero(optics.standard_errors > 0)
-    # In standard errors of the parameters that are fitted, whose sizes differ very much.
-    covariance = (change @ optics.covariance @ change.T)[np.ix_(fitted, fitted)]
-    scale = np.sqrt(np.diag(covariance))
-    information = np.linalg.pinv(covariance / np.outer(scale, scale), hermitian=True)
-    distances = np.array([pose.translation[2] for pose in found.poses])
-    target = (_distance_derivatives(found, camera, distances) @ np.linalg.inv(change))[:, fitted] * scale
+    fitted = np.ix_(*(np.flatnonzero(optics.standard_errors > 0),) * 2)
+    distances = [pose.translation[2] for pose in found.poses]
+    depths = np.geomspace(min(distances), max(distances), 5)
+    ratio = np.tile(1 / (camera[1] + camera[2] / depths), len(_PLACES))
+    points = np.repeat(np.array(list(_PLACES.values())) * found.calibration.image_size, len(depths), axis=0)
 
-    def spread(known: Array) -> float:
-        left = np.linalg.pinv(known, hermitian=True)
-        return float(np.sqrt(np.einsum("ni,ij,nj->n", target, left, target).mean()))
+    def spread(information: Array) -> float:
+        covariance = np.zeros_like(change)
+        covariance[fitted] = inverse(information)
+        errors = replace(optics, covariance=covariance).distance_error(ratio, 0.0, points)
+        return float(np.nanmean((errors / np.tile(depths, len(_PLACES))) ** 2))
 
     candidates = {}
-    for distance in np.geomspace(0.9 * distances.min(), 1.1 * distances.max(), 3):
+    for distance in np.geomspace(0.9 * min(distances), 1.1 * max(distances), 3):
         for where, how in product(_PLACES, _WAYS):
             brought = _information(found, camera, float(distance), _PLACES[where], _WAYS[how])
             if brought is not None:
-                candidates[float(distance), where, how] = brought[np.ix_(fitted, fitted)] * np.outer(scale, scale)
-    chosen: list[NextPose] = []
-    before = spread(information)
+                candidates[float(distance), where, how] = (change.T @ brought @ change)[fitted]
+    information: Array = inverse(optics.covariance[fitted])
+    chosen: list[tuple[float, str, str]] = []
     while candidates and len(chosen) < count:
-        spreads = {name: spread(information + share) for name, share in candidates.items()}
-        best = min(spreads, key=lambda name: spreads[name])
-        chosen.append(NextPose(*best, spreads[best] / before))
+        best = min(candidates, key=lambda name: spread(information + candidates[name]))
+        chosen.append(best)
         information = information + candidates.pop(best)
-    return tuple(chosen)
-
-
-def _distance_derivatives(found: MetricCalibration, camera: Array, distances: Array) -> Array:
-    """Relative change (n, 14) of measured distances with the parameters of the optics, over range and field."""
-    optics, depths = found.optics, np.geomspace(distances.min(), distances.max(), 5)
-    ratio = np.tile(1 / (camera[1] + camera[2] / depths), len(_PLACES))
-    points = np.repeat(np.array(list(_PLACES.values())) * found.calibration.image_size, len(depths), axis=0)
-    rows = np.zeros((len(ratio), len(camera)))
-    for k in np.flatnonzero(optics.standard_errors):
-        # Small against the value, so that sums of far larger terms along one line stay linear.
-        move = 1e-3 * optics.standard_errors[k] * np.eye(len(camera))[k]
-        ends = [optics.with_parameters(optics.parameters + sign * move).distance(ratio, points) for sign in (1, -1)]
-        rows[:, k] = (ends[0] - ends[1]) / (2 * move[k]) / (np.tile(depths, len(_PLACES)) / 1000)
-    return np.nan_to_num(rows)
+    return chosen
 
 
 def _information(
@@ -110,11 +77,9 @@ def _information(
     scene = camera[3:5] + camera[0] * seen[:, :2] / seen[:, 2:]
     if (scene < 0).any() or (scene > lattice.image_size).any():
         return None
-    ratio = np.abs(camera[1] + camera[2] / seen[:, 2])
-    centres = lattice.centres()
-    corner, lens = np.nonzero(
-        np.linalg.norm(scene[:, None] - centres[None], axis=2) < 0.7 * lattice.radius * ratio[:, None]
-    )
+    ratio, centres = np.abs(camera[1] + camera[2] / seen[:, 2]), lattice.centres()
+    away = np.linalg.norm(scene[:, None] - centres, axis=2)
+    corner, lens = np.nonzero(away < 0.7 * lattice.radius * ratio[:, None])
     if len(corner) < 20:
         return None
     none, noise = np.zeros((len(corner), 2)), np.full(len(corner), found.noise * np.sqrt(found.widening))

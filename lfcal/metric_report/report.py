@@ -122,8 +122,9 @@ def _reliability(found: MetricCalibration) -> str:
 
 def _next(found: MetricCalibration) -> str:
     items = [
-        f"<li>at {pose.distance / 1000:.3g} m, {pose.where} of the field, {pose.how}: errors of distances "
-        f"{100 * (1 - pose.gain):.0f} % smaller than now (with those above)</li>"
-        for pose in suggest_poses(found)
+        f"<li>at {distance / 1000:.3g} m, {where} of the field, {how}</li>"
+        for distance, where, how in suggest_poses(found)
     ]
-    return f"<ol>{''.join(items)}</ol>" if items else "<p>The board does not fit elsewhere into the field.</p>"
+    if not items:
+        return "<p>The board does not fit elsewhere into the field.</p>"
+    return f"<p>The poses that make distances surest, the best first:</p><ol>{''.join(items)}</ol>"
