@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
-import shutil
 import sys
 import tempfile
 import time
@@ -14,7 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
-from functools import partial, reduce, wraps
+from functools import reduce, wraps
 from glob import glob, has_magic
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +20,7 @@ from typing import Any
 
 import click
 import cloup
+import msgspec
 
 from .errors import LightFieldError
 from .image_formats import IMAGE_FORMATS, identify_format
@@ -140,12 +139,10 @@ class Pair(click.ParamType):
         return self.name
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if isinstance(value, tuple):
-            return value
-        found = re.fullmatch(r"\s*0*([1-9]\d{0,5})[xX]0*([1-9]\d{0,5})\s*", value)
-        if not found:
+        found = re.fullmatch(r"\s*0*([1-9]\d{0,5})[xX]0*([1-9]\d{0,5})\s*", str(value))
+        if not found and not isinstance(value, tuple):
             self.fail(f"must be {self.name} such as {self.example}, got {value!r}", param, ctx)
-        return int(found[1]), int(found[2])
+        return (int(found[1]), int(found[2])) if found else value
 
 
 class InputPath(click.Path):
@@ -179,8 +176,13 @@ class OutputPath(click.Path):
             self.fail("cannot be written to stdout; give a name", param, ctx)
         if _STDOUT in ctx.meta:
             self.fail("only one output can go to stdout", param, ctx)
-        path = ctx.meta[_STDOUT] = _pipe_folder(ctx) / f"stdout{value[1:] or self.piped}"
-        ctx.find_root().call_on_close(partial(_copy_to_stdout, path))
+        path = ctx.meta[_STDOUT] = _pipe_file(ctx, f"stdout{value[1:] or self.piped}")
+
+        def copy_to_stdout() -> None:
+            if path.is_file():
+                click.get_binary_stream("stdout").write(path.read_bytes())
+
+        ctx.find_root().call_on_close(copy_to_stdout)
         return path
 
 
@@ -209,23 +211,15 @@ def _stdin_file(ctx: click.Context) -> Path:
             raise click.UsageError("- reads the input from a pipe, but nothing came: lfrender render - -o - < flat.png")
         kind = identify_format(data[:16])
         suffix = IMAGE_FORMATS[kind][0][0] if kind else ".json" if data.lstrip()[:1] == b"{" else ".xml"
-        ctx.meta[_STDIN] = _pipe_folder(ctx) / f"stdin{suffix}"
+        ctx.meta[_STDIN] = _pipe_file(ctx, f"stdin{suffix}")
         ctx.meta[_STDIN].write_bytes(data)
     path: Path = ctx.meta[_STDIN]
     return path
 
 
-def _pipe_folder(ctx: click.Context) -> Path:
-    """A new folder that is removed when the command has ended."""
-    return Path(ctx.find_root().with_resource(tempfile.TemporaryDirectory(prefix="lfrender-pipe-")))
-
-
-def _copy_to_stdout(path: Path) -> None:
-    if path.is_file():
-        sys.stdout.flush()
-        with open(path, "rb") as file:
-            shutil.copyfileobj(file, sys.stdout.buffer)
-        sys.stdout.buffer.flush()
+def _pipe_file(ctx: click.Context, name: str) -> Path:
+    """A file in a new folder that is removed when the command has ended."""
+    return Path(ctx.find_root().with_resource(tempfile.TemporaryDirectory(prefix="lfrender-pipe-"))) / name
 
 
 def _name_pipes(text: str) -> str:
@@ -245,11 +239,10 @@ class Report:
         self._shown: Any = None
         if sys.stderr.isatty() and not quiet:
             from rich.console import Console
-            from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import Progress, TextColumn
 
-            columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-            rate = TextColumn("{task.fields[rate]}")
-            self._shown = Progress(*columns, rate, console=Console(stderr=True), transient=True)
+            columns = *Progress.get_default_columns()[:2], TextColumn("{task.fields[rate]}")
+            self._shown = Progress(*columns, console=Console(stderr=True), transient=True)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -308,9 +301,9 @@ class Report:
 
         if self.compile_seconds or is_compiled():
             return None
-        text = "compiling kernels, once per installation: a minute or two on two cores, more on a busy machine ..."
         if not self.quiet and (not self.as_json or sys.stderr.isatty()):
-            self._echo(text)
+            about = "once per installation: a minute or two on two cores, more on a busy machine"
+            self._echo(f"compiling kernels, {about} ...")
         start = time.perf_counter()
         with self.progress("compiling kernels") as step:
             failed = compile_once(processes, step)
@@ -326,9 +319,8 @@ class Report:
         """The seconds of all stages so far, for a closing sentence, and those of compiling kernels before."""
         before = f" (after {self.compile_seconds:.0f} s of compiling, once)" if self.compile_seconds >= 1 else ""
         seconds = sum(self.seconds.values())
-        if seconds < 100:
-            return f"{seconds:.{2 if seconds < 1 else 1}f} s{before}"
-        return f"{seconds / 60:.1f} min{before}"
+        whole = f"{seconds:.{2 if seconds < 1 else 1}f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
+        return whole + before
 
     def finish(self, figures: Mapping[str, Any], *sentences: str) -> None:
         """Print the warnings among the figures on stderr, and sentences that sum the figures up.
@@ -338,13 +330,17 @@ class Report:
         found = {**figures, "warnings": [*figures.get("warnings", ()), *self.warnings]}
         found["seconds"] = {name: round(value, 4) for name, value in self.seconds.items()}
         if self.as_json:
-            click.echo(_name_pipes(json.dumps(_to_json_types(found))), err=_is_piped())
+            # NaN and infinity are null.
+            click.echo(_name_pipes(msgspec.json.encode(found, enc_hook=_built_in).decode()), err=_is_piped())
             return
         for warning in found.pop("warnings"):
             click.echo(_name_pipes(f"warning: {warning}"), err=True)
         width = max(map(len, found)) + 2
-        table = (f"{name.replace('_', ' '):{width}}{_text(value)}" for name, value in _to_json_types(found).items())
-        for line in () if self.quiet else sentences or table:
+        for line in (
+            ()
+            if self.quiet
+            else sentences or (f"{name.replace('_', ' '):{width}}{_text(value)}" for name, value in found.items())
+        ):
             self._echo(line)
 
     def _echo(self, line: str) -> None:
@@ -368,21 +364,17 @@ def _is_piped() -> bool:
     return context is not None and _STDOUT in context.meta
 
 
-def _to_json_types(value: Any) -> Any:
-    """`value` in types of JSON: NumPy to Python, NaN and infinity to null."""
-    if isinstance(value, Mapping):
-        return {str(key): _to_json_types(item) for key, item in value.items()}
-    value = value.tolist() if hasattr(value, "tolist") else value
-    if isinstance(value, (list, tuple)):
-        return [_to_json_types(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, os.PathLike) else value
+def _built_in(value: Any) -> Any:
+    return str(value) if isinstance(value, os.PathLike) else value.tolist()
 
 
 def _text(value: Any) -> str:
-    if isinstance(value, dict):
+    """A figure in words."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, Mapping):
         return ", ".join(f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items())
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple)):
         return "  ".join(map(_text, value))
-    return "unknown" if value is None else f"{value:.5g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.5g}" if math.isfinite(value) else "unknown"
+    return "unknown" if value is None else str(value)
