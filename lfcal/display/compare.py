@@ -50,18 +50,12 @@ class LatticeDifference(Frozen):
     field: NDArray[np.float64]
 
 
-def compare(a: Calibration, b: Calibration, largest_change: float = 0.25) -> LatticeDifference:
-    """Compare the centres of two calibrations over the flat.
+def compare(a: Calibration, b: Calibration) -> LatticeDifference:
+    """Compare the centres of two calibrations over flats of one size.
 
-    Origins may be any lenses, and bases any two of one lattice. Differences over half a pitch, where the pitches
-    differ, are not reduced to the nearest lens.
-
-    Parameters
-    ----------
-    a, b : Calibration
-        For flats of one size.
-    largest_change : float [pitch]
-        Basis vectors that differ by more are of different lattices, which raises CalibrationError.
+    Origins may be any lenses, and bases any two of one lattice; CalibrationError if a basis vector differs by more than
+    a quarter of the pitch. Differences over half a pitch, where the pitches differ, are not reduced to the nearest
+    lens.
 
     Examples
     --------
@@ -78,7 +72,7 @@ def compare(a: Calibration, b: Calibration, largest_change: float = 0.25) -> Lat
     first, second = a.lattice, b.lattice
     same = np.rint(first.basis @ np.linalg.inv(second.basis))
     leftover = np.linalg.norm(first.basis - same @ second.basis, axis=1)
-    if round(abs(np.linalg.det(same))) != 1 or (leftover > largest_change * first.pitch).any():
+    if round(abs(np.linalg.det(same))) != 1 or (leftover > 0.25 * first.pitch).any():
         raise CalibrationError(
             f"the lattices are different ones, with pitches of {first.pitch:.2f} and {second.pitch:.2f} px, "
             "not one lattice measured twice; look at both with 'lfcal show'"

@@ -1,7 +1,12 @@
-"""What all readers of flats share: the largest size, the types of pixels, and errors with the name of the file."""
+"""Pixels of files: what all readers check, and files of one picture (PNG, WebP, JPEG, BMP, PGM, PPM) as stored.
+
+Pillow reads the size before anything is decoded, the checksums of PNG, and pixels of 8 bits of PNG and JPEG, of which
+OpenCV returns half-empty pictures where files are truncated. OpenCV decodes the others: Pillow cuts colours to 8 bits.
+"""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -13,10 +18,14 @@ from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 
-__all__ = ["MAX_PIXELS", "check_only_page", "check_size", "checked_pixels", "file_errors", "import_reader"]
+__all__ = [
+    "MAX_PIXELS", "check_only_page", "check_size", "checked_pixels", "decode_picture", "decode_with_opencv",
+    "file_errors", "import_reader",
+]  # fmt: skip
 
 #: Largest flat that is read [px]: twice a 25,000 x 22,000 sensor, and what OpenCV accepts out of the box.
 MAX_PIXELS = 1 << 30
+_PILLOW_NAMES = {"PNG": "Png", "WebP": "WebP", "JPEG": "Jpeg", "BMP": "Bmp", "PGM": "Ppm", "PPM": "Ppm"}
 
 
 def check_size(width: int, height: int) -> None:
@@ -49,16 +58,13 @@ def file_errors(source: Path) -> Iterator[None]:
     except FlatError as error:
         raise FlatError(f"{source}: {error}") from error
     except OSError as error:
-        raise FlatError(f"{source}: cannot be read ({error.strerror or _one_line(error)})") from error
+        raise FlatError(f"{source}: cannot be read ({error.strerror or error})") from error
     except MemoryError as error:
         raise FlatError(f"{source}: the image does not fit into memory") from error
     # Damaged bytes make decoders raise anything: IndexError, struct.error, zlib.error, cv2.error, ...
     except Exception as error:
-        raise FlatError(f"{source}: damaged image file ({_one_line(error)})") from error
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise FlatError(f"{source}: damaged image file ({reason})") from error
 
 
 def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
@@ -75,8 +81,57 @@ def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
         pixels = pixels[..., 0] if pixels.shape[2] <= 2 else pixels[..., :3]
     if pixels.ndim not in (2, 3):
         raise FlatError(f"a flat is one grey or RGB picture, this has shape {pixels.shape}")
-    if pixels.dtype.kind == "f":
-        bad = pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
-        if bad:
-            raise FlatError(f"{bad} values are NaN or infinite; replace them by the mean of their neighbours")
+    if pixels.dtype.kind == "f" and (bad := pixels.size - int(np.count_nonzero(np.isfinite(pixels)))):
+        raise FlatError(f"{bad} values are NaN or infinite; replace them by the mean of their neighbours")
     return np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("="))
+
+
+def decode_picture(data: bytes, name: str) -> NDArray[Any]:
+    """Pixels (h, w) or (h, w, c) of a file of the format `name`, 16 bits where it has them."""
+    image = _open_with_pillow(data, name)
+    check_size(*image.size)
+    if getattr(image, "n_frames", 1) > 1:
+        raise FlatError("is an animation; a flat is one picture")
+    if name == "PNG":
+        # Checksums of all chunks, up to the last one, which decoders do not miss.
+        image.verify()
+        # Bits of a sample, and the kind of colours: 0 is grey, 4 grey with alpha.
+        depth, colours = data[24], data[25]
+        if depth > 8:
+            return decode_with_opencv(data, grey=colours in (0, 4))
+        image = _open_with_pillow(data, name)
+    elif name != "JPEG":
+        # OpenCV looks for the end of the last number of a text file.
+        return decode_with_opencv(data + b"\n" if data[:2] in (b"P2", b"P3") else data)
+    if image.mode in ("P", "PA"):
+        image.info.pop("transparency", None)
+        image = image.convert("RGB")
+    if image.mode not in ("1", "L", "LA", "RGB", "RGBA"):
+        raise FlatError(f"pixels of kind {image.mode} are not read; save as grey or RGB")
+    return np.asarray(image)
+
+
+def _open_with_pillow(data: bytes, name: str) -> Any:
+    """A Pillow image by the format's own class: `Image.open` refuses sensors above 179 megapixels."""
+    pillow = _PILLOW_NAMES[name]
+    return getattr(import_module(f"PIL.{pillow}ImagePlugin"), f"{pillow}ImageFile")(io.BytesIO(data))
+
+
+def decode_with_opencv(data: bytes, grey: bool = False) -> NDArray[Any]:
+    """Pixels of any file that OpenCV reads, RGB without alpha; a `grey` file may have alpha."""
+    import cv2
+
+    log = cv2.utils.logging
+    level = log.getLogLevel()
+    log.setLogLevel(log.LOG_LEVEL_SILENT)
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    finally:
+        log.setLogLevel(level)
+    if pixels is None:
+        raise FlatError("damaged image file: its pixels cannot be decoded")
+    check_size(pixels.shape[1], pixels.shape[0])
+    if grey or pixels.ndim == 2:
+        return pixels.reshape(*pixels.shape[:2], -1)[..., 0]
+    # Dropping alpha with the reordering; COLOR_BGRA2RGB does not touch the colours under it.
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGB)

@@ -23,13 +23,12 @@ def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
     import cv2
 
     grey: Any
-    if image.ndim == 3:
-        if image.dtype == np.uint8:
-            grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
-        else:
-            grey = cv2.transform(np.asarray(image, dtype=np.float32), np.array([[0.299, 0.587, 0.114]], np.float32))
-    else:
+    if image.ndim == 2:
         grey = np.array(image, dtype=np.float32)
+    elif image.dtype == np.uint8:
+        grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    else:
+        grey = cv2.transform(np.asarray(image, dtype=np.float32), np.array([[0.299, 0.587, 0.114]], np.float32))
     if image.dtype.kind != "u":
         np.maximum(grey, 0, out=grey)
     return grey
@@ -131,20 +130,10 @@ def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np
     return out
 
 
-@kernel(error_model="numpy")
-def _interpolate(picture, positions, out):
-    height, width = picture.shape
-    for k in range(len(positions)):
-        x, y = positions[k, 0], positions[k, 1]
-        column, row = min(max(int(x), 0), width - 2), min(max(int(y), 0), height - 2)
-        right, low = x - column, y - row
-        above = picture[row, column] * (1 - right) + picture[row, column + 1] * right
-        below = picture[row + 1, column] * (1 - right) + picture[row + 1, column + 1] * right
-        out[k] = above * (1 - low) + below * low
-
-
 def interpolate_linear(picture: NDArray[np.float32], positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """(...,) bilinear interpolation of a picture at positions `positions` (..., 2) [px]."""
-    values = np.empty(positions.shape[:-1])
-    _interpolate(picture, positions.reshape(-1, 2), values.reshape(-1))
-    return values
+    from scipy.ndimage import map_coordinates
+
+    return np.asarray(
+        map_coordinates(picture, np.moveaxis(positions, -1, 0)[::-1], np.float64, order=1, mode="nearest")
+    )

@@ -13,33 +13,26 @@ from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import IMAGE_FORMATS, RAW_PHOTO_SUFFIXES, VIDEO_FORMATS, identify_format
-from .containers import read_hdf5, read_openexr, read_raw_photo
+from .containers import is_zarr, open_zarr, read_hdf5, read_openexr, read_raw_photo
 from .lytro import read_lytro
-from .pictures import decode_picture
-from .pixels import MAX_PIXELS, check_only_page, checked_pixels, file_errors
+from .pixels import MAX_PIXELS, check_only_page, checked_pixels, decode_picture, file_errors
 from .tiff import count_tiff_pages, read_tiff
 from .video import count_yuv_frames, is_yuv, read_video_frame, read_yuv
-from .zarr_flat import is_zarr, open_zarr
 
 __all__ = ["MAX_PIXELS", "count_pages", "read_flat"]
 
 # Formats whose files may hold several pictures; others are decoded by `decode_picture`.
 _READERS: dict[str, Callable[[Path, int | None], NDArray[Any]]] = {
-    "TIFF": read_tiff,
-    "OpenEXR": read_openexr,
-    "HDF5": read_hdf5,
-    "Lytro": read_lytro,
-}
-
-
+    "TIFF": read_tiff, "OpenEXR": read_openexr, "HDF5": read_hdf5, "Lytro": read_lytro,
+}  # fmt: skip
 # What is not read, by its suffix, and what can convert it.
-_TO_TIFF = "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)"
 _CONVERTERS = {
-    **dict.fromkeys((".czi", ".lif", ".nd2", ".oib", ".oif"), _TO_TIFF),
+    **dict.fromkeys(
+        (".czi", ".lif", ".nd2", ".oib", ".oif"), "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)"
+    ),
+    **dict.fromkeys((".ray", ".rays"), "export the raw image as PNG or TIFF with RxLive"),
     ".heic": "convert it to PNG with ImageMagick",
     ".mat": "save the picture as TIFF or HDF5 (h5write)",
-    ".ray": "export the raw image as PNG or TIFF with RxLive",
-    ".rays": "export the raw images as PNG or TIFF with RxLive",
     ".raw": "it has no header: name it NAME_WxH_400p8.yuv, or 400p10, 400p12 for 16-bit samples of so many bits",
     ".jp2": "convert it to TIFF with ImageMagick or opj_decompress",
 }

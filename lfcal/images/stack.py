@@ -33,12 +33,10 @@ def check_flats(image: Any) -> list[NDArray[Any]]:
     if len(given) == 0:
         raise FlatError("no flat is given; give at least one")
     flats = [_check_flat(flat, f"flat {k}") for k, flat in enumerate(given, 1)]
-    (height, width), *_ = sizes = [flat.shape[:2] for flat in flats]
-    for k, size in enumerate(sizes, 1):
-        if size != (height, width):
-            raise FlatError(
-                f"flat {k} is {size[1]} x {size[0]} px, flat 1 is {width} x {height} px; give flats of one camera"
-            )
+    first, *others = ("{} x {} px".format(*flat.shape[1::-1]) for flat in flats)
+    for k, size in enumerate(others, 2):
+        if size != first:
+            raise FlatError(f"flat {k} is {size}, flat 1 is {first}; give flats of one camera")
     return flats
 
 
@@ -58,16 +56,13 @@ def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
     if flat.dtype.kind not in "uif" or 0 in flat.shape:
         raise FlatError(f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values")
     if min(flat.shape[:2]) < 16:
-        raise FlatError(
-            f"{name} of {flat.shape[1]} x {flat.shape[0]} px is too small to be a flat; give the whole sensor"
-        )
+        size = "{} x {} px".format(*flat.shape[1::-1])
+        raise FlatError(f"{name} of {size} is too small to be a flat; give the whole sensor")
     if flat.dtype.kind == "f" and not np.isfinite(flat.sum(dtype=np.float64)):
         bad = ~np.isfinite(flat).reshape(*flat.shape[:2], -1).all(-1)
         if bad.any():
             y, x = np.argwhere(bad)[0]
-            raise FlatError(
-                f"{bad.sum()} pixels of {name} are NaN or infinite, first at x={x}, y={y}; fill them in first"
-            )
+            raise FlatError(f"{bad.sum()} pixels of {name} are NaN or infinite, first at x={x}, y={y}; fill them in")
     # Sums of squares of larger values leave the range of single precision; unsigned ones are never as large.
     if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > 1e30:
         raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most 1e30 first")

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import TIFF_SUFFIXES
+from .containers import is_zarr, open_zarr
 from .pixels import checked_pixels, file_errors
 from .read import read_flat
 from .tiff import open_tiff, part_reader
-from .zarr_flat import is_zarr, open_zarr
 
 __all__ = ["FlatSource", "open_flat", "subtract_dark"]
 
@@ -60,10 +60,9 @@ class FlatSource(ExitStack):
         self.path, self._read, self.in_parts = path, read, in_parts
         self.page: int | None = None
         self.dark: Path | None = None
-        self._size = shape[0], shape[1]
         with file_errors(path):
             corner = checked_pixels(read(slice(0, 1), slice(0, 1)))
-        self.shape: tuple[int, ...] = (*self._size, *corner.shape[2:])
+        self.shape: tuple[int, ...] = (*shape[:2], *corner.shape[2:])
         self.dtype = corner.dtype
 
     @property
@@ -76,7 +75,7 @@ class FlatSource(ExitStack):
 
         FlatError if that part is damaged, or holds NaN or infinity; ValueError if it is empty, or not on the flat.
         """
-        height, width = self._size
+        height, width = self.shape[:2]
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
             raise ValueError(f"part {left, top, right, bottom} is not on a flat of {width} x {height} px")
         with file_errors(self.path):
@@ -112,7 +111,6 @@ def open_flat(
 
 
 def _subtract(source: FlatSource, path: Path) -> FlatSource:
-    """A flat less the dark frame in a file."""
     with ExitStack() as opened:
         opened.callback(source.close)
         dark = opened.enter_context(_open(path, None))

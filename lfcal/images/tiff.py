@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from .pictures import decode_with_opencv
-from .pixels import check_size
+from .pixels import check_size, decode_with_opencv
 
 __all__ = ["count_tiff_pages", "open_tiff", "part_reader", "read_tiff", "select_tiff_page"]
 

@@ -106,7 +106,7 @@ def find_layout(path: Path, size: tuple[int, int] | None = None, pixel_format: s
 
     FlatError if the size cannot be told, the pixel format is not known, or the file does not hold a single frame.
     """
-    size = size or _size_in_name(path.stem) or _size_beside(path)
+    size = size or _size_of(path)
     if size is None:
         raise FlatError("raw video has no header; give its size (--size WxH), or name it like NAME_2048x2048.yuv")
     width, height = size
@@ -131,13 +131,10 @@ def find_layout(path: Path, size: tuple[int, int] | None = None, pixel_format: s
     return layout
 
 
-def _size_in_name(name: str) -> tuple[int, int] | None:
-    sizes = re.findall(r"(?<!\d)(\d{2,6})[xX](\d{2,6})(?!\d)", name)
-    return (int(sizes[-1][0]), int(sizes[-1][1])) if sizes else None
-
-
-def _size_beside(path: Path) -> tuple[int, int] | None:
-    """The size in the camera file (key : value) with the same stem."""
+def _size_of(path: Path) -> tuple[int, int] | None:
+    """The size in the name, or in the camera file (key : value) with the same stem."""
+    if sizes := re.findall(r"(?<!\d)(\d{2,6})[xX](\d{2,6})(?!\d)", path.stem):
+        return int(sizes[-1][0]), int(sizes[-1][1])
     camera = path.with_suffix(".cfg")
     try:
         text = camera.read_text(encoding="utf-8-sig") if camera.stat().st_size < 1 << 16 else ""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.images.zarr_flat import check_zarr
+from lfcal.images.containers import check_zarr
 
 zarr = pytest.importorskip("zarr", minversion="3.0")
 
