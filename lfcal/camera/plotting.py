@@ -12,7 +12,10 @@ from ..runtime.notebook import html_card
 if TYPE_CHECKING:
     from .calibration import Calibration
 
-__all__ = ["TYPE_COLOURS", "calibration_card", "plot_calibration", "plot_falloff", "plot_gain", "plot_residuals"]
+__all__ = [
+    "TYPE_COLOURS", "calibration_card", "draw_circles", "draw_lenses", "plot_calibration", "plot_falloff", "plot_gain",
+    "plot_residuals",
+]  # fmt: skip
 
 #: Colours of lens types.
 TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
@@ -67,43 +70,50 @@ def plot_residuals(calibration: Calibration, ax: Any, **style: Any) -> tuple[Any
 
 def plot_gain(calibration: Calibration, ax: Any) -> None:
     """The gain map of the top left corner, four pitches wide, or words where there is none."""
-    ax.set(title="Gain map, top left", xticks=[], yticks=[])
-    if calibration.gain_map is None:
-        ax.set_title("Gain map: not measured")
-        return
-    reach = max(8, int(4 * calibration.lattice.pitch))
-    ax.imshow(calibration.gain()[:reach, :reach], cmap="gray", vmin=0, vmax=1)
-    ax.set_xlabel(f"{len(calibration.defects.pixels)} pixels, {len(calibration.defects.lenses)} lenses defect")
+    known, defects = calibration.gain_map is not None, calibration.defects
+    ax.set(title="Gain map, top left" if known else "Gain map: not measured", xticks=[], yticks=[])
+    if known:
+        reach = max(8, int(4 * calibration.lattice.pitch))
+        ax.imshow(calibration.gain()[:reach, :reach], cmap="gray", vmin=0, vmax=1)
+        ax.set_xlabel(f"{len(defects.pixels)} pixels, {len(defects.lenses)} lenses defect")
 
 
 def plot_falloff(calibration: Calibration, ax: Any) -> None:
     """Light inside a microimage over the distance to its centre, and the usable radius."""
     vignetting, radius = calibration.vignetting, calibration.lattice.radius
-    ax.set(
-        title="Light in a microimage" if vignetting else "Light: not measured", xlabel=f"radius [px], R {radius:.1f}"
-    )
+    title = "Light in a microimage" if vignetting else "Light: not measured"
+    ax.set(title=title, xlabel=f"radius [px], R {radius:.1f}")
     ax.axvline(radius, color=TYPE_COLOURS[0])
     if vignetting is not None:
         ax.plot(np.arange(len(vignetting.profile)) * vignetting.step, vignetting.profile, color=TYPE_COLOURS[1])
 
 
-def _plot_centres(calibration: Calibration, ax: Any, most: int = 600) -> None:
-    """Centres and usable circles of the microimages: all of them, or where they are too many those in the middle."""
+def draw_circles(ax: Any, centres: Any, radii: Any, colours: Any, **style: Any) -> None:
+    """Circles about centres (n, 2) [px], of one radius or of as many."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
 
-    lattice, types, size = calibration.lattice, calibration.lens_types, np.array(calibration.image_size)
+    discs = [Circle(*disc) for disc in zip(centres, np.broadcast_to(radii, len(centres)), strict=True)]
+    ax.add_collection(PatchCollection(discs, facecolor="none", edgecolor=colours, **style))
+
+
+def draw_lenses(calibration: Calibration, ax: Any, shown: Any, **style: Any) -> None:
+    """The usable circles of those microimages that are `shown` (n,), in the colours of their types."""
+    lattice, types = calibration.lattice, calibration.lens_types
+    kinds = np.zeros(shown.sum(), int) if types is None else types.of(lattice.indices()[shown])
+    colours = [TYPE_COLOURS[kind % len(TYPE_COLOURS)] for kind in kinds]
+    draw_circles(ax, lattice.centres()[shown], lattice.radius, colours, **style)
+
+
+def _plot_centres(calibration: Calibration, ax: Any, most: int = 600) -> None:
+    """Centres and usable circles of the microimages: all of them, or where they are too many those in the middle."""
+    lattice, size = calibration.lattice, np.array(calibration.image_size)
     centres = lattice.centres()
     half, title = size / 2, f"{len(centres):,} microimages"
     if len(centres) > most:
         half, title = np.minimum(half, lattice.pitch * most**0.5 / 2), f"{title}, those in the middle"
     (left, top), (right, bottom) = (size - 1) / 2 - half, (size - 1) / 2 + half
     inside = ((centres > (left, top)) & (centres < (right, bottom))).all(1)
-    shown = centres[inside]
-    kinds = np.zeros(len(shown), int) if types is None else types.of(lattice.indices()[inside])
-    colours = [TYPE_COLOURS[kind % len(TYPE_COLOURS)] for kind in kinds]
-    circles = PatchCollection([Circle(centre, lattice.radius) for centre in shown])
-    circles.set(facecolor="none", edgecolor=colours, linewidth=0.6)
-    ax.add_collection(circles)
-    ax.plot(*shown.T, ".", markersize=2, color=TYPE_COLOURS[1])
+    draw_lenses(calibration, ax, inside, linewidth=0.6)
+    ax.plot(*centres[inside].T, ".", markersize=2, color=TYPE_COLOURS[1])
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x [px]", ylabel="y [px]", title=title)

@@ -212,6 +212,7 @@ def compare(report: cl.Report, given: Any) -> None:
     """
     from .. import CameraFileError, load
     from .. import compare as run
+    from ..display.compare import REGIONS
 
     paths, size = (given.a, given.b), _read_size(given)
     for path in paths:
@@ -220,7 +221,6 @@ def compare(report: cl.Report, given: Any) -> None:
             size = size or load(path).image_size
     first, second = cameras = [_read(path, size) for path in paths]
     found = run(first, second)
-    names = [f"{row} {column}" for row in ("top", "middle", "bottom") for column in ("left", "centre", "right")]
     report.finish(
         {
             **{name: str(path) for name, path in zip("ab", paths, strict=True)},
@@ -228,7 +228,7 @@ def compare(report: cl.Report, given: Any) -> None:
             "mean_shift": found.mean_shift.round(6),
             "scale": round(found.scale, 9),
             "rotation_degrees": round(found.rotation_degrees, 7),
-            "field": dict(zip(names, found.field.reshape(-1, 2).round(6), strict=True)),
+            "field": dict(zip(REGIONS, found.field.reshape(-1, 2).round(6), strict=True)),
             "warnings": [f"{path}: {w}" for path, c in zip(paths, cameras, strict=True) for w in c.warnings],
         }
     )

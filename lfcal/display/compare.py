@@ -11,7 +11,10 @@ from ..camera.calibration import Calibration
 from ..runtime.arrays import Frozen
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, check_type
 
-__all__ = ["LatticeDifference", "compare"]
+__all__ = ["REGIONS", "LatticeDifference", "compare"]
+
+#: Names of corners, edge middles and middle of a flat, in rows from the top.
+REGIONS = [f"{row} {column}" for row in ("top", "middle", "bottom") for column in ("left", "centre", "right")]
 
 
 @dataclass(frozen=True, eq=False)

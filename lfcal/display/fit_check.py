@@ -21,6 +21,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.orientation import describe_orientation
 from ..runtime.arrays import Frozen
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, CameraFileError, FlatError, check_type
+from .compare import REGIONS
 
 __all__ = ["CameraCheck", "FitCheck", "check_camera", "check_fit", "choose_orientation"]
 
@@ -28,11 +29,6 @@ _REMEDY = "give the camera of this flat, or calibrate on it"
 # [pitch] from which on pictures show a shift of the whole flat, at most 0.05 with right cameras on 60 simulated flats;
 # and one of a corner by a change of scale or rotation: 0.028 with right cameras on 11 captures, 0.039 with a wrong one.
 _SHIFT, _STRETCH = 0.06, 0.033
-_REGION_NAMES = (
-    ("top left corner", "middle of the top edge", "top right corner"),
-    ("middle of the left edge", "middle", "middle of the right edge"),
-    ("bottom left corner", "middle of the bottom edge", "bottom right corner"),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +79,12 @@ class FitCheck(Frozen):
         """What is wrong with the lattice where pictures would show it, else None."""
         shift = self.offset[1, 1]
         stretch = float(np.linalg.norm(self.offset - shift, axis=-1).max())
-        row, column = np.unravel_index(int(np.linalg.norm(self.offset, axis=-1).argmax()), (3, 3))
         if not (stretch > self.limit or np.linalg.norm(shift) > _SHIFT * self.pitch):
             return None
+        where = REGIONS[int(np.linalg.norm(self.offset, axis=-1).argmax())]
         return (
-            f"the lattice is off by up to {self.max_offset:.1f} px in the {_REGION_NAMES[row][column]}, which pictures "
-            "show: calibrate on this flat"
+            f"the lattice is off by up to {self.max_offset:.1f} px in the {where}, which pictures show: calibrate on "
+            "this flat"
         )
 
 
@@ -231,15 +227,12 @@ def _find_type_conflict(calibration: Calibration, flat: NDArray[Any]) -> str | N
 
 
 class _Reduced(NamedTuple):
-    """A flat without its mosaic, the side of the blocks it is reduced by, the root of its luminance then."""
-
-    flat: NDArray[Any]
-    factor: int
-    picture: NDArray[np.float32]
+    flat: NDArray[Any]  # without its mosaic
+    factor: int  # side of the blocks that it is reduced by
+    picture: NDArray[np.float32]  # root of its luminance then
 
 
 def _prepare(calibration: Calibration, image: ArrayLike) -> _Reduced:
-    """A flat of the size of the camera, reduced."""
     from ..images.mosaic import equalise_mosaic, find_mosaic, remove_mosaic
 
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)

@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..camera.calibration import Calibration
-from ..camera.plotting import TYPE_COLOURS, plot_falloff, plot_gain, plot_residuals
+from ..camera.plotting import draw_circles, draw_lenses, plot_falloff, plot_gain, plot_residuals
 from ..hough.circle_vote import find_circles
 from ..images.preprocessing import sqrt_luminance
 from ..lattice.orientation import describe_orientation
 from .fit_check import FitCheck, check_fit
 
 __all__ = ["PlaceToCheck", "find_places_to_check", "show"]
-
-
-Vector = NDArray[np.float64]
 
 
 class PlaceToCheck(NamedTuple):
@@ -56,26 +53,19 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     size, pitch = np.array(calibration.image_size), calibration.lattice.pitch
     reach = min(max(float(np.clip(6 * pitch, 140, 190)), 2.5 * pitch), *size)
     (left, top), (right, low) = np.full(2, reach / 2 - 0.5), size - 0.5 - reach / 2
-    crops = {
-        "top left": (left, top),
-        "centre": tuple((size - 1) / 2),
-        "top right": (right, top),
-        "bottom left": (left, low),
-        "bottom right": (right, low),
-    }
-    if places:
-        crops["bottom right"] = tuple(np.clip(places[0].position, (left, top), (right, low)))
+    crops = {"top left": (left, top), "centre": (size - 1) / 2, "top right": (right, top), "bottom left": (left, low)}
+    last = "look here" if places else "bottom right"
+    crops[last] = np.clip(places[0].position, (left, top), (right, low)) if places else (right, low)
     figure = Figure((18, 12.9), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     figure.suptitle(_describe(calibration, fit), x=0.01, ha="left", fontsize=13)
     axes = figure.subplot_mosaic([
         ["top left", "centre", "top right"],
-        ["bottom left", [["misfit", "misfit"], ["gain", "falloff"]], "bottom right"],
+        ["bottom left", [["misfit", "misfit"], ["gain", "falloff"]], last],
     ])  # fmt: skip
     for name, middle in crops.items():
-        shown = places if name == "bottom right" else []
-        _draw_crop(axes[name], calibration, flat, np.array(middle), reach, shown)
-        axes[name].set_title("look here" if shown else name)
+        _draw_crop(axes[name], calibration, flat, np.array(middle), reach, places if name == "look here" else [])
+        axes[name].set_title(name)
     _draw_misfit(axes["misfit"], calibration, fit)
     plot_gain(calibration, axes["gain"])
     plot_falloff(calibration, axes["falloff"])
@@ -116,57 +106,50 @@ def _describe(calibration: Calibration, fit: FitCheck) -> str:
     shape, rows, turned = describe_orientation(lattice)
     residual = "" if np.isnan(calibration.residual_rms) else f", residual {calibration.residual_rms:.3f} px RMS"
     worry = "too much, calibrate on this flat" if fit.warning else f"no worry below {fit.limit:.1f}"
-    known = f"off this flat by {fit.max_offset:.2f} px ({worry})"
-    off = "its fit to this flat is unknown" if np.isnan(fit.max_offset) else known
-    size = "{} x {} px".format(*calibration.image_size)
+    off = "its fit to this flat is unknown"
+    if not np.isnan(fit.max_offset):
+        off = f"off this flat by {fit.max_offset:.2f} px ({worry})"
     types = "" if calibration.lens_types is None else f"{calibration.lens_types.count} lens types, "
     return (
         f"{shape}, rows {rows}, pitch {lattice.pitch:.4f} px, rotation {turned:+.4f} deg, "
         f"usable radius {lattice.radius:.2f} px, {len(lattice)} lenses\n"
-        f"{size}, {types}from {calibration.source}{residual}, confidence {calibration.confidence:.2f}; {off}"
+        f"{'{} x {} px'.format(*calibration.image_size)}, {types}from {calibration.source}{residual}, "
+        f"confidence {calibration.confidence:.2f}; {off}"
     )
 
 
 def _draw_crop(
-    axes: Any, calibration: Calibration, flat: NDArray[Any], middle: Vector, reach: float, places: list[PlaceToCheck]
+    axes: Any,
+    calibration: Calibration,
+    flat: NDArray[Any],
+    middle: NDArray[Any],
+    reach: float,
+    places: list[PlaceToCheck],
 ) -> None:
     """Crop of the flat, `reach` [px] wide around `middle` (2,), with centres, usable circles and defects."""
-    from matplotlib.collections import PatchCollection
-    from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
-    lattice = calibration.lattice
     (left, top), (right, bottom) = middle - reach / 2, middle + reach / 2
-    x0, y0, x1, y1 = max(int(left) - 1, 0), max(int(top) - 1, 0), int(right) + 2, int(bottom) + 2
-    crop = _stretch_contrast(flat[y0:y1, x0:x1])
+    x0, y0 = max(int(left) - 1, 0), max(int(top) - 1, 0)
+    crop = _stretch_contrast(flat[y0 : int(bottom) + 2, x0 : int(right) + 2])
     extent = x0 - 0.5, x0 + crop.shape[1] - 0.5, y0 + crop.shape[0] - 0.5, y0 - 0.5
     axes.imshow(crop, extent=extent, interpolation="bicubic")
     axes.set(xlim=(left, right), ylim=(bottom, top))
 
     def near(positions: NDArray[Any]) -> Any:
-        return (np.abs(positions - middle) < reach / 2 + lattice.pitch).all(1)
+        return (np.abs(positions - middle) < reach / 2 + calibration.lattice.pitch).all(1)
 
-    def circles(centres: NDArray[Any], radii: Any, colour: str) -> None:
-        discs = [Circle(at, radius) for at, radius in zip(centres, np.broadcast_to(radii, len(centres)), strict=True)]
-        # A dark line below a light one is visible on any background.
-        dark = [withStroke(linewidth=2.7, foreground=(0, 0, 0, 0.4))]
-        axes.add_collection(
-            PatchCollection(discs, facecolor="none", edgecolor=colour, linewidth=1.2, path_effects=dark)
-        )
-
-    shown = near(lattice.centres())
-    centres, types = lattice.centres()[shown], calibration.lens_types
-    kinds = np.zeros(len(centres), int) if types is None else types.of(lattice.indices()[shown])
-    for kind in np.unique(kinds):
-        circles(centres[kinds == kind], lattice.radius, TYPE_COLOURS[kind % len(TYPE_COLOURS)])
-    axes.plot(*centres.T, "+", color="gold", markersize=9, markeredgewidth=1.2)
-    pixels = calibration.defects.pixels
-    circles(pixels[near(pixels)], 1.5, "magenta")
-    missing = lattice.points(calibration.defects.lenses)
+    # A dark line below a light one is visible on any background.
+    style = {"linewidth": 1.2, "path_effects": [withStroke(linewidth=2.7, foreground=(0, 0, 0, 0.4))]}
+    centres, pixels = calibration.lattice.centres(), calibration.defects.pixels
+    missing = calibration.lattice.points(calibration.defects.lenses)
+    draw_lenses(calibration, axes, near(centres), **style)
+    axes.plot(*centres[near(centres)].T, "+", color="gold", markersize=9, markeredgewidth=1.2)
+    draw_circles(axes, pixels[near(pixels)], 1.5, "magenta", **style)
     axes.plot(*missing[near(missing)].T, "x", color="magenta", markersize=30, markeredgewidth=2)
     for place in places:
         found = place.circles[near(place.circles[:, :2])]
-        circles(found[:, :2], found[:, 2], "white")
+        draw_circles(axes, found[:, :2], found[:, 2], "white", **style)
 
 
 def _draw_misfit(axes: Any, calibration: Calibration, fit: FitCheck) -> None:
@@ -183,9 +166,7 @@ def _draw_misfit(axes: Any, calibration: Calibration, fit: FitCheck) -> None:
 
 def _stretch_contrast(crop: NDArray[Any]) -> NDArray[np.uint8]:
     """A crop of a flat as RGB (h, w, 3), its darkest and brightest percent black and white."""
-    values = np.nan_to_num(crop.astype(np.float32))
-    if values.ndim == 2:
-        values = np.repeat(values[..., None], 3, axis=2)
+    values = np.nan_to_num(crop.astype(np.float32)).reshape(*crop.shape[:2], -1)
     low, high = np.percentile(values, (1, 99))
-    scaled = np.clip((values - low) / max(high - low, 1e-6), 0, 1)
-    return np.rint(255 * scaled ** (1 / 1.4)).astype(np.uint8)
+    scaled = np.clip((values - low) / max(high - low, 1e-6), 0, 1) ** (1 / 1.4)
+    return np.broadcast_to(np.rint(255 * scaled).astype(np.uint8), (*crop.shape[:2], 3))
