@@ -1,13 +1,11 @@
 """The file formats of pictures, registered once: what each can hold, and how pictures are written into it.
 
-To add a format, add an entry to `FORMATS`: pictures, stacks, tiles, animations, films and the command line take from
-there which formats they can write. TIFF files named `.ome.tif` and Zarr are as the microscopy community stores them
-(OME, NGFF 0.5): pixels have the size of scene coordinates, so that viewers lay pictures of any scale over each other.
+TIFF files named `.ome.tif` and Zarr are as the microscopy community stores them (OME, NGFF 0.5): pixels have the size
+of scene coordinates, so that viewers lay pictures of any scale over each other.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import secrets
@@ -18,7 +16,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +26,7 @@ from lfcal.runtime.output_file import check_output
 
 __all__ = [
     "FORMATS", "EmbeddedMetadata", "Page", "PictureError", "PictureFormat", "check_format", "check_package",
-    "is_ome_name", "read_metadata", "tiff_tags", "tiff_tiles", "write_exr",
+    "is_ome_name", "read_metadata", "tiff_tags", "tiff_tiles",
 ]  # fmt: skip
 
 #: Pixels, with alpha where they have 2 or 4 channels, and the JSON text that is stored with them.
@@ -47,8 +45,7 @@ class PictureError(LightFieldError, ValueError):
     """
 
 
-@dataclass(frozen=True)
-class EmbeddedMetadata:
+class EmbeddedMetadata(NamedTuple):
     """ICC profile, and EXIF data without thumbnail and sizes; empty where there is none."""
 
     icc: bytes = b""
@@ -60,10 +57,8 @@ def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
     from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
     source = Path(path)
-    jpeg: Any = JpegImagePlugin.JpegImageFile
-    # The format's own class is used, not Image.open: that one refuses sensors above 179 megapixels.
-    readers: Any = {".png": PngImagePlugin.PngImageFile, ".jpg": jpeg, ".jpeg": jpeg}
-    readers[".webp"] = WebPImagePlugin.WebPImageFile
+    # The formats' own classes: Image.open refuses sensors above 179 megapixels.
+    readers: dict[str, Any] = {".png": PngImagePlugin.PngImageFile, ".webp": WebPImagePlugin.WebPImageFile}
     try:
         if source.suffix.lower() in (".tif", ".tiff"):
             import tifffile
@@ -71,13 +66,12 @@ def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
             with tifffile.TiffFile(source) as tiff:
                 tag = tiff.pages[0].tags.get("InterColorProfile")  # type: ignore[union-attr]
                 return EmbeddedMetadata(b"" if tag is None else bytes(tag.value))
-        with readers[source.suffix.lower()](str(source)) as image:
+        with readers.get(source.suffix.lower(), JpegImagePlugin.JpegImageFile)(str(source)) as image:
             exif = image.getexif()
-            camera_data = exif.get_ifd(0x8769)
             # Width and height of the flat, which are not those of the picture.
             for tag in (0x0100, 0x0101, 0xA002, 0xA003):
                 exif.pop(tag, None)
-                camera_data.pop(tag, None)
+                exif.get_ifd(0x8769).pop(tag, None)
             return EmbeddedMetadata(image.info.get("icc_profile") or b"", exif.tobytes() if len(exif) else b"")
     # Readers raise errors of any kind on damaged data; the pixels matter more.
     except Exception:
@@ -88,9 +82,8 @@ def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
 class PictureFormat:
     """What files with one suffix can hold, and how they are written."""
 
-    #: NumPy names of the pixel types.
-    pixel_types: tuple[str, ...]
-    #: `picture(path, pages, embedded, compress)` writes a picture; None for formats that hold no single pictures.
+    pixel_types: tuple[str, ...]  # names in NumPy
+    # Writes pages to a path, compressed or not; None for formats that hold no single pictures.
     picture: Callable[[Path, list[Page], EmbeddedMetadata, bool], None] | None = None
     alpha: bool = True
     folder: bool = False  # whether a picture is a folder, which its writer moves into place itself
@@ -103,9 +96,7 @@ class PictureFormat:
 
     def reduces(self, pixel_type: str | None) -> bool:
         """Whether it holds 8 bits a channel in the place of pixels of this type."""
-        return (
-            pixel_type in ("uint16", "float32") and pixel_type not in self.pixel_types and "uint8" in self.pixel_types
-        )
+        return pixel_type in _ALL and pixel_type not in self.pixel_types and "uint8" in self.pixel_types
 
 
 def check_format(
@@ -115,11 +106,10 @@ def check_format(
     alpha: bool = False,
     inputs: Iterable[Any] = (),
 ) -> None:
-    """Raise an error if a file could not be written, before anything is computed for it.
+    """Raise an OutputError or PictureError if a file could not be written, before anything is computed for it.
 
-    OutputError if no format with one of these uses has such a suffix, the folder cannot be written, or `path` is one of
-    the `inputs` that are read for it. PictureError if the format can hold neither pixels of this type nor 8 bits, or no
-    alpha channel, or needs a package or an encoder that is not installed.
+    Its format must be for one of the `uses`, hold 8 bits or pixels of this type, and have its package installed; `path`
+    must be in a folder that can be written, and none of the `inputs` that are read for it.
     """
     check_output(path, [name for name, kind in FORMATS.items() if any(getattr(kind, use) for use in uses)], inputs)
     suffix = Path(path).suffix.lower()
@@ -134,9 +124,8 @@ def check_format(
         import av
 
         if kind.film[0] not in av.codecs_available:
-            raise PictureError(
-                f"{path}: the package 'av' was built without the encoder {kind.film[0]}; use another suffix"
-            )
+            reason = f"the package 'av' was built without the encoder {kind.film[0]}"
+            raise PictureError(f"{path}: {reason}; use another suffix")
 
 
 def check_package(path: str | os.PathLike[str], kind: PictureFormat) -> None:
@@ -157,7 +146,7 @@ def _affine(text: str) -> NDArray[np.float64]:
 
 def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes, ome: bool = False) -> dict[str, Any]:
     """Options of tifffile for a picture of this shape, with alpha where it has 2 or 4 channels."""
-    channels = shape[2] if len(shape) == 3 else 1
+    channels = (*shape, 1)[2]
     tags: dict[str, Any] = {
         "photometric": "rgb" if channels >= 3 else "minisblack",
         "planarconfig": "contig" if len(shape) == 3 else None,
@@ -192,25 +181,17 @@ def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compr
             tiff.write(np.ascontiguousarray(pixels), **tiff_tags(pixels.shape, text, embedded.icc, ome), **tiles)
 
 
-def write_exr(path: Path, channels: dict[str, NDArray[np.float32]], text: str = "") -> None:
-    """Write channels (h, w), or (h, w, 3 or 4) as RGB or RGBA, as OpenEXR with a comment."""
+def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
     import OpenEXR
 
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": text}
-    whole = {name: np.ascontiguousarray(values) for name, values in channels.items()}
-    with OpenEXR.File(header, whole) as file:
-        file.write(str(path))
-
-
-def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
     ((pixels, text),) = pages
-    count = pixels.shape[2] if pixels.ndim == 3 else 1
-    if count < 3:
-        layers = np.atleast_3d(pixels)
-        channels = {name: layers[..., k] for k, name in enumerate("YA"[:count])}
-    else:
-        channels = {"RGBA"[:count]: pixels}
-    write_exr(path, channels, text)
+    layers = np.atleast_3d(pixels)
+    count = layers.shape[2]
+    # The library writes three or four layers of one name as R, G, B and A.
+    channels = {"RGBA"[:count]: pixels} if count > 2 else {name: layers[..., k] for k, name in enumerate("YA"[:count])}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": text}
+    with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as file:
+        file.write(str(path))
 
 
 def _in_colour(pixels: NDArray[Any]) -> NDArray[Any]:
@@ -230,11 +211,9 @@ def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compr
         data = cv2.imencode(".png", pixels)[1].tobytes()
     except cv2.error as error:
         raise PictureError(f"{path}: cannot be written as .png ({error.err or error})") from error
-    chunks = _png_chunk(b"tEXt", b"Description\0" + text.encode("ascii"))
-    if embedded.icc:
-        chunks = _png_chunk(b"iCCP", b"ICC profile\0\0" + zlib.compress(embedded.icc)) + chunks
-    if embedded.exif:
-        chunks += _png_chunk(b"eXIf", embedded.exif.removeprefix(b"Exif\0\0"))
+    chunks = _png_chunk(b"iCCP", b"ICC profile\0\0" + zlib.compress(embedded.icc)) if embedded.icc else b""
+    chunks += _png_chunk(b"tEXt", b"Description\0" + text.encode("ascii"))
+    chunks += _png_chunk(b"eXIf", embedded.exif.removeprefix(b"Exif\0\0")) if embedded.exif else b""
     # Behind the signature and the header.
     path.write_bytes(data[:33] + chunks + data[33:])
 
@@ -248,17 +227,14 @@ def _write_small(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _com
     from PIL import Image
 
     ((pixels, text),) = pages
-    kind = "WEBP" if path.suffix.lower() == ".webp" else "JPEG"
-    more: dict[str, Any] = {"icc_profile": embedded.icc, "exif": embedded.exif}
-    more["comment"] = text.encode("ascii") if kind == "JPEG" else None
-    stream = io.BytesIO()
+    more: dict[str, Any] = {name: value for name, value in zip(("icc_profile", "exif"), embedded, strict=True) if value}
+    if path.suffix.lower() != ".webp":
+        more["comment"] = text.encode("ascii")
     try:
-        given = {name: value for name, value in more.items() if value}
-        Image.fromarray(_in_colour(pixels)).save(stream, kind, quality=95, **given)
+        Image.fromarray(_in_colour(pixels)).save(path, quality=95, **more)
     except (OSError, ValueError) as error:
         size = f"{pixels.shape[1]} x {pixels.shape[0]} px"
         raise PictureError(f"{path}: {size} cannot be written as {path.suffix} ({error}); use .tif") from error
-    path.write_bytes(stream.getvalue())
 
 
 def _write_ome_zarr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:

@@ -34,10 +34,9 @@ def write_picture(
 ) -> None:
     """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr; whole or not at all.
 
-    All but WebP carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3 affine from output
-    pixel `(u, v)` to scene coordinates `X` and the settings of the rendering. Pixels no lens has seen are 0; with
-    `alpha`, they are transparent too. OutputError or PictureError if the file cannot be written, or its format cannot
-    hold these pixels.
+    All but WebP carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3 affine from output pixel
+    `(u, v)` to scene coordinates `X` and the settings. OutputError or PictureError if the file cannot be written, or
+    its format cannot hold these pixels.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Views with their cameras, depth and masks, in the forms of programs for many views.
 
-nerfstudio: `transforms.json`; COLMAP: a sparse model as text, with points; rvs: the camera file of MPEG's view
-synthesis (RVS, TMIV) with raw video. Each camera stands in the axes that its program has.
+nerfstudio: `transforms.json`; COLMAP: a sparse model as text, with points and the views that see each; rvs: the camera
+file of MPEG's view synthesis (RVS, TMIV) with raw video. Each camera stands in the axes that its program has.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from lfcal.runtime.output_file import atomic_write, make_folder
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from .picture import write_picture
-from .poses import ViewCamera, ViewRig, view_rig
+from .poses import Array, ViewCamera, ViewRig, view_rig
 from .raw_video import check_raw_format, frame_bytes, yuv_frame
 
 __all__ = ["POSE_FORMATS", "write_posed_views"]
@@ -92,7 +92,7 @@ def write_posed_views(
         _Posed(f"view_{number:03d}", picture, rig.depth(number, sizes, at), rig.cameras[number])
         for number, ((picture, sizes), at) in enumerate(zip(drawn, moved, strict=True))
     ]
-    POSE_FORMATS[kind](target, posed, rig.unit)
+    POSE_FORMATS[kind](target, posed, rig)
     return rig
 
 
@@ -121,7 +121,7 @@ def _write_text(path: Path, text: str) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
-def _write_nerfstudio(folder: Path, views: list[_Posed], unit: str) -> None:
+def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`transforms.json`: axes x right, y up, z backwards, pixel (0, 0) from 0 to 1."""
     step = _write_files(folder, views, "{}.png")
     places = {"file_path": "images", "depth_file_path": "depth", "mask_path": "masks"}
@@ -133,44 +133,67 @@ def _write_nerfstudio(folder: Path, views: list[_Posed], unit: str) -> None:
         lens = dict(zip(names, (*camera.focal, *view.centre, *camera.size, *camera.distortion), strict=True))
         pose = [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]]
         frames.append({**files, **lens, "transform_matrix": pose})
-    model = {"camera_model": "OPENCV", "unit": unit, "depth_unit_scale_factor": step, "frames": frames}
+    model = {"camera_model": "OPENCV", "unit": rig.unit, "depth_unit_scale_factor": step, "frames": frames}
     _write_text(folder / "transforms.json", json.dumps(model, indent=1))
 
 
-def _write_colmap(folder: Path, views: list[_Posed], unit: str) -> None:
+def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as COLMAP names them."""
     step = _write_files(folder, views, "{}.png.png")
     sparse = folder / "sparse" / "0"
     sparse.mkdir(parents=True, exist_ok=True)
+    points, colours, pixels = _tracks(views)
+    seen = np.isfinite(pixels[..., 0])
+    # Each picture counts the points that it shows, from 0.
+    order = np.cumsum(seen, axis=1) - 1
     cameras, images = [], []
     for number, view in enumerate(views, 1):
         camera, bent = view.camera, any(view.camera.distortion)
         values = " ".join(f"{v:.12g}" for v in (*camera.focal, *view.centre, *(camera.distortion if bent else ())))
         kind, place = "OPENCV" if bent else "PINHOLE", " ".join(f"{-p:.12g}" for p in camera.position)
         cameras.append(f"{number} {kind} {camera.size[0]} {camera.size[1]} {values}")
-        images.append(f"{number} 1 0 0 0 {place} {number} {view.name}.png\n")
-    _write_text(sparse / "cameras.txt", "\n".join(cameras))
-    _write_text(sparse / "images.txt", "\n".join(images))
-    _write_text(sparse / "points3D.txt", _points(views[len(views) // 2]))
-    _write_text(folder / "depth" / "unit.txt", f"16-bit files times {step:.9g} {unit}")
+        shown = np.flatnonzero(seen[number - 1])
+        where = zip((pixels[number - 1, shown] + 0.5).tolist(), shown + 1, strict=True)
+        images.append(f"{number} 1 0 0 0 {place} {number} {view.name}.png")
+        images.append(" ".join(f"{x:.4f} {y:.4f} {point}" for (x, y), point in where))
+    lines = []
+    for point, (place, colour) in enumerate(zip(points.tolist(), colours.tolist(), strict=True)):
+        track = " ".join(f"{view + 1} {order[view, point]}" for view in np.flatnonzero(seen[:, point]))
+        lines.append("{} {:.9g} {:.9g} {:.9g} {} {} {} {:.3g} ".format(point + 1, *place, *colour, rig.error) + track)
+    for name, text in (("cameras", cameras), ("images", images), ("points3D", lines)):
+        _write_text(sparse / f"{name}.txt", "\n".join(text))
+    _write_text(folder / "depth" / "unit.txt", f"16-bit files times {step:.9g} {rig.unit}")
 
 
-def _points(view: _Posed, step: int = 4) -> str:
-    """Lines of points that a view shows, one of every `step` x `step` pixels."""
-    camera, image = view.camera, to_eight_bits(view.picture.image, view.picture.white)
-    v, u = (step * axis for axis in np.nonzero(view.known[::step, ::step]))
-    z = view.depth[v, u].astype(float)[:, None]
-    slopes = (np.column_stack([u, v]) - camera.principal_point) / camera.focal
-    points = np.hstack([slopes * z, z]) + camera.position
+def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8], Array]:
+    """Points (n, 3) of one of `step` x `step` pixels of the middle view, colours (n, 3), and where views see them.
+
+    The last, (views, n, 2) [px], is NaN where the depth of a view tells that something else is seen, or nothing.
+    """
+    middle = views[len(views) // 2]
+    v, u = (step * axis for axis in np.nonzero(middle.known[::step, ::step]))
+    z = middle.depth[v, u].astype(float)[:, None]
+    points = np.hstack([middle.camera.slopes(np.column_stack([u, v])) * z, z]) + middle.camera.position
+    places = np.array([view.camera.position for view in views])
+    reach = float(np.ptp(places, axis=0).max()) * middle.camera.focal[0]
+    pixels = np.full((len(views), len(points), 2), np.nan)
+    for view, found in zip(views, pixels, strict=True):
+        at = view.camera.project(points)
+        column, row = np.rint(at).astype(int).T
+        inside = (at > -0.5).all(1) & (at < np.array(view.camera.size) - 0.5).all(1)
+        column, row = column[inside], row[inside]
+        distance = points[inside, 2] - view.camera.position[2]
+        # The same depth: it would move by less than half a pixel from the first view to the last.
+        same = np.abs(1 / view.depth[row, column] - 1 / distance) * reach < 0.5
+        shown = np.flatnonzero(inside)[same & view.known[row, column]]
+        found[shown] = at[shown]
+    image = to_eight_bits(middle.picture.image, middle.picture.white)
     colours = np.broadcast_to(image[v, u].reshape(len(u), -1), (len(u), 3))
-    lines = (
-        f"{n + 1} {p[0]:.9g} {p[1]:.9g} {p[2]:.9g} {c[0]} {c[1]} {c[2]} 0"
-        for n, (p, c) in enumerate(zip(points.tolist(), colours.tolist(), strict=True))
-    )
-    return "\n".join(lines)
+    several = np.isfinite(pixels[..., 0]).sum(0) > 1
+    return points[several], colours[several], pixels[:, several]
 
 
-def _write_rvs(folder: Path, views: list[_Posed], unit: str) -> None:
+def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the depths of each view."""
     cameras: list[dict[str, Any]] = []
     for number, view in enumerate(views):
@@ -194,12 +217,12 @@ def _write_rvs(folder: Path, views: list[_Posed], unit: str) -> None:
             | {"Focal": list(view.camera.focal), "Principle_point": view.centre}
             | {"BitDepthColor": 10, "BitDepthDepth": 16, "ColorSpace": "YUV420", "DepthColorSpace": "YUV420"}
         )
-    about = {"Converted_by": "lfrender", "Unit": unit}
+    about = {"Converted_by": "lfrender", "Unit": rig.unit}
     model = {"Version": "2.0", "Content_name": folder.name, "Fps": 1, "Frames_number": 1, "Informative": about}
     _write_text(folder / "cameras.json", json.dumps(model | {"cameras": cameras}, indent=1))
 
 
 #: Writers by the name of the program.
-POSE_FORMATS: dict[str, Callable[[Path, list[_Posed], str], None]] = {
+POSE_FORMATS: dict[str, Callable[[Path, list[_Posed], ViewRig], None]] = {
     "nerfstudio": _write_nerfstudio, "colmap": _write_colmap, "rvs": _write_rvs,
 }  # fmt: skip

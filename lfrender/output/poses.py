@@ -8,7 +8,7 @@ transformation that leaves all views as they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -47,11 +47,21 @@ class ViewCamera:
         """(n, 2) pixels `u, v` at which points (n, 3) are seen."""
         import cv2
 
+        places = np.asarray(points, dtype=np.float64).reshape(-1, 1, 3) - self.position
+        found = cv2.projectPoints(places, np.zeros(3), np.zeros(3), self._matrix(), np.array(self.distortion))[0]
+        return np.asarray(found.reshape(-1, 2))
+
+    def slopes(self, pixels: ArrayLike) -> Array:
+        """(n, 2) slopes `x / z, y / z` of the rays that pixels (n, 2) see along."""
+        import cv2
+
+        places = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        return np.asarray(cv2.undistortPoints(places, self._matrix(), np.array(self.distortion)).reshape(-1, 2))
+
+    def _matrix(self) -> Array:
         matrix = np.diag([*self.focal, 1.0])
         matrix[:2, 2] = self.principal_point
-        places = np.asarray(points, dtype=np.float64).reshape(-1, 1, 3) - self.position
-        found = cv2.projectPoints(places, np.zeros(3), np.zeros(3), matrix, np.array(self.distortion))[0]
-        return np.asarray(found.reshape(-1, 2))
+        return matrix
 
 
 @dataclass(frozen=True)
@@ -70,14 +80,10 @@ class ViewRig:
 
     cameras: tuple[ViewCamera, ...]
     unit: str  # "m", or "baseline" of neighbouring views
-    error: float = 0.0  # RMS distance of what the cameras project from what the optics do [px]
-    _pitch: float = field(default=1.0, repr=False)
-    _offsets: Array = field(default_factory=lambda: np.zeros((0, 2)), repr=False)
-    _optics: Optics | None = field(default=None, repr=False)
-    _middle: Array = field(default_factory=lambda: np.zeros(2), repr=False)
-    # Without optics, 1 / Z = (far - D / s) * slope.
-    _far: float = field(default=0.0, repr=False)
-    _slope: float = field(default=1.0, repr=False)
+    error: float  # RMS distance of what the cameras project from what the optics do [px]
+    # Distance (n,) of virtual depths (n,) that a view draws at (n, 2) [px of the flat].
+    _distance: Callable[[int, Array, Array], Array] = field(repr=False)
+    _pitch: float = field(repr=False)
 
     def depth(self, view: int, patch_size: NDArray[Any], places: Array) -> NDArray[np.float32]:
         """(h, w) float32: distance along the axis, in the unit of the rig, of what view number `view` shows.
@@ -86,13 +92,8 @@ class ViewRig:
         NaN where the optics can image nothing.
         """
         virtual = virtual_depth(np.asarray(patch_size, np.float32), self._pitch).astype(np.float64)
-        if self._optics is None:
-            vergence = (self._far - virtual) * self._slope
-            with np.errstate(divide="ignore"):
-                return np.where(vergence > 0, 1 / vergence, np.inf).astype(np.float32)
-        scene = places - self._offsets[view] * virtual[..., None]
-        found = self._optics.positions(scene.reshape(-1, 2), (1 / virtual).ravel(), self._middle)[:, 2]
-        return (found - self.cameras[view].position[2]).reshape(virtual.shape).astype(np.float32)
+        found = self._distance(view, virtual.ravel(), places.reshape(-1, 2))
+        return found.reshape(virtual.shape).astype(np.float32)
 
 
 def view_rig(
@@ -117,18 +118,19 @@ def view_rig(
     >>> view_rig(camera, depth, [(-4.0, 0.0)], picture.affine, (62, 47), still=-7.0).cameras[0].size
     (62, 47)
     """
-    lattice = calibration.lattice
     optics = optics or calibration.optics
-    middle = (np.array(lattice.image_size) - 1) / 2
+    middle, pitch = (np.array(calibration.image_size) - 1) / 2, calibration.lattice.pitch
     where = np.array(offsets, dtype=float).reshape(-1, 2)
-    step, moved = np.diag(affine), where * (lattice.pitch / still)
+    step, moved = np.diag(affine), where * (pitch / still)
     virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
 
     def cameras(aside: Array, focal: float, centres: Array) -> tuple[ViewCamera, ...]:
         """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the microlens plane."""
+        pixels = ((centres - moved - affine[:, 2]) / step).tolist()
+        size_of_focal = (focal / step[0], focal / step[1])
         return tuple(
-            ViewCamera(np.array([*place, 0.0]), (focal / step[0], focal / step[1]), (x, y), size)
-            for place, (x, y) in zip(aside, ((centres - moved - affine[:, 2]) / step).tolist(), strict=True)
+            ViewCamera(np.array([*place, 0.0]), size_of_focal, (x, y), size)
+            for place, (x, y) in zip(aside, pixels, strict=True)
         )
 
     if optics is None:
@@ -138,28 +140,35 @@ def view_rig(
         beyond, focal = far + 0.25 * max(far - near, 0.1), float(max(depth.image_size))
         gaps = np.linalg.norm(where[:, None] - where, axis=-1)
         unit = float(gaps[gaps > 0].min()) if (gaps > 0).any() else 1.0
-        made = cameras(where / unit, focal, middle + where * beyond)
-        return ViewRig(made, "baseline", 0.0, depth.pitch, where, None, middle, beyond, unit / focal)
-    axis = np.array(optics.principal_point) if optics.principal_point is not None else middle
-    far = optics.mla_distance
-    spread = 1 + optics.sensor_distance / far
+
+        def chosen_distance(_view: int, depths: Array, _places: Array) -> Array:
+            with np.errstate(divide="ignore"):
+                return np.where(depths < beyond, focal / unit / (beyond - depths), np.inf)
+
+        return ViewRig(cameras(where / unit, focal, middle + where * beyond), "baseline", 0.0, chosen_distance, pitch)
+    lens, axis = optics, middle if optics.principal_point is None else np.array(optics.principal_point)
+    far, spread = lens.mla_distance, 1 + lens.sensor_distance / lens.mla_distance
     # The lens at c is read at c + q: the ray crosses the main lens there.
-    aside = where * optics.pixel * far / optics.sensor_distance
-    centres = axis - spread / optics.pixel * aside * (1 - far / optics.focal_length)
-    made = cameras(aside * 1e-3, spread * far / optics.pixel, centres)
-    rig = ViewRig(made, "m", 0.0, lattice.pitch, where, optics, middle)
-    if not any((*optics.radial, *optics.tangential, *optics.tilt, optics.curvature, optics.pupil)):
-        return rig
-    # Optics with distortion, tilt, curvature or a pupil: the cameras that come nearest.
-    sides = [np.linspace(0.02, 0.98, 9) * side for side in depth.image_size]
-    x, y, v = (axis.ravel() for axis in np.meshgrid(*sides, np.quantile(virtual, (0.02, 0.5, 0.98))))
-    scene = np.column_stack([x, y])
-    points = optics.positions(scene, 1 / v.astype(np.float64), middle)
-    known = np.isfinite(points).all(1)
-    drawn = [(scene + q * v[:, None] - own - affine[:, 2]) / step for q, own in zip(where, moved, strict=True)]
-    fitted = [_fit(one, points[known], at[known]) for one, at in zip(made, drawn, strict=True)]
-    error = float(np.sqrt(np.mean([square for _, square in fitted])))
-    return replace(rig, cameras=tuple(camera for camera, _ in fitted), error=error)
+    aside = where * lens.pixel * far / lens.sensor_distance
+    centres = axis - spread / lens.pixel * aside * (1 - far / lens.focal_length)
+    made, error = cameras(aside * 1e-3, spread * far / lens.pixel, centres), 0.0
+    if any((*lens.radial, *lens.tangential, *lens.tilt, lens.curvature, lens.pupil)):
+        # Optics with distortion, tilt, curvature or a pupil: the cameras that come nearest.
+        sides = [np.linspace(0.02, 0.98, 9) * side for side in depth.image_size]
+        x, y, v = (axis.ravel() for axis in np.meshgrid(*sides, np.quantile(virtual, (0.02, 0.5, 0.98))))
+        scene = np.column_stack([x, y])
+        points = lens.positions(scene, 1 / v.astype(np.float64), middle)
+        known = np.isfinite(points).all(1)
+        drawn = [(scene + q * v[:, None] - own - affine[:, 2]) / step for q, own in zip(where, moved, strict=True)]
+        fitted = [_fit(one, points[known], at[known]) for one, at in zip(made, drawn, strict=True)]
+        error = float(np.sqrt(np.mean([square for _, square in fitted])))
+        made = tuple(camera for camera, _ in fitted)
+
+    def distance(view: int, depths: Array, places: Array) -> Array:
+        found: Array = lens.positions(places - where[view] * depths[:, None], 1 / depths, middle)[:, 2]
+        return found - made[view].position[2]
+
+    return ViewRig(made, "m", error, distance, pitch)
 
 
 def _fit(camera: ViewCamera, points: Array, pixels: Array) -> tuple[ViewCamera, float]:

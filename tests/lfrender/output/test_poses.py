@@ -113,20 +113,60 @@ def test_nerfstudio_files_have_pictures_masks_and_depth_of_every_view(tmp_path, 
         assert np.median(stored[stored > 0]) * model["depth_unit_scale_factor"] == pytest.approx(true, rel=0.1)
 
 
-def test_colmap_reads_cameras_and_projects_points_as_they_are_drawn(tmp_path):
-    pycolmap = pytest.importorskip("pycolmap", reason="the foreign reader of COLMAP models is not installed")
+@pytest.fixture(scope="module")
+def colmap(tmp_path_factory):
+    """The folder of a COLMAP model, and the rig."""
     camera, capture = shot()
     depth, offsets, still, views = drawn()
-    rig = write_posed_views(
-        tmp_path / "out", "colmap", views, capture.truth.calibration, depth, offsets, still, optics_of(camera)
-    )
-    model = pycolmap.Reconstruction(str(tmp_path / "out" / "sparse" / "0"))
-    assert len(model.images) == 9 and len(model.points3D) > 100
+    folder, truth = tmp_path_factory.mktemp("colmap"), capture.truth.calibration
+    return folder, write_posed_views(folder, "colmap", views, truth, depth, offsets, still, optics_of(camera))
+
+
+def test_colmap_reads_cameras_and_projects_points_as_they_are_drawn(colmap):
+    pycolmap = pytest.importorskip("pycolmap", reason="the foreign reader of COLMAP models is not installed")
+    folder, rig = colmap
+    camera = shot()[0]
+    model = pycolmap.Reconstruction(str(folder / "sparse" / "0"))
     point = camera.place((200.0, 180.0), camera.depth_at(-0.3)) * 1e-3
     for number, image in model.images.items():
         found = image.project_point(point) - 0.5
         np.testing.assert_allclose(found, rig.cameras[number - 1].project(point[None])[0], atol=1e-4)
-        assert (tmp_path / "out" / "masks" / f"{image.name}.png").exists()
+        assert (folder / "masks" / f"{image.name}.png").exists()
+
+
+def test_colmap_triangulates_the_points_from_their_tracks(colmap):
+    """Each track, triangulated with the written poses alone, gives the written point; the views share most of them."""
+    pycolmap = pytest.importorskip("pycolmap", reason="the foreign reader of COLMAP models is not installed")
+    model = pycolmap.Reconstruction(str(colmap[0] / "sparse" / "0"))
+    assert len(model.points3D) > 300 and model.compute_mean_track_length() > 7
+    apart = []
+    for point in model.points3D.values():
+        images = [model.images[part.image_id] for part in point.track.elements]
+        seen = np.array(
+            [image.points2D[e.point2D_idx].xy for image, e in zip(images, point.track.elements, strict=True)]
+        )
+        projected = np.array([image.project_point(point.xyz) for image in images])
+        assert np.abs(projected - seen).max() < 1e-3, "[px]"
+        cameras = [image.camera for image in images]
+        poses = [image.cam_from_world() for image in images]
+        found = pycolmap.estimate_triangulation(seen, poses, cameras)
+        apart.append(np.abs(found["xyz"] / point.xyz - 1).max())
+    assert np.max(apart) < 1e-3
+
+
+def test_views_show_the_same_detail_along_a_track(colmap):
+    lines = (colmap[0] / "sparse/0/images.txt").read_text().splitlines()
+    tracks = [np.array(line.split(), float).reshape(-1, 3) for line in lines[1::2]]
+    pictures = [cv2.imread(str(colmap[0] / "images" / line.split()[-1]), 0).astype(np.float32) for line in lines[::2]]
+    middle = {int(point): (x - 0.5, y - 0.5) for x, y, point in tracks[4]}
+    shifts = []
+    for x, y, point in tracks[0][::9]:
+        patch = cv2.getRectSubPix(pictures[4], (15, 15), middle[int(point)])
+        around = cv2.getRectSubPix(pictures[0], (21, 21), (x - 0.5, y - 0.5))
+        agreement = cv2.matchTemplate(around, patch, cv2.TM_CCOEFF_NORMED)
+        place = cv2.minMaxLoc(agreement)[3]
+        shifts.append(np.array(place) - 3 if patch.std() > 6 else (0, 0))
+    assert len(shifts) > 150 and np.mean(np.abs(shifts).max(1) > 0) < 0.03, "share moved by a pixel"
 
 
 def test_rvs_files_hold_disparity_between_the_depths_that_they_state(tmp_path):
