@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 __all__ = ["analyze"]
 
-# Suffixes of the forms of depth beside .npz, by the option for each.
-_FORMS = {"dense": (".tif", ".tiff", ".pfm", ".exr"), "picture": (".png",), "ply": (".ply", ".pcd")}
+# Suffixes of the forms of depth beside .npz, by the option for each; an output with that of several is the first one.
+_FORMS = {
+    "dense": (".tif", ".tiff", ".pfm", ".exr"), "picture": (".png",), "ply": (".ply", ".pcd"), "mesh": (".glb", ".ply"),
+}  # fmt: skip
 
 
 @capture_command(
@@ -27,10 +29,11 @@ _FORMS = {"dense": (".tif", ".tiff", ".pfm", ".exr"), "picture": (".png",), "ply
     "lfrender analyze flat.png -c camera.json -o depth.npz --dense depth.tif --picture depth.png",
     "lfrender analyze flat.png -c camera.json -o depth.npz --roi 400 300 900 700",
     "lfrender analyze flat.png -o cloud.ply",
-    output=("DEPTH.npz", "Depth map to write; or .tif, .png, .ply: see below.", ".npz"),
+    "lfrender analyze flat.png -o scene.glb",
+    output=("DEPTH.npz", "Depth map to write; or .tif, .png, .ply, .glb: see below.", ".npz"),
     refused={"depth_file": "the depth is what this command finds"},
     own={
-        "Further forms of the depth": "dense unfilled picture ply",
+        "Further forms of the depth": "dense unfilled picture ply mesh",
         "Metres": "optics metres",
         "What to analyse": "edges exhaustive",
         "Several processes": "workers scheduler",
@@ -40,7 +43,7 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     """Find the depth of every microlens of FLAT, and its mode.
 
     Depth is the signed patch size: telescopic where it is positive, binocular where it is negative. The suffix of the
-    output chooses its form: .npz holds all that was found, the others are those of --dense, --picture and --ply.
+    output chooses its form: .npz holds all that was found, others are those of --dense, --picture, --ply and --mesh.
     """
     from lfcal import Optics
 
@@ -50,16 +53,20 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     for name, suffixes in _FORMS.items():
         if (path := getattr(given, name)) is not None:
             check_output(path, suffixes, capture.files)
-        if path := output if output.suffix.lower() in suffixes else path:
             forms[name] = path
+        if output.suffix.lower() in suffixes and output not in forms.values():
+            at_most_one("--output", output, f"--{name}", path)
+            forms[name] = output
     on_cluster = given.workers or given.scheduler
-    at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--ply", forms.get("ply"))
+    whole = {f"--{name}": forms[name] for name in ("ply", "mesh") if name in forms}
+    for option, path in whole.items():
+        at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, option, path)
     at_most_one("--edges", edges or None, "--roi", roi, "--workers or --scheduler", on_cluster)
     if given.unfilled and "dense" not in forms:
         raise click.UsageError("--unfilled is for --dense")
     optics = None if given.optics is None else Optics.load(given.optics)
     pixels = None
-    if roi is None and "ply" not in forms and (on_cluster or (not edges and is_large(capture.flat))):
+    if roi is None and not whole and (on_cluster or (not edges and is_large(capture.flat))):
         from .large import analyze_in_tiles
 
         with connect_cluster(given, report) as cluster:
@@ -87,10 +94,15 @@ def analyze(capture: CaptureInput, given: Any) -> None:
                 f"{forms['picture']}: magnification M from {low:.1f} (blue) to {high:.1f} (red), logarithmic; "
                 f"{_near_and_far(depth)}; grey: unresolved."
             ]
-        if "ply" in forms and pixels is not None:
-            from ..output.point_cloud import point_cloud, write_points
+        if whole and pixels is not None:
+            from ..output.point_cloud import mesh, point_cloud, write_mesh, write_points
 
-            write_points(forms["ply"], point_cloud(pixels, calibration, depth, optics), metres=optics is not None)
+            if "ply" in forms:
+                write_points(forms["ply"], point_cloud(pixels, calibration, depth, optics), metres=optics is not None)
+            if "mesh" in forms:
+                surface = mesh(pixels, calibration, depth, optics)
+                write_mesh(forms["mesh"], surface)
+                closing.append(f"{forms['mesh']}: {len(surface.faces):,} triangles; {surface.metadata['axes']}.")
     written = dict.fromkeys(map(str, (output, *forms.values())))
     sentences = figures.capture_sentences(capture, calibration, depth, optics)
     report.finish(found, *sentences, f"{', '.join(written)} in {report.took}.", *closing)

@@ -105,6 +105,7 @@ TABLE = {
     "unfilled": _row("--unfilled", bool, "Write NaN to --dense where no lens has a depth, not that of places around."),
     "picture": _row("--picture", _OUTPUT, "Magnification M in colours.", metavar="DEPTH.png"),
     "ply": _row("--ply", _OUTPUT, "Point cloud: X/D, Y/D, virtual depth D/s, colour.", metavar="CLOUD.ply|.pcd"),
+    "mesh": _row("--mesh", _OUTPUT, "The scene as textured triangles (needs trimesh).", metavar="MESH.glb|.ply"),
     "optics": _row("--optics", _FILE,
         "Focal length and distances [mm] of the camera: distances in metres, the point cloud and --poses too. "
         "By default those of the camera file, if 'lfcal metric' has measured them.", metavar="OPTICS.json"),

@@ -1,26 +1,33 @@
-"""The scene as points in virtual-depth units or metres, with the colours of the picture; their PLY and PCD files."""
+"""The scene as points, or as a mesh, in virtual-depth units or metres; their PLY, PCD and glTF files."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, CalibrationError, Optics
+from lfcal import Calibration, CalibrationError, LightFieldError, Optics
+from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.output_file import atomic_write, check_output
 
-from ..data.dense_depth import dense_depth
+from ..data.dense_depth import DenseDepth, dense_depth
 from ..data.depth_map import DepthMap
-from ..flat.gray_flat import white_level
+from ..data.surface import edge_step
 from ..rendering.render import render
 
-__all__ = ["CLOUD_SUFFIXES", "point_cloud", "write_points"]
+__all__ = ["CLOUD_SUFFIXES", "MESH_SUFFIXES", "mesh", "point_cloud", "write_mesh", "write_points"]
 
-CLOUD_SUFFIXES = frozenset({".ply", ".pcd"})
+CLOUD_SUFFIXES, MESH_SUFFIXES = (".ply", ".pcd"), (".glb", ".ply")
 
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
+# What coordinates are, not in metres and in metres.
+_AXES = (
+    "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s",
+    "metres; x right, y down, z in front of the main lens",
+)
 
 
 def point_cloud(
@@ -56,27 +63,92 @@ def point_cloud(
     >>> point_cloud(*lfrender.data.example(), points_per_pitch=4).dtype.names
     ('x', 'y', 'z', 'red', 'green', 'blue')
     """
+    dense, places, _ = _places(calibration, depth, optics, points_per_pitch)
+    picture = render(flat, calibration, depth, scale=depth.pitch / dense.affine[0, 0])
+    known = picture.valid & np.isfinite(places).all(-1)
+    points = np.empty(known.sum(), _POINT)
+    points["x"], points["y"], points["z"] = places[known].T
+    colours = to_eight_bits(picture.image, picture.white)[known].reshape(len(points), -1)
+    points["red"], points["green"], points["blue"] = np.broadcast_to(colours, (len(points), 3)).T
+    return points
+
+
+def mesh(
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap,
+    optics: Optics | None = None,
+    *,
+    points_per_pitch: float = 7.0,
+) -> Any:
+    """The scene as triangles between neighbouring points, with the picture of `render` as their texture.
+
+    Arguments, axes, units and errors are those of `point_cloud`. There are no triangles across depth edges, nor where
+    no lens has a depth. LightFieldError if the package `trimesh` is not installed.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Its front is toward the camera; `metadata["axes"]` says what the coordinates are.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> surface = mesh(*lfrender.data.example(), points_per_pitch=4)
+    >>> surface.faces.shape[1], surface.visual.material.baseColorTexture.size
+    (3, (201, 151))
+    """
+    try:
+        from trimesh import Trimesh
+        from trimesh.visual import TextureVisuals
+        from trimesh.visual.material import PBRMaterial
+    except ImportError as error:
+        raise LightFieldError("meshes need the package 'trimesh'; pip install 'lfrender[mesh]'") from error
+    from PIL import Image
+
+    dense, places, metres = _places(calibration, depth, optics, points_per_pitch)
+    picture = render(flat, calibration, depth)
+    height, width = picture.valid.shape
+    pixels = (_scene(dense) - picture.affine[:, 2]) / np.diag(picture.affine)
+    u, v = np.moveaxis(np.rint(pixels).astype(int).clip(0, (width - 1, height - 1)), -1, 0)
+    known = (picture.valid[v, u] & np.isfinite(places).all(-1)).ravel()
+    number = np.arange(known.size).reshape(dense.patch_size.shape)
+    corners = number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]
+    triangles = np.vstack([np.stack([corners[k].ravel() for k in order], -1) for order in ((0, 1, 2), (2, 1, 3))])
+    same = np.ptp(dense.patch_size.ravel()[triangles], axis=1) < edge_step(depth.pitch)
+    used, faces = np.unique(triangles[same & known[triangles].all(1)], return_inverse=True)
+    # Textures begin at the bottom left.
+    texture = Image.fromarray(to_eight_bits(picture.image, picture.white)).convert("RGB")
+    place = (pixels.reshape(-1, 2)[used] + 0.5) / (width, height) * (1, -1) + (0, 1)
+    material = PBRMaterial(baseColorTexture=texture, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True)
+    return Trimesh(
+        places.reshape(-1, 3)[used], faces.reshape(-1, 3), visual=TextureVisuals(place, material=material),
+        process=False, metadata={"axes": _AXES[metres]},
+    )  # fmt: skip
+
+
+def _places(
+    calibration: Calibration, depth: DepthMap, optics: Optics | None, points_per_pitch: float
+) -> tuple[DenseDepth, NDArray[np.float64], bool]:
+    """Dense depth, position (h, w, 3) of each of its pixels, NaN where there is none, and whether it is in metres."""
     if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
         raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
-    optics = optics or calibration.optics
-    scale = min(points_per_pitch, depth.pitch)
-    picture = render(flat, calibration, depth, scale=scale)
-    dense = dense_depth(depth, scale)
+    optics, dense = optics or calibration.optics, dense_depth(depth, min(points_per_pitch, depth.pitch))
+    scene, size, pitch = _scene(dense), dense.patch_size.astype(np.float64), depth.pitch
     # Virtual depth has a pole at s = 0.
-    v, u = np.nonzero(picture.valid & dense.resolved & (np.abs(dense.patch_size) * 50 >= depth.pitch))
-    scene = np.column_stack([u, v, np.ones(len(u))]).astype(np.float64) @ dense.affine.T
-    size = dense.patch_size[v, u]
-    points = np.empty(len(u), _POINT)
+    size[~dense.resolved | (np.abs(size) * 50 < pitch)] = np.nan
     if optics is None:
-        places = np.column_stack([scene / depth.pitch, depth.pitch / size])
-    else:
-        places = optics.positions(scene, size / depth.pitch, (np.array(depth.image_size) - 1) / 2)
-    points["x"], points["y"], points["z"] = places.T
-    colours = picture.image[v, u].reshape(len(u), -1).astype(np.float64) * (
-        255 / white_level(picture.image, calibration)
-    )
-    points["red"], points["green"], points["blue"] = np.clip(np.rint(np.broadcast_to(colours, (len(u), 3))), 0, 255).T
-    return points[np.isfinite(points["z"])]
+        return dense, np.dstack([scene / pitch, pitch / size]), False
+    middle = (np.array(depth.image_size) - 1) / 2
+    found = optics.positions(scene.reshape(-1, 2), size.ravel() / pitch, middle)
+    return dense, found.reshape(*size.shape, 3), True
+
+
+def _scene(dense: DenseDepth) -> NDArray[np.float64]:
+    """(h, w, 2) scene coordinates of pixels."""
+    v, u = np.indices(dense.patch_size.shape)
+    scene: NDArray[np.float64] = np.stack([u, v, np.ones_like(u)], -1) @ dense.affine.T
+    return scene
 
 
 def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = False) -> None:
@@ -105,12 +177,36 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
         ]  # fmt: skip
     else:
         data = points.astype(_POINT).tobytes()
-        virtual = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
         header = [
-            "ply", "format binary_little_endian 1.0",
-            f"comment {'metres; x right, y down, z in front of the main lens' if metres else virtual}",
+            "ply", "format binary_little_endian 1.0", f"comment {_AXES[metres]}",
             f"element vertex {len(points)}", *(f"property float {name}" for name in "xyz"),
             *(f"property uchar {name}" for name in ("red", "green", "blue")), "end_header\n",
         ]  # fmt: skip
     with atomic_write(path) as temporary:
         temporary.write_bytes("\n".join(header).encode() + data)
+
+
+def write_mesh(path: str | os.PathLike[str], surface: Any) -> None:
+    """Write what `mesh` gives as glTF (`.glb`) with its texture, or as PLY with colours; whole or not at all.
+
+    glTF has its own axes: x right, y up, z toward the viewer. PLY keeps those of the points.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> with TemporaryDirectory() as folder:
+    ...     write_mesh(f"{folder}/scene.glb", mesh(*lfrender.data.example(), points_per_pitch=4))
+    ...     Path(folder, "scene.glb").read_bytes()[:4]
+    b'glTF'
+    """
+    check_output(path, MESH_SUFFIXES)
+    shown = surface.copy()
+    if Path(path).suffix.lower() == ".glb":
+        data = shown.apply_transform(np.diag([1.0, -1.0, -1.0, 1.0])).export(file_type="glb")
+    else:
+        shown.visual = shown.visual.to_color()
+        comment = f"\ncomment {surface.metadata['axes']}\nelement vertex".encode()
+        data = shown.export(file_type="ply", include_attributes=False).replace(b"\nelement vertex", comment, 1)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(data)

@@ -220,8 +220,8 @@ def test_bad_flats_are_one_line_and_leave_no_file(house, house_files, tmp_path, 
 @pytest.mark.parametrize("command", ["render", "analyze", "refocus", "views", "view", "report", "batch"])
 def test_outputs_of_a_suffix_that_a_command_does_not_write_are_refused_by_all_alike(ask, tmp_path, command):
     more = ("--patch-size", "6") if command == "refocus" else ()
-    output = ("--export" if command == "view" else "-o", tmp_path / "scene.glb")
-    assert_refused(run(*ask(command, *more, *output)), "scene.glb: unknown output format '.glb'; ")
+    output = ("--export" if command == "view" else "-o", tmp_path / "scene.obj")
+    assert_refused(run(*ask(command, *more, *output)), "scene.obj: unknown output format '.obj'; ")
     if command not in ("views", "view", "batch"):
         assert_refused(run(*ask(command, *more, "-o", tmp_path / "no" / "scene.tif")))
     assert os.listdir(tmp_path) == []
@@ -280,9 +280,11 @@ def test_opposite_corners_of_a_region_come_in_any_order(ask, tmp_path):
 
 
 def test_the_suffix_decides_in_which_form_depth_is_written(ask, tmp_path):
-    for name in ("depth.tif", "depth.png", "cloud.ply"):
+    for name in ("depth.tif", "depth.png", "cloud.ply", "scene.glb"):
         figures_of(*ask("analyze", "--preset", "fast", "-o", tmp_path / name))
-    assert sorted(os.listdir(tmp_path)) == ["cloud.ply", "depth.png", "depth.tif"]
+    assert sorted(os.listdir(tmp_path)) == ["cloud.ply", "depth.png", "depth.tif", "scene.glb"]
+    twice = ask("analyze", "-o", tmp_path / "a.tif", "--dense", tmp_path / "b.tif")
+    assert_refused(run(*twice), "--output and --dense exclude each other")
     assert tifffile.imread(tmp_path / "depth.tif").dtype == np.float32
     assert lfcal.read_flat(tmp_path / "depth.png").ndim == 3
     figures_of(
