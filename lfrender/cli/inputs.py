@@ -94,10 +94,10 @@ class CaptureInput:
         with name_file_in_errors(self.dark):
             return subtract_dark(pixels, read_flat(self.dark))
 
-    def calibrate(self, pixels: NDArray[Any]) -> tuple[NDArray[Any], Calibration]:
-        """The flat in colour, and its camera."""
+    def calibrate(self, pixels: NDArray[Any], known: Calibration | None = None) -> tuple[NDArray[Any], Calibration]:
+        """The flat in colour, and its camera: the one `known` from another flat, if the pixels agree with it."""
         with self.report.stage("calibrate"):
-            calibration = self.find_camera(pixels)
+            calibration = known if known is not None and _agrees(known, pixels) else self.find_camera(pixels)
             if calibration.mosaic is not None and pixels.ndim == 2:
                 from ..flat.demosaicing import demosaic
 
@@ -219,6 +219,12 @@ def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
 def is_published(path: Path) -> bool:
     """Whether a camera file is of another program, so that its lattice may be moved onto the pixels."""
     return path.suffix.lower() != ".json"
+
+
+def _agrees(calibration: Calibration, pixels: NDArray[Any]) -> bool:
+    from lfcal import check_camera
+
+    return calibration.image_size == pixels.shape[1::-1] and check_camera(calibration, pixels).problem is None
 
 
 def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:

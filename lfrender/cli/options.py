@@ -149,14 +149,15 @@ def capture_command(
     own: Mapping[str, str] | None = None,
     refused: Mapping[str, str] | None = None,
     inputs: str = "FLAT",
+    several: str = "",
 ) -> Callable[[Any], click.Command]:
     """Make a command that works on captures; its function takes a `CaptureInput` and the values of its own options.
 
     These are `output`, as for `output_option`, and `own`: titles in the help, with names of options in the table.
-    `refused` are options of captures that make no sense, with the reason to say; with other `inputs` than FLAT, the
-    command takes several. `examples` are calls to show in the help.
+    `refused` are options of captures that make no sense, with the reason to say. A command that takes `several` inputs
+    calls them so, and its camera is calibrated from the first of the `inputs`. `examples` are shown in the help.
     """
-    reasons, single = refused or {}, inputs == "FLAT"
+    reasons = refused or {}
 
     def decorate(function: Any) -> click.Command:
         @wraps(function)
@@ -168,7 +169,7 @@ def capture_command(
                     option = next(word for word in TABLE[name][0][0].split() if word.startswith("--"))
                     raise click.UsageError(f"{option} makes no sense here: {reason}")
             at_most_one("--camera", fields["camera"], "--white", fields["white"])
-            flat = values.pop("flat") if single else given.inputs[0]
+            flat = given.inputs[0] if several else values.pop("flat")
             return function(CaptureInput(report, flat, **fields), given)
 
         decorated: Any = cl.report_options(run)
@@ -181,7 +182,7 @@ def capture_command(
         # Click shows the option of the outermost decorator first.
         for title, some in reversed(shown.items()):
             decorated = cloup.option_group(title.replace("FLAT", inputs), *some)(decorated) if some else decorated
-        argument = click.argument("flat", type=_FILE) if single else cl.several_inputs("inputs", "INPUT...")
+        argument = cl.several_inputs("inputs", several) if several else click.argument("flat", type=_FILE)
         return cl.command(*examples)(argument(decorated))
 
     return decorate

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from lfcal import LightFieldError
 from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_output
 
@@ -15,27 +18,37 @@ from . import figures
 from .inputs import CaptureInput
 from .options import capture_command, output_option
 
+if TYPE_CHECKING:
+    from lfcal import Calibration
+
 __all__ = ["demo", "report", "view"]
 
 
 @capture_command(
     "lfrender view flat.png",
     "lfrender view flat.png -c camera.json --export page.html",
+    "lfrender view captures -c camera.json",
     refused={"roi": "the viewer shows the whole flat; zoom into it"},
     own={"Where to show it": "export port no_browser"},
+    several="FLAT...",
 )
 def view(capture: CaptureInput, given: Any) -> None:
     """Refocus FLAT in the browser, with mouse or fingers.
 
-    Click to focus, drag to look from aside. The page is served to this machine alone until Ctrl-C. It needs a browser
-    with WebGL 2.
+    Click to focus, drag to look from aside. Of several flats, or a folder of them, the page leads from one to the next,
+    and each is analysed when it is looked at. The page is served to this machine alone until Ctrl-C. It needs a
+    browser with WebGL 2.
     """
     from ..web.viewer import viewer_files, write_viewer
     from ..web.viewer_server import PageServer
 
-    report, export = capture.report, given.export
+    report, export, flats = capture.report, given.export, _find_flats(given.inputs)
     if export is not None and export.suffix:
-        check_output(export, {".html", ".htm"}, capture.files)
+        check_output(export, {".html", ".htm"}, [*flats, *capture.files])
+    if len(flats) > 1:
+        _view_several(capture, given, flats)
+        return
+    capture = replace(capture, flat=flats[0])
     pixels, calibration, depth = capture.load()
     warnings = figures.capture_figures(calibration, depth)["warnings"]
     sentences = figures.capture_sentences(capture, calibration, depth)
@@ -47,12 +60,60 @@ def view(capture: CaptureInput, given: Any) -> None:
         return
     with report.stage("prepare"):
         server = PageServer(dict(viewer_files(pixels, calibration, depth, capture.flat.name)), given.port)
-    with server:
-        report.finish({"page": server.url, "warnings": warnings}, *sentences, f"{server.url} until Ctrl-C.")
+    report.finish({"page": server.url, "warnings": warnings}, *sentences, f"{server.url} until Ctrl-C.")
+    _serve(server, given)
+
+
+def _serve(server: Any, given: Any) -> None:
+    with server, suppress(KeyboardInterrupt):
         if not given.no_browser:
             click.launch(server.url)
-        with suppress(KeyboardInterrupt):
-            server.serve_forever()
+        server.serve_forever()
+
+
+def _find_flats(inputs: Iterable[Path]) -> list[Path]:
+    """The flats that are named, and those in folders, in the order of the numbers in their names."""
+    from ..sequence.frames import open_frames
+
+    folders = {path for path in inputs if path.is_dir() and path.suffix.lower() != ".zarr"}
+    return [flat for path in inputs for flat in (open_frames([path]).files if path in folders else [path])]
+
+
+def _view_several(capture: CaptureInput, given: Any, flats: list[Path]) -> None:
+    """Show flats one after the other; a camera that is no file is found on the first of them that is looked at."""
+    from ..web.viewer import FlatPages
+    from ..web.viewer_server import PageServer
+
+    report, export = capture.report, given.export
+    found: list[Calibration] = []
+    if capture.depth_file is not None:
+        raise click.UsageError("--depth is for one flat: leave it out, each is analysed when it is looked at")
+
+    def load(number: int) -> Any:
+        one = replace(capture, flat=flats[number])
+        try:
+            with cl.name_file_in_errors(one.flat):
+                pixels, calibration = one.calibrate(one.read(), *found)
+                depth = one.analyze(pixels, calibration)
+        except (LightFieldError, OSError) as error:
+            click.echo(error, err=True)
+            raise
+        found[:] = [calibration] if capture.camera is None else []
+        for text in figures.capture_figures(calibration, depth)["warnings"]:
+            click.echo(f"warning: {one.flat}: {text}", err=True)
+        return pixels, calibration, depth
+
+    folders = {path.parent for path in flats}
+    pages = FlatPages([str(path) if len(folders) > 1 else path.name for path in flats], load)
+    if export is None:
+        server = PageServer(pages, given.port)
+        report.finish({"page": server.url, "flats": len(flats)}, f"{len(flats)} flats at {server.url} until Ctrl-C.")
+        _serve(server, given)
+        return
+    if export.suffix:
+        raise click.UsageError(f"{export} holds one flat: give a folder to --export")
+    page = pages.write(export)
+    report.finish({"page": str(page), "flats": len(flats)}, f"{page} in {report.took}: open it in a browser.")
 
 
 @capture_command(

@@ -41,6 +41,7 @@ __all__ = ["batch"]
         "roi": "frames are drawn whole; 'lfrender render' draws a part of one",
     },
     inputs="the first frame",
+    several="INPUT...",
 )
 def batch(capture: CaptureInput, given: Any) -> int:
     """Render all frames of a sequence.

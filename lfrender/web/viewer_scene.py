@@ -24,6 +24,7 @@ from ..output.depth_picture import colour_scale, magnification_limits
 from ..rendering.blend.lit_flat import dilate_mask
 from ..rendering.blend.occlusion import project_surface
 from ..rendering.renderer import AGREEMENT, BLUR, REACH, REFOCUS_REACH, VIEW_REACH
+from ..rendering.traditional import traditional
 from ..rendering.warped_surface import Viewpoint, virtual_depth
 
 __all__ = ["viewer_scene"]
@@ -38,9 +39,9 @@ def viewer_scene(
     """The data of the viewer: names and contents of one JSON object, and of pictures and arrays beside it.
 
     These are `scene.json`, `surface.f32`, `confidence.u8`, `flat-COLUMN-ROW.png` (8 bits per channel), `occlusion-
-    COLUMN-ROW.png` and, where the optics of the camera are known, `positions.f32`. `tile` is the largest side of a
-    texture [px], `compression` of the PNG files is 0 to 9. Errors as of `render`, and LightFieldError if the flat
-    needs more tiles than browsers take.
+    COLUMN-ROW.png`, `traditional.png` and, where the optics of the camera are known, `positions.f32`. `tile` is the
+    largest side of a texture [px], `compression` of the PNG files is 0 to 9. Errors as of `render`, and LightFieldError
+    if the flat needs more tiles than browsers take.
     """
     pixels = check_flat(flat, calibration)
     if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
@@ -72,6 +73,10 @@ def viewer_scene(
             yield f"occlusion-{name}.png", _png(coded, compression)
         shown = _cut(even, x, y, side)[:, :, : 3 if even.shape[2] >= 3 else 1]
         yield f"flat-{name}.png", _png(to_eight_bits(shown, white), compression)
+    plain = traditional(flat, calibration)
+    image = plain.image if plain.image.ndim == 3 else plain.image[..., None]
+    yield "traditional.png", _png(to_eight_bits(image[..., : 3 if image.shape[2] >= 3 else 1], white), compression)
+    scene["traditional"] = {"first": plain.affine[:, 2].tolist(), "shape": list(image.shape[:2])}
     columns, rows = (int(n) + 1 for n in list(places)[-1].split("-"))
     scene["tiles"] = {"side": side, "columns": columns, "rows": rows, "occlusion": with_occlusion}
     surface = depth.surface

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import sys
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, Protocol
 
 from lfcal import LightFieldError
 
@@ -21,16 +22,22 @@ class ServerError(LightFieldError, OSError):
     """The page cannot be served."""
 
 
+class Files(Protocol):
+    """Contents by paths relative to the root."""
+
+    def get(self, path: str, /) -> bytes | None: ...
+
+
 class PageServer(ThreadingHTTPServer):
-    """Serves files from memory, given by their paths relative to the root, over HTTP to programs on this machine.
+    """Serves files from memory, or made when they are asked for, over HTTP to programs on this machine.
 
     Port 0 takes any that is free; ServerError if the port is taken or not allowed.
     """
 
     daemon_threads = True
 
-    def __init__(self, files: Mapping[str, bytes], port: int = 0) -> None:
-        self.files = {"/": files["index.html"], **{f"/{name}": content for name, content in files.items()}}
+    def __init__(self, files: Files, port: int = 0) -> None:
+        self.files = files
         try:
             super().__init__((_HOST, port), _Handler)
         except OSError as error:
@@ -39,6 +46,11 @@ class PageServer(ThreadingHTTPServer):
     @property
     def url(self) -> str:
         return f"http://{_HOST}:{self.server_port}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Browsers that no longer wait for an answer are no error."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -50,7 +62,7 @@ class _Handler(BaseHTTPRequestHandler):
         port = self.server.server_port
         known = self.headers.get("Host") in (f"{_HOST}:{port}", f"localhost:{port}")
         path = self.path.partition("?")[0]
-        content = self.server.files.get(path) if known else None
+        content = self.server.files.get(path[1:] or "index.html") if known else None
         if content is None:
             self.send_error(404 if known else 403)
             return

@@ -21,9 +21,9 @@ def light_field_widget(
     """A light field in a notebook: click to focus, drag to look from aside.
 
     Its traits are those of the picture and can be read, set, observed and linked: `mode` (`"focus"`, `"range"`,
-    `"sharp"` or `"tiles"`), `plane` (patch size in focus [px]), `range` (ends of the sharp range, `s`, or `s + 2 D` of
-    binocular ones [px]), `brightness` (-3 to 3 [EV]), `aperture` (0.05 to 1), `viewpoint` (x, y [px]), `overlay`
-    (0 to 1).
+    `"sharp"`, `"tiles"` or `"traditional"`), `plane` (patch size in focus [px]), `range` (ends of the sharp range, `s`,
+    or `s + 2 D` of binocular ones [px]), `brightness` (-3 to 3 [EV]), `aperture` (0.05 to 1), `viewpoint` (x, y [px]),
+    `overlay` (0 to 1).
 
     `height` is that of the widget [CSS px]. LightFieldError if the package `anywidget` is not installed; other errors
     as of `viewer_page`.
@@ -47,7 +47,7 @@ def light_field_widget(
         _esm = str(read_asset("widget.js"))
         page = traitlets.Unicode().tag(sync=True)
         height = traitlets.Int(520).tag(sync=True)
-        mode = traitlets.Enum(["focus", "range", "sharp", "tiles"], "focus").tag(sync=True)
+        mode = traitlets.Enum(["focus", "range", "sharp", "tiles", "traditional"], "focus").tag(sync=True)
         plane = traitlets.Float(None, allow_none=True).tag(sync=True)
         range = traitlets.List(traitlets.Float(), None, allow_none=True, minlen=2, maxlen=2).tag(sync=True)
         brightness = traitlets.Float(0.0, min=-3.0, max=3.0).tag(sync=True)

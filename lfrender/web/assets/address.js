@@ -2,10 +2,12 @@
 
 const number = n => String(Number(n.toPrecision(6)));
 const numbers = text => text.split(",").map(Number);
-const MODES = ["focus", "range", "sharp", "tiles"];
+const MODES = ["focus", "range", "sharp", "tiles", "traditional"];
 
-export function writeAddress({ settings: s, frame, fitted }) {
-  const parts = { mode: s.mode, s: number(s.plane) };
+export function writeAddress({ settings: s, scene, frame, fitted }) {
+  const parts = { mode: s.mode };
+  // The depth that the page opens with is that of its flat.
+  if (s.plane !== scene.plane) parts.s = number(s.plane);
   if (s.mode === "range") parts.range = s.range.map(number).join(",");
   if (s.aperture < 1) parts.aperture = number(s.aperture);
   if (s.q.some(n => n)) parts.q = s.q.map(number).join(",");
@@ -34,4 +36,22 @@ export function readAddress(text) {
   let view;
   take("view", 3, n => n[2] > 0 && (view = n));
   return { settings, view };
+}
+
+// Buttons and keys that lead to the flats before and after this one, with the view as it is now.
+export function controlFlats(viewer) {
+  const go = id => {
+    const link = document.getElementById(id);
+    if (link?.hasAttribute("href")) location.href = `${link.getAttribute("href")}#${viewer() ? writeAddress(viewer()) : location.hash.slice(1)}`;
+  };
+  for (const id of ["previous", "next"]) {
+    document.getElementById(id)?.addEventListener("click", event => {
+      event.preventDefault();
+      go(id);
+    });
+  }
+  document.addEventListener("keydown", event => {
+    const id = { p: "previous", n: "next" }[event.key.toLowerCase()];
+    if (id && !event.ctrlKey && !event.metaKey && !event.altKey && event.target.tagName !== "SELECT") go(id);
+  });
 }

@@ -6,6 +6,8 @@ import { bytes } from "lfrender/scene";
 
 const $ = id => document.getElementById(id);
 
+const NAMES = { focus: "one depth in focus", range: "sharp in a range", sharp: "sharp everywhere", tiles: "tiles", traditional: "traditional" };
+
 export function showStatus(words) {
   $("status").textContent = words;
 }
@@ -91,10 +93,10 @@ export function showSettings(viewer) {
   $("one-depth").hidden = mode === "range";
   $("two-depths").hidden = mode !== "range";
   // Sharp everywhere, the plane is that of the places which do not move with the viewpoint.
-  $("plane").disabled = mode === "sharp" && !aside;
+  $("plane").disabled = mode === "traditional" || (mode === "sharp" && !aside);
   $("plane-name").textContent = mode === "sharp" ? "Depth that stays in place" : "Plane in focus";
   $("aperture").value = settings.aperture;
-  $("aperture").disabled = mode === "sharp" || mode === "tiles";
+  $("aperture").disabled = mode !== "focus" && mode !== "range";
   $("aperture-value").textContent = `${Math.round(100 * settings.aperture)} %`;
   $("brightness").value = settings.brightness;
   $("brightness-value").textContent = `${settings.brightness > 0 ? "+" : settings.brightness < 0 ? "−" : ""}${Math.abs(settings.brightness).toFixed(1)} EV`;
@@ -110,6 +112,9 @@ export function showSettings(viewer) {
   $("compare").checked = compared;
   $("measure").checked = viewer.measuring;
   $("line").hidden = !compared;
+  const [a, b] = $("line").children;
+  a.textContent = `A ${NAMES[mode]}`;
+  b.textContent = `B ${NAMES[viewer.comparison().mode]}`;
   $("line").style.left = `${100 * line}%`;
   $("line").setAttribute("aria-valuenow", Math.round(100 * line));
   for (const choice of document.getElementsByName("mode")) choice.checked = choice.value === mode;

@@ -37,7 +37,7 @@ export function drawFull(viewer, settings, { first, spacing, size: [width, heigh
 export function fileName({ scene, settings: s }, suffix) {
   const M = n => `M${(scene.pitch / Math.abs(n)).toFixed(2)}`, title = scene.title.replace(/\.[^.]*$/, "") || "view";
   const shown = {
-    focus: `focus-${M(s.plane)}-${modeName(s.plane)}`, range: "sharp-range", sharp: "sharp", tiles: `tiles-${M(s.plane)}-${modeName(s.plane)}`,
+    focus: `focus-${M(s.plane)}-${modeName(s.plane)}`, range: "sharp-range", sharp: "sharp", traditional: "traditional", tiles: `tiles-${M(s.plane)}-${modeName(s.plane)}`,
   }[s.mode];
   const aside = s.q.some(n => n) ? `_view${s.q.map(n => `${n < 0 ? "-" : "+"}${Math.abs(Math.round((100 * n) / scene.radius))}`).join("")}` : "";
   return `${title}_${shown}${aside}${s.stereo ? `_${s.stereo}` : ""}${s.overlay ? "_magnification" : ""}${suffix}`;

@@ -57,7 +57,7 @@ void main() {
 #else
 
 uniform sampler2DArray flatTiles, occlusionTiles;
-uniform sampler2D rings, displacements, shares, ramp;
+uniform sampler2D rings, displacements, shares, ramp, traditional;
 uniform highp isampler2D types;
 uniform vec2 flatSize;
 uniform float tileStep, tileSide;
@@ -85,6 +85,8 @@ uniform float most;                 // sub-samples along a pixel's side; fewer w
 uniform float overlay;              // share of the colours of M
 uniform vec2 limits;                // ends of the scale of M
 uniform vec3 background;
+uniform vec2 traditionalFirst;      // X of the first pixel of the traditional picture
+uniform float traditionalStep;      // between its pixels, in X; 0 where another picture is drawn
 
 const int MOST = 37;
 const float OCCLUDED_WEIGHT = 1e-4;
@@ -247,6 +249,12 @@ void main() {
   // The picture ends with the flat, as that of the renderer.
   if (any(lessThan(shown, vec2(-0.5))) || any(greaterThan(shown, flatSize - 0.5))) {
     result = vec4(background, 1.0);
+    return;
+  }
+  if (traditionalStep > 0.0) {
+    vec2 at = ((shown - traditionalFirst) / traditionalStep + 0.5) / vec2(textureSize(traditional, 0));
+    vec3 mean = exposure * textureLod(traditional, at, 0.0).rgb;
+    result = vec4(overlay > 0.0 ? mix(mean, magnificationColour(X), overlay) : mean, 1.0);
     return;
   }
   float s = sizeAt(X), side = abs(s) * spacing / pitch;

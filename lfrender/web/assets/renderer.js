@@ -8,7 +8,7 @@ void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2
 const ANY_COLOUR = 1e3;
 // Sub-samples along a pixel's side: as many as any zoom needs.
 const MOST_SAMPLES = 1e3;
-const NAMES = ["surface", "flatTiles", "occlusionTiles", "rings", "displacements", "shares", "ramp", "types"];
+const NAMES = ["surface", "flatTiles", "occlusionTiles", "rings", "displacements", "shares", "ramp", "types", "traditional"];
 // Neighbouring lenses in the shader's array; it mixes at most 37, the nearest first.
 const MOST_OFFSETS = 128;
 
@@ -105,6 +105,9 @@ export class Renderer {
       if (known.has(name)) await this.upload(this.textures.occlusionTiles, layer, `occlusion-${name}.png`);
     }, progress);
     gl.deleteTexture(scratch.texture);
+    const [rows, columns] = this.scene.traditional.shape;
+    this.textures.traditional = this.table(columns, rows, [gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE], null);
+    await this.upload(this.textures.traditional, 0, "traditional.png");
   }
 
   // The flat without prefilter, for pictures drawn from one lens per place.
@@ -144,8 +147,9 @@ export class Renderer {
   }
 
   // settings: mode "focus" (one plane, all lenses), "range" (places between two depths at their own, others at the nearer
-  // end), "sharp" (every place at its own depth) or "tiles" (one plane, the nearest lens alone); plane s; range; aperture
-  // 0..1; q; overlay 0..1; brightness [EV]; `most` sub-samples along a pixel's side. `first` and `spacing` place the pixels.
+  // end), "sharp" (every place at its own depth), "tiles" (one plane, the nearest lens alone) or "traditional" (the mean of
+  // each microimage); plane s; range; aperture 0..1; q; overlay 0..1; brightness [EV]; `most` sub-samples along a pixel's
+  // side. `first` and `spacing` place the pixels.
   // window: corner (x, y) on what is drawn into, the columns from `clip` on alone, and the colours of `mask` alone.
   draw(settings, width, height, first, spacing, target = null, window = {}) {
     const { gl, scene } = this, { pitch } = scene, sharp = settings.mode === "sharp", tiles = settings.mode === "tiles";
@@ -174,6 +178,7 @@ export class Renderer {
       reach: pitch * (wide ? scene.reach.wide : scene.reach.sharp), reachOwn: pitch * (aside ? scene.reach.aside : scene.reach.sharp),
       agreement: tiles ? 0 : ANY_COLOUR, agreementOwn: scene.agreement, rows: height, overlay: settings.overlay,
       most: settings.most ?? MOST_SAMPLES,
+      traditionalFirst: scene.traditional.first, traditionalStep: settings.mode === "traditional" ? pitch : 0,
       limits: scene.overlay.limits, background: settings.background,
     });
     const { places } = this.main;

@@ -3,21 +3,23 @@
 
 // A page of one file has them in itself.
 const received = new Map(Object.entries(globalThis.lightFieldFiles ?? {}));
-globalThis.lightFieldData = (name, text) => received.set(name, text);
+globalThis.lightFieldData = (name, text, problem) => received.set(name, problem ? new Error(problem) : text);
+const folder = document.body.dataset.folder;
 
 function readFile(name) {
   return new Promise((resolve, reject) => {
     if (received.has(name)) return void resolve(received.get(name));
     const script = document.createElement("script");
-    script.src = `data/${name}.js`;
+    script.src = `${folder}/${name}.js`;
     script.onload = () => {
       const text = received.get(name);
       received.delete(name);
       script.remove();
-      if (text === undefined) reject(new Error(`data/${name}.js is damaged`));
+      if (text === undefined) reject(new Error(`${folder}/${name}.js is damaged`));
+      else if (text instanceof Error) reject(text);
       else resolve(text);
     };
-    script.onerror = () => reject(new Error(`data/${name}.js cannot be read`));
+    script.onerror = () => reject(new Error(`${folder}/${name}.js cannot be read; if the page was served, start 'lfrender view' again`));
     document.head.append(script);
   });
 }

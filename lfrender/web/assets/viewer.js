@@ -1,6 +1,6 @@
 // The page: its settings, and when to draw.
 
-import { readAddress, writeAddress } from "lfrender/address";
+import { controlFlats, readAddress, writeAddress } from "lfrender/address";
 import { compose, eyes } from "lfrender/composition";
 import { controlPage, showSettings, showStatus } from "lfrender/controls";
 import { saveFilm, savePicture } from "lfrender/files";
@@ -26,7 +26,7 @@ class Viewer {
       background: [0, 0, 0],
     };
     // Beside this picture (A), where it is compared with another (B).
-    this.other = { mode: "sharp" };
+    this.other = undefined;
     this.compared = false;
     this.line = 0.5;
     this.measuring = false;
@@ -60,7 +60,7 @@ class Viewer {
     if (length > scene.radius) settings.q = settings.q.map(n => (n * scene.radius) / length);
     showSettings(this);
     this.noteAddress();
-    if (settings.mode === "tiles" || (this.compared && this.other.mode === "tiles")) this.loadPlain();
+    if (settings.mode === "tiles" || (this.compared && this.other?.mode === "tiles")) this.loadPlain();
     this.request();
   }
 
@@ -199,6 +199,11 @@ class Viewer {
   }
 
   compare(on) {
+    // At first, what all this is about.
+    if (on && !this.other) {
+      this.other = { mode: "traditional" };
+      this.settings.mode = "sharp";
+    }
     this.compared = on;
     this.view(on ? "" : this.settings.stereo);
   }
@@ -220,7 +225,7 @@ class Viewer {
     const { mode } = this.settings;
     showStatus(place.sure ? "" : "No depth was found here; focused at the depth of its neighbours.");
     if (mode === "range") return this.set({ range: this.rangeAbout(place.s, this.settings.range), plane: place.s });
-    if (mode === "sharp") this.set({ mode: "focus" });
+    if (mode === "sharp" || mode === "traditional") this.set({ mode: "focus" });
     this.glide(place.s);
   }
 
@@ -320,9 +325,11 @@ class Viewer {
 }
 
 export async function start() {
+  let viewer;
+  controlFlats(() => viewer);
   try {
     const scene = await loadScene(), renderer = new Renderer($("picture"), $("shader").textContent.trim(), $("prefilter").textContent.trim(), scene);
-    const viewer = new Viewer(scene, renderer, $("picture"));
+    viewer = new Viewer(scene, renderer, $("picture"));
     await renderer.load((done, all) => showStatus(`Loading the flat, ${done} of ${all}`));
     viewer.ready = true;
     showStatus(HINT);
@@ -332,6 +339,7 @@ export async function start() {
     globalThis.lightField = viewer;
   } catch (error) {
     showStatus(error.message);
+    for (const control of document.querySelectorAll("aside :is(input, button, select)")) control.disabled = true;
     throw error;
   }
 }

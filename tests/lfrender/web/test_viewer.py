@@ -291,3 +291,21 @@ def test_view_exports_from_the_command_line(house_files, captured, tmp_path):
     assert 'src="http' not in page
     assert 'href="http' not in page
     assert (tmp_path / "page" / "data" / "scene.json.js").exists()
+
+
+def test_view_of_a_folder_exports_pages_that_lead_to_each_other(house_files, tmp_path):
+    (tmp_path / "flats").mkdir()
+    for name in ("f10.png", "f2.png"):
+        (tmp_path / "flats" / name).write_bytes((house_files / "flat.png").read_bytes())
+    (tmp_path / "flats" / "f3.png").write_text("no picture")
+    words = ["view", tmp_path / "flats", "-c", house_files / "camera.json", "--preset", "fast", "--export"]
+    done = CliRunner().invoke(main, [str(word) for word in [*words, tmp_path / "page"]])
+    assert done.exit_code == 0 and "f3.png: is no image" in done.stderr, done.output
+    pages = [(tmp_path / "page" / name).read_text(encoding="utf-8") for name in ("index.html", "2.html", "3.html")]
+    assert all(f"<h1>{name}</h1>" in page for name, page in zip(("f2.png", "f3.png", "f10.png"), pages, strict=True))
+    assert "f3.png: is no image" in (tmp_path / "page" / "data" / "2" / "scene.json.js").read_text()
+    assert (tmp_path / "page" / "data" / "3" / "flat-0-0.png.js").exists()
+    for refused in (["--depth", house_files / "flat.png"], []):
+        words[-1:] = [*refused, "--export"]
+        done = CliRunner().invoke(main, [str(word) for word in [*words, tmp_path / "page.html"]])
+        assert done.exit_code == 2 and not (tmp_path / "page.html").exists()

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+import lfrender
 from lfrender.web.viewer_scene import _planes
 
 from ._browser import READY, RESTS, errors, mouse, pixels, start_browser, wait_for
@@ -163,6 +164,18 @@ def test_both_eyes_see_the_picture_side_by_side_or_in_colours(page):
         assert np.abs(side[:, k * half : (k + 1) * half] - eye[:, left : left + half]).max() <= 1
     red, cyan = picture(page, stereo="anaglyph")[..., 0], picture(page, stereo="anaglyph")[..., 1:]
     assert np.abs(red - eyes[0][..., 0]).max() <= 1 and np.abs(cyan - eyes[1][..., 1:]).max() <= 1
+
+
+def test_compare_starts_with_the_sharp_picture_beside_the_traditional_one(page, captured):
+    flat, camera, _ = captured
+    page.find_element("id", "compare").click()
+    assert page.find_element("id", "line").text.split("\n") == ["A sharp everywhere", "B traditional"]
+    assert page.execute_script("return [lightField.settings.mode, lightField.comparison().mode]") == [
+        "sharp", "traditional",
+    ]  # fmt: skip
+    plain = lfrender.traditional(flat, camera)
+    drawn = pixels(page, plain.image.shape[:2], plain.affine, mode="traditional").astype(int)
+    assert np.abs(drawn - plain.image).max() <= 1
 
 
 def test_a_view_is_compared_with_the_one_that_was_kept(page):
