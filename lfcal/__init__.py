@@ -22,78 +22,42 @@ if TYPE_CHECKING:
     from .runtime.output_file import OutputError
 
 __all__ = [
-    "Board",
-    "BoardError",
-    "BoardPose",
-    "Calibration",
-    "CalibrationError",
-    "CameraCheck",
-    "CameraFileError",
-    "FlatError",
-    "FlatSource",
-    "Lattice",
-    "LensBlur",
-    "LensTypes",
-    "LightFieldError",
-    "MetricCalibration",
-    "Optics",
-    "OutputError",
-    "calibrate",
-    "calibrate_metric",
-    "check_camera",
-    "check_fit",
-    "compare",
-    "count_pages",
-    "load",
-    "locate_board",
-    "open_flat",
-    "read_flat",
-    "show",
-    "state_lattice",
-    "subtract_dark",
-]
+    "Board", "BoardError", "BoardPose", "Calibration", "CalibrationError", "CameraCheck", "CameraFileError",
+    "FlatError", "FlatSource", "Lattice", "LensBlur", "LensTypes", "LightFieldError", "MetricCalibration", "Optics",
+    "OutputError", "calibrate", "calibrate_metric", "check_camera", "check_fit", "compare", "count_pages", "load",
+    "locate_board", "open_flat", "read_flat", "show", "state_lattice", "subtract_dark",
+]  # fmt: skip
 
 # Imported at first use, since `--help` needs none of it. No module may bear the name of a function here, or importing
 # the one would hide the other.
 _HOMES = {
-    "Board": "boards.board",
-    "BoardError": "runtime.errors",
-    "BoardPose": "metric.result",
-    "Calibration": "camera.calibration",
-    "CalibrationError": "runtime.errors",
-    "CameraCheck": "display.fit_check",
-    "CameraFileError": "runtime.errors",
-    "FlatError": "runtime.errors",
-    "FlatSource": "images.stream",
-    "Lattice": "lattice.lattice",
-    "LensBlur": "camera.lens_types",
-    "LensTypes": "camera.lens_types",
-    "LightFieldError": "runtime.errors",
-    "MetricCalibration": "metric.result",
-    "Optics": "camera.optics",
-    "OutputError": "runtime.output_file",
-    "calibrate": "pipeline",
-    "calibrate_metric": "metric.calibrate",
-    "check_camera": "display.fit_check",
-    "check_fit": "display.fit_check",
-    "compare": "display.compare",
-    "count_pages": "images.read",
-    "load": "camera_files.read_write",
-    "locate_board": "metric.calibrate",
-    "open_flat": "images.stream",
-    "read_flat": "images.read",
-    "show": "display.overlay",
-    "state_lattice": "lattice.stated",
-    "subtract_dark": "images.stream",
+    "boards.board": ("Board",),
+    "camera.calibration": ("Calibration",),
+    "camera.lens_types": ("LensBlur", "LensTypes"),
+    "camera.optics": ("Optics",),
+    "camera_files.read_write": ("load",),
+    "display.compare": ("compare",),
+    "display.fit_check": ("CameraCheck", "check_camera", "check_fit"),
+    "display.overlay": ("show",),
+    "images.read": ("count_pages", "read_flat"),
+    "images.stream": ("FlatSource", "open_flat", "subtract_dark"),
+    "lattice.lattice": ("Lattice",),
+    "lattice.stated": ("state_lattice",),
+    "metric.calibrate": ("calibrate_metric", "locate_board"),
+    "metric.result": ("BoardPose", "MetricCalibration"),
+    "pipeline": ("calibrate",),
+    "runtime.errors": ("BoardError", "CalibrationError", "CameraFileError", "FlatError", "LightFieldError"),
+    "runtime.output_file": ("OutputError",),
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    home = next((home for home, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    value = getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    value = getattr(import_module(f".{home}", __name__), name)
     globals()[name] = value
     return value
 

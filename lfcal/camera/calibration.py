@@ -22,7 +22,7 @@ from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.arrays import Frozen
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError
-from ..runtime.image_formats import MOSAICS
+from ..runtime.image_formats import MOSAICS, Mosaic
 from ..runtime.output_file import atomic_write
 from .lens_types import LensBlur, LensTypes
 from .optics import Optics
@@ -43,6 +43,8 @@ _PARTS: dict[str, Callable[[Any], Any]] = {
     "optics": Optics.from_dict,
     "lens_blur": LensBlur.from_dict,
 }
+# Fields that are in files as they are.
+_VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,7 +113,7 @@ class Calibration(Frozen):
     confidence: float = 1.0
     warnings: tuple[str, ...] = field(default=())
     lens_types: LensTypes | None = None
-    mosaic: str | None = None
+    mosaic: Mosaic | None = None
     gain_map: GainMap | None = None
     defects: Defects = field(default_factory=Defects)
     errors: LatticeErrors | None = None
@@ -134,7 +136,7 @@ class Calibration(Frozen):
         """Width and height of the flats this camera makes [px]."""
         return self.lattice.image_size
 
-    def with_mosaic(self, mosaic: str | None, guessed: bool = False) -> Calibration:
+    def with_mosaic(self, mosaic: Mosaic | None, guessed: bool = False) -> Calibration:
         """The camera with these colour filters, and a warning if they are guessed."""
         warnings = [text for text in self.warnings if "look exchanged, name the filters" not in text]
         if guessed:
@@ -156,21 +158,17 @@ class Calibration(Frozen):
         """The camera as plain numbers and strings, as written by `save`."""
         lattice, vignetting = self.lattice, self.vignetting
         known: dict[str, Any] = {
-            "origin": lattice.origin.tolist(),
-            "basis": lattice.basis.tolist(),
-            "radius": lattice.radius,
+            "origin": lattice.origin.tolist(), "basis": lattice.basis.tolist(), "radius": lattice.radius,
             "pitch": lattice.pitch,
-        }
+        }  # fmt: skip
         if lattice.distortion is not None:
             known["distortion"] = lattice.distortion.to_dict()
-        parts = {name: getattr(self, name) for name in _PARTS}
         return {
             "schema": _SCHEMA,
             "version": _VERSION,
             "image_size": list(self.image_size),
             "lattice": known,
             "vignetting": vignetting and {"step": vignetting.step, "profile": vignetting.profile.tolist()},
-            "source": self.source,
             "fit": {
                 "residual_rms": None if np.isnan(self.residual_rms) else self.residual_rms,
                 "lenses_used": self.lenses_used,
@@ -178,11 +176,9 @@ class Calibration(Frozen):
                 "circle_agreement": None if np.isnan(self.circle_agreement) else self.circle_agreement,
             },
             "warnings": list(self.warnings),
-            "mosaic": self.mosaic,
-            "mosaic_guessed": self.mosaic_guessed,
-            "white_level": self.white_level,
-            "encoded": self.encoded,
-        } | {name: part and part.to_dict() for name, part in parts.items()}
+            **{name: getattr(self, name) for name in _VALUES},
+            **{name: (part := getattr(self, name)) and part.to_dict() for name in _PARTS},
+        }
 
     @classmethod
     def from_dict(cls, data: Any) -> Calibration:
@@ -191,43 +187,36 @@ class Calibration(Frozen):
             raise CameraFileError(f"not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE'")
         version = data.get("version")
         if version not in (_ROW_ORDER_VERSION, _VERSION):
-            known_ones = f"{_ROW_ORDER_VERSION} and {_VERSION}"
-            raise CameraFileError(f"version {version!r} is not known, {known_ones} are; calibrate again")
+            raise CameraFileError(f"version {version!r} is not known, 1 and 2 are; calibrate again")
         # Whoever never reads a camera file need not load the library that checks it.
-        from .schema import check_fields, check_together
+        from .schema import check_together, read_fields
 
-        check_fields(data)
-        known, fit = data["lattice"], data["fit"]
+        known = read_fields(data)
         with _field_errors("lattice.distortion"):
-            bend = Distortion.from_dict(known["distortion"]) if known.get("distortion") else None
+            bend = Distortion.from_dict(known.lattice.distortion) if known.lattice.distortion else None
         with _field_errors("lattice"):
-            lattice = Lattice(known["origin"], known["basis"], tuple(data["image_size"]), known["radius"], bend)
+            lattice = Lattice(known.lattice.origin, known.lattice.basis, known.image_size, known.lattice.radius, bend)
         parts: dict[str, Any] = {}
         # Files of earlier versions have not all of these.
         for name in (name for name in _PARTS if data.get(name)):
             with _field_errors(name):
                 parts[name] = _PARTS[name](data[name])
         with _field_errors("vignetting"):
-            light = data["vignetting"] and Vignetting(data["vignetting"]["profile"], data["vignetting"]["step"])
+            light = known.vignetting and Vignetting(known.vignetting["profile"], known.vignetting["step"])
         if "gain_map" in parts and version == _ROW_ORDER_VERSION:
             parts["gain_map"] = _in_centre_order(parts["gain_map"], lattice)
-        residual, white_level, circles = fit["residual_rms"], data.get("white_level"), fit.get("circle_agreement")
+        measured = {name: getattr(known.fit, name) for name in ("residual_rms", "circle_agreement")}
         camera = cls(
             lattice=lattice,
             vignetting=light,
-            source=data["source"],
-            residual_rms=float("nan") if residual is None else float(residual),
-            lenses_used=fit["lenses_used"],
-            confidence=float(fit["confidence"]),
-            warnings=tuple(data["warnings"]),
-            mosaic=data.get("mosaic"),
-            white_level=None if white_level is None else float(white_level),
-            circle_agreement=float("nan") if circles is None else float(circles),
-            encoded=data.get("encoded"),
-            mosaic_guessed=data.get("mosaic_guessed", False),
+            lenses_used=known.fit.lenses_used,
+            confidence=known.fit.confidence,
+            warnings=tuple(known.warnings),
+            **{name: float("nan") if value is None else value for name, value in measured.items()},
+            **{name: getattr(known, name) for name in _VALUES},
             **parts,
         )
-        check_together(camera, known.get("pitch"))
+        check_together(camera, known.lattice.pitch)
         return camera
 
     def gain(self) -> NDArray[np.float32]:

@@ -77,13 +77,9 @@ class LensTypes(Frozen):
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as in a camera file."""
         assert self.focus is not None
-        return {
-            "count": self.count,
-            "cell": self.cell.tolist(),
-            "ordered": self.ordered,
-            "focus": [None if np.isnan(f) else f for f in self.focus.tolist()],
-            "confidence": self.confidence,
-        }
+        focus = [None if np.isnan(f) else f for f in self.focus.tolist()]
+        return {"count": self.count, "cell": self.cell.tolist(), "ordered": self.ordered, "focus": focus,
+                "confidence": self.confidence}  # fmt: skip
 
     @classmethod
     def from_dict(cls, data: Any) -> LensTypes:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..runtime.arrays import Frozen
 from ..runtime.errors import CameraFileError
 from ..runtime.output_file import atomic_write
 
@@ -48,8 +49,8 @@ def turn_to_array(tilt: Sequence[float] | Array) -> Array:
     return np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
 
 
-@dataclass(frozen=True)
-class Optics:
+@dataclass(frozen=True, eq=False)
+class Optics(Frozen):
     """Distances and errors of the lenses of a focused plenoptic camera.
 
     Parameters
@@ -99,25 +100,22 @@ class Optics:
     curvature: float = 0.0
     pupil: float = 0.0
     microlens_focal_lengths: tuple[float, ...] = ()
-    covariance: Array | None = field(default=None, compare=False, repr=False)
+    covariance: Array | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        for name in _LENGTHS:
+        for name in (*_LENGTHS, "curvature", "pupil"):
             (value,) = _numbers(name, (getattr(self, name),), 1)
-            if value <= 0:
+            if value <= 0 and name in _LENGTHS:
                 raise ValueError(f"{name} must be a positive number of mm, got {value!r}")
-            object.__setattr__(self, name, value)
+            self._set(**{name: value})
         for name, length in _VECTORS.items():
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, _numbers(name, getattr(self, name), length))
-        for name in ("curvature", "pupil"):
-            object.__setattr__(self, name, _numbers(name, (getattr(self, name),), 1)[0])
+                self._set(**{name: _numbers(name, getattr(self, name), length)})
         if self.covariance is not None:
             covariance = np.array(self.covariance, dtype=np.float64)
             if covariance.shape != (len(OPTICS_PARAMETERS),) * 2 or not np.isfinite(covariance).all():
                 raise ValueError(f"covariance must be 14 x 14 finite numbers, got shape {covariance.shape}")
-            covariance.flags.writeable = False
-            object.__setattr__(self, "covariance", covariance)
+            self._set(covariance=covariance)
 
     @property
     def parameters(self) -> Array:

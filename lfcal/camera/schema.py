@@ -14,7 +14,7 @@ from ..runtime.errors import CameraFileError
 if TYPE_CHECKING:
     from .calibration import Calibration
 
-__all__ = ["check_fields", "check_plausible", "check_together"]
+__all__ = ["check_plausible", "check_together", "read_fields"]
 
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _Point = tuple[_Number, _Number]
@@ -25,6 +25,7 @@ class _Lattice(Struct):
     basis: tuple[_Point, _Point]
     radius: _Number
     pitch: _Number | None = None
+    distortion: dict[str, Any] | None = None
 
 
 class _Fit(Struct):
@@ -48,10 +49,10 @@ class _Camera(Struct):
     mosaic_guessed: bool = False
 
 
-def check_fields(data: dict[str, Any]) -> None:
-    """Raise CameraFileError with the name of the first field that has a wrong type or an impossible value."""
+def read_fields(data: dict[str, Any]) -> Any:
+    """The fields; CameraFileError with the name of the first that has a wrong type or an impossible value."""
     try:
-        msgspec.convert(data, _Camera)
+        return msgspec.convert(data, _Camera)
     except msgspec.ValidationError as error:
         reason, _, place = str(error).partition(" - at ")
         name = place.strip("`").removeprefix("$").lstrip(".")

@@ -92,9 +92,9 @@ def example_of(entry: Any) -> Any:
         array.flags.writeable = writable
         return array
     _, name, *members = entry
-    values = tuple(map(example_of, members))
     module, _, made_by = name.partition(":")
-    return getattr(import_module(module), made_by)(*values) if name else values
+    make: Any = getattr(import_module(module), made_by) if name else lambda *values: values
+    return make(*map(example_of, members))
 
 
 def _silence() -> None:
@@ -107,13 +107,13 @@ def _compile(name: str, types: list[list[Any]]) -> bool:
     import numba
 
     module, _, function = name.rpartition(".")
-    try:
+    # What cannot be compiled here is when it is called, or says then why not.
+    with suppress(Exception):
         kernel = getattr(import_module(module), function)
         for entries in types:
             getattr(kernel, "kernel", kernel).compile(tuple(numba.typeof(example_of(entry)) for entry in entries))
-    except Exception:
-        return False
-    return True
+        return True
+    return False
 
 
 def _installation() -> str:

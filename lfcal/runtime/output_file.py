@@ -33,11 +33,18 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     OutputError if the file cannot be made, written or moved.
     """
     target = Path(path)
+    with _temporary(target) as temporary:
+        yield temporary
+        os.replace(temporary, target)
+
+
+@contextmanager
+def _temporary(target: Path) -> Iterator[Path]:
+    """An empty file beside another, which is removed in the end, if it is still there."""
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
     try:
         temporary.open("xb").close()
         yield temporary
-        os.replace(temporary, target)
     except OutputError:
         raise
     except OSError as error:
@@ -61,16 +68,12 @@ def check_output(
         raise OutputError(f"{target}: unknown output format '{target.suffix}'; use {', '.join(sorted(suffixes))}")
     if target.is_dir():
         raise OutputError(f"{target}: is a folder; give a file name")
-    if not target.parent.is_dir():
-        raise OutputError(f"{target}: the folder '{target.parent}' does not exist")
     if target.exists() and any(source and Path(source).exists() and target.samefile(source) for source in inputs):
         raise OutputError(f"{target}: is an input of this command; give another output")
-    probe = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
-    try:
-        probe.open("xb").close()
-        probe.unlink()
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error
+    if not target.parent.is_dir():
+        raise OutputError(f"{target}: the folder '{target.parent}' does not exist")
+    with _temporary(target):
+        pass
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
@@ -79,9 +82,8 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
     if target.exists() and not target.is_dir():
         raise OutputError(f"{target}: is a file; give a folder")
     if not target.exists() and re.fullmatch(r"\.[A-Za-z]\w{1,5}", target.suffix):
-        raise OutputError(
-            f"{target}: unknown output format '{target.suffix}'; for a folder leave out the ending, or make it first"
-        )
+        advice = "for a folder leave out the ending, or make it first"
+        raise OutputError(f"{target}: unknown output format '{target.suffix}'; {advice}")
     return target
 
 
