@@ -18,9 +18,8 @@ import numpy as np
 import lfcal
 from lfcal import Board, MetricCalibration, calibrate_metric, locate_board
 from lfcal.boards.detection import DetectedBoard
-from lfcal.metric.bundle_adjustment import Observations, Poses, adjust
+from lfcal.metric.bundle_adjustment import BASE, Observations, Poses, adjust, select_order
 from lfcal.metric.calibrate import DEFAULT_PIXEL
-from lfcal.metric.model_order import BASE, select_order
 from lfcal.metric.result import pose_of
 from lfcal.metric.start import first_camera
 from lfcal.metric.uncertainty import describe_degeneracies, internal_camera, optics_of, pose_factor

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, Lattice
 from lfcal.gain.vignetting import Vignetting
+from lfcal.runtime.image_formats import Mosaic
 
 __all__ = ["LATTICES", "Camera"]
 
@@ -109,7 +110,7 @@ class Camera:
     square_aperture: bool = False
     type_apertures: tuple[float, ...] = (1.0,)
     stray: float = 0.0
-    mosaic: str | None = None
+    mosaic: Mosaic | None = None
     filters: tuple[float, float, float] = (1.0, 1.0, 1.0)
     stop: tuple[float, float] | None = None
     k1: float = 0.0

@@ -205,15 +205,17 @@ class Calibration(Frozen):
             light = known.vignetting and Vignetting(known.vignetting["profile"], known.vignetting["step"])
         if "gain_map" in parts and version == _ROW_ORDER_VERSION:
             parts["gain_map"] = _in_centre_order(parts["gain_map"], lattice)
-        measured = {name: getattr(known.fit, name) for name in ("residual_rms", "circle_agreement")}
+        values: dict[str, Any] = {name: getattr(known, name) for name in _VALUES}
+        for name in ("residual_rms", "circle_agreement"):
+            measured = getattr(known.fit, name)
+            values[name] = float("nan") if measured is None else measured
         camera = cls(
             lattice=lattice,
             vignetting=light,
             lenses_used=known.fit.lenses_used,
             confidence=known.fit.confidence,
             warnings=tuple(known.warnings),
-            **{name: float("nan") if value is None else value for name, value in measured.items()},
-            **{name: getattr(known, name) for name in _VALUES},
+            **values,
             **parts,
         )
         check_together(camera, known.lattice.pitch)

@@ -122,7 +122,7 @@ def board(report: cl.Report, given: Any) -> None:
     output, target = given.output, _read_board(given)
     check_output(output, {".pdf", ".svg"})
     with report.stage("write"):
-        from ..boards.printed import write_board
+        from ..boards.board import write_board
 
         write_board(output, target)
     closing = f"{output}: {target}. Print it in true size: the bar is 100 mm long."

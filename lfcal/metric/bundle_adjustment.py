@@ -1,5 +1,7 @@
 """Robust bundle adjustment of the camera, the poses of the boards and their shape, with the covariance of all.
 
+Which parameters the data ask for is found by forward selection with score tests.
+
 `scipy.optimize.minimize` in a trust region, on the normal equations, with a Cauchy loss, then without the outliers.
 These are a dense matrix of a hundred unknowns, solved exactly: iterative solvers stop short along the weak directions
 that focal length and distances have, and `least_squares` takes a singular value decomposition of all observations. An
@@ -8,6 +10,7 @@ observation depends on 25 of the unknowns alone: 14 of the camera, 6 of its pose
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,14 +24,21 @@ from ..runtime.arrays import Frozen
 from .camera_model import INTERNAL, SHAPE, project, project_derivatives, shape_derivatives
 
 __all__ = [
-    "POSE", "Adjusted", "Observations", "Poses", "adjust", "eliminate", "gather", "inverse", "linearise",
-    "pose_unknowns", "unknowns",
+    "BASE", "POSE", "Adjusted", "Observations", "Poses", "adjust", "eliminate", "gather", "inverse", "linearise",
+    "pose_unknowns", "select_order", "unknowns",
 ]  # fmt: skip
 
 Array = NDArray[Any]
 _OWN, _LAST = len(INTERNAL), len(SHAPE)
 #: Places of the six of the pose among the 25 unknowns of an observation: turn [rad], shift [mm].
 POSE = np.arange(_OWN, _OWN + 6)
+#: Always fitted.
+BASE = INTERNAL[:6]
+# Groups that are fitted together, and what has to be fitted before.
+_GROUPS: dict[tuple[str, ...], tuple[str, ...]] = {
+    ("k2",): (), ("k3",): ("k2",), ("p1", "p2"): (), ("tilt_x", "tilt_y"): (), ("curvature",): (), ("pupil",): (),
+    SHAPE[:3]: (), SHAPE[3:]: (),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,3 +306,43 @@ def _cluster_factor(residual: Array, weight: Array, noise: float, observations: 
     # Poses take up six of the means of a board.
     freedom = max(2 * kept.sum() - 6 * len(np.unique(o.pose)), 1)
     return max(1.0, float((sums**2 / total[kept, None]).sum() / freedom / noise**2))
+
+
+def select_order(start: Adjusted, pixel: float, board: Array, observations: Observations) -> Adjusted:
+    """Add groups of parameters to an adjusted camera as long as the likelihood gains more than noise would.
+
+    Each group's gain is that of one Gauss-Newton step on the normal equations of all parameters (Rao's score test).
+    Those that pass the Bayesian information criterion, with one independent observation for each corner, may join. The
+    two best ones are fitted, as one step can mistake a tilt for a tangential distortion; the better fit stays.
+    """
+    found = start
+    corners = len(np.unique(np.stack([observations.pose, observations.corner]), axis=1).T)
+    while True:
+        gains = {
+            group: _gain(found, group) / len(group)
+            for group, before in _GROUPS.items()
+            if group[0] not in found.free and set(before) <= set(found.free)
+        }
+        passed = [group for group in gains if gains[group] > math.log(2 * corners)]
+        tried = [
+            adjust(found.camera, pixel, found.poses, board, observations, (*found.free, *group), found.shape)
+            for group in sorted(passed, key=lambda group: -gains[group])[:2]
+        ]
+        best = min(tried, key=lambda one: one.noise, default=found)
+        if not best.noise < found.noise:
+            return found
+        found = best
+
+
+def _gain(found: Adjusted, group: tuple[str, ...]) -> float:
+    """Expected fall of -2 log likelihood if `group` is fitted too."""
+    normal, right = gather(found.normal, found.right)
+    count = len(found.normal)
+    new = np.setdiff1d(unknowns(group, count), unknowns((), count))
+    # What the fitted parameters cannot take up.
+    left, pull = eliminate(normal, right, new, unknowns(found.free, count))
+    scale = 1 / np.sqrt(np.maximum(np.diag(normal)[new], 1e-300))
+    left, pull = left * np.outer(scale, scale), pull * scale
+    if np.linalg.eigvalsh(left)[0] < 1e-9:
+        return 0.0
+    return float(pull @ np.linalg.solve(left, pull)) / (found.noise**2 * found.cluster)

@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..boards.board import Board
-from ..boards.detection import DetectedBoard
-from ..boards.focus_sweep import FocusSweep
+from ..boards.detection import DetectedBoard, FocusSweep
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
 from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_type
-from .bundle_adjustment import POSE, Adjusted, Observations, Poses, adjust, inverse
+from .bundle_adjustment import BASE, POSE, Adjusted, Observations, Poses, adjust, inverse, select_order
 from .camera_model import INTERNAL
-from .model_order import BASE, select_order
 from .observe import BoardFlat, measure, prepare
 from .result import BoardPose, MetricCalibration, pose_of
 from .start import first_camera, planar_poses

@@ -37,8 +37,8 @@ class Pinhole(NamedTuple):
     error: float  # [px] largest difference from the optics over the field
 
 
-def equivalent_pinhole(calibration: Calibration, scale: float | None = None) -> Pinhole:
-    """The pinhole that an all-in-focus picture of `scale` pixels per pitch is taken by; by default in flat pixels.
+def equivalent_pinhole(calibration: Calibration) -> Pinhole:
+    """The pinhole that an all-in-focus picture is taken by, in pixels of the flat.
 
     Its centre is that of the entrance pupil of the main lens. CameraFileError if the camera has no optics.
     """
@@ -48,7 +48,6 @@ def equivalent_pinhole(calibration: Calibration, scale: float | None = None) -> 
     if optics is None or optics.principal_point is None:
         raise CameraFileError("the camera holds no measured optics; make them with 'lfcal metric FLAT...'")
     width, height = calibration.image_size
-    zoom = 1.0 if scale is None else scale / calibration.lattice.pitch
     focal = (optics.mla_distance + optics.sensor_distance) / optics.pixel
     pixels = np.stack(np.meshgrid(np.linspace(0, width - 1, 25), np.linspace(0, height - 1, 19)), -1).reshape(-1, 2)
     bent = (*optics.radial, *optics.tangential)
@@ -63,14 +62,13 @@ def equivalent_pinhole(calibration: Calibration, scale: float | None = None) -> 
 
     start = np.array([focal, *optics.principal_point, 0, 0, 0, 0, 0])
     found = least_squares(off, start, x_scale=[focal, 1, 1, 1, 1, 1e-3, 1e-3, 1]).x if any(bent) else start
-    error = float(np.hypot(*off(found).reshape(-1, 2).T).max()) * zoom
-    scaled = matrix(found) * [[zoom], [zoom], [1]]
-    return Pinhole(scaled, found[3:], (round(width * zoom), round(height * zoom)), error)
+    error = float(np.hypot(*off(found).reshape(-1, 2).T).max())
+    return Pinhole(matrix(found), found[3:], (width, height), error)
 
 
-def write_pinhole(path: str | os.PathLike[str], calibration: Calibration, scale: float | None = None) -> None:
+def write_pinhole(path: str | os.PathLike[str], calibration: Calibration) -> None:
     """Write `equivalent_pinhole` as `.yml`, `.xml` or `.json` as `cv2.FileStorage` reads it."""
-    pinhole = equivalent_pinhole(calibration, scale)
+    pinhole = equivalent_pinhole(calibration)
     suffix, known = Path(path).suffix.lower(), (".yml", ".yaml", ".xml", ".json")
     if suffix not in known:
         raise CameraFileError(f"{path}: unknown format of a pinhole camera; use {', '.join(known)}")

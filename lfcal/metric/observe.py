@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 
 from ..boards.board import Board
 from ..boards.corner_fit import fit_corners
-from ..boards.detection import DetectedBoard, detect, other_size
-from ..boards.focus_sweep import FocusSweep
+from ..boards.detection import DetectedBoard, FocusSweep, detect, other_size
 from ..camera.calibration import Calibration
 from ..images.mosaic import equalise_mosaic, find_mosaic
 from ..images.preprocessing import luminance

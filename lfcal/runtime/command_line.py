@@ -180,7 +180,8 @@ class OutputPath(click.Path):
 
         def copy_to_stdout() -> None:
             if path.is_file():
-                click.get_binary_stream("stdout").write(path.read_bytes())
+                sys.stdout.buffer.write(path.read_bytes())
+                sys.stdout.buffer.flush()
 
         ctx.find_root().call_on_close(copy_to_stdout)
         return path
@@ -249,7 +250,7 @@ class Report:
         """Time a stage, and show it on a terminal while it runs."""
         self.compile_kernels()
         start = time.perf_counter()
-        with self._line(name):
+        with self.progress(name):
             yield
         self.seconds[name] = time.perf_counter() - start
         if self.verbose:
@@ -261,33 +262,27 @@ class Report:
 
         On a terminal a bar shows rate and remaining time.
         """
-        start, before = time.perf_counter(), -1
-        with self._line(name) as task:
+        start, before, shown = time.perf_counter(), -1, self._shown
 
-            def step(done: int, count: int | None, remark: str = "") -> None:
-                nonlocal before
-                # What an earlier run has done says nothing about the rate.
-                before = done - 1 if before < 0 else before
-                if remark and not self.quiet:
-                    print(remark, file=sys.stderr, flush=True)
-                if self._shown is not None:
-                    rate = (done - before) / (time.perf_counter() - start)
-                    left = "" if count is None else f", {(count - done) / rate:.0f} s left"
-                    text = f"{done}/{count or '?'}, {rate:.2f} a second{left}"
-                    self._shown.update(task, completed=done, total=count, rate=text)
+        def step(done: int, count: int | None, remark: str = "") -> None:
+            nonlocal before
+            # What an earlier run has done says nothing about the rate.
+            before = done - 1 if before < 0 else before
+            if remark and not self.quiet:
+                print(remark, file=sys.stderr, flush=True)
+            if shown is not None:
+                rate = (done - before) / (time.perf_counter() - start)
+                left = "" if count is None else f", {(count - done) / rate:.0f} s left"
+                text = f"{done}/{count or '?'}, {rate:.2f} a second{left}"
+                shown.update(task, completed=done, total=count, rate=text)
 
+        if shown is None:
             yield step
-
-    @contextmanager
-    def _line(self, name: str) -> Iterator[Any]:
-        """A line on the terminal, if there is one."""
-        if (shown := self._shown) is None:
-            yield None
             return
         shown.start()
         task = shown.add_task(name, total=None, rate="")
         try:
-            yield task
+            yield step
         finally:
             shown.remove_task(task)
             shown.stop() if not shown.tasks else None

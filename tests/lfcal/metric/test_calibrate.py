@@ -9,7 +9,7 @@ import pytest
 
 import lfcal
 from lfcal import Board, BoardError, Calibration, FlatError, Lattice, calibrate_metric, locate_board
-from lfcal.boards.focus_sweep import FocusSweep
+from lfcal.boards.detection import FocusSweep
 from lfcal.metric.calibrate import _first
 from lfcal.metric.observe import prepare
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from lfcal import Board, BoardPose, Calibration, Lattice, MetricCalibration
-from lfcal.metric.bundle_adjustment import Observations, adjust
-from lfcal.metric.model_order import BASE
+from lfcal.metric.bundle_adjustment import BASE, Observations, adjust
 from lfcal.metric.uncertainty import optics_of
 from lfcal.metric_report.next_pose import suggest_poses
 from lfcal.metric_report.report import write_metric_report

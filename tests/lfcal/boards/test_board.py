@@ -9,7 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from lfcal import Board, OutputError
-from lfcal.boards.printed import draw_board, write_board
+from lfcal.boards.board import draw_board, write_board
 
 BOARDS = [Board(9, 6, 12.0), Board(6, 4, 15.0, "charuco", 11.0, "4X4_50"), Board(4, 11, 10.0, "circles")]
 
@@ -25,8 +25,7 @@ def _raster(board, scale=6.0):
 
 @pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.pattern)
 def test_a_printed_board_is_found_with_its_points_in_order(board):
-    from lfcal.boards.detection import detect
-    from lfcal.boards.focus_sweep import FocusedPicture
+    from lfcal.boards.detection import FocusedPicture, detect
 
     page = np.maximum(_raster(board), 30).astype(np.float32)
     found = detect(FocusedPicture(page, np.full(page.shape, -0.3, np.float32), 1.0), board)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lfcal.metric.bundle_adjustment import Observations, adjust
+from lfcal.metric.bundle_adjustment import BASE, Observations, adjust, select_order
 from lfcal.metric.camera_model import SHAPE, shape_derivatives
-from lfcal.metric.model_order import BASE, select_order
 from lfcal.metric.uncertainty import describe_degeneracies, optics_of, pose_factor, rim_covariance
 
 from ._cameras import BOARD, PIXEL, camera, observe, poses
