@@ -314,7 +314,10 @@ def _read(path: Path, size: tuple[int, int] | None, y_up: bool = False) -> Calib
     cls=cl.Program,
     name="lfcal",
     context_settings={"help_option_names": ["-h", "--help"]},
-    others=("lfrender", ("analyze", "batch", "demo", "refocus", "render", "report", "view", "views", "warm")),
+    others=(
+        "lfrender",
+        ("analyze", "batch", "demo", "lenslet", "refocus", "render", "report", "view", "views", "warm"),
+    ),
 )
 @click.version_option(package_name="lfrender", prog_name="lfcal")
 def main() -> None:

@@ -14,7 +14,7 @@ from .options import declare
 from .pages import demo, report, view
 from .render import render
 from .sequence import batch
-from .views import refocus, views
+from .views import lenslet, refocus, views
 
 __all__ = ["main"]
 
@@ -51,6 +51,7 @@ main.section("First steps", demo, warm)
 main.section("One capture", render, analyze, refocus, views)
 main.section("Look and share", view, report)
 main.section("Sequences", batch)
+main.section("Other programs", lenslet)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`lfrender refocus` and `views`: another depth in focus, or the scene seen from elsewhere in the main lens."""
+"""`lfrender refocus`, `views` and `lenslet`: another depth in focus, the scene seen from elsewhere, views as a flat."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lfcal.runtime.output_file import check_folder
+from lfcal.runtime import command_line as cl
+from lfcal.runtime.output_file import check_folder, check_output
 
 from . import figures
 from .inputs import MOVING, CaptureInput
-from .options import at_most_one, capture_command, option_errors
+from .options import at_most_one, capture_command, declare, option_errors, output_option
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
 
-__all__ = ["refocus", "views"]
+__all__ = ["lenslet", "refocus", "views"]
 
 # Pictures of an animation where no number is given: two seconds.
 _PICTURES = 24
@@ -254,3 +255,56 @@ def _write_posed(
     rig = write_posed_views(given.output, given.poses, pictures, calibration, depth, offsets, still, known)
     positions = [camera.position.tolist() for camera in rig.cameras]
     return {"unit": rig.unit, "camera_error": rig.error, "positions": positions}
+
+
+@cl.command(
+    "lfrender lenslet views -o flat.png",
+    "lfrender lenslet 'cams/*.png' --grid 9x9 -o flat.tif",
+    "lfrender lenslet flat.png -c flat.json -o views",
+)
+@cl.several_inputs("inputs", "INPUT...")
+@output_option("FLAT|FOLDER", "Flat to write, .png or .tif, and beside it its camera file, .json; or folder of views.")
+@declare("camera")
+@cl.option("--grid", cl.Pair("ROWSxCOLUMNS", "5x5"), "Of the views, if their names do not have row and column.")
+@declare("grid_format")
+@cl.report_options
+def lenslet(report: cl.Report, given: Any) -> None:
+    """Turn a grid of views into the flat of a regular lens array, or the reverse.
+
+    Each pixel of the views becomes a lens with one pixel of each view under it, row by row. INPUT is a folder of views,
+    or files. With a camera file, INPUT is such a flat, whose views are written as they are, pixel by pixel.
+    """
+    from ..output.lenslet import lenslet_image, lenslet_views, read_view_grid
+    from ..output.picture import write_picture
+    from ..output.views import check_grid, write_grid
+
+    output, inputs, suffix = given.output, given.inputs, f".{given.suffix.lstrip('.').lower()}"
+    if given.camera is not None:
+        from lfcal import load, read_flat
+
+        if len(inputs) > 1 or given.grid:
+            raise click.UsageError("with a camera file, one flat is wanted, and its grid is known")
+        check_grid(output, suffix)
+        with report.stage("read"):
+            flat = read_flat(inputs[0])
+            camera = load(given.camera, (flat.shape[1], flat.shape[0]))
+            views = lenslet_views(flat, camera)
+        rows, columns, height, width = views.shape[:4]
+        with report.stage("write"):
+            write_grid(output, views.reshape(-1, *views.shape[2:]), columns, suffix)
+        found = {"views": str(output), "grid": [rows, columns], "size": [width, height]}
+        report.finish(found, f"{output}: {rows} x {columns} views of {width} x {height} px, in {report.took}.")
+        return
+    camera_file = output.with_suffix(".json")
+    check_output(output, (".png", ".tif", ".tiff"), inputs)
+    check_output(camera_file, (".json",))
+    with report.stage("read"):
+        flat, camera = lenslet_image(views := read_view_grid(inputs, given.grid))
+    with report.stage("write"):
+        write_picture(output, flat)
+        camera.save(camera_file)
+    (rows, columns), (width, height) = views.shape[:2], camera.image_size
+    report.finish(
+        {"flat": str(output), "camera": str(camera_file), "grid": [rows, columns], "size": [width, height]},
+        f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and {camera_file}, in {report.took}.",
+    )

@@ -1,0 +1,115 @@
+"""Views of a grid as the flat of a regular lens array, and back, pixel by pixel.
+
+The view in row `v` and column `u` is pixel `(u, v)` under each lens, of which there is one for each pixel of the views.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfcal import Calibration, CameraFileError, FlatError, Lattice, read_flat
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES
+
+__all__ = ["lenslet_image", "lenslet_views", "read_view_grid"]
+
+
+def lenslet_image(views: ArrayLike) -> tuple[NDArray[Any], Calibration]:
+    """The flat of a regular array that shows views (rows, columns, h, w) or (rows, columns, h, w, 3), and its camera.
+
+    A view of row `v`, column `u` is `flat[v::rows, u::columns]`. Where neighbouring views are displaced by `d` px, the
+    patch size is `1 / d` px.
+
+    Examples
+    --------
+    >>> flat, camera = lenslet_image(np.zeros((3, 5, 20, 30), np.uint8))
+    >>> flat.shape, camera.lattice.basis.tolist()
+    ((60, 150), [[5.0, 0.0], [0.0, 3.0]])
+    """
+    grid = np.asarray(views)
+    if grid.ndim not in (4, 5) or grid.shape[4:] not in ((), (3,)) or not grid.size:
+        raise FlatError(f"views have shape (rows, columns, h, w) or (rows, columns, h, w, 3), got {grid.shape}")
+    rows, columns, height, width = grid.shape[:4]
+    flat = np.moveaxis(grid, (2, 0, 3, 1), (0, 1, 2, 3)).reshape(height * rows, width * columns, *grid.shape[4:])
+    origin, basis = ((columns - 1) / 2, (rows - 1) / 2), ((columns, 0), (0, rows))
+    lattice = Lattice(np.array(origin), np.array(basis), flat.shape[1::-1], min(rows, columns) / 2)
+    return np.ascontiguousarray(flat), Calibration(lattice)
+
+
+def lenslet_views(flat: ArrayLike, calibration: Calibration) -> NDArray[Any]:
+    """The views (rows, columns, h, w) or (rows, columns, h, w, 3) under the lenses of a regular array.
+
+    FlatError if the flat is of another size than those of the camera, CameraFileError if its microimages are no
+    rectangles of whole pixels: `lfrender.views` draws views of any camera.
+
+    Examples
+    --------
+    >>> views = np.arange(3 * 5 * 20 * 30).reshape(3, 5, 20, 30)
+    >>> bool((lenslet_views(*lenslet_image(views)) == views).all())
+    True
+    """
+    pixels, lattice = np.asarray(flat), calibration.lattice
+    if pixels.shape[1::-1] != calibration.image_size:
+        raise FlatError("the flat is of another size than those of the camera")
+    side = np.rint(np.abs(np.diag(lattice.basis)))
+    start = lattice.origin - (side - 1) / 2
+    straight = np.abs(np.abs(lattice.basis) - np.diag(side)).max() * max(lattice.image_size) < 0.25 * side.max()
+    exact = straight and side.min() >= 1 and np.abs(start - np.rint(start)).max() < 0.25
+    if lattice.distortion is not None or not exact:
+        raise CameraFileError("the microimages are no rectangles of whole pixels; 'lfrender views' draws views")
+    columns, rows = side.astype(int)
+    left, top = (np.rint(start) % side).astype(int)
+    height, width = (pixels.shape[0] - top) // rows, (pixels.shape[1] - left) // columns
+    whole = pixels[top : top + height * rows, left : left + width * columns]
+    lenses = whole.reshape(height, rows, width, columns, *pixels.shape[2:])
+    return np.moveaxis(lenses, (1, 3, 0, 2), (0, 1, 2, 3))
+
+
+def read_view_grid(inputs: Iterable[Path], grid: tuple[int, int] | None = None) -> NDArray[Any]:
+    """Views (rows, columns, h, w) or (rows, columns, h, w, 3) from image files, or folders of them.
+
+    With `grid`, rows and columns, they are taken row by row in the order of the numbers in their names; without, the
+    last two numbers of a name are its row and column. FlatError if views are missing or not of one kind.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> pictures = lfrender.views(*lfrender.data.example(), offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = lfrender.output.views.write_grid(folder, pictures, columns=2)
+    ...     read_view_grid([Path(folder)]).shape
+    (1, 2, 47, 62, 3)
+    """
+    named: dict[Path, list[int]] = {}
+    for source in inputs:
+        files = [source]
+        if source.is_dir():
+            files = [path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+        named |= {path: [int(number) for number in re.findall(r"\d+", path.stem)] for path in files}
+    paths = sorted(named, key=lambda path: (named[path], path))
+    if grid is None:
+        if not paths or min(len(numbers) for numbers in named.values()) < 2:
+            raise FlatError("names of views have their row and column, as row1_column1; else give --grid ROWSxCOLUMNS")
+        cells = {tuple(named[path][-2:]): path for path in paths}
+        rows, columns = (sorted({cell[axis] for cell in cells}) for axis in (0, 1))
+        missing = [f"row {row}, column {column}" for row in rows for column in columns if (row, column) not in cells]
+        if missing or len(cells) != len(paths):
+            told = f"no view of {missing[0]}" if missing else "several views of one row and column"
+            raise FlatError(f"a grid of {len(rows)} x {len(columns)} views: there is {told}")
+        grid, paths = (len(rows), len(columns)), [cells[row, column] for row in rows for column in columns]
+    if len(paths) != grid[0] * grid[1]:
+        raise FlatError(f"a grid of {grid[0]} x {grid[1]} needs {grid[0] * grid[1]} views, {len(paths)} are there")
+    views = []
+    for path in paths:
+        views.append(read_flat(path))
+        first, last = views[0], views[-1]
+        if (last.shape, last.dtype) != (first.shape, first.dtype):
+            kinds = ("{} x {} px of {}".format(*view.shape[1::-1], view.dtype) for view in (last, first))
+            raise FlatError("{}: is {}, the views before are {}; views of a grid are of one kind".format(path, *kinds))
+    return np.stack(views).reshape(*grid, *views[0].shape)
