@@ -113,7 +113,7 @@ def prepared(house, tmp_path_factory):
     import lfcal
     import lfrender
     from lfcal.camera_files.read_write import convert
-    from lfrender.sequence.film import FilmFile
+    from lfrender.sequence.film_file import FilmFile
 
     folder = tmp_path_factory.mktemp("prepared")
     flat, white = house.flat, house.white
@@ -131,7 +131,7 @@ def prepared(house, tmp_path_factory):
     lfrender.analyze(flat, camera).save(folder / "depth.npz")
     tifffile.imwrite(folder / "stack.tif", np.stack([flat, flat]), photometric="rgb")
     if importlib.util.find_spec("av"):
-        with FilmFile(folder / "film.mkv", Fraction(25), "") as film:
+        with FilmFile(folder / "film.mkv", Fraction(25)) as film:
             film.add(flat)
             film.add(flat)
     if importlib.util.find_spec("zarr"):

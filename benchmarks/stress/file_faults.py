@@ -22,7 +22,7 @@ import tifffile
 import lfcal
 import lfrender
 from lfcal.camera_files.read_write import convert
-from lfrender.sequence.film import FilmFile
+from lfrender.sequence.film_file import FilmFile
 from lfrender.sequence.frames import open_frames
 
 from .plane_flats import PlaneFlat
@@ -78,7 +78,7 @@ def whole_files(folder: Path) -> dict[str, bytes]:
     for suffix in (".xml", ".cfg", ".csv"):
         convert(camera, folder / f"camera{suffix}")
     for suffix in (".mp4", ".mkv") if find_spec("av") else ():
-        with FilmFile(folder / f"film{suffix}", Fraction(25), "") as film:
+        with FilmFile(folder / f"film{suffix}", Fraction(25)) as film:
             for step in range(4):
                 film.add(np.roll(colour, step, 1))
     return files | {path.name: path.read_bytes() for path in sorted(folder.iterdir())}

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["MOVING", "CaptureInput", "is_large", "is_published"]
 
 #: Suffixes of files that hold nothing but moving pictures.
-MOVING = (".gif", ".mkv", ".mp4")
+MOVING = (".gif", ".mkv", ".mov", ".mp4")
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class CaptureInput:
             pictures = [to_eight_bits(picture) for picture in pictures]
         with self.report.stage("write"):
             if output.suffix.lower() in MOVING:
-                from ..sequence.film import write_moving
+                from ..sequence.film_file import write_moving
 
                 write_moving(output, [*pictures, *pictures[-2:0:-1]])
             elif len(pictures) > 1:

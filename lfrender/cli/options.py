@@ -72,7 +72,7 @@ TABLE = {
     "grid": _row("--grid", _GRID, "Pictures on a grid of viewpoints, row1_column1 ... [default: 5x5]"),
     "stereo": _row("--stereo", bool, "The view of the left eye, and beside it that of the right one."),
     "animation": _row("--animation", click.IntRange(2),
-        "N views around a circle; 24 where the output is .gif, .mp4 or .mkv.", metavar="N"),
+        "N views around a circle; 24 where the output is .gif, .mp4, .mov or .mkv.", metavar="N"),
     "quilt": _row("--quilt", cl.Pair("COLUMNSxROWS", "8x6"),
         "Views from left to right in one picture, for holographic displays: 8x6."),
     "poses": _row("--poses", _POSES,
@@ -96,8 +96,17 @@ TABLE = {
         "flats]", metavar="PIXELS"),
     "frame_format": _row("--format suffix", str,
         "Format of the pictures: tif, jpg, ...; of views also yuv. [default: tif]"),
+    "frames": _row("--frames", str,
+        "Only these of all frames, counted from 0, as Python slices do: 10:60:2, 10:, ::2, or 7.",
+        metavar="START:STOP:STEP"),
+    "start": _row("--start", click.FloatRange(0), "Only frames from this time of a video on.", metavar="SECONDS"),
+    "end": _row("--end", click.FloatRange(0, min_open=True),
+        "Only frames before this time of a video.", metavar="SECONDS"),
+    "depth_maps": _row("--depth-maps", cl.OutputPath(),
+        "Also the depth of every frame: FRAME.npz in a folder, or a film of magnifications in colours.",
+        metavar="FOLDER|FILM"),
     "fps": _row("--fps", click.FloatRange(0, 1000, min_open=True),
-        "Pictures a second of a film. [default: as the input, or 25]"),
+        "Pictures a second of a film. [default: those taken of the input, or 25]"),
     "overwrite": _row("--overwrite", bool, "Render all frames again; else pictures already there are kept."),
     "dense": _row("--dense", _OUTPUT,
         "Patch size [px] of every pixel of the picture, its validity and standard error (pages, or channels).",
@@ -221,5 +230,5 @@ def option_errors() -> Iterator[None]:
     except ValueError as error:
         argument, space, rest = str(error).partition(" ")
         names = {"patch_size": "--patch-size", "position": "--at"}
-        names |= {name: f"--{name}" for name in ("aperture", "roi", "scale")}
+        names |= {name: f"--{name}" for name in ("aperture", "roi", "scale", "frames", "start")}
         raise click.UsageError(f"{names.get(argument, argument)}{space}{rest}") from error

@@ -13,12 +13,16 @@ from lfcal.runtime.output_file import check_folder
 
 from .figures import percent
 from .inputs import CaptureInput
-from .options import capture_command, connect_cluster
+from .options import capture_command, connect_cluster, option_errors
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from lfcal import Calibration
 
+    from ..sequence.batch import Plan
     from ..sequence.frames import Frames
+    from ..sequence.job import FrameResult
 
 __all__ = ["batch"]
 
@@ -26,25 +30,27 @@ __all__ = ["batch"]
 @capture_command(
     "lfrender batch frames -o pictures",
     "lfrender batch film.mkv -c camera.json -o pictures --format png",
-    "lfrender batch film.mkv -c camera.json -o sharp.mp4",
+    "lfrender batch film.mkv -c camera.json -o sharp.mp4 --depth-maps depth.mp4",
+    "lfrender batch film.mkv -c camera.json -o sharp.mov --start 2.5 --end 10",
     "lfrender batch frames/*.png -o pictures --workers 4",
     "lfrender batch film_2048x2048_420p10.yuv -c camera.cfg -o views --views 5x5 --format yuv --resize 1920x1080",
-    output=("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, or .mkv without any loss."),
+    output=("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, .mov for cutting, or .mkv without any loss."),
     own={
-        "Files": "overwrite",
+        "Files": "depth_maps overwrite",
+        "Which frames": "frames start end",
         "What to draw": "scale frame_format eight_bits fps frame_views frame_aperture resize",
         "Several processes": "workers scheduler",
     },
     refused={
-        "depth_file": "the depth of every frame is analysed",
-        "page": "every page and every frame of a video is rendered; 'lfrender render' takes one",
+        "depth_file": "the depth of every frame is analysed; --depth-maps writes it",
+        "page": "several frames are rendered; --frames chooses which",
         "roi": "frames are drawn whole; 'lfrender render' draws a part of one",
     },
     inputs="the first frame",
     several="INPUT...",
 )
 def batch(capture: CaptureInput, given: Any) -> int:
-    """Render all frames of a sequence.
+    """Render the frames of a sequence.
 
     Frames are image files, folders of them, pages of TIFF files, and videos. The camera is calibrated once, depth
     is kept where nothing moves, pictures already there are kept, and a frame that cannot be read is reported and
@@ -54,53 +60,102 @@ def batch(capture: CaptureInput, given: Any) -> int:
     from ..output.formats import check_format
     from ..sequence.frames import is_video
 
-    report, output, film = capture.report, given.output, is_video(given.output)
-    further = _film_options(given) if film else _folder_options(given)
-    if film:
-        check_format(output, "film", inputs=[*given.inputs, *capture.files])
-    frames = open_frames(given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark)
+    report, output, maps = capture.report, given.output, given.depth_maps
+    films = [path for path in (output, maps) if path is not None and is_video(path)]
+    further = _film_options(given) if output in films else _folder_options(given)
+    if given.fps is not None and not films:
+        raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
+    if films == [output, output]:
+        raise click.UsageError(f"--depth-maps must be another file than {output}")
+    for path in films:
+        check_format(path, "film", inputs=[*given.inputs, *capture.files])
+    chosen = {name: getattr(given, name) for name in ("frames", "start", "end")}
+    with option_errors():
+        frames = open_frames(given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark, **chosen)
     calibration = None
     if capture.camera or capture.white or capture.mosaic:
         with report.stage("calibrate"):
             calibration = _find_camera(frames, capture)
-    results, start = [], perf_counter()
-    with (
-        report.stage("frames"), report.progress("frames") as step, connect_cluster(given, report) as cluster,
-    ):  # fmt: skip
-        from .. import render_frames
-        from ..sequence.film import render_film
-
-        render: Any = render_film if film else render_frames
-        for result in render(
-            frames=frames, calibration=calibration, preset=capture.preset or "balanced", scale=given.scale,
-            overwrite=given.overwrite, **cluster, **further,
-        ):  # fmt: skip
-            results.append(result)
-            step(len(results), frames.count, result.message)
-    seconds = perf_counter() - start
-    if calibration is None and not film:
+    start = perf_counter()
+    results, plan = _render(capture, given, frames, calibration, films, further)
+    found, sentence = _sum_up(results, perf_counter() - start)
+    if calibration is None and output not in films:
         from ..sequence.job import load_camera
 
         with suppress(CameraFileError):
             calibration = load_camera(output)
-    warnings = [] if calibration is None else list(calibration.warnings)
-    rendered = [result for result in results if result.outcome == "rendered"]
+    found = {"film" if output in films else "pictures": str(output), **found}
     failures = [result.message for result in results if result.outcome == "failed"]
-    kept, each = len(results) - len(rendered) - len(failures), seconds / max(len(rendered), 1)
-    still = sum(result.still for result in rendered) / max(len(rendered), 1)
-    told = [f"{len(rendered):,} frames rendered, {each:.2f} s each"]
-    told += [f"{kept:,} kept from before"] if kept else []
-    told += [f"{len(failures):,} failed"] if failures else []
-    report.finish(
-        {
-            "film" if film else "pictures": str(output), "rendered": len(rendered), "kept": kept,
-            "failed": len(failures), "seconds_per_frame": each, "still": still,
-            "warnings": [*warnings, *failures] if report.as_json else warnings,
-        },
-        f"{', '.join(told)}.{f' {percent(still)} of their lenses had not moved.' if still > 0.005 else ''}",
-        f"{output} is written.",
-    )  # fmt: skip
+    found["warnings"] = [*(calibration.warnings if calibration else ()), *(failures if report.as_json else ())]
+    sentences = [sentence, f"{output} is written."]
+    if maps is not None:
+        found |= {"depth_maps": str(maps), "colours": plan.colours}
+        ends = "magnification M from {:.1f} (blue) to {:.1f} (red), logarithmic".format(*plan.colours or (0, 0))
+        sentences.append(f"{maps}: {ends}." if maps in films else f"{maps}: the depth maps.")
+    report.finish(found, *sentences)
     return 1 if failures else 0
+
+
+def _render(
+    capture: CaptureInput, given: Any, frames: Frames, calibration: Calibration | None, films: list[Path],
+    further: dict[str, Any],
+) -> tuple[list[FrameResult], Plan]:  # fmt: skip
+    """Render all, and tell what is done."""
+    from .. import render_frames
+    from ..sequence.film import render_film
+
+    report, results, plans = capture.report, [], []
+
+    def announce(plan: Plan) -> None:
+        plans.append(plan)
+        if not (report.quiet or report.as_json):
+            rate = None if given.output not in films else given.fps or frames.rate or 25
+            click.echo(_describe(plan, given, rate), err=True)
+
+    render: Any = render_film if given.output in films else render_frames
+    with (
+        report.stage("frames"), report.progress("frames") as step, connect_cluster(given, report) as cluster,
+    ):  # fmt: skip
+        try:
+            for result in render(
+                frames, given.output, calibration, preset=capture.preset or "balanced", scale=given.scale,
+                overwrite=given.overwrite, depth_maps=given.depth_maps, rate=given.fps, announce=announce,
+                **cluster, **further,
+            ):  # fmt: skip
+                results.append(result)
+                step(len(results), frames.count or None, result.message)
+        except KeyboardInterrupt:
+            if not report.quiet:
+                again = "the same command without --overwrite" if given.overwrite else "the same command"
+                click.echo(f"{len(results):,} of {frames.count:,} frames are done; {again} goes on", err=True)
+            raise
+    return results, plans[0]
+
+
+def _describe(plan: Plan, given: Any, rate: Any) -> str:
+    """What is about to be written, in one line; `rate` is that of a film."""
+    size = "" if plan.size is None else " of {} x {} px".format(*plan.size)
+    speed = "" if rate is None else f", {float(rate):.4g} a second,"
+    kept = f" ({plan.kept:,} kept from before)" if plan.kept else ""
+    views = " in {} x {} views".format(*given.views) if given.views else ""
+    maps = "" if given.depth_maps is None else f", their depth into {given.depth_maps}"
+    return f"Writes {plan.frames:,} frames{kept}{views}{size}{speed} into {given.output}{maps}."
+
+
+def _sum_up(results: list[FrameResult], seconds: float) -> tuple[dict[str, Any], str]:
+    """Figures of a run, and a sentence."""
+    rendered = [result for result in results if result.outcome == "rendered"]
+    kept, failed = (sum(result.outcome == name for result in results) for name in ("kept", "failed"))
+    each = seconds / max(len(rendered), 1)
+    still = sum(result.still for result in rendered) / max(len(rendered), 1)
+    told = [f"{len(rendered):,} frames rendered" + (f", {each:.2f} s each" if rendered else "")]
+    told += [f"{kept:,} kept from before"] if kept else []
+    told += [f"{failed:,} failed"] if failed else []
+    figures = {
+        "rendered": len(rendered), "kept": kept, "failed": failed, "seconds_per_frame": each, "still": still,
+    }  # fmt: skip
+    moved = f" {percent(still)} of their lenses had not moved." if still > 0.005 else ""
+    return figures, f"{', '.join(told)}.{moved}"
 
 
 def _film_options(given: Any) -> dict[str, Any]:
@@ -110,7 +165,7 @@ def _film_options(given: Any) -> dict[str, Any]:
     _check_view_options(given)
     if given.suffix is not None or given.eight_bits:
         raise click.UsageError(f"{given.output} is a film: leave out --format and --8bit")
-    return {"path": given.output, "rate": given.fps}
+    return {}
 
 
 def _folder_options(given: Any) -> dict[str, Any]:
@@ -121,17 +176,13 @@ def _folder_options(given: Any) -> dict[str, Any]:
     _check_view_options(given)
     suffix = (given.suffix or "tif").lstrip(".")
     raw = suffix.startswith("yuv")
-    if given.fps is not None:
-        raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
     if given.eight_bits and raw:
         raise click.UsageError("--8bit is for pictures: leave it out, or --format yuv")
     if raw and given.views is None:
         raise click.UsageError("raw video is a film or views: give -o FILM.yuv, or --views")
-    options = {"folder": given.output, "eight_bits": given.eight_bits, "suffix": f".{suffix}"}
-    if given.views is None:
-        return options
-    rows, columns = given.views
-    return {**options, "views": ViewGrid(rows, columns, given.aperture or 0.7, given.resize)}
+    rows, columns = given.views or (0, 0)
+    grid = ViewGrid(rows, columns, given.aperture or 0.7, given.resize) if given.views else None
+    return {"eight_bits": given.eight_bits, "suffix": f".{suffix}", "views": grid}
 
 
 def _check_view_options(given: Any) -> None:

@@ -206,7 +206,7 @@ def _holds_eight_bits(given: Any) -> bool:
 
     suffix = given.output.suffix.lower()
     kind = FORMATS.get(suffix if given.stereo or given.quilt else given.suffix)
-    return suffix != ".mkv" if given.animation else kind is not None and kind.pixel_types == ("uint8",)
+    return suffix not in (".mkv", ".mov") if given.animation else kind is not None and kind.pixel_types == ("uint8",)
 
 
 def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering], preset: str) -> list[str]:
@@ -215,7 +215,7 @@ def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering
     from ..output.picture import write_picture
     from ..output.raw_video import write_view_videos
     from ..output.views import stereo_pair, write_grid, write_quilt
-    from ..sequence.film import write_moving
+    from ..sequence.film_file import write_moving
 
     output = given.output
     settings = {"rendering": "views", "aperture": given.aperture, "preset": preset}

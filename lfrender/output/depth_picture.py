@@ -23,15 +23,17 @@ __all__ = [
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 
 
-def depth_picture(depth: DepthMap, scale: float | None = None) -> Rendering:
+def depth_picture(depth: DepthMap, scale: float | None = None, limits: tuple[float, float] | None = None) -> Rendering:
     """The magnification of every pixel of the picture that `render` draws, in colours; grey where no lens has a depth.
 
-    Colours are those of `magnification_picture`; valid are pixels whose nearest lens has a depth.
+    Colours are those of `magnification_picture`, between these `limits` if they are given; valid are pixels whose
+    nearest lens has a depth.
     """
     scale = default_scale(depth) if scale is None else scale
     dense = dense_depth(depth, scale, fill=False)
     with np.errstate(divide="ignore"):
-        image = _colours(depth.pitch / np.abs(dense.patch_size), *magnification_limits(depth.magnification))
+        ends = limits or magnification_limits(depth.magnification)
+        image = _colours(depth.pitch / np.abs(dense.patch_size), *ends)
     return Rendering(image, dense.affine, dense.resolved, scale)
 
 

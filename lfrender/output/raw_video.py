@@ -40,8 +40,8 @@ def view_name(number: int, width: int, height: int) -> str:
     return f"v{number:03d}-{width}x{height}.yuv"
 
 
-def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = None) -> Any:
-    """A frame of PyAV: BT.601 of limited range, as FFmpeg takes raw video to be.
+def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = None, **colours: Any) -> Any:
+    """A frame of PyAV: BT.601 of limited range, as FFmpeg takes raw video to be, or as `convert_frame` takes `colours`.
 
     `pixels` are (h, w) or (h, w, 3), uint8, uint16 or float; `white` is the white level of integers, if it is less than
     the largest value of the type. A last column or row without a partner is left out where the format shares colours.
@@ -63,7 +63,7 @@ def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = Non
     frame = VideoFrame.from_ndarray(
         np.ascontiguousarray(pixels), format="rgb24" if pixels.dtype == np.uint8 else "rgb48le"
     )
-    return convert_frame(frame, name)
+    return convert_frame(frame, name, **colours)
 
 
 def frame_bytes(frame: Any) -> bytes:

@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Generator, Iterable
+import shutil
+from collections.abc import Callable, Generator, Iterable
+from fractions import Fraction
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from lfcal import Calibration
+from lfcal import Calibration, OutputError
 
-from .frames import Frame, are_encoded, dark_of
+from ..output.formats import check_format
+from .film_file import film_results
+from .frames import Frame, is_video
 from .job import FrameResult, Job, render_group
 from .view_grid import ViewGrid
 from .workers import Workers
 
-__all__ = ["render_frames"]
+__all__ = ["Plan", "render_frames"]
+
+
+class Plan(NamedTuple):
+    """What a run will do."""
+
+    frames: int  # in all, kept ones included; 0 if it is not known
+    kept: int  # whose pictures are there already
+    size: tuple[int, int] | None  # columns and rows of the pictures; None if no frame could be analysed
+    colours: tuple[float, float] | None  # magnification at the blue and at the red end of depth pictures
 
 
 def render_frames(
@@ -28,6 +42,9 @@ def render_frames(
     overwrite: bool = False,
     views: ViewGrid | None = None,
     eight_bits: bool = False,
+    depth_maps: str | os.PathLike[str] | None = None,
+    rate: float | Fraction | None = None,
+    announce: Callable[[Plan], None] | None = None,
     segment: int = 30,
     group: int = 5,
     client: Any = None,
@@ -61,6 +78,13 @@ def render_frames(
         on. Raw video appears once the last result has been taken; a frame that fails shows the one before it.
     eight_bits : bool
         Write pictures with 8 bits a channel, 0 to white in proportion; JPEG and WebP have no more anyway.
+    depth_maps : path-like, optional
+        Folder for the depth map of each frame, `FRAME.npz`, or a film of depth pictures: magnification in the colours
+        of `lfrender analyze --picture`, from blue to red as in the first frame, so that a colour means one depth.
+    rate : float, optional
+        Pictures a second of that film; with None those of the first video, else 25.
+    announce : callable, optional
+        Called once with a `Plan` before the first picture is written: numbers of frames, size.
     segment, group : int
         Frames from one key frame to the next, and frames that are compared with the same one, the first of them.
     client : distributed.Client, optional
@@ -84,14 +108,44 @@ def render_frames(
     ...     [done.outcome for done in lfrender.render_frames(frames, f"{folder}/out", camera, preset="fast")]
     ['rendered']
     """
-    place = Path(folder) if client is None else Path(folder).absolute()
-    job = Job(place, calibration, preset, scale, suffix, views, eight_bits, dark_of(frames), are_encoded(frames))
-    job.start(overwrite)
+    place, names = Path(folder).absolute(), getattr(frames, "names", [])
+    maps = None if depth_maps is None else Path(depth_maps).absolute()
+    if maps is not None and is_video(maps):
+        check_format(maps, "film", inputs=getattr(frames, "files", ()))
+        if maps.exists() and not overwrite:
+            raise OutputError(f"{maps}: is there already; give another output, or render it again (--overwrite)")
+    dark, encoded = getattr(frames, "dark", None), getattr(frames, "encoded", False)
+    job = Job(
+        place, calibration, preset, scale, suffix, views, eight_bits, dark and str(dark), encoded, maps
+    )  # fmt: skip
+    job.start(overwrite, names)
+    results = _render(job, frames, names, overwrite, segment, group, announce, Workers(client, threads, at_once=2))
+    if maps is None or not is_video(maps):
+        yield from results
+        return
+    speed = Fraction(rate or getattr(frames, "rate", None) or 25)
+    pictures = job.depth_path_of("").parent
+    yield from film_results(
+        results, maps, job.hidden, speed, lambda result: job.depth_path_of(result.name), rendering="depth",
+    )  # fmt: skip
+    shutil.rmtree(pictures)
+
+
+def _render(
+    job: Job, frames: Iterable[Frame], names: list[str], overwrite: bool, segment: int, group: int,
+    announce: Callable[[Plan], None] | None, workers: Workers,
+) -> Generator[FrameResult, None, None]:  # fmt: skip
+    kept = 0 if overwrite else sum(not job.is_missing(name) for name in names)
+    groups = job.groups(frames, overwrite, segment, group)
+    first = next(groups)
+    if overwrite:
+        job.remove(names)
+    if announce is not None:
+        announce(Plan(len(names), kept, job.size, job.colours))
+    done: list[str] = []
     # Two groups at once keep all cores busy in steps of one thread.
-    workers = Workers(client, threads, at_once=2)
-    names: list[str] = []
-    for results in workers.map(render_group, job, job.groups(frames, overwrite, segment, group)):
+    for results in workers.map(render_group, job, chain([first], groups)):
         for result in results:
-            names.append(result.name)
+            done.append(result.name)
             yield result
-    job.finish(names)
+    job.finish(done)

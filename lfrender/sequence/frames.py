@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+import sys
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +22,7 @@ from lfcal import FlatError, count_pages, read_flat, subtract_dark
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS
 from lfcal.runtime.video import import_av, rgb_pixels
 
-__all__ = ["Frame", "Frames", "are_encoded", "dark_of", "is_video", "open_frames"]
+__all__ = ["Frame", "Frames", "is_video", "open_frames"]
 
 
 @dataclass(frozen=True)
@@ -33,33 +36,41 @@ class Frame:
 
 @dataclass(frozen=True)
 class _Part:
-    """A file and the names of its frames, None if their number is known only after decoding; how raw video is read."""
+    """A file and the names of its frames, None for videos; how raw video is read."""
 
     path: Path
-    names: tuple[str, ...] | None
+    pages: tuple[str, ...] | None
     layout: tuple[tuple[str, Any], ...] = ()  # `size` and `pixel_format` of `read_flat`
 
-    def frames(self) -> Iterator[Frame]:
-        """The frames, one after the other."""
-        if self.names is None:
-            yield from _video_frames(self.path)
+    def frames(self, chosen: range) -> Iterator[Frame]:
+        """Those of its frames whose numbers are chosen, one after the other."""
+        if self.pages is None:
+            yield from _video_frames(self.path, chosen)
             return
         source = None if self.path.suffix.lower() == RAW_SUFFIX else self.path
-        for page, name in enumerate(self.names):
-            number = page if len(self.names) > 1 else None
-            yield Frame(name, partial(read_flat, self.path, number, **dict(self.layout)), source)
+        for page, name in enumerate(self.pages):
+            if page in chosen:
+                number = page if len(self.pages) > 1 else None
+                yield Frame(name, partial(read_flat, self.path, number, **dict(self.layout)), source)
 
-    def header(self) -> tuple[int | None, Fraction | None]:
-        """Number of frames and frames a second by the header of a video, None where it has none."""
-        if self.names is not None:
-            return len(self.names), None
+    @cached_property
+    def header(self) -> tuple[int, Fraction | None]:
+        """Number of frames, 0 of videos that cannot be read, and frames a second where the file has them."""
+        if self.pages is not None:
+            return len(self.pages), None
         av = import_av(self.path)
-        try:
-            with _open_video(self.path) as container:
-                stream = container.streams.video[0]
-                return int(stream.frames) or None, stream.average_rate
-        except (av.error.FFmpegError, FlatError, OSError):
-            return None, None
+        with suppress(av.error.FFmpegError, FlatError, OSError), _open_video(self.path) as container:
+            stream = container.streams.video[0]
+            rate, count = stream.average_rate, max(stream.frames, _least_length(container))
+            # Streams without a header and Matroska are read through, which takes little beside decoding.
+            count = stream.frames or max(count, sum(packet.size > 0 for packet in container.demux(stream)))
+            return count, rate
+        return 0, None
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Names of its frames."""
+        return self.pages or [_frame_name(self.path, number) for number in range(self.header[0])]
 
 
 @dataclass(frozen=True)
@@ -78,26 +89,44 @@ class Frames:
 
     parts: tuple[_Part, ...]
     dark: Path | None = None  # dark frame that is subtracted from each
+    chosen: range | None = None  # numbers of the frames that are taken; None for all
 
     @property
-    def count(self) -> int | None:
-        """Number of frames, None if the header of a video does not have it."""
-        counts = [part.header()[0] for part in self.parts]
-        return None if None in counts else sum(counts)  # type: ignore[arg-type]
+    def count(self) -> int:
+        """Number of frames; less than there are where a video is damaged."""
+        return sum(part.header[0] for part in self.parts) if self.chosen is None else len(self.chosen)
 
     @property
     def rate(self) -> Fraction | None:
-        """Frames a second of the first video whose header has it, None if there is none."""
-        return next((Fraction(rate) for _, rate in (part.header() for part in self.parts) if rate), None)
+        """Frames a second of the first video that has them, None if there is none; fewer where some are left out."""
+        rate = next((rate for _, rate in (part.header for part in self.parts) if rate), None)
+        return None if rate is None else Fraction(rate) / (self.chosen.step if self.chosen else 1)
 
     @property
     def files(self) -> list[Path]:
         """The files that the frames are read from."""
         return [part.path for part in self.parts]
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the pictures of the frames, without suffix."""
+        names = [name for part in self.parts for name in part.names]
+        return names if self.chosen is None else [names[number] for number in self.chosen]
+
+    @property
+    def encoded(self) -> bool:
+        """Whether frames are encoded for display, whatever bits they have, as those of videos are."""
+        return all(is_video(part.path) for part in self.parts)
+
     def __iter__(self) -> Iterator[Frame]:
+        first = 0
         for part in self.parts:
-            for frame in part.frames():
+            own = range(sys.maxsize)
+            if self.chosen is not None:
+                end = first + part.header[0]
+                taken = self.chosen[bisect_left(self.chosen, first) : bisect_left(self.chosen, end)]
+                own, first = range(taken.start - first, taken.stop - first, taken.step), end
+            for frame in part.frames(own) if own else ():
                 less = frame.read if self.dark is None else partial(_read_less_dark, frame.read, self.dark)
                 yield replace(frame, read=less)
 
@@ -108,10 +137,14 @@ def open_frames(
     size: tuple[int, int] | None = None,
     pixel_format: str | None = None,
     dark: str | os.PathLike[str] | None = None,
+    frames: int | slice | str | None = None,
+    start: float | None = None,
+    end: float | None = None,
 ) -> Frames:
     """Find the frames in files and folders without decoding them.
 
-    FlatError if there is no frame, an input is of no known kind, or two frames would have the same name.
+    FlatError if there is no frame, none that is asked for, an input is of no known kind, or two frames would have the
+    same name.
 
     Parameters
     ----------
@@ -123,6 +156,11 @@ def open_frames(
         Of raw video (`.yuv`), as for `lfcal.read_flat`.
     dark : path-like or None
         File of a dark frame, which is subtracted from every frame (`lfcal.subtract_dark`).
+    frames : int, slice or str, optional
+        Take only these, counted from 0 through all inputs: `slice(10, 60, 2)` or `"10:60:2"`, as Python slices do, or
+        one number.
+    start, end : float, optional [s]
+        Take only the frames from `start` to before `end`, of videos of one frame rate.
 
     Examples
     --------
@@ -130,21 +168,57 @@ def open_frames(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     for name in ("f10", "f9"):
     ...         lfrender.write_picture(f"{folder}/{name}.png", lfrender.data.example()[0])
-    ...     [frame.name for frame in lfrender.open_frames([folder])]
-    ['f9', 'f10']
+    ...     [frame.name for frame in lfrender.open_frames([folder])], lfrender.open_frames([folder], frames="1:").names
+    (['f9', 'f10'], ['f10'])
     """
     layout = {"size": size, "pixel_format": pixel_format}
     parts = [part for path in inputs for part in _parts(Path(path).absolute(), layout)]
     if not parts:
         raise FlatError("no frames: give image files, a folder of them, a TIFF of several pages or a video")
-    names = [name for part in parts for name in (part.names or (part.path.stem,))]
+    names = [name for part in parts for name in (part.pages or (part.path.stem,))]
     twice = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
     if twice:
         raise FlatError(f"{len(twice)} frames would have the same name, such as '{twice[0]}'; give them one by one")
     if dark is not None:
         # Errors of this file are raised at once, not for every frame.
         _read_dark(Path(dark).absolute())
-    return Frames(tuple(parts), None if dark is None else Path(dark).absolute())
+    if start is not None or end is not None:
+        if frames is not None:
+            raise ValueError("give either frames, or start and end")
+        frames = _slice_of_seconds(parts, start, end)
+    chosen = None if frames is None else _choose(sum(part.header[0] for part in parts), frames)
+    return Frames(tuple(parts), None if dark is None else Path(dark).absolute(), chosen)
+
+
+def _slice_of_seconds(parts: list[_Part], start: float | None, end: float | None) -> slice:
+    rates = {part.header[1] for part in parts}
+    if len(rates) > 1 or None in rates:
+        raise FlatError("seconds are for videos of one frame rate; choose frames by their numbers, such as 10:60")
+    if (start or 0) < 0 or (end is not None and not (start or 0) < end):
+        raise ValueError(f"start must be 0 or more seconds, and less than end, got {start} and {end}")
+    # Frames begin at multiples of a period, but for rounding.
+    rate = float(rates.pop())  # type: ignore[arg-type]
+    return slice(*(None if at is None else ceil(at * rate - 1e-6) for at in (start, end)))
+
+
+def _choose(count: int, frames: int | slice | str) -> range:
+    """The numbers of the frames, out of `count`, that are asked for."""
+    asked = frames
+    if isinstance(frames, str):
+        found = re.fullmatch(r"\s*(-?\d+)?(:(-?\d+)?(?::(-?\d+)?)?)?\s*", frames)
+        if not found or not frames.strip():
+            raise ValueError(f"frames must be START:STOP:STEP such as 10:60:2, or one number, got {frames!r}")
+        numbers = [None if text is None else int(text) for text in found.group(1, 3, 4)]
+        frames = slice(*numbers) if found[2] else int(found[1])
+    if not isinstance(frames, slice):
+        frames = slice(frames, frames + 1 or None)
+    if frames.step is not None and frames.step < 1:
+        raise ValueError(f"frames must have a step of at least 1, got {frames.step}")
+    chosen = range(*frames.indices(count))
+    if not chosen:
+        what = f"{asked.start or 0}:{asked.stop or ''}" if isinstance(asked, slice) else asked
+        raise FlatError(f"no frames are left: there are {count}, numbered from 0, and {what} has none of them")
+    return chosen
 
 
 @lru_cache(1)
@@ -159,17 +233,6 @@ def _read_less_dark(read: Callable[[], NDArray[Any]], dark: Path) -> NDArray[Any
         return subtract_dark(pixels, _read_dark(dark))
     except FlatError as error:
         raise FlatError(f"{dark}: {error}") from error
-
-
-def dark_of(frames: Iterable[Frame]) -> str | None:
-    """File of the dark frame that is subtracted from the frames of a sequence, if any is."""
-    dark = frames.dark if isinstance(frames, Frames) else None
-    return None if dark is None else str(dark)
-
-
-def are_encoded(frames: Iterable[Frame]) -> bool:
-    """Whether frames are encoded for display, whatever bits they have, as those of videos are."""
-    return isinstance(frames, Frames) and bool(frames.parts) and all(is_video(part.path) for part in frames.parts)
 
 
 def is_video(path: Path) -> bool:
@@ -196,7 +259,7 @@ def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
         # Reading the frame will report what is wrong.
         with suppress(FlatError):
             pages = count_pages(path)
-    names = (path.stem,) if pages == 1 else tuple(f"{path.stem}_{page:05d}" for page in range(pages))
+    names = (path.stem,) if pages == 1 else tuple(_frame_name(path, page) for page in range(pages))
     return [_Part(path, names, given)]
 
 
@@ -214,15 +277,22 @@ def _open_video(path: Path) -> Any:
     return container
 
 
-def _video_frames(path: Path) -> Iterator[Frame]:
-    """Frames of a video in RGB; a damaged one, or the end of a damaged video, is a frame that cannot be read."""
+def _frame_name(path: Path, number: int) -> str:
+    return f"{path.stem}_{number:05d}"
+
+
+def _video_frames(path: Path, chosen: range) -> Iterator[Frame]:
+    """Chosen frames of a video in RGB; a damaged one, or the end of a damaged video, is a frame that cannot be read."""
     number = 0
     try:
         with _open_video(path) as container:
             count = _least_length(container)
             for picture in _decode(container):
-                yield Frame(f"{path.stem}_{number:05d}", _read_picture(path, number, picture))
+                if number in chosen:
+                    yield Frame(_frame_name(path, number), _read_picture(path, number, picture))
                 number += 1
+                if number >= chosen.stop:
+                    return
         if number == 0:
             raise FlatError(f"{path}: holds no frames")
         if number < count:
@@ -231,7 +301,7 @@ def _video_frames(path: Path) -> Iterator[Frame]:
     except Exception as error:
         message = f"{path}: cannot be read as a video from frame {number} on ({_one_line(error)})"
         message = str(error) if isinstance(error, FlatError) else message
-        yield Frame(f"{path.stem}_{number:05d}", partial(_raise, message))
+        yield Frame(_frame_name(path, number), partial(_raise, message))
 
 
 def _least_length(container: Any) -> int:

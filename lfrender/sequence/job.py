@@ -9,6 +9,7 @@ group. A run that was interrupted, or spread over many machines, therefore makes
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -22,21 +23,21 @@ from lfcal import Calibration, LightFieldError, OutputError, load
 from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthFileError, DepthMap, default_scale
-from ..data.rendering import Rendering
+from ..data.rendering import PictureGrid, Rendering
 from ..depth.analyze import analyze
 from ..depth.incremental import load_reference_match, save_reference_match
 from ..flat.demosaicing import demosaic
+from ..output.depth_picture import depth_picture, magnification_limits
 from ..output.formats import EmbeddedMetadata, check_format, read_metadata
 from ..output.picture import eight_bits, write_picture
 from ..rendering.render import render
 from ..rendering.viewpoints import still_depth
-from .frames import Frame
+from .frames import Frame, is_video
 from .view_grid import ViewGrid, ViewOutput
 
 __all__ = ["FrameResult", "Group", "Job", "load_camera", "render_group"]
 
 _HIDDEN = ".lfrender"
-_Numbered = tuple[int, Frame]
 
 
 @dataclass(frozen=True)
@@ -62,16 +63,16 @@ class Group:
     """Frames that are worked on together."""
 
     outcomes: list[FrameResult | None] = field(default_factory=list)  # None for frames to be rendered ...
-    missing: list[_Numbered] = field(default_factory=list)  # ... which are these
-    first: _Numbered | None = None  # the frame that they are compared with, if its picture is there already
-    key: _Numbered | None = None  # of their segment
+    missing: list[tuple[int, Frame]] = field(default_factory=list)  # ... which are these, and their places
+    first: Frame | None = None  # the frame that they are compared with, if its picture is there already
+    key: Frame | None = None  # of their segment
 
 
 @dataclass
 class _Reference:
     """A frame that others are compared with."""
 
-    number: int
+    name: str
     flat: NDArray[Any]
     depth: DepthMap
     picture: Rendering | None = None
@@ -98,10 +99,12 @@ class Job:
     eight_bits: bool = False
     dark: str | None = None  # file of the dark frame
     encoded: bool = False  # frames are encoded for display, whatever bits they have
+    depth_maps: Path | None = None  # folder of the depth maps of frames, or film of their pictures
     still: float | None = None  # patch size [px] of the places that all views have in common
+    colours: tuple[float, float] | None = None  # magnification at the ends of the colours of depth pictures
     stopped: bool = False  # nobody takes the results of further frames
     _output: ViewOutput | None = None
-    _keys: dict[int, _Reference] = field(default_factory=dict)  # the last two, of neighbouring segments
+    _keys: dict[str, _Reference] = field(default_factory=dict)  # the last two, of neighbouring segments
     _lock: RLock = field(default_factory=RLock, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -110,30 +113,33 @@ class Job:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _lock=RLock())
 
-    def start(self, overwrite: bool) -> None:
-        """Make the folder, or continue the run that is there."""
+    def start(self, overwrite: bool, names: list[str]) -> None:
+        """Make the folder, or continue the run that is there, with frames of these names."""
         make_folder(self.folder)
-        make_folder(self._hidden)
+        make_folder(self.hidden)
         if self.calibration is not None:
             self.calibration = self._as_stored(self.calibration)
         if self.views is None:
             check_format(self.folder / f"picture{self.suffix}", "picture")
         else:
-            self._output = ViewOutput(self.folder, self._hidden, self.suffix)
-            self._output.start(overwrite)
+            self._output = ViewOutput(self.folder, self.hidden, self.suffix)
+            self._output.start(overwrite, names)
+        if self.depth_maps is not None:
+            make_folder(self.depth_path_of("").parent)
         if overwrite:
-            for file in (*self._hidden.glob("*.npz"), *self._hidden.glob("*.json")):
+            for file in (*self.hidden.glob("*.npz"), *self.hidden.glob("*.json")):
                 file.unlink()
         if self._settings_file.exists():
             self._resume()
 
     @property
-    def _hidden(self) -> Path:
+    def hidden(self) -> Path:
+        """The hidden folder."""
         return self.folder / _HIDDEN
 
     @property
     def _settings_file(self) -> Path:
-        return self._hidden / "settings.json"
+        return self.hidden / "settings.json"
 
     def _settings(self) -> dict[str, Any]:
         """What pictures of one folder have in common, beside their camera and scale; as JSON returns it."""
@@ -146,10 +152,10 @@ class Job:
         camera = load_camera(self.folder)
         try:
             settings = json.loads(self._settings_file.read_text(encoding="utf-8"))
-            scale, self.still = float(settings.pop("scale")), settings.pop("still", None)
+            scale, self.still, self.colours = (settings.pop(name) for name in ("scale", "still", "colours"))
             same = settings == self._settings() and self.scale in (None, scale)
         except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
-            raise OutputError(f"{self._hidden}: damaged ({error}); render everything again (--overwrite)") from error
+            raise OutputError(f"{self.hidden}: damaged ({error}); render everything again (--overwrite)") from error
         if not same or (self.calibration is not None and self.calibration.to_dict() != camera.to_dict()):
             raise OutputError(
                 f"{self.folder}: holds pictures made with another camera, dark frame, preset or scale; "
@@ -159,8 +165,8 @@ class Job:
 
     def groups(self, frames: Iterable[Frame], overwrite: bool, segment: int, group: int) -> Iterator[Group]:
         """The frames in groups, all but the last with some to be rendered; key frames are analysed on the way."""
-        earlier: _Numbered | None = None
-        key: _Numbered | None = None
+        earlier: Frame | None = None
+        key: Frame | None = None
         made, alone = Group(), True
         for number, frame in enumerate(frames):
             if number % segment == 0:
@@ -170,14 +176,14 @@ class Job:
                     yield made
                     made = Group()
                 made.first = None
-            if not overwrite and not self.is_missing(frame):
-                key, made.first = key or (number, frame), made.first or (number, frame)
-                made.outcomes.append(FrameResult(frame.name, self.path_of(frame), "kept"))
+            if not overwrite and not self.is_missing(frame.name):
+                key, made.first = key or frame, made.first or frame
+                made.outcomes.append(FrameResult(frame.name, self.path_of(frame.name), "kept"))
                 continue
             try:
-                if key is None or not self._depth_file(key[0]).exists():
-                    self._analyze_key(*(key or (number, frame)), earlier)
-                    key = key or (number, frame)
+                if key is None or not self._depth_file(key.name).exists():
+                    self._analyze_key(key or frame, earlier)
+                    key = key or frame
             except OutputError:
                 raise
             except LightFieldError as error:
@@ -186,19 +192,43 @@ class Job:
             made.outcomes.append(None)
             made.missing.append((number, frame))
             made.key = key
-            if alone and key[0] == number:
+            if alone and key is frame:
                 # The first picture, in one thread, imports what all need.
                 yield made
                 made, alone = Group(first=key), False
         yield made
 
-    def path_of(self, frame: Frame) -> Path:
+    def path_of(self, name: str) -> Path:
         """Where the picture of a frame is."""
-        return self._output.path_of(frame.name) if self._output else self.folder / f"{frame.name}{self.suffix}"
+        return self._output.path_of(name) if self._output else self.folder / f"{name}{self.suffix}"
 
-    def is_missing(self, frame: Frame) -> bool:
+    def depth_path_of(self, name: str) -> Path:
+        """Where the depth map of a frame is, or its picture for the film of them."""
+        assert self.depth_maps is not None
+        film = is_video(self.depth_maps)
+        return self.hidden / "depth" / f"{name}.png" if film else self.depth_maps / f"{name}.npz"
+
+    def is_missing(self, name: str) -> bool:
         """Whether a frame is still to be rendered."""
-        return self._output.is_missing(frame.name) if self._output else not self.path_of(frame).exists()
+        missing = self._output.is_missing(name) if self._output else not self.path_of(name).exists()
+        return missing or (self.depth_maps is not None and not self.depth_path_of(name).exists())
+
+    def remove(self, names: list[str]) -> None:
+        """Remove the results for frames that are all rendered again, so that none is kept if this is interrupted."""
+        for name in names:
+            paths = [] if self._output and self._output.raw else [self.path_of(name)]
+            paths += [] if self.depth_maps is None else [self.depth_path_of(name)]
+            for path in paths:
+                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Columns and rows of the pictures, once the first frame has been analysed."""
+        if self.views is not None and self.views.size is not None:
+            return self.views.size
+        if self.calibration is None or self.scale is None:
+            return None
+        return PictureGrid(self.calibration.image_size, self.calibration.lattice.pitch, self.scale).size
 
     def finish(self, names: list[str]) -> None:
         """Move what becomes whole with the last frame into place, once all frames of these names are done."""
@@ -207,14 +237,14 @@ class Job:
 
     def failed(self, frame: Frame, error: LightFieldError, seconds: float = 0.0) -> FrameResult:
         """The outcome of a frame with an error."""
-        return FrameResult(frame.name, self.path_of(frame), "failed", f"{frame.name}: {error}", seconds)
+        return FrameResult(frame.name, self.path_of(frame.name), "failed", f"{frame.name}: {error}", seconds)
 
-    def _depth_file(self, number: int) -> Path:
-        return self._hidden / f"depth_{number:06d}.npz"
+    def _depth_file(self, name: str) -> Path:
+        return self.hidden / f"depth_{name}.npz"
 
-    def _comparison_file(self, number: int) -> Path:
+    def _comparison_file(self, name: str) -> Path:
         """What later frames are compared with, beside the depth map of a key frame."""
-        return self._hidden / f"comparison_{number:06d}.npz"
+        return self.hidden / f"comparison_{name}.npz"
 
     def camera(self, pixels: NDArray[Any]) -> Calibration:
         """The camera of the run, calibrated from these pixels if there is none yet."""
@@ -232,36 +262,36 @@ class Job:
         pixels = frame.read()
         return demosaic(pixels, self.camera(pixels)) if pixels.ndim == 2 else pixels
 
-    def _analyze_key(self, number: int, frame: Frame, earlier: _Numbered | None) -> None:
+    def _analyze_key(self, frame: Frame, earlier: Frame | None) -> None:
         """Write the depth map of a key frame, compared with that of an earlier segment, if any."""
-        flat = self.read(frame)
-        if not self._depth_file(number).exists():
+        flat, file = self.read(frame), self._depth_file(frame.name)
+        if not file.exists():
             camera, previous = self.camera(flat), None
             if earlier is not None:
                 # The depth as it was saved: the state of that in memory is that of its own segment.
-                match = load_reference_match(self._load_depth(earlier[0]), self._comparison_file(earlier[0]))
-                previous = self._key(*earlier).flat, match
+                match = load_reference_match(self._load_depth(earlier), self._comparison_file(earlier.name))
+                previous = self._key(earlier).flat, match
             depth = analyze(flat, camera, self.preset, previous=previous)
             if not self._settings_file.exists():
                 self._save_settings(camera, depth)
-            save_reference_match(depth, self._comparison_file(number))
-            depth.save(self._depth_file(number))
-        self._remember(_Reference(number, flat, self._load_depth(number)))
+            save_reference_match(depth, self._comparison_file(frame.name))
+            depth.save(file)
+        self._remember(_Reference(frame.name, flat, self._load_depth(frame)))
 
     def _remember(self, key: _Reference) -> _Reference:
         with self._lock:
-            self._keys = {**dict(list(self._keys.items())[-1:]), key.number: key}
+            self._keys = {**dict(list(self._keys.items())[-1:]), key.name: key}
         return key
 
-    def _key(self, number: int, frame: Frame) -> _Reference:
+    def _key(self, frame: Frame) -> _Reference:
         """A key frame with flat and depth."""
         with self._lock:
-            found = self._keys.get(number)
-            return found or self._remember(_Reference(number, self.read(frame), self._load_depth(number)))
+            found = self._keys.get(frame.name)
+            return found or self._remember(_Reference(frame.name, self.read(frame), self._load_depth(frame)))
 
-    def _load_depth(self, number: int) -> DepthMap:
+    def _load_depth(self, frame: Frame) -> DepthMap:
         """A depth map from its file: other workers and later runs have no more than what is in it."""
-        file = self._depth_file(number)
+        file = self._depth_file(frame.name)
         if not file.exists():
             raise OutputError(f"{self.folder}: a file of one worker is not seen by another; give a shared folder")
         try:
@@ -272,26 +302,25 @@ class Job:
 
     def _save_settings(self, camera: Calibration, depth: DepthMap) -> None:
         self.scale = default_scale(depth) if self.scale is None else self.scale
-        settings = {**self._settings(), "scale": self.scale}
-        if self.views is not None:
-            settings["still"] = self.still = still_depth(depth)
-        camera.save(self._hidden / "camera.json")
+        self.still, self.colours = still_depth(depth), magnification_limits(depth.magnification)
+        settings = {**self._settings(), "scale": self.scale, "still": self.still, "colours": self.colours}
+        camera.save(self.hidden / "camera.json")
         with atomic_write(self._settings_file) as temporary:
             temporary.write_text(json.dumps(settings), encoding="utf-8")
 
-    def first_of_group(self, number: int, frame: Frame, flat: NDArray[Any] | None, key: _Numbered) -> _Reference:
+    def first_of_group(self, frame: Frame, flat: NDArray[Any] | None, key: Frame) -> _Reference:
         """The first frame of a group with flat, depth and picture; it may be the key frame of its segment itself."""
-        before = self._key(*key)
+        before = self._key(key)
         # Locked: groups of one segment may be worked on at once.
         with self._lock:
             if before.picture is None and self._output is None:
                 before.picture = render(before.flat, self.camera(before.flat), before.depth, scale=self.scale)
-        if number == before.number:
+        if frame.name == before.name:
             return before
         flat = self.read(frame) if flat is None else flat
-        if not self._depth_file(number).exists():
-            self._analyze_after(before, flat).save(self._depth_file(number))
-        first = _Reference(number, flat, self._load_depth(number))
+        if not self._depth_file(frame.name).exists():
+            self._analyze_after(before, flat).save(self._depth_file(frame.name))
+        first = _Reference(frame.name, flat, self._load_depth(frame))
         if self._output is None:
             first.picture = render(flat, self.camera(flat), first.depth, previous=before.previous())
         return first
@@ -301,9 +330,11 @@ class Job:
 
     def render_frame(self, number: int, frame: Frame, flat: NDArray[Any], first: _Reference) -> FrameResult:
         """Analyse, draw and write one frame, with its pixels in colour, after the `first` of its group."""
-        path, start, own = self.path_of(frame), perf_counter(), first.number == number
+        path, start, own = self.path_of(frame.name), perf_counter(), first.name == frame.name
         camera = self.camera(flat)
         depth = first.depth if own else self._analyze_after(first, flat)
+        if self.depth_maps is not None:
+            self._write_depth(depth, self.depth_path_of(frame.name))
         if self._output is not None:
             assert self.views is not None and self.still is not None
             pictures = self.views.draw(flat, camera, depth, self.scale, self.still)
@@ -317,6 +348,12 @@ class Job:
         still = float(depth.saved.get("still", 0.0))
         return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, still)
 
+    def _write_depth(self, depth: DepthMap, path: Path) -> None:
+        if path.suffix == ".npz":
+            depth.save(path)
+        else:
+            write_picture(path, depth_picture(depth, self.scale, self.colours))
+
 
 def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
     """The outcomes of a group in the order of its frames, the missing ones rendered."""
@@ -329,8 +366,8 @@ def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
             flat = job.read(frame)
             if first is None:
                 assert group.key is not None
-                given = group.first or (number, frame)
-                first = job.first_of_group(*given, flat if given[0] == number else None, group.key)
+                given = group.first or frame
+                first = job.first_of_group(given, flat if given.name == frame.name else None, group.key)
             result = job.render_frame(number, frame, flat, first)
         except OutputError:
             raise

@@ -77,29 +77,40 @@ class ViewOutput:
         self.folder, self.suffix = folder, suffix
         self._parts = hidden / "views"  # unfinished files
         kind = suffix.lstrip(".")
-        self._raw = check_raw_format(folder, kind) if kind.startswith(("yuv", "gra")) else ""
-        if not self._raw:
+        #: Pixel format of raw video, empty for pictures.
+        self.raw = check_raw_format(folder, kind) if kind.startswith(("yuv", "gra")) else ""
+        if not self.raw:
             check_format(folder / f"image{suffix}", "picture")
 
     def path_of(self, name: str) -> Path:
         """Where the views of a frame are."""
-        return self.folder if self._raw else self.folder / name
+        return self.folder if self.raw else self.folder / name
 
     def is_missing(self, name: str) -> bool:
         """Whether a frame is still to be rendered."""
-        return not (self._mark(name) if self._raw else self.folder / name).exists()
+        return not (self._mark(name) if self.raw else self.folder / name).exists()
 
-    def start(self, overwrite: bool) -> None:
-        """Make the hidden folder; finished files of raw video are opened again, to which frames may be added."""
+    def start(self, overwrite: bool, names: list[str]) -> None:
+        """Make the hidden folder; finished files of raw video are opened again, to which frames may be added.
+
+        OutputError if they have others than the frames of these names at their places.
+        """
         if overwrite:
             shutil.rmtree(self._parts, ignore_errors=True)
-            for file in self.folder.glob(_VIDEOS) if self._raw else ():
+            for file in self.folder.glob(_VIDEOS) if self.raw else ():
                 file.unlink()
         self._parts.mkdir(exist_ok=True)
+        places = {name: f"{number}" for number, name in enumerate(names)}
+        marks = self._parts.glob("*.done") if names else ()
+        if any(places.get(mark.stem) != mark.read_text(encoding="utf-8").strip() for mark in marks):
+            raise OutputError(
+                f"{self.folder}: holds the frames of another sequence; give another folder, or render everything "
+                "again (--overwrite)"
+            )
 
     def write(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
         """Write the views of frame `number`."""
-        if self._raw:
+        if self.raw:
             self._write_raw(number, name, pictures)
             return
         unfinished = self._parts / name
@@ -113,7 +124,7 @@ class ViewOutput:
 
     def _write_raw(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
         for view, picture in enumerate(pictures):
-            frame = yuv_frame(picture.image, self._raw, picture.white)
+            frame = yuv_frame(picture.image, self.raw, picture.white)
             data, path = frame_bytes(frame), self._parts / view_name(view, frame.width, frame.height)
             finished = self.folder / path.name
             if not path.exists() and finished.exists():
@@ -126,20 +137,14 @@ class ViewOutput:
 
     def finish(self, names: list[str]) -> None:
         """Move the files of raw video into place; a frame that failed shows the one before it, or the first of all."""
-        unfinished = sorted(self._parts.glob(_VIDEOS)) if self._raw else []
+        unfinished = sorted(self._parts.glob(_VIDEOS)) if self.raw else []
         numbers = {name: number for number, name in enumerate(names)}
         good = [number for name, number in numbers.items() if self._mark(name).exists()]
         if not (unfinished and good):
             return
-        for name, number in numbers.items():
-            if number in good and self._mark(name).read_text(encoding="utf-8").strip() != str(number):
-                raise OutputError(
-                    f"{self.folder}: holds the frames of another sequence; give another folder, or render everything "
-                    "again (--overwrite)"
-                )
         for path in unfinished:
             width, height = (int(n) for n in path.stem.partition("-")[2].split("x"))
-            size = len(frame_bytes(yuv_frame(np.zeros((height, width), np.uint8), self._raw)))
+            size = len(frame_bytes(yuv_frame(np.zeros((height, width), np.uint8), self.raw)))
             with path.open("r+b") as stream:
                 for number in set(numbers.values()) - set(good):
                     stream.seek(max((n for n in good if n < number), default=good[0]) * size)

@@ -18,10 +18,10 @@ av = pytest.importorskip("av", reason="videos are decoded by PyAV (lfrender[vide
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
     """A film of three frames, each with its number of bright rows."""
-    from lfrender.sequence.film import FilmFile
+    from lfrender.sequence.film_file import FilmFile
 
     path = tmp_path_factory.mktemp("film") / "film.mkv"
-    with FilmFile(path, Fraction(25), "") as film:
+    with FilmFile(path, Fraction(25)) as film:
         for rows in (8, 16, 24):
             film.add(np.repeat(np.where(np.arange(48) < rows, 200, 40), 64 * 3).astype(np.uint8).reshape(48, 64, 3))
     return path

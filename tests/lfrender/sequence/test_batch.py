@@ -18,7 +18,7 @@ import lfrender
 from lfcal import read_flat
 from lfrender.cli.main import main
 from lfrender.sequence import job
-from lfrender.sequence.film import FilmFile
+from lfrender.sequence.film_file import FilmFile
 
 #: Segments of three frames and groups of two.
 SHORT = {"segment": 3, "group": 2}
@@ -134,6 +134,85 @@ def test_dark_frame_is_subtracted_from_every_frame_and_another_one_is_refused(ho
     assert refused.exit_code == 2 and "another camera, dark frame" in refused.output
 
 
+def test_depth_maps_of_all_frames_are_those_of_single_ones_and_missing_ones_are_made(sequence, tmp_path):
+    maps = tmp_path / "depth"
+    frames, camera = sequence
+    part = lfrender.open_frames([frames], frames="3:")
+    plans = []
+    options = {"preset": "fast", "depth_maps": maps, "announce": plans.append}
+    (first, _) = lfrender.render_frames(part, tmp_path / "out", camera, **options)
+    assert sorted(p.name for p in maps.iterdir()) == ["f11.npz", "f12.npz"]
+    camera = job.load_camera(tmp_path / "out")
+    expected = lfrender.analyze(read_flat(frames / "f11.png"), camera, "fast")
+    np.testing.assert_array_equal(lfrender.DepthMap.load(maps / "f11.npz").patch_size, expected.patch_size)
+    (maps / "f12.npz").unlink()
+    outcomes = [r.outcome for r in lfrender.render_frames(part, tmp_path / "out", **options)]
+    assert outcomes == ["kept", "rendered"] and (maps / "f12.npz").exists()
+    size = tifffile.imread(first.path).shape[1::-1]
+    assert [(plan.frames, plan.kept, plan.size) for plan in plans] == [(2, 0, size), (2, 1, size)]
+
+
+def test_depth_of_a_frame_is_not_taken_for_that_of_another_at_its_place(sequence, tmp_path):
+    frames, camera = sequence
+    for name, folder in (("f8", "out"), ("f11", "out"), ("f11", "alone")):
+        one = lfrender.open_frames([frames / f"{name}.png"])
+        list(lfrender.render_frames(one, tmp_path / folder, camera, preset="fast", scale=4.0))
+    assert (tmp_path / "out" / "f11.tif").read_bytes() == (tmp_path / "alone" / "f11.tif").read_bytes()
+
+
+def test_no_picture_of_before_is_kept_when_rendering_everything_again_is_interrupted(sequence, tmp_path):
+    frames, camera = sequence
+    frames = lfrender.open_frames([frames], frames=slice(2))
+    list(lfrender.render_frames(frames, tmp_path, camera, preset="fast", scale=3.0))
+    started = lfrender.render_frames(frames, tmp_path, camera, preset="fast", scale=4.0, overwrite=True, group=1)
+    next(started)
+    started.close()
+    results = list(lfrender.render_frames(frames, tmp_path, camera, preset="fast", scale=4.0, group=1))
+    assert len({tifffile.imread(r.path).shape for r in results}) == 1
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    """Ten frames in two films of 5 a second, of which the first has 6."""
+    pytest.importorskip("av")
+    folder = tmp_path_factory.mktemp("films")
+    for name, numbers in (("a", range(6)), ("b", range(6, 10))):
+        with FilmFile(folder / f"{name}.mkv", Fraction(5)) as file:
+            for number in numbers:
+                file.add(np.full((24, 32), 10 * number, np.uint8))
+    return [folder / "a.mkv", folder / "b.mkv"]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "numbers"),
+    [
+        ({"frames": "2:8:3"}, [2, 5]), ({"frames": "::4"}, [0, 4, 8]), ({"frames": "-3:"}, [7, 8, 9]),
+        ({"frames": "7"}, [7]), ({"frames": -1}, [9]), ({"frames": slice(None, 2)}, [0, 1]),
+        ({"start": 0.6, "end": 1.4}, [3, 4, 5, 6]), ({"end": 0.3}, [0, 1]),
+    ],
+)  # fmt: skip
+def test_some_frames_are_chosen_by_number_or_time(film, chosen, numbers):
+    frames = lfrender.open_frames(film, **chosen)
+    read = list(frames)
+    assert [frame.read()[0, 0, 0] // 10 for frame in read] == numbers
+    assert frames.count == len(numbers) and frames.names == [frame.name for frame in read]
+    assert frames.rate == Fraction(5, 4 if chosen == {"frames": "::4"} else 3 if chosen == {"frames": "2:8:3"} else 1)
+
+
+@pytest.mark.parametrize("chosen", ["10:", "5:5", "40", "::0", "::-1", "1:2:3:4", "a", "", "1-2"])
+def test_choices_without_a_frame_or_a_meaning_are_refused(film, chosen):
+    with pytest.raises(ValueError, match="frames"):
+        lfrender.open_frames(film, frames=chosen)
+
+
+def test_seconds_need_a_rate_and_an_end_after_the_start(film, sequence):
+    with pytest.raises(lfcal.FlatError, match="frame rate"):
+        lfrender.open_frames([sequence[0]], start=1)
+    for start, end in ((2, 1), (-1, None), (1, 1)):
+        with pytest.raises(ValueError, match="start must"):
+            lfrender.open_frames(film, start=start, end=end)
+
+
 def test_bad_frame_is_reported_and_the_others_are_rendered(sequence, tmp_path):
     frames, camera = sequence
     inputs = tmp_path / "in"
@@ -181,10 +260,10 @@ def test_inputs_that_are_no_sequence_are_refused(tmp_path, make):
         lfrender.open_frames(inputs)
 
 
-def _outcomes(*inputs):
+def _outcomes(*inputs, **chosen):
     """What reading each frame gives: its pixels, or the message of the error."""
     found = []
-    for frame in lfrender.open_frames(inputs):
+    for frame in lfrender.open_frames(inputs, **chosen):
         try:
             found.append(frame.read())
         except lfcal.FlatError as error:
@@ -196,7 +275,7 @@ def test_damaged_frames_of_videos_are_detected_and_do_not_stop_the_rest(tmp_path
     av = pytest.importorskip("av")
     pictures = np.random.default_rng(0).integers(0, 256, (4, 40, 56, 3), dtype=np.uint8)
     path = tmp_path / "film.mkv"
-    with FilmFile(path, Fraction(25), "") as film:
+    with FilmFile(path, Fraction(25)) as film:
         for picture in pictures:
             film.add(picture)
     with av.open(str(path)) as film:
@@ -212,3 +291,6 @@ def test_damaged_frames_of_videos_are_detected_and_do_not_stop_the_rest(tmp_path
     assert "film.mkv: frame 1: slice CRC" in found[1]
     np.testing.assert_array_equal(np.stack([found[k] for k in (0, 2, 3, 4, 5)]), pictures[[0, 2, 3, 0, 1]])
     assert "torn.mkv: ends after 2 of" in found[6] and "none.mp4" in found[7]
+    # A damaged frame that was not asked for is no error, the end of the film before one that was is.
+    assert [type(f) for f in _outcomes(path, frames="::2")] == [np.ndarray] * 2
+    assert [type(f) for f in _outcomes(tmp_path / "torn.mkv", frames="1:")] == [np.ndarray, str]

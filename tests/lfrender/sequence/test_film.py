@@ -16,7 +16,8 @@ from click.testing import CliRunner
 import lfcal
 import lfrender
 from lfrender.cli.main import main
-from lfrender.sequence.film import FilmFile, render_film, to_film_pixels
+from lfrender.sequence.film import render_film
+from lfrender.sequence.film_file import FilmFile
 
 av = pytest.importorskip("av")
 
@@ -74,6 +75,39 @@ def test_interrupted_run_leaves_no_film_and_is_continued_from_its_pictures(frame
         next(render_film(frames, path, camera, preset="fast"))
 
 
+def test_part_of_a_film_lasts_as_long_and_has_a_film_of_depth_in_fixed_colours(frames, house, tmp_path):
+    with FilmFile(tmp_path / "in.mkv", Fraction(24)) as film:
+        for scale in (1, 0.9, 0.8, 0.7, 0.6):
+            film.add(np.rint(house.flat * scale).astype(np.uint8))
+    house.truth.calibration.save(tmp_path / "camera.json")
+    command = ["batch", str(tmp_path / "in.mkv"), "-c", str(tmp_path / "camera.json"), "--preset", "fast"]
+    command += ["--start", "0.04", "--frames", "1::2"]
+    refused = CliRunner().invoke(main, [*command, "-o", str(tmp_path / "out.mkv")])
+    assert refused.exit_code == 2 and "either frames" in refused.stderr
+    command[-4:] = ["--frames", "1::2", "--depth-maps", str(tmp_path / "depth.mkv")]
+    result = CliRunner().invoke(main, [*command, "-o", str(tmp_path / "out.mkv")], catch_exceptions=False)
+    assert result.exit_code == 0
+    (rate, sharp), (_, depth) = shown(tmp_path / "out.mkv"), shown(tmp_path / "depth.mkv")
+    assert (rate, len(sharp), len(depth)) == (12, 2, 2)
+    rows, columns = sharp[0].shape[:2]
+    assert f"Writes 2 frames of {columns} x {rows} px, 12 a second" in result.stderr
+    assert depth[0].shape == sharp[0].shape
+    # The scene has not changed.
+    assert np.mean(depth[0] == depth[1]) > 0.9
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["camera.json", "depth.mkv", "in.mkv", "out.mkv"]
+
+
+def test_film_that_was_begun_anew_is_finished_without_being_told_again(frames, house, tmp_path):
+    path, camera = tmp_path / "film.mkv", house.truth.calibration
+    path.write_bytes(b"an earlier film")
+    started = render_film(frames, path, camera, preset="fast", overwrite=True)
+    list(islice(started, 2))
+    started.close()
+    assert path.read_bytes() == b"an earlier film"
+    assert "kept" in [r.outcome for r in render_film(frames, path, camera, preset="fast")]
+    assert len(shown(path)[1]) == 5
+
+
 def test_sequence_without_a_frame_that_can_be_rendered_makes_no_film(frames, house, tmp_path):
     bad = lfrender.open_frames(frames.files[:1])
     run = render_film(bad, tmp_path / "film.mkv", house.truth.calibration, preset="fast")
@@ -84,7 +118,7 @@ def test_sequence_without_a_frame_that_can_be_rendered_makes_no_film(frames, hou
 
 
 def test_command_makes_a_film_that_plays_everywhere_at_the_rate_of_its_input(frames, pictures, house, tmp_path):
-    with FilmFile(tmp_path / "in.mkv", Fraction(12), "") as film:
+    with FilmFile(tmp_path / "in.mkv", Fraction(12)) as film:
         for file in (frames.files[1], frames.files[2]):
             film.add(lfcal.read_flat(file))
     house.truth.calibration.save(tmp_path / "camera.json")
@@ -103,10 +137,22 @@ def test_command_makes_a_film_that_plays_everywhere_at_the_rate_of_its_input(fra
         assert np.std(apart @ [0.2126, 0.7152, 0.0722]) < 1.6
 
 
+def test_pictures_of_ten_bits_fill_the_range_of_a_film_for_cutting(tmp_path):
+    ramp = np.rint(np.linspace(0, 1023, 96)).astype(np.uint16)
+    picture = np.repeat(np.tile(ramp, (33, 1))[..., None], 3, 2)
+    with FilmFile(tmp_path / "film.mov", Fraction(25)) as film:
+        film.add(picture, 1023)
+    (frame,) = lfrender.open_frames([tmp_path / "film.mov"])
+    there = frame.read()
+    assert there.shape == (34, 96, 3) and there.dtype == np.uint16
+    # FFmpeg counts 16 bits as 8 bits times 256. With 8 bits values would step by 4.
+    assert np.abs(there[:33] / 0xFF00 * 1023 - picture).mean() < 0.7
+
+
 def test_even_areas_keep_their_colours_to_a_grey_level_through_a_film_and_back(tmp_path):
     colours = np.random.default_rng(1).integers(0, 256, (6, 8, 3), dtype=np.uint8)
     picture = np.repeat(np.repeat(colours, 16, 0), 16, 1)
-    with FilmFile(tmp_path / "film.mp4", Fraction(25), "") as film:
+    with FilmFile(tmp_path / "film.mp4", Fraction(25)) as film:
         film.add(picture)
     (frame,) = lfrender.open_frames([tmp_path / "film.mp4"])
     middles = frame.read()[8::16, 8::16].astype(int)
@@ -119,20 +165,18 @@ def test_even_areas_keep_their_colours_to_a_grey_level_through_a_film_and_back(t
 def test_lossless_film_holds_pixels_of_all_kinds_bit_for_bit(tmp_path, kind, channels):
     values = np.random.default_rng(0).random((3, 31, 45, *channels))
     whole = values.astype(np.float32) if kind == np.float32 else (values * np.iinfo(kind).max).astype(kind)
-    stored = to_film_pixels(whole)
-    with FilmFile(tmp_path / "film.mkv", Fraction(25), "") as film:
-        for picture in stored:
+    stored = np.rint(whole * 65535).astype(np.uint16) if kind == np.float32 else whole
+    with FilmFile(tmp_path / "film.mkv", Fraction(25)) as film:
+        for picture in whole:
             film.add(picture)
     name = {1: "gray", 2: "gray16le"} if not channels else {1: "rgb24", 2: "rgb48le"}
     with av.open(str(tmp_path / "film.mkv")) as film:
         found = [f.to_ndarray(format=name[stored.dtype.itemsize]) for f in film.decode(video=0)]
     np.testing.assert_array_equal(np.stack(found), stored)
-    if kind == np.float32:
-        assert np.abs(stored / 65535 - whole).max() < 1e-5
 
 
 def test_pictures_of_a_film_must_be_of_one_kind(tmp_path):
-    with FilmFile(tmp_path / "film.mkv", Fraction(25), "") as film:
+    with FilmFile(tmp_path / "film.mkv", Fraction(25)) as film:
         film.add(np.full((20, 30, 3), 50, np.uint8))
         for other in (np.zeros((20, 31, 3), np.uint8), np.zeros((20, 30), np.uint8)):
             with pytest.raises(lfcal.LightFieldError, match="of one kind"):

@@ -1,0 +1,170 @@
+"""Film files: H.264 in MP4, which plays everywhere, ProRes in QuickTime for cutting, lossless FFV1 in Matroska, raw."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing, contextmanager, suppress
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import FlatError, OutputError, read_flat
+from lfcal.runtime.output_file import atomic_write
+
+from ..data.rendering import Rendering
+from ..output.formats import FORMATS, PictureError
+from ..output.raw_video import yuv_frame
+from ..output.tiled_picture import move_into_place
+from ..output.views import write_animation
+from .job import FrameResult
+
+__all__ = ["FilmFile", "film_results", "write_moving"]
+
+# What PyAV calls arrays of so many dimensions and bytes, and how FFV1 stores them.
+_LOSSLESS = {
+    (2, 1): ("gray", "gray"), (3, 1): ("rgb24", "bgr0"), (2, 2): ("gray16le", "gray16le"),
+    (3, 2): ("rgb48le", "gbrp16le"),
+}  # fmt: skip
+# How the others store pictures.
+_PIXELS = {".mp4": "yuv420p", ".mov": "yuv422p10", ".yuv": "yuv420p10"}
+
+
+def write_moving(path: Path, pictures: Iterable[Rendering]) -> None:
+    """Write pictures as an animation or a film by the suffix, as fast as `write_animation`; whole or not at all."""
+    if not FORMATS[path.suffix.lower()].film:
+        write_animation(path, pictures)
+        return
+    with atomic_write(path) as temporary, FilmFile(temporary, Fraction(25, 2)) as film:
+        for picture in pictures:
+            film.add(picture.image, picture.white)
+
+
+def film_results(
+    results: Generator[FrameResult, None, None],
+    path: Path,
+    folder: Path,
+    rate: Fraction,
+    picture: Callable[[FrameResult], Path],
+    white: Callable[[], float | None] = lambda: None,
+    **about: str,
+) -> Generator[FrameResult, None, None]:
+    """Pass results on, and write their pictures into a film: in a folder, moved to its place after the last one.
+
+    In place of a frame that failed the picture before it is repeated; FlatError if there is none at all.
+    """
+    partial, shown, times = folder / f"film{path.suffix.lower()}", None, 0
+    # Closed in this order: threads must end before the film that they write into, and not in the garbage collector.
+    with closing(results), FilmFile(partial, rate, **about) as film:
+        for result in results:
+            shown = shown if result.outcome == "failed" else picture(result)
+            times += 1
+            if shown is not None:
+                pixels = read_flat(shown)
+                for _ in range(times):
+                    film.add(pixels, white())
+                times = 0
+            yield result
+        if not film.count:
+            raise FlatError(f"{path}: is not written, because none of the frames could be rendered")
+    move_into_place(partial, path)
+
+
+class FilmFile:
+    """A film being written, of `rate` pictures a second, complete once it is closed; use it in a `with` statement."""
+
+    def __init__(self, path: Path, rate: Fraction, **about: str) -> None:
+        import av
+
+        #: Number of pictures.
+        self.count = 0
+        # Rates of television have denominators up to 1001; further digits of a decimal number are rounding.
+        self._path, self._rate, self._kind = path, rate.limit_denominator(1001), path.suffix.lower()
+        self._stream: Any = None
+        # With the index before the pictures, a browser can play the film before it has all of it.
+        options = {"movflags": "+faststart"} if self._kind in (".mp4", ".mov") else {}
+        with self._output_errors():
+            form = "rawvideo" if self._kind == ".yuv" else None
+            self._file = av.open(str(path), "w", format=form, options=options)
+            self._file.metadata["comment"] = json.dumps({"software": "lfrender", **about})
+
+    def add(self, pixels: NDArray[Any], white: float | None = None) -> None:
+        """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float, of the size and type of the first one.
+
+        Up to the `white` of integers if the film is not lossless. PictureError if it is of another kind, OutputError if
+        the film cannot be written.
+        """
+        if self._stream is None:
+            self._first = pixels.shape, pixels.dtype
+        if (pixels.shape, pixels.dtype) != self._first:
+            told = " and ".join(
+                f"{shape[1]} x {shape[0]} px of {kind}" for shape, kind in (self._first, (pixels.shape, pixels.dtype))
+            )
+            raise PictureError(f"{self._path}: the pictures of a film are of one kind, these are {told}")
+        with self._output_errors():
+            frame = self._frame(pixels, white)
+            if self._stream is None:
+                self._begin(frame)
+            frame.pts, frame.time_base = self.count, 1 / self._rate
+            self._file.mux(self._stream.encode(frame))
+        self.count += 1
+
+    def close(self) -> None:
+        """Write what the encoder still holds, and close the file."""
+        with self._output_errors():
+            if self._stream is not None:
+                self._file.mux(self._stream.encode())
+            self._file.close()
+
+    def __enter__(self) -> FilmFile:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self.close()
+            return
+        # The error is raised already, and the file is incomplete.
+        with suppress(OutputError), self._output_errors():
+            self._file.close()
+
+    def _begin(self, frame: Any) -> None:
+        film = FORMATS[self._kind].film
+        assert film is not None
+        self._stream = self._file.add_stream(film[0], rate=self._rate, options=dict(film[1]))
+        context = self._stream.codec_context
+        # A fixed number, so that the film is the same on every machine.
+        context.thread_count = 4
+        context.width, context.height, context.pix_fmt = frame.width, frame.height, frame.format.name
+        if self._kind in (".mp4", ".mov"):
+            # Codes of ITU-T H.273 for the colours of HD television (BT.709) and their limited range.
+            context.colorspace = context.color_primaries = context.color_trc = context.color_range = 1
+
+    def _frame(self, pixels: NDArray[Any], white: float | None) -> Any:
+        """The picture as it is encoded."""
+        import av
+
+        if self._kind == ".mkv":
+            if pixels.dtype.kind == "f":
+                pixels = np.rint(np.clip(pixels, 0, 1) * 65535).astype(np.uint16)
+            given, stored = _LOSSLESS[pixels.ndim, pixels.dtype.itemsize]
+            return av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=given).reformat(format=stored)
+        if self._kind == ".yuv":
+            return yuv_frame(pixels, _PIXELS[self._kind], white)
+        # Colours are stored for 2 x 2 pixels each: odd sizes get one more row or column.
+        odd = [(0, n % 2) for n in pixels.shape[:2]]
+        pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
+        return yuv_frame(pixels, _PIXELS[self._kind], white, dst_colorspace="ITU709", dst_color_range="MPEG")
+
+    @contextmanager
+    def _output_errors(self) -> Iterator[None]:
+        """Turn errors of the encoder into an OutputError."""
+        import av
+
+        try:
+            yield
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise OutputError(f"{self._path}: cannot be written ({reason})") from error
