@@ -164,7 +164,7 @@ def test_a_command_of_the_documentation_runs(program, words, prepared, tmp_path,
     # Those of the small capture, in place of what suits that of the page.
     words = [{"33": "6", "12.5": "6", "15.4": "20.3", "7x7": "2x2"}.get(word, word) for word in words]
     if words[0] == "view" and "--export" not in words:
-        words += ["--export", "page.html"]
+        words += ["--export", "page"]
     for word, package in ((".zarr", "zarr"), ("film", "av"), (".mp4", "av")):
         if any(word in one for one in words):
             pytest.importorskip(package)

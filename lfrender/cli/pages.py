@@ -27,7 +27,7 @@ __all__ = ["demo", "report", "view"]
 @capture_command(
     "lfrender view flat.png",
     "lfrender view flat.png -c camera.json --export page.html",
-    "lfrender view captures -c camera.json",
+    "lfrender view frames -c camera.json",
     refused={"roi": "the viewer shows the whole flat; zoom into it"},
     own={"Where to show it": "export port no_browser"},
     several="FLAT...",
