@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from lfrender.runtime.choices import Preset
 
 _RUNS, _STEPS = 7, 20
 _SIZE, _PITCH = (1400, 1000), 23.2
@@ -51,11 +52,12 @@ def _frame_rows(frames: list[NDArray[Any]], camera: lfcal.Calibration) -> None:
     flat = frames[0]
     print(f"{flat.shape[1]} x {flat.shape[0]}, pitch {camera.lattice.pitch:.1f} px, {len(camera.lattice)} lenses")
     all_threads = numba.get_num_threads()
-    for preset in ("fast", "balanced"):
+    presets: tuple[Preset, ...] = "fast", "balanced"
+    for preset in presets:
         walls = []
         depth = lfrender.analyze(flat, camera, preset)
 
-        def analysed(preset: str = preset) -> None:
+        def analysed(preset: Preset = preset) -> None:
             lfrender.analyze(flat, camera, preset)
 
         def drawn(depth: lfrender.DepthMap = depth) -> None:
@@ -75,7 +77,7 @@ def _frame_rows(frames: list[NDArray[Any]], camera: lfcal.Calibration) -> None:
             _next_row(frames, camera, preset, depth)
 
 
-def _next_row(frames: list[NDArray[Any]], camera: lfcal.Calibration, preset: str, depth: lfrender.DepthMap) -> None:
+def _next_row(frames: list[NDArray[Any]], camera: lfcal.Calibration, preset: Preset, depth: lfrender.DepthMap) -> None:
     """Frames after one another, to and fro: their depth and picture, what was kept, and how far they are from frames on
     their own."""
     there_and_back = [*range(1, len(frames)), *range(len(frames) - 2, -1, -1)]

@@ -13,9 +13,10 @@ import numpy as np
 
 import lfcal
 import lfrender
+from lfrender.runtime.choices import Preset
 
 
-def _row(path: Path, preset: str) -> str:
+def _row(path: Path, preset: Preset) -> str:
     flat = lfcal.read_flat(path)
     calibration = lfcal.calibrate(flat)
     lfrender.render(flat, calibration, lfrender.analyze(flat, calibration, preset))

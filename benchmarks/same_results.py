@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 import lfcal
 import lfrender
 from lfrender.rendering.viewpoints import circle_offsets
+from lfrender.runtime.choices import Preset
 
 from .random_scenes import draw
 
@@ -30,7 +31,7 @@ __all__ = ["differences", "main", "results"]
 Results = dict[str, NDArray]
 
 SEEDS, SAMPLES = range(10), 64
-PRESETS = ("fast", "balanced")
+PRESETS: tuple[Preset, ...] = ("fast", "balanced")
 # Files of the folder that are read, by pattern, and which of them are white images.
 SCENES = ("truth/*/flat.png", "captures/*2.png", "captures/*.webp", "captures/GUV.tif", "captures/Letters.png")
 WHITES = ("whites/*.png", "truth/*/white.png")

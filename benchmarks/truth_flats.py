@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from scipy.spatial import cKDTree
 import lfcal
 import lfrender
 from data_synth.metrics import PictureQuality, compare_pictures, resample
+from lfrender.runtime.choices import Preset
 
 from .depth_edges import RESOLVABLE, edge_share
 
@@ -44,7 +46,7 @@ def merit(picture: lfrender.Rendering, folder: Path, pitch: float) -> PictureQua
     return compare_pictures(picture.image / np.float64(np.iinfo(picture.image.dtype).max), wanted, where)
 
 
-def _row(folder: Path, preset: str) -> str:
+def _row(folder: Path, preset: Preset) -> str:
     flat = lfcal.read_flat(folder / "flat.png")
     calibration = lfcal.calibrate(flat)
     lfrender.render(flat, calibration, lfrender.analyze(flat, calibration, preset))
@@ -81,5 +83,6 @@ def _row(folder: Path, preset: str) -> str:
 if __name__ == "__main__":
     for path in sorted(Path(sys.argv[1]).iterdir()):
         if path.is_dir():
-            for name in sys.argv[2:] or ["balanced"]:
-                print(_row(path, name), flush=True)
+            for name in get_args(Preset):
+                if name in (sys.argv[2:] or ["balanced"]):
+                    print(_row(path, name), flush=True)

@@ -14,13 +14,14 @@ import numpy as np
 import lfcal
 import lfrender
 from lfrender.data.depth_map import default_scale
+from lfrender.runtime.choices import Preset
 
 from .baselines import hough_lattice, matched_patch_sizes, tiled
 from .cases import Case
 
 __all__ = ["Row", "measure"]
 
-_PRESETS = ("fast", "balanced")
+_PRESETS: tuple[Preset, ...] = ("fast", "balanced")
 
 
 @dataclass(frozen=True)

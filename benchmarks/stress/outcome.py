@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 import lfcal
 import lfrender
+from lfrender.runtime.choices import Preset
 
 from ..white_images import WhiteImage
 from .plane_flats import PlaneFlat
@@ -138,7 +139,7 @@ def calibrate_plane(truth: PlaneFlat) -> Outcome:
     return _of_camera(camera, error, truth.pitch)
 
 
-def depth_of_plane(truth: PlaneFlat, preset: str = "balanced", harm: Harm | None = None) -> Outcome:
+def depth_of_plane(truth: PlaneFlat, preset: Preset = "balanced", harm: Harm | None = None) -> Outcome:
     """Analyse a flat of a textured plane with its true camera."""
     flat = truth.flat() if harm is None else harm(truth.flat())
     depth = lfrender.analyze(flat, truth.calibration, preset)

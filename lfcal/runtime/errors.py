@@ -1,5 +1,6 @@
 """The errors of this toolkit: each message says what was wrong, where, and what to do."""
 
+from collections.abc import Iterable
 from typing import Any
 
 __all__ = [
@@ -77,5 +78,7 @@ class BoardError(LightFieldError, ValueError):
 
 def check_type(value: Any, kind: type, name: str, remedy: str) -> None:
     """Raise a TypeError that names an argument of another type, and what makes one."""
-    if not isinstance(value, kind):
-        raise TypeError(f"{name} must be a {kind.__name__}, got {type(value).__name__}; {remedy}")
+    # A text is never meant as an iterable.
+    if not isinstance(value, kind) or (kind is Iterable and isinstance(value, str)):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise TypeError(f"{name} must be {article} {kind.__name__}, got {type(value).__name__}; {remedy}")

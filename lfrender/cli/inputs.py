@@ -14,6 +14,7 @@ from lfcal import CameraFileError
 from lfcal.runtime.command_line import Report, name_file_in_errors
 from lfcal.runtime.image_formats import RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS, Mosaic
 
+from ..runtime.choices import Preset
 from . import figures
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ class CaptureInput:
     white: Path | None = None
     depth_file: Path | None = None
     dark: Path | None = None  # frame that is subtracted from the flat and from the white image
-    preset: str | None = None
+    preset: Preset | None = None
     roi: tuple[float, float, float, float] | None = None
     mosaic: Mosaic | None = None
     page: int | None = None  # of a TIFF of several pictures, or of a video

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
-from typing import Any
+from typing import Any, get_args
 
 import click
 import cloup
@@ -18,13 +18,14 @@ from lfcal import LightFieldError
 from lfcal.runtime import command_line as cl
 from lfcal.runtime.image_formats import MOSAICS
 
+from ..runtime.choices import Detail, PoseFormat, Preset
 from .inputs import CaptureInput
 
 __all__ = ["at_most_one", "capture_command", "connect_cluster", "declare", "option_errors", "output_option"]
 
 _FILE, _OUTPUT = cl.InputPath(), cl.OutputPath()
 _SIZE, _GRID = cl.Pair("WxH", "2048x1536"), cl.Pair("ROWSxCOLUMNS", "5x5")
-_PRESET, _POSES = click.Choice(["fast", "balanced", "accurate"]), click.Choice(["nerfstudio", "colmap", "rvs"])
+_PRESET, _POSES = click.Choice(get_args(Preset)), click.Choice(get_args(PoseFormat))
 _POSITIVE, _SHARE = click.FloatRange(0, min_open=True), click.FloatRange(0, 1, min_open=True)
 
 
@@ -59,7 +60,7 @@ TABLE = {
     "edges": _row("--edges/--no-edges", None,
         "Place depth edges on the pixels of the microimages: cleaner outlines, in up to twice the time. The "
         "preset 'balanced' does so.", default=None),
-    "detail": _row("--detail", click.Choice(["natural", "off"]),
+    "detail": _row("--detail", click.Choice(get_args(Detail)),
         "Undo the blur of the microlenses, place by place, as noise allows. [default: natural, for depth maps]"),
     "at": _row("--at", float, "Focus on this place [px of the flat].", nargs=2, metavar="X Y"),
     "patch_sizes": _row("--patch-size patch_sizes", float,

@@ -20,11 +20,12 @@ from lfcal.runtime.output_file import atomic_write
 from ..runtime.quantiles import quantile
 from .flat_samples import is_same_flat, sample_flat
 from .frame_state import FrameState
+from .rendering import show_on_axes
 from .surface import Surface
 
 __all__ = [
     "BINOCULAR", "DEPTH_ADVICE", "MODES", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap",
-    "default_scale",
+    "check_depth", "default_scale",
 ]  # fmt: skip
 
 #: Codes of `DepthMap.mode`.
@@ -199,18 +200,37 @@ class DepthMap(Frozen):
         """The optics, and the centres of the lenses if they are known."""
         if isinstance(camera, Optics):
             return camera, None
-        check_type(camera, Calibration, "camera", f"{CAMERA_ADVICE}; or give lfcal.Optics")
+        check_type(camera, Calibration, "camera", f"{CAMERA_ADVICE}, or give lfcal.Optics")
         if camera.optics is None:
             raise CalibrationError("the camera file holds no optics; measure them with 'lfcal metric FLAT...'")
-        if len(camera.lattice) != len(self):
-            raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+        check_depth(self, camera)
         return camera.optics, camera.lattice.centres()
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the magnification over the scene on Matplotlib axes, by default the current ones; returns them."""
-        from .plots import plot_depth
+        from matplotlib.colors import LogNorm
 
-        return plot_depth(self, ax)
+        (shown, low, high), surface = self.clipped_magnification(), self.surface
+        lens = self.nearest_lens(shown.shape, surface.first, surface.spacing)
+        if lens is not None:
+            shown[self.filled[lens]] = np.nan
+        corner = np.array(surface.first) - surface.spacing / 2
+        corners = corner, corner + surface.spacing * np.array(shown.shape[::-1])
+        look: dict[str, Any] = {"norm": LogNorm(low, high), "cmap": "turbo", "interpolation": "nearest"}
+        drawn = show_on_axes(ax, shown, *corners, "Magnification", **look)
+        # Grey as in the maps of `lfrender.output.depth_picture`.
+        drawn.axes.set_facecolor(np.full(3, 150 / 255))
+        bar = drawn.figure.colorbar(drawn, ax=drawn.axes, label="magnification M (grey: unresolved)")
+        bar.set_ticks(np.geomspace(low, high, 5), labels=[f"{tick:.2g}" for tick in np.geomspace(low, high, 5)])
+        bar.minorticks_off()
+        return drawn.axes
+
+    def clipped_magnification(self) -> tuple[NDArray[np.float32], float, float]:
+        """(h, w) magnification on the grid of the surface, clipped to the range of nearly all of it, and that range."""
+        whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), 1e-3 * self.pitch)
+        low, high = (float(value) for value in np.percentile(whole, (1, 99)))
+        high = max(high, 1.2 * low)
+        return np.clip(whole, low, high), low, high
 
     def __repr__(self) -> str:
         shares = [f"{np.mean(self.mode == code):.0%} {name}" for code, name in MODES.items()] if len(self) else []
@@ -262,6 +282,14 @@ class DepthMap(Frozen):
         except Exception as error:
             text = " ".join(str(error).split())[:200] or type(error).__name__
             raise DepthFileError(f"{path}: not a whole depth file ({text}); {remedy}") from error
+
+
+def check_depth(depth: DepthMap, calibration: Calibration) -> None:
+    """Raise a TypeError if these are something else, a CalibrationError if they do not belong to each other."""
+    check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
+    check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
+    if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
+        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
 
 
 def default_scale(depth: DepthMap) -> float:

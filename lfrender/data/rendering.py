@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,16 +11,28 @@ from numpy.typing import NDArray
 
 from lfcal import LightFieldError
 from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.errors import check_type
 from lfcal.runtime.notebook import html_card
 
 if TYPE_CHECKING:
     from lfcal import Calibration
 
 __all__ = [
-    "Part", "Picture", "PictureGrid", "Rendering", "check_patch_size", "check_scale", "convert_to_dtype",
+    "PICTURE_ADVICE",
+    "Part",
+    "Picture",
+    "PictureGrid",
+    "Rendering",
+    "check_patch_size",
+    "check_pictures",
+    "check_scale",
+    "convert_to_dtype",
     "finish_picture",
+    "show_on_axes",
 ]  # fmt: skip
 
+#: Where a picture comes from, for `check_type`.
+PICTURE_ADVICE = "lfrender.render makes one"
 #: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
 Part = tuple[int, int, int, int]
 
@@ -95,6 +107,14 @@ class PictureGrid:
         for top in range(0, rows, side[1]):
             for left in range(0, columns, side[0]):
                 yield left, top, min(left + side[0], columns), min(top + side[1], rows)
+
+
+def check_pictures(pictures: Any) -> Iterator[Rendering]:
+    """The pictures one by one, or a TypeError where something else stands among them."""
+    check_type(pictures, Iterable, "pictures", "give a list of what lfrender.render or lfrender.views draw")
+    for picture in pictures:
+        check_type(picture, Rendering, "pictures", PICTURE_ADVICE)
+        yield picture
 
 
 def check_scale(scale: float, pitch: float) -> float:
@@ -186,9 +206,14 @@ class Rendering(Picture, Frozen):
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the picture over scene coordinates on Matplotlib axes, by default the current ones; returns them."""
-        from .plots import plot_rendering
-
-        return plot_rendering(self, ax)
+        image = self.image
+        if image.dtype.kind == "u":
+            image = image / np.float32(self.white or np.iinfo(image.dtype).max)
+        height, width = image.shape[:2]
+        corners = self.affine @ [-0.5, -0.5, 1], self.affine @ [width - 0.5, height - 0.5, 1]
+        look: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 1}
+        shown, title = np.clip(np.squeeze(image), 0, 1), f"{self.scale:.1f} px per pitch"
+        return show_on_axes(ax, shown, *corners, title, **look).axes
 
     def __repr__(self) -> str:
         height, width = self.image.shape[:2]
@@ -200,6 +225,15 @@ class Rendering(Picture, Frozen):
 
     def _repr_html_(self) -> str:
         return html_card(repr(self), {}, self.plot)
+
+
+def show_on_axes(ax: Any, image: NDArray, first: NDArray, last: NDArray, title: str, **look: Any) -> Any:
+    """A picture on Matplotlib axes, by default the current ones, between two corners of it in scene coordinates."""
+    import matplotlib.pyplot as plt
+
+    ax = ax or plt.gca()
+    ax.set(xlabel="x [flat px]", ylabel="y [flat px]", title=title)
+    return ax.imshow(image, extent=(first[0], last[0], last[1], first[1]), **look)
 
 
 def finish_picture(

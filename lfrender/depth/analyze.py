@@ -12,6 +12,7 @@ from lfcal import Calibration
 from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_flat
 from ..flat.validation import check_flat, exposure_rows, match_exposure
+from ..runtime.choices import Preset, Shortcut, check_choice
 from .edges.locate_edges import locate_edges
 from .incremental import update_depth
 from .pipeline import estimate_depth_map, prepare_flat
@@ -24,9 +25,9 @@ __all__ = ["PRESETS", "analyze"]
 def analyze(
     flat: NDArray,
     calibration: Calibration,
-    preset: str = "balanced",
+    preset: Preset = "balanced",
     *,
-    skip: bool | Iterable[str] = True,
+    skip: bool | Iterable[Shortcut] = True,
     roi: tuple[float, float, float, float] | None = None,
     previous: tuple[NDArray, DepthMap] | None = None,
     edges: bool | None = None,
@@ -87,13 +88,14 @@ def analyze(
     >>> round(float(np.nanmedian(depth.patch_size)), 1)
     6.0
     """
-    if preset not in PRESETS:
-        raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+    check_choice(preset, Preset, "preset")
     edges = PRESETS[preset].edges if edges is None else edges
     shortcuts = Shortcuts.of(skip)
     flat = check_flat(flat, calibration)
     calibration = match_exposure(flat[exposure_rows(len(flat))], calibration)
     lattice = calibration.lattice
+    if previous is not None and not (isinstance(previous, tuple) and isinstance(previous[-1], DepthMap)):
+        raise TypeError("previous must be (flat, DepthMap) of an earlier frame")
     inside = None if roi is None else select_lenses(check_region(roi, lattice), lattice)
     if previous is not None and shortcuts.still:
         if inside is not None:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import get_args
+
+from ..runtime.choices import Shortcut, check_choice
 
 __all__ = ["PRESETS", "Preset", "Shortcuts"]
 
@@ -52,11 +55,8 @@ class Shortcuts:
     @classmethod
     def of(cls, skip: bool | Iterable[str]) -> Shortcuts:
         """All, none, or those with the given names; ValueError if there is no shortcut of such a name."""
-        names = [field.name for field in fields(cls)]
-        if isinstance(skip, str):
-            skip = (skip,)
-        wanted = names * skip if isinstance(skip, bool) else list(skip)
-        unknown = [name for name in wanted if name not in names]
-        if unknown:
-            raise ValueError(f"skip must be True, False or some of {', '.join(names)}, got {unknown[0]!r}")
+        names = get_args(Shortcut)
+        wanted = names * skip if isinstance(skip, bool) else (skip,) if isinstance(skip, str) else tuple(skip)
+        for name in wanted:
+            check_choice(name, Shortcut, "skip (True, False, or several)")
         return cls(**{name: name in wanted for name in names})

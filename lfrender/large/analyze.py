@@ -31,6 +31,7 @@ from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
 from ..flat.texture import estimate_noise, find_texture, sample_statistics
 from ..flat.validation import match_exposure
+from ..runtime.choices import Preset, Shortcut, check_choice
 from ..sequence.workers import Workers
 from .tiles import LensTile, TileReader, lens_tiles, lens_windows
 
@@ -40,9 +41,9 @@ __all__ = ["analyze_large"]
 def analyze_large(
     source: FlatSource,
     calibration: Calibration,
-    preset: str = "balanced",
+    preset: Preset = "balanced",
     *,
-    skip: bool | Iterable[str] = True,
+    skip: bool | Iterable[Shortcut] = True,
     progress: Callable[[int, int], None] | None = None,
     client: Any = None,
     threads: int | None = None,
@@ -80,8 +81,7 @@ def analyze_large(
     ...         len(lfrender.analyze_large(source, camera, "fast")) == len(depth)
     True
     """
-    if preset not in PRESETS:
-        raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+    check_choice(preset, Preset, "preset")
     shortcuts = Shortcuts.of(skip)
     reader = TileReader(source, calibration)
     calibration = reader.calibration = match_exposure(reader.sample_exposure(), calibration)

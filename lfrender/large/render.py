@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatSource
+from lfcal.runtime.arrays import Frozen
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Part, Rendering
@@ -21,16 +22,17 @@ from ..output.formats import FORMATS, PictureError, check_format, check_package,
 from ..output.picture import describe, with_alpha, write_picture
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import TileWriter, move_into_place
-from ..rendering.render import Detail, make_renderer
+from ..rendering.render import make_renderer
 from ..rendering.renderer import Renderer
+from ..runtime.choices import Detail
 from ..sequence.workers import Workers
 from .tiles import TileReader
 
 __all__ = ["LargePicture", "check_large_picture", "render_large"]
 
 
-@dataclass(frozen=True)
-class LargePicture:
+@dataclass(frozen=True, eq=False)
+class LargePicture(Frozen):
     """A picture drawn into a file, from `render_large`, which has an example.
 
     Examples

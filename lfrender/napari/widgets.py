@@ -17,6 +17,7 @@ from ..data.plots import napari_layers
 from ..depth.analyze import analyze as find_depth
 from ..flat.demosaicing import demosaic
 from ..rendering.render import render as draw
+from ..runtime.choices import Preset
 
 if TYPE_CHECKING:
     import napari.types
@@ -37,7 +38,7 @@ def calibrate(
 def analyze(
     flat: "napari.types.ImageData",
     camera: Path = Path(),
-    preset: Literal["fast", "balanced", "accurate"] = "balanced",
+    preset: Preset = "balanced",
     save_to: Path = Path(),
 ) -> list["napari.types.LayerDataTuple"]:
     """The magnification over the scene as an image; without a camera file the flat itself is calibrated."""
@@ -51,7 +52,7 @@ def analyze(
 def render(
     flat: "napari.types.ImageData",
     camera: Path = Path(),
-    preset: Literal["fast", "balanced", "accurate"] = "balanced",
+    preset: Preset = "balanced",
     pixels_per_pitch: float = 0.0,
 ) -> list["napari.types.LayerDataTuple"]:
     """The picture that is sharp everywhere, and its depth; with 0 pixels per pitch in full resolution."""

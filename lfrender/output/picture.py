@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.rendering import Rendering
@@ -86,6 +87,7 @@ def write_stack(
     ...     [path.name for path in write_stack(f"{folder}/stack.tif", stack)]
     ['stack.tif']
     """
+    check_type(pictures, Sequence, "pictures", "give a list of pictures")
     if not pictures:
         raise PictureError(f"{path}: a stack needs at least one picture")
     target = Path(path)

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, CalibrationError, LightFieldError, Optics
+from lfcal import Calibration, LightFieldError, Optics
 from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
 
 from ..data.dense_depth import DenseDepth, dense_depth
-from ..data.depth_map import DepthMap
+from ..data.depth_map import DepthMap, check_depth
 from ..data.surface import edge_step
 from ..rendering.render import render
 
@@ -131,8 +132,7 @@ def _places(
     calibration: Calibration, depth: DepthMap, optics: Optics | None, points_per_pitch: float
 ) -> tuple[DenseDepth, NDArray[np.float64], bool]:
     """Dense depth, position (h, w, 3) of each of its pixels, NaN where there is none, and whether it is in metres."""
-    if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
-        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+    check_depth(depth, calibration)
     optics, dense = optics or calibration.optics, dense_depth(depth, min(points_per_pitch, depth.pitch))
     scene, size, pitch = _scene(dense), dense.patch_size.astype(np.float64), depth.pitch
     # Virtual depth has a pole at s = 0.
@@ -164,6 +164,7 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
     ...     Path(folder, "cloud.ply").read_bytes()[:3]
     b'ply'
     """
+    check_type(points, np.ndarray, "points", "lfrender.output.point_cloud.point_cloud makes one")
     check_output(path, CLOUD_SUFFIXES)
     if Path(path).suffix.lower() == ".pcd":
         # The colour is a whole number 0xRRGGBB.

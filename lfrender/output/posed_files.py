@@ -23,6 +23,7 @@ from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
+from ..runtime.choices import PoseFormat
 from .picture import write_picture
 from .poses import Array, ViewCamera, ViewRig, view_rig
 from .raw_video import check_raw_format, frame_bytes, yuv_frame
@@ -52,7 +53,7 @@ class _Posed:
 
 def write_posed_views(
     folder: str | os.PathLike[str],
-    kind: str,
+    kind: PoseFormat,
     views: Iterable[tuple[Rendering, NDArray[np.float32]]],
     calibration: Calibration,
     depth: DepthMap,

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, Optics
+from lfcal.runtime.arrays import Frozen
 
-from ..data.depth_map import DepthMap
+from ..data.depth_map import DepthMap, check_depth
 from ..rendering.warped_surface import virtual_depth
 
 __all__ = ["ViewCamera", "ViewRig", "view_rig"]
@@ -25,8 +26,8 @@ __all__ = ["ViewCamera", "ViewRig", "view_rig"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ViewCamera:
+@dataclass(frozen=True, eq=False)
+class ViewCamera(Frozen):
     """A pinhole camera; its axes are x right, y down, z forward, those of all cameras of a rig.
 
     Examples
@@ -82,7 +83,7 @@ class ViewRig:
     unit: str  # "m", or "baseline" of neighbouring views
     error: float  # RMS distance of what the cameras project from what the optics do [px]
     # Distance (n,) of virtual depths (n,) that a view draws at (n, 2) [px of the flat].
-    _distance: Callable[[int, Array, Array], Array] = field(repr=False)
+    _distance: Callable[[int, Array, Array], Array] = field(repr=False, compare=False)
     _pitch: float = field(repr=False)
 
     def depth(self, view: int, patch_size: NDArray[Any], places: Array) -> NDArray[np.float32]:
@@ -118,6 +119,7 @@ def view_rig(
     >>> view_rig(camera, depth, [(-4.0, 0.0)], picture.affine, (62, 47), still=-7.0).cameras[0].size
     (62, 47)
     """
+    check_depth(depth, calibration)
     optics = optics or calibration.optics
     middle, pitch = (np.array(calibration.image_size) - 1) / 2, calibration.lattice.pitch
     where = np.array(offsets, dtype=float).reshape(-1, 2)

@@ -12,9 +12,10 @@ import numpy as np
 
 from lfcal import Calibration, Lattice
 from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_folder, make_folder
 
-from ..data.rendering import Rendering
+from ..data.rendering import PICTURE_ADVICE, Rendering, check_pictures
 from ..depth.region import check_region
 from .formats import FORMATS, PictureError, check_format
 from .picture import write_picture
@@ -49,8 +50,8 @@ def write_grid(
     ...     [path.name for path in write_grid(folder, pictures, columns=2, suffix=".png")]
     ['row1_column1.png', 'row1_column2.png']
     """
-    target = make_folder(folder)
-    paths = []
+    check_type(pictures, Iterable, "pictures", "give a list of pictures")
+    target, paths = make_folder(folder), []
     for index, picture in enumerate(pictures):
         row, column = divmod(index, columns)
         paths.append(target / f"row{row + 1}_column{column + 1}{suffix}")
@@ -75,7 +76,7 @@ def write_quilt(
     ...     write_quilt(f"{folder}/scene_qs2x1a1.32.png", pictures, columns=2, rows=1)
     '_qs2x1a1.32'
     """
-    images = [picture.image for picture in pictures]
+    images = [picture.image for picture in check_pictures(pictures)]
     if len(images) != columns * rows:
         raise PictureError(f"{path}: a quilt of {columns} x {rows} needs {columns * rows} views, got {len(images)}")
     lines = [np.concatenate(images[row * columns : (row + 1) * columns], axis=1) for row in reversed(range(rows))]
@@ -131,6 +132,8 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
     >>> left.image.shape, stereo_pair(left, right).image.shape
     ((47, 62, 3), (47, 124, 3))
     """
+    check_type(left, Rendering, "left", PICTURE_ADVICE)
+    check_type(right, Rendering, "right", PICTURE_ADVICE)
     image = np.concatenate([left.image, right.image], axis=1)
     return replace(left, image=image, valid=np.concatenate([left.valid, right.valid], axis=1))
 
@@ -154,7 +157,7 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     from PIL import Image
 
     check_format(path, "animation")
-    shown = (np.ascontiguousarray(to_eight_bits(picture.image, picture.white)) for picture in pictures)
+    shown = (np.ascontiguousarray(to_eight_bits(picture.image, picture.white)) for picture in check_pictures(pictures))
     frames = [Image.fromarray(pixels) for pixels in shown]
     if not frames:
         raise PictureError(f"{path}: an animation needs at least one picture")

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
+from lfcal.runtime.errors import check_type
 
-from ..data.depth_map import DepthMap, default_scale
+from ..data.depth_map import DEPTH_ADVICE, DepthMap, default_scale
 from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..flat.validation import check_flat
@@ -111,6 +112,7 @@ def focal_stack(
     >>> [picture.image.shape for picture in lfrender.focal_stack(flat, camera, [-7.0, 7.0], scale=6)]
     [(47, 62, 3), (47, 62, 3)]
     """
+    check_type(patch_sizes, Iterable, "patch_sizes", "give signed patch sizes [px], as stack_depths does")
     sizes = [float(s) for s in patch_sizes]
     if not sizes:
         raise ValueError("patch_sizes must hold at least one number")
@@ -131,6 +133,7 @@ def stack_depths(depth: DepthMap, count: int) -> list[float]:
     >>> len(stack_depths(lfrender.data.example()[2], 5))
     5
     """
+    check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     if count < 1:
         raise ValueError(f"a stack has at least one picture, got {count}")
     resolved = depth.patch_size[np.isfinite(depth.patch_size)]

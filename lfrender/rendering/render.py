@@ -5,28 +5,25 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
 
 from numpy.typing import NDArray
 
-from lfcal import Calibration, CalibrationError
+from lfcal import Calibration
 from lfcal.runtime.errors import check_type
 
-from ..data.depth_map import DepthMap, default_scale
+from ..data.depth_map import DEPTH_ADVICE, DepthMap, check_depth, default_scale
 from ..data.rendering import Part, Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..depth.analyze import analyze
 from ..depth.region import check_region
 from ..detail.noise import measure_noise
 from ..flat.validation import check_flat, exposure_rows, match_exposure
+from ..runtime.choices import Detail, check_choice
 from .redraw import redraw
 from .renderer import REACH, Renderer
 from .traditional import TOO_LITTLE, find_depth_problem, traditional
 
-__all__ = ["Detail", "expand_roi", "make_renderer", "render"]
-
-#: How the detail of a picture is restored.
-Detail = Literal["natural", "off"]
+__all__ = ["expand_roi", "make_renderer", "render"]
 
 
 def render(
@@ -90,14 +87,16 @@ def render(
     """
     pixels = check_flat(flat, calibration)
     if depth is not None:
-        check_type(depth, DepthMap, "depth", "lfrender.analyze makes one")
+        check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     if roi is not None:
         roi = check_region(roi, calibration.lattice)
-    if detail not in (None, "natural", "off"):
-        raise ValueError(f"detail must be 'natural' or 'off', got {detail!r}")
+    if detail is not None:
+        check_choice(detail, Detail, "detail")
     if detail == "natural" and (patch_size is not None or blend is False):
         raise ValueError(f"detail={detail!r} needs a depth map and the mean over lenses")
     if previous is not None:
+        if not (isinstance(previous, tuple) and [type(one) for one in previous[1:]] == [DepthMap, Rendering]):
+            raise TypeError("previous must be (flat, DepthMap, Rendering) of an earlier frame")
         if depth is None or roi is not None:
             raise ValueError("previous needs depth, and the whole picture without roi")
         if scale is not None and scale != previous[2].scale:
@@ -165,8 +164,7 @@ def make_renderer(
         surface, full = constant_surface(patch_size), abs(patch_size)
     else:
         assert depth is not None
-        if depth.image_size != calibration.image_size or len(depth) != len(lattice):
-            raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+        check_depth(depth, calibration)
         surface, full = depth.surface, default_scale(depth)
         # Enough lenses to see every point, in two thirds of the time.
         reach = 1.0 if depth.preset == "fast" else reach

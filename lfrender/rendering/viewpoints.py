@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, CalibrationError
+from lfcal import Calibration
 from lfcal.runtime.errors import check_type
 
-from ..data.depth_map import DepthMap, default_scale
+from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.rendering import Rendering, check_scale, finish_picture
 from ..depth.analyze import analyze
 from ..flat.validation import check_flat
@@ -83,6 +83,7 @@ def views_with_depth(
     >>> picture.image.shape, size.shape
     ((47, 62, 3), (47, 62))
     """
+    check_depth(depth, calibration)
     drawn = _prepare(flat, calibration, depth, offsets, scale, still)
     return ((picture, renderer.seen_depth()) for picture, renderer in drawn)
 
@@ -98,14 +99,13 @@ def _prepare(
 ) -> Iterator[tuple[Rendering, Renderer]]:  # fmt: skip
     """Check what was given at once, and draw on demand."""
     pixels, lattice = check_flat(flat, calibration), calibration.lattice
+    check_type(offsets, Iterable, "offsets", "give x, y of each view, as grid_offsets does")
     places = [_check_offset(offset, lattice.radius) for offset in offsets]
     if still is not None and not abs(still) > 0:
         raise ValueError(f"still must not be zero, got {still}")
     if depth is None:
         depth = analyze(pixels, calibration)
-    check_type(depth, DepthMap, "depth", "lfrender.analyze makes one")
-    if depth.image_size != calibration.image_size or len(depth) != len(lattice):
-        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+    check_depth(depth, calibration)
     full = default_scale(depth)
     scale = check_scale(full if scale is None else scale, lattice.pitch)
     middle = lattice.pitch / (still_depth(depth) if still is None else still)

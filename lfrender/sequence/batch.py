@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lfcal import Calibration, OutputError
+from lfcal.runtime.errors import check_type
 
 from ..output.formats import check_format
+from ..runtime.choices import Preset
 from .film_file import film_results
 from .frames import Frame, is_video
 from .job import FrameResult, Job, render_group
@@ -36,7 +38,7 @@ def render_frames(
     folder: str | os.PathLike[str],
     calibration: Calibration | None = None,
     *,
-    preset: str = "balanced",
+    preset: Preset = "balanced",
     scale: float | None = None,
     suffix: str = ".tif",
     overwrite: bool = False,
@@ -108,6 +110,7 @@ def render_frames(
     ...     [done.outcome for done in lfrender.render_frames(frames, f"{folder}/out", camera, preset="fast")]
     ['rendered']
     """
+    check_type(frames, Iterable, "frames", "lfrender.open_frames finds them")
     place, names = Path(folder).absolute(), getattr(frames, "names", [])
     maps = None if depth_maps is None else Path(depth_maps).absolute()
     if maps is not None and is_video(maps):

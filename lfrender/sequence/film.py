@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from lfcal import Calibration, OutputError
+from lfcal.runtime.errors import check_type
 
 from ..output.formats import check_format
 from ..output.resume import Checkpoint, file_identity, fingerprint
+from ..runtime.choices import Preset
 from .batch import render_frames
 from .film_file import film_results
 from .frames import Frames
@@ -27,7 +29,7 @@ def render_film(
     path: str | os.PathLike[str],
     calibration: Calibration | None = None,
     *,
-    preset: str = "balanced",
+    preset: Preset = "balanced",
     scale: float | None = None,
     rate: float | Fraction | None = None,
     overwrite: bool = False,
@@ -55,6 +57,7 @@ def render_film(
     >>> [frame.outcome for frame in done]
     ['rendered']
     """
+    check_type(frames, Frames, "frames", "lfrender.open_frames finds them")
     output = Path(path).absolute()
     check_format(output, "film", inputs=frames.files)
     checkpoint = Checkpoint(output)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import FlatError, count_pages, read_flat, subtract_dark
+from lfcal.runtime.errors import check_type
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS
 from lfcal.runtime.video import import_av, rgb_pixels
 
@@ -171,6 +172,7 @@ def open_frames(
     ...     [frame.name for frame in lfrender.open_frames([folder])], lfrender.open_frames([folder], frames="1:").names
     (['f9', 'f10'], ['f10'])
     """
+    check_type(inputs, Iterable, "inputs", "give a list of files and folders")
     layout = {"size": size, "pixel_format": pixel_format}
     parts = [part for path in inputs for part in _parts(Path(path).absolute(), layout)]
     if not parts:

@@ -20,6 +20,7 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, load
+from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthFileError, DepthMap, default_scale
@@ -32,6 +33,7 @@ from ..output.formats import EmbeddedMetadata, check_format, read_metadata
 from ..output.picture import eight_bits, write_picture
 from ..rendering.render import render
 from ..rendering.viewpoints import still_depth
+from ..runtime.choices import Preset
 from .frames import Frame, is_video
 from .view_grid import ViewGrid, ViewOutput
 
@@ -92,7 +94,7 @@ class Job:
 
     folder: Path
     calibration: Calibration | None
-    preset: str
+    preset: Preset
     scale: float | None
     suffix: str
     views: ViewGrid | None = None
@@ -169,6 +171,7 @@ class Job:
         key: Frame | None = None
         made, alone = Group(), True
         for number, frame in enumerate(frames):
+            check_type(frame, Frame, "frames", "lfrender.open_frames finds them")
             if number % segment == 0:
                 earlier, key = key or earlier, None
             if number % segment % group == 0:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, Lattice
 from lfcal.runtime.arrays import to_eight_bits
 
-from ..data.depth_map import BINOCULAR, MODES, TELESCOPIC, DepthMap
+from ..data.depth_map import BINOCULAR, MODES, TELESCOPIC, DepthMap, check_depth
 from ..data.rendering import PictureGrid, Rendering
 from ..output.depth_picture import confidence_picture, magnification_picture, mode_picture
 from ..rendering.render import render
@@ -37,6 +37,7 @@ def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> R
 
     A mode that fewer than one lens of a hundred has is taken for errors.
     """
+    check_depth(depth, calibration)
     sharp = render(flat, calibration, depth)
     sizes = {}
     for mode in (TELESCOPIC, BINOCULAR):

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Calibration, CalibrationError, LightFieldError
+from lfcal import Calibration, LightFieldError
 from lfcal.runtime.arrays import to_eight_bits
 
-from ..data.depth_map import DepthMap, default_scale
+from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
@@ -44,8 +44,7 @@ def viewer_scene(
     if the flat needs more tiles than browsers take.
     """
     pixels = check_flat(flat, calibration)
-    if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
-        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+    check_depth(depth, calibration)
     height, width = pixels.shape[:2]
     side, places = _tiles((width, height), tile)
     # Every WebGL 2 has textures of 2048 pixels and 256 layers.
