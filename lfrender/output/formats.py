@@ -29,7 +29,7 @@ __all__ = [
     "is_ome_name", "read_metadata", "tiff_tags", "tiff_tiles",
 ]  # fmt: skip
 
-#: Pixels, with alpha where they have 2 or 4 channels, and the JSON text that is stored with them.
+#: Pixels, with alpha where they have 2 or 4 channels, and their JSON text.
 Page = tuple[NDArray[Any], str]
 
 
@@ -54,19 +54,18 @@ class EmbeddedMetadata(NamedTuple):
 
 def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
     """Colour profile and EXIF data of an image file (PNG, JPEG, WebP), of TIFF the profile; nothing if damaged."""
+    import tifffile
     from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
-    source = Path(path)
+    suffix = Path(path).suffix.lower()
     # The formats' own classes: Image.open refuses sensors above 179 megapixels.
     readers: dict[str, Any] = {".png": PngImagePlugin.PngImageFile, ".webp": WebPImagePlugin.WebPImageFile}
     try:
-        if source.suffix.lower() in (".tif", ".tiff"):
-            import tifffile
-
-            with tifffile.TiffFile(source) as tiff:
+        if suffix in (".tif", ".tiff"):
+            with tifffile.TiffFile(path) as tiff:
                 tag = tiff.pages[0].tags.get("InterColorProfile")  # type: ignore[union-attr]
                 return EmbeddedMetadata(b"" if tag is None else bytes(tag.value))
-        with readers.get(source.suffix.lower(), JpegImagePlugin.JpegImageFile)(str(source)) as image:
+        with readers.get(suffix, JpegImagePlugin.JpegImageFile)(str(path)) as image:
             exif = image.getexif()
             # Width and height of the flat, which are not those of the picture.
             for tag in (0x0100, 0x0101, 0xA002, 0xA003):
@@ -113,19 +112,19 @@ def check_format(
     """
     check_output(path, [name for name, kind in FORMATS.items() if any(getattr(kind, use) for use in uses)], inputs)
     suffix = Path(path).suffix.lower()
-    kind = FORMATS[suffix]
-    name = None if dtype is None else np.dtype(dtype).name
+    kind, name = FORMATS[suffix], None if dtype is None else np.dtype(dtype).name
     if name not in (None, *kind.pixel_types) and not kind.reduces(name):
         raise PictureError(f"{path}: {suffix} cannot hold {name} pixels; use .tif")
-    check_package(path, kind)
     if alpha and not kind.alpha:
         raise PictureError(f"{path}: {suffix} cannot hold an alpha channel; use .png or .tif")
+    check_package(path, kind)
     if kind.film:
         import av
 
         if kind.film[0] not in av.codecs_available:
-            reason = f"the package 'av' was built without the encoder {kind.film[0]}"
-            raise PictureError(f"{path}: {reason}; use another suffix")
+            raise PictureError(
+                f"{path}: the package 'av' was built without the encoder {kind.film[0]}; use another suffix"
+            )
 
 
 def check_package(path: str | os.PathLike[str], kind: PictureFormat) -> None:
@@ -146,19 +145,17 @@ def _affine(text: str) -> NDArray[np.float64]:
 
 def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes, ome: bool = False) -> dict[str, Any]:
     """Options of tifffile for a picture of this shape, with alpha where it has 2 or 4 channels."""
-    channels = (*shape, 1)[2]
-    tags: dict[str, Any] = {
+    channels, about = (*shape, 1)[2], None
+    if ome:
+        about = {"axes": "YXS"[: len(shape)], "Description": text}
+        for axis, size in zip("XY", np.diag(_affine(text)), strict=True):
+            about |= {f"PhysicalSize{axis}": size, f"PhysicalSize{axis}Unit": "pixel"}
+    return {
         "photometric": "rgb" if channels >= 3 else "minisblack",
         "planarconfig": "contig" if len(shape) == 3 else None,
         "extrasamples": ["unassalpha"] if channels in (2, 4) else None,
-        "description": text, "software": "lfrender", "metadata": None, "iccprofile": icc or None,
+        "description": None if ome else text, "software": "lfrender", "metadata": about, "iccprofile": icc or None,
     }  # fmt: skip
-    if ome:
-        about: dict[str, Any] = {"axes": "YX" if len(shape) == 2 else "YXS", "Description": text}
-        for axis, size in zip("XY", np.diag(_affine(text)), strict=True):
-            about |= {f"PhysicalSize{axis}": size, f"PhysicalSize{axis}Unit": "pixel"}
-        tags |= {"metadata": about, "description": None}
-    return tags
 
 
 def tiff_tiles(dtype: Any, side: int = 256) -> dict[str, Any]:
@@ -238,12 +235,11 @@ def _write_small(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _com
 
 
 def _write_ome_zarr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
-    """An OME-Zarr group with the array `0` (c, y, x) or (y, x); whole or not at all."""
+    """An OME-Zarr group with the array `0`, (c, y, x) or (y, x)."""
     import zarr
 
     ((pixels, text),) = pages
-    array = np.moveaxis(pixels, -1, 0) if pixels.ndim == 3 else pixels
-    lead, affine = array.ndim - 2, _affine(text)
+    array, lead, affine = np.moveaxis(pixels, 2, 0) if pixels.ndim == 3 else pixels, pixels.ndim - 2, _affine(text)
     axes = [{"name": "c", "type": "channel"}] * lead + [{"name": name, "type": "space"} for name in "yx"]
     moves = [
         {"type": "scale", "scale": [1.0] * lead + np.diag(affine)[::-1].tolist()},
@@ -255,8 +251,7 @@ def _write_ome_zarr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, 
         with zarr.config.set({"array.write_empty_chunks": True}):
             attributes = {"ome": {"version": "0.5", "multiscales": scales}, "description": text}
             group = zarr.create_group(str(made), attributes=attributes, zarr_format=3)
-            chunks = (*array.shape[:lead], *(min(512, n) for n in array.shape[lead:]))
-            names = [axis["name"] for axis in axes]
+            chunks, names = (*array.shape[:lead], *np.minimum(array.shape[lead:], 512)), [one["name"] for one in axes]
             group.create_array("0", data=np.ascontiguousarray(array), chunks=chunks, dimension_names=names)
         made.replace(path)
     except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -44,10 +45,10 @@ def write_picture(
     path : path-like
         The suffix chooses the format; `.ome.tif` is a TIFF with OME metadata.
     picture : Rendering or (h, w) or (h, w, 3) uint8, uint16 or float32
-        What to write; colours in the order red, green, blue. What a format cannot hold is written with 8 bits, in
-        proportion: float32 into all but TIFF and OpenEXR, uint16 into JPEG and WebP; see `eight_bits`.
+        Colours in the order red, green, blue. What a format cannot hold is written with 8 bits, in proportion: float32
+        into all but TIFF, OpenEXR and Zarr, uint16 into JPEG and WebP; see `eight_bits`.
     alpha : bool
-        Add the mask of valid pixels as an alpha channel (not in JPEG).
+        Make pixels that no lens has seen transparent (not in JPEG); they are 0 in any case.
     settings : mapping, optional
         Further entries for the JSON text.
     embedded : EmbeddedMetadata
@@ -90,14 +91,11 @@ def write_stack(
     check_type(pictures, Sequence, "pictures", "give a list of pictures")
     if not pictures:
         raise PictureError(f"{path}: a stack needs at least one picture")
-    target = Path(path)
-    check_format(target, "picture")
-    texts = settings if settings is not None else [{}] * len(pictures)
-    pages = [_page(target, *pair) for pair in zip(pictures, texts, strict=True)]
+    target, digits = Path(path), max(2, len(str(len(pictures))))
+    pages = [_page(target, *pair) for pair in zip(pictures, settings or [{}] * len(pictures), strict=True)]
     if FORMATS[target.suffix.lower()].stack:
         _write(target, pages, embedded)
         return [target]
-    digits = max(2, len(str(len(pictures))))
     paths = [target.with_stem(f"{target.stem}_{k + 1:0{digits}d}") for k in range(len(pictures))]
     for one, page in zip(paths, pages, strict=True):
         _write(one, [page], embedded)
@@ -122,8 +120,8 @@ def eight_bits(picture: Any) -> Any:
 
 def describe(affine: NDArray[np.float64] | None, settings: Mapping[str, Any] | None) -> str:
     """The JSON text of a picture."""
-    known = {} if affine is None else {"affine": np.asarray(affine, dtype=float).tolist()}
-    return json.dumps({"software": "lfrender", **known, **(settings or {})})
+    known = {} if affine is None else {"affine": affine.tolist()}
+    return json.dumps({"software": "lfrender"} | known | dict(settings or {}))
 
 
 def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
@@ -136,19 +134,16 @@ def _page(path: str | os.PathLike[str], picture: Any, settings: Mapping[str, Any
     """Pixels and JSON text of a picture, if the format of `path` can hold them."""
     picture = eight_bits(picture) if needs_eight_bits(path, picture) else picture
     pixels = np.asarray(getattr(picture, "image", picture))
-    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or not pixels.size:
+    if pixels.shape[2:] not in ((), (3,)) or pixels.ndim < 2 or not pixels.size:
         raise PictureError(f"{path}: a picture has shape (h, w) or (h, w, 3), got {pixels.shape}")
     check_format(path, "picture", dtype=pixels.dtype, alpha=alpha)
-    if alpha:
-        pixels = with_alpha(pixels, np.asarray(getattr(picture, "valid", True)))
+    pixels = with_alpha(pixels, np.asarray(getattr(picture, "valid", True))) if alpha else pixels
     return pixels, describe(getattr(picture, "affine", None), settings)
 
 
 def _write(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool = False) -> None:
     kind = FORMATS[path.suffix.lower()]
     assert kind.picture is not None
-    if kind.folder:
-        kind.picture(path, pages, embedded, compress)
-        return
-    with atomic_write(path) as temporary:
+    # Folders are moved into place by their writer.
+    with nullcontext(path) if kind.folder else atomic_write(path) as temporary:
         kind.picture(temporary, pages, embedded, compress)

@@ -9,10 +9,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,24 +30,15 @@ from .raw_video import check_raw_format, frame_bytes, yuv_frame
 __all__ = ["POSE_FORMATS", "write_posed_views"]
 
 
-@dataclass(frozen=True)
-class _Posed:
-    """A view as it is written: its name, picture, depth (h, w), and camera."""
+class _Posed(NamedTuple):
+    """A view as it is written."""
 
     name: str
     picture: Rendering
-    depth: NDArray[np.float32]
+    depth: NDArray[np.float32]  # (h, w)
     camera: ViewCamera
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
-        """Pixels that were seen, at a finite distance."""
-        return self.picture.valid & np.isfinite(self.depth) & (self.depth > 0)
-
-    @property
-    def centre(self) -> list[float]:
-        """Principal point where pixel (0, 0) reaches from 0 to 1."""
-        return [at + 0.5 for at in self.camera.principal_point]
+    known: NDArray[np.bool_]  # (h, w) pixels that were seen, at a finite distance
+    centre: list[float]  # principal point where pixel (0, 0) reaches from 0 to 1
 
 
 def write_posed_views(
@@ -83,37 +73,34 @@ def write_posed_views(
         raise OutputError(f"{folder}: poses are written for {', '.join(POSE_FORMATS)}, not {kind!r}")
     if kind == "rvs":
         check_raw_format(folder, "yuv")
-    target, drawn = make_folder(folder), list(views)
+    target, drawn, posed = make_folder(folder), list(views), []
     affine, shape = drawn[0][0].affine, drawn[0][1].shape
     rig = view_rig(calibration, depth, offsets, affine, shape[::-1], still, optics)
     v, u = np.indices(shape)
     places = np.stack([u, v, np.ones_like(u)], -1) @ affine.T
-    moved = [places + np.array(offset) * (depth.pitch / still) for offset in offsets]
-    posed = [
-        _Posed(f"view_{number:03d}", picture, rig.depth(number, sizes, at), rig.cameras[number])
-        for number, ((picture, sizes), at) in enumerate(zip(drawn, moved, strict=True))
-    ]
+    for number, ((picture, sizes), offset) in enumerate(zip(drawn, offsets, strict=True)):
+        distance = rig.depth(number, sizes, places + np.array(offset) * (depth.pitch / still))
+        known = picture.valid & np.isfinite(distance) & (distance > 0)
+        centre = [at + 0.5 for at in rig.cameras[number].principal_point]
+        posed.append(_Posed(f"view_{number:03d}", picture, distance, rig.cameras[number], known, centre))
     POSE_FORMATS[kind](target, posed, rig)
     return rig
 
 
 def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
     """Write pictures, depth and masks; returns the unit of the 16-bit depth files."""
-    for name in ("images", "depth", "masks"):
-        (folder / name).mkdir(exist_ok=True)
+    images, distances, masks = (make_folder(folder / name) for name in ("images", "depth", "masks"))
     largest = max((float(view.depth[view.known].max()) for view in views if view.known.any()), default=1.0)
     # Millimetres where 16 bits hold that.
     step = max(1e-3, largest / 65000)
     exact = ".tif" if find_spec("OpenEXR") is None else ".exr"
-    for view in views:
-        shown = view.picture.image
-        shown = shown if shown.dtype.kind == "u" else to_eight_bits(shown, view.picture.white)
-        write_picture(folder / "images" / f"{view.name}.png", shown)
-        write_picture(folder / "masks" / mask.format(view.name), view.picture.valid.astype(np.uint8) * np.uint8(255))
-        whole = np.minimum(np.where(view.known, view.depth / step, 0), 65535)
-        write_picture(folder / "depth" / f"{view.name}.png", np.rint(whole).astype(np.uint16))
-        distances = np.where(view.known, view.depth, np.inf).astype(np.float32)
-        write_picture(folder / "depth" / f"{view.name}{exact}", distances)
+    for name, picture, depth, _, known, _ in views:
+        shown = picture.image if picture.image.dtype.kind == "u" else to_eight_bits(picture.image, picture.white)
+        write_picture(images / f"{name}.png", shown)
+        write_picture(masks / mask.format(name), picture.valid.astype(np.uint8) * np.uint8(255))
+        whole = np.rint(np.minimum(np.where(known, depth / step, 0), 65535)).astype(np.uint16)
+        write_picture(distances / f"{name}.png", whole)
+        write_picture(distances / f"{name}{exact}", np.where(known, depth, np.inf).astype(np.float32))
     return step
 
 
@@ -124,30 +111,28 @@ def _write_text(path: Path, text: str) -> None:
 
 def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`transforms.json`: axes x right, y up, z backwards, pixel (0, 0) from 0 to 1."""
-    step = _write_files(folder, views, "{}.png")
-    places = {"file_path": "images", "depth_file_path": "depth", "mask_path": "masks"}
+    step, frames = _write_files(folder, views, "{}.png"), []
     names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
-    frames = []
-    for view in views:
-        camera, (x, y, z) = view.camera, view.camera.position.tolist()
-        files = {kind: f"{place}/{view.name}.png" for kind, place in places.items()}
-        lens = dict(zip(names, (*camera.focal, *view.centre, *camera.size, *camera.distortion), strict=True))
+    for name, _, _, camera, _, centre in views:
+        x, y, z = camera.position.tolist()
+        files = {"file_path": "images", "depth_file_path": "depth", "mask_path": "masks"}
+        lens = dict(zip(names, (*camera.focal, *centre, *camera.size, *camera.distortion), strict=True))
         pose = [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]]
-        frames.append({**files, **lens, "transform_matrix": pose})
+        frames.append(
+            {kind: f"{place}/{name}.png" for kind, place in files.items()} | lens | {"transform_matrix": pose}
+        )
     model = {"camera_model": "OPENCV", "unit": rig.unit, "depth_unit_scale_factor": step, "frames": frames}
     _write_text(folder / "transforms.json", json.dumps(model, indent=1))
 
 
 def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as COLMAP names them."""
-    step = _write_files(folder, views, "{}.png.png")
-    sparse = folder / "sparse" / "0"
-    sparse.mkdir(parents=True, exist_ok=True)
+    step, sparse = _write_files(folder, views, "{}.png.png"), make_folder(folder / "sparse" / "0", parents=True)
     points, colours, pixels = _tracks(views)
     seen = np.isfinite(pixels[..., 0])
     # Each picture counts the points that it shows, from 0.
     order = np.cumsum(seen, axis=1) - 1
-    cameras, images = [], []
+    cameras, images, lines = [], [], []
     for number, view in enumerate(views, 1):
         camera, bent = view.camera, any(view.camera.distortion)
         values = " ".join(f"{v:.12g}" for v in (*camera.focal, *view.centre, *(camera.distortion if bent else ())))
@@ -157,7 +142,6 @@ def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
         where = zip((pixels[number - 1, shown] + 0.5).tolist(), shown + 1, strict=True)
         images.append(f"{number} 1 0 0 0 {place} {number} {view.name}.png")
         images.append(" ".join(f"{x:.4f} {y:.4f} {point}" for (x, y), point in where))
-    lines = []
     for point, (place, colour) in enumerate(zip(points.tolist(), colours.tolist(), strict=True)):
         track = " ".join(f"{view + 1} {order[view, point]}" for view in np.flatnonzero(seen[:, point]))
         lines.append("{} {:.9g} {:.9g} {:.9g} {} {} {} {:.3g} ".format(point + 1, *place, *colour, rig.error) + track)
@@ -180,13 +164,12 @@ def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8
     pixels = np.full((len(views), len(points), 2), np.nan)
     for view, found in zip(views, pixels, strict=True):
         at = view.camera.project(points)
-        column, row = np.rint(at).astype(int).T
-        inside = (at > -0.5).all(1) & (at < np.array(view.camera.size) - 0.5).all(1)
-        column, row = column[inside], row[inside]
+        inside = np.flatnonzero((at > -0.5).all(1) & (at < np.array(view.camera.size) - 0.5).all(1))
+        column, row = np.rint(at[inside]).astype(int).T
         distance = points[inside, 2] - view.camera.position[2]
         # The same depth: it would move by less than half a pixel from the first view to the last.
         same = np.abs(1 / view.depth[row, column] - 1 / distance) * reach < 0.5
-        shown = np.flatnonzero(inside)[same & view.known[row, column]]
+        shown = inside[same & view.known[row, column]]
         found[shown] = at[shown]
     image = to_eight_bits(middle.picture.image, middle.picture.white)
     colours = np.broadcast_to(image[v, u].reshape(len(u), -1), (len(u), 3))
@@ -197,25 +180,23 @@ def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8
 def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the depths of each view."""
     cameras: list[dict[str, Any]] = []
-    for number, view in enumerate(views):
-        texture = yuv_frame(view.picture.image, "yuv420p10", view.picture.white)
-        width, height = texture.width, texture.height
-        name, size = f"v{number:02d}", f"{width}x{height}"
-        known = view.depth[view.known]
-        near, far = np.quantile(known, (0, 0.999)).tolist() if known.size else (1.0, 2.0)
+    for number, (_, picture, depth, camera, known, centre) in enumerate(views):
+        texture = yuv_frame(picture.image, "yuv420p10", picture.white)
+        width, height, (x, y, z) = texture.width, texture.height, camera.position.tolist()
+        near, far = np.quantile(depth[known], (0, 0.999)).tolist() if known.any() else (1.0, 2.0)
         near, far = 0.999 * near, 1.001 * far
-        disparity = (1 / np.where(view.known, view.depth, far) - 1 / far) / (1 / near - 1 / far)
+        disparity = (1 / np.where(known, depth, far) - 1 / far) / (1 / near - 1 / far)
         whole = np.rint(np.clip(disparity, 0, 1) * 65535).astype("<u2")[:height, :width]
         grey = np.full(width * height // 2, 0x8000, "<u2")
-        with atomic_write(folder / f"{name}_texture_{size}_yuv420p10le.yuv") as temporary:
-            temporary.write_bytes(frame_bytes(texture))
-        with atomic_write(folder / f"{name}_depth_{size}_yuv420p16le.yuv") as temporary:
-            temporary.write_bytes(whole.tobytes() + grey.tobytes())
-        x, y, z = view.camera.position.tolist()
+        planes = {"texture": (10, frame_bytes(texture)), "depth": (16, whole.tobytes() + grey.tobytes())}
+        for kind, (bits, data) in planes.items():
+            path = folder / f"v{number:02d}_{kind}_{width}x{height}_yuv420p{bits}le.yuv"
+            with atomic_write(path) as temporary:
+                temporary.write_bytes(data)
         cameras.append(
-            {"Name": name, "Position": [z, -x, -y], "Rotation": [0.0, 0.0, 0.0], "Depthmap": 1, "Background": 0}
-            | {"Depth_range": [near, far], "Resolution": [width, height], "Projection": "Perspective"}
-            | {"Focal": list(view.camera.focal), "Principle_point": view.centre}
+            {"Name": f"v{number:02d}", "Position": [z, -x, -y], "Rotation": [0.0, 0.0, 0.0]}
+            | {"Depthmap": 1, "Background": 0, "Depth_range": [near, far], "Resolution": [width, height]}
+            | {"Projection": "Perspective", "Focal": list(camera.focal), "Principle_point": centre}
             | {"BitDepthColor": 10, "BitDepthDepth": 16, "ColorSpace": "YUV420", "DepthColorSpace": "YUV420"}
         )
     about = {"Converted_by": "lfrender", "Unit": rig.unit}

@@ -128,12 +128,8 @@ def view_rig(
 
     def cameras(aside: Array, focal: float, centres: Array) -> tuple[ViewCamera, ...]:
         """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the microlens plane."""
-        pixels = ((centres - moved - affine[:, 2]) / step).tolist()
-        size_of_focal = (focal / step[0], focal / step[1])
-        return tuple(
-            ViewCamera(np.array([*place, 0.0]), size_of_focal, (x, y), size)
-            for place, (x, y) in zip(aside, pixels, strict=True)
-        )
+        pairs, (fx, fy) = zip(aside, ((centres - moved - affine[:, 2]) / step).tolist(), strict=True), focal / step
+        return tuple(ViewCamera(np.array([*place, 0.0]), (fx, fy), (x, y), size) for place, (x, y) in pairs)
 
     if optics is None:
         # In units of the baseline: the focal length is the longer side, infinity a little behind the scene, where
@@ -178,11 +174,9 @@ def _fit(camera: ViewCamera, points: Array, pixels: Array) -> tuple[ViewCamera, 
     from scipy.optimize import least_squares
 
     def changed(step: Array) -> ViewCamera:
-        (fx, fy), (x, y) = camera.focal, camera.principal_point
-        return replace(
-            camera, position=camera.position + step[:3], focal=(fx * (1 + step[3]), fy * (1 + step[3])),
-            principal_point=(x + step[4], y + step[5]), distortion=tuple(step[6:].tolist()),
-        )  # fmt: skip
+        focal, at = np.array(camera.focal) * (1 + step[3]), np.array(camera.principal_point) + step[4:6]
+        position, bend = camera.position + step[:3], step[6:].tolist()
+        return replace(camera, position=position, focal=tuple(focal), principal_point=tuple(at), distortion=tuple(bend))
 
     found = least_squares(lambda step: np.ravel(changed(step).project(points) - pixels), np.zeros(10), x_scale="jac")
     return changed(found.x), float(np.mean(found.fun**2)) * 2
