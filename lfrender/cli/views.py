@@ -129,7 +129,7 @@ def views(capture: CaptureInput, given: Any) -> None:
         if given.poses:
             found |= _write_posed(given, pixels, calibration, depth, offsets, partial(_counted, step))
         else:
-            drawn = _draw_views(capture, given, pixels, calibration, depth, offsets)
+            drawn = _draw_views(capture, given, pixels, calibration, depth, offsets=offsets)
             stated = _write_views(capture, given, _counted(step, drawn, len(offsets)), depth.preset)
     if pixels.dtype.name != "uint8" and (given.eight_bits or _holds_eight_bits(given)):
         stated.append(figures.eight_bits_sentence(calibration.white_level, pixels.dtype))
@@ -180,23 +180,15 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
         check_grid(output, ".png" if given.poses else given.suffix, None if given.poses else dtype, inputs)
 
 
-def _draw_views(
-    capture: CaptureInput,
-    given: Any,
-    pixels: NDArray[Any],
-    calibration: Calibration,
-    depth: DepthMap,
-    offsets: list[Any],
-) -> Iterator[Rendering]:
+def _draw_views(capture: CaptureInput, given: Any, *flat_camera_depth: Any, offsets: list[Any]) -> Iterator[Rendering]:
     from .. import views as run
     from ..output.picture import eight_bits
     from ..output.views import resize_view, scale_for_size
 
-    size = given.resize
-    scale = given.scale if size is None else scale_for_size(calibration, size)
-    for picture in run(pixels, calibration, depth, offsets=offsets, scale=scale):
-        picture = picture if size is None else resize_view(picture, size=size)
-        picture = _cut(picture, capture, calibration)
+    camera, size = flat_camera_depth[1], given.resize
+    scale = given.scale if size is None else scale_for_size(camera, size)
+    for picture in run(*flat_camera_depth, offsets=offsets, scale=scale):
+        picture = _cut(picture if size is None else resize_view(picture, size), capture, camera)
         yield eight_bits(picture) if given.eight_bits else picture
 
 
@@ -236,12 +228,7 @@ def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering
 
 
 def _write_posed(
-    given: Any,
-    pixels: NDArray[Any],
-    calibration: Calibration,
-    depth: DepthMap,
-    offsets: list[tuple[float, float]],
-    counted: Callable[[Iterable[Any], int], Iterator[Any]],
+    given: Any, pixels: NDArray[Any], calibration: Calibration, depth: DepthMap, offsets: list[Any], counted: Any
 ) -> dict[str, Any]:
     """Write views with their cameras; returns found about these."""
     from lfcal import Optics
@@ -274,32 +261,17 @@ def lenslet(report: cl.Report, given: Any) -> None:
     Each pixel of the views becomes a lens with one pixel of each view under it, row by row. INPUT is a folder of views,
     or files. With a camera file, INPUT is such a flat, whose views are written as they are, pixel by pixel.
     """
-    from ..output.lenslet import lenslet_image, lenslet_views, read_view_grid
+    from ..output.lenslet import lenslet_image, read_view_grid
     from ..output.picture import write_picture
-    from ..output.views import check_grid, write_grid
 
-    output, inputs, suffix = given.output, given.inputs, f".{given.suffix.lstrip('.').lower()}"
+    output, camera_file = given.output, given.output.with_suffix(".json")
     if given.camera is not None:
-        from lfcal import load, read_flat
-
-        if len(inputs) > 1 or given.grid:
-            raise click.UsageError("with a camera file, one flat is wanted, and its grid is known")
-        check_grid(output, suffix)
-        with report.stage("read"):
-            flat = read_flat(inputs[0])
-            camera = load(given.camera, (flat.shape[1], flat.shape[0]))
-            views = lenslet_views(flat, camera)
-        rows, columns, height, width = views.shape[:4]
-        with report.stage("write"):
-            write_grid(output, views.reshape(-1, *views.shape[2:]), columns, suffix)
-        found = {"views": str(output), "grid": [rows, columns], "size": [width, height]}
-        report.finish(found, f"{output}: {rows} x {columns} views of {width} x {height} px, in {report.took}.")
+        _write_pixel_views(report, given)
         return
-    camera_file = output.with_suffix(".json")
-    check_output(output, (".png", ".tif", ".tiff"), inputs)
+    check_output(output, (".png", ".tif", ".tiff"), given.inputs)
     check_output(camera_file, (".json",))
     with report.stage("read"):
-        flat, camera = lenslet_image(views := read_view_grid(inputs, given.grid))
+        flat, camera = lenslet_image(views := read_view_grid(given.inputs, given.grid))
     with report.stage("write"):
         write_picture(output, flat)
         camera.save(camera_file)
@@ -308,3 +280,24 @@ def lenslet(report: cl.Report, given: Any) -> None:
         {"flat": str(output), "camera": str(camera_file), "grid": [rows, columns], "size": [width, height]},
         f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and {camera_file}, in {report.took}.",
     )
+
+
+def _write_pixel_views(report: cl.Report, given: Any) -> None:
+    """Write the views of the flat of a regular array."""
+    from lfcal import load, read_flat
+
+    from ..output.lenslet import lenslet_views
+    from ..output.views import check_grid, write_grid
+
+    suffix = f".{given.suffix.lstrip('.').lower()}"
+    if len(given.inputs) > 1 or given.grid:
+        raise click.UsageError("with a camera file, one flat is wanted, and its grid is known")
+    check_grid(given.output, suffix)
+    with report.stage("read"):
+        flat = read_flat(given.inputs[0])
+        views = lenslet_views(flat, load(given.camera, (flat.shape[1], flat.shape[0])))
+    rows, columns, height, width = views.shape[:4]
+    with report.stage("write"):
+        write_grid(given.output, views.reshape(-1, *views.shape[2:]), columns, suffix)
+    found = {"views": str(given.output), "grid": [rows, columns], "size": [width, height]}
+    report.finish(found, f"{given.output}: {rows} x {columns} views of {width} x {height} px, in {report.took}.")

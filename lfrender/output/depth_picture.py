@@ -14,20 +14,16 @@ from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering
 from ..flat.lens_graph import nearest_lens
 
-__all__ = [
-    "MODE_COLOURS", "colour_scale", "confidence_picture", "depth_picture", "magnification_limits",
-    "magnification_picture", "mode_picture",
-]  # fmt: skip
+__all__ = ["MODE_COLOURS", "colour_scale", "depth_picture", "lens_maps", "magnification_limits"]
 
 #: Colours of the modes, which colour-blind eyes can tell apart too.
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 
 
 def depth_picture(depth: DepthMap, scale: float | None = None, limits: tuple[float, float] | None = None) -> Rendering:
-    """The magnification of every pixel of the picture that `render` draws, in colours; grey where no lens has a depth.
+    """The magnification of every pixel of the picture that `render` draws, in the colours of `lens_maps`.
 
-    Colours are those of `magnification_picture`, between these `limits` if they are given; valid are pixels whose
-    nearest lens has a depth.
+    They lie between these `limits` if they are given; valid are pixels whose nearest lens has a depth.
     """
     scale = default_scale(depth) if scale is None else scale
     dense = dense_depth(depth, scale, fill=False)
@@ -52,15 +48,23 @@ def colour_scale(name: Literal["turbo", "viridis"]) -> NDArray[np.uint8]:
     return np.asarray(cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], code)[0, :, ::-1], np.uint8)
 
 
-def magnification_picture(
-    magnification: NDArray[np.floating], lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]
-) -> NDArray[np.uint8]:
-    """(h, w, 3) magnification of the lens at each pixel, from blue to red on a logarithmic scale; NaN is grey.
+def lens_maps(
+    depth: DepthMap, lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]
+) -> dict[str, NDArray[np.uint8]]:
+    """Colours (h, w, 3) of the lens at each pixel: `"magnification"`, `"modes"`, `"confidence"`.
 
-    The ends of the scale are `magnification_limits`. `affine` (2, 3) leads from pixel to scene coordinates.
+    Magnification is blue to red on a logarithmic scale with the ends `magnification_limits`, grey where unresolved;
+    confidence is dark for 0 and light for 1. `affine` (2, 3) leads from pixel to scene coordinates.
     """
-    colours = _colours(magnification, *magnification_limits(magnification))
-    return colours[_lens_of_pixels(lattice, affine, shape)]
+    v, u = np.indices(shape)
+    points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ np.asarray(affine, dtype=float).T
+    lens = nearest_lens(lattice, points).reshape(shape)
+    confidence = np.rint(255 * np.clip(np.nan_to_num(depth.confidence), 0, 1)).astype(np.uint8)
+    return {
+        "magnification": _colours(depth.magnification, *magnification_limits(depth.magnification))[lens],
+        "modes": np.array([MODE_COLOURS[code] for code in (0, 1, -1)], np.uint8)[depth.mode][lens],
+        "confidence": colour_scale("viridis")[confidence][lens],
+    }
 
 
 def _colours(magnification: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
@@ -68,23 +72,3 @@ def _colours(magnification: NDArray[np.floating], low: float, high: float) -> ND
     colours = colour_scale("turbo")[np.nan_to_num(share * 255).astype(np.uint8)]
     colours[~np.isfinite(magnification)] = MODE_COLOURS[0]
     return colours
-
-
-def mode_picture(mode: ArrayLike, lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]) -> NDArray[np.uint8]:
-    """(h, w, 3) colour of the mode of the lens at each pixel; as `magnification_picture`."""
-    colours = np.array([MODE_COLOURS[code] for code in (0, 1, -1)], np.uint8)
-    return colours[np.asarray(mode)][_lens_of_pixels(lattice, affine, shape)]
-
-
-def confidence_picture(
-    confidence: NDArray[np.floating], lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]
-) -> NDArray[np.uint8]:
-    """(h, w, 3) confidence of the lens at each pixel, dark for 0 and light for 1 (colours of viridis)."""
-    share = np.clip(np.nan_to_num(confidence), 0, 1)[_lens_of_pixels(lattice, affine, shape)]
-    return colour_scale("viridis")[np.rint(255 * share).astype(np.uint8)]
-
-
-def _lens_of_pixels(lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]) -> NDArray[np.int64]:
-    v, u = np.indices(shape)
-    points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ np.asarray(affine, dtype=float).T
-    return nearest_lens(lattice, points).reshape(shape)

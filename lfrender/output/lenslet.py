@@ -88,28 +88,27 @@ def read_view_grid(inputs: Iterable[Path], grid: tuple[int, int] | None = None) 
     """
     named: dict[Path, list[int]] = {}
     for source in inputs:
-        files = [source]
-        if source.is_dir():
-            files = [path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
-        named |= {path: [int(number) for number in re.findall(r"\d+", path.stem)] for path in files}
+        pictures = (path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+        for path in pictures if source.is_dir() else (source,):
+            named[path] = [int(number) for number in re.findall(r"\d+", path.stem)]
     paths = sorted(named, key=lambda path: (named[path], path))
     if grid is None:
-        if not paths or min(len(numbers) for numbers in named.values()) < 2:
+        if not paths or min(map(len, named.values())) < 2:
             raise FlatError("names of views have their row and column, as row1_column1; else give --grid ROWSxCOLUMNS")
         cells = {tuple(named[path][-2:]): path for path in paths}
         rows, columns = (sorted({cell[axis] for cell in cells}) for axis in (0, 1))
-        missing = [f"row {row}, column {column}" for row in rows for column in columns if (row, column) not in cells]
+        grid, order = (len(rows), len(columns)), [(row, column) for row in rows for column in columns]
+        missing = [f"no view of row {row}, column {column}" for row, column in order if (row, column) not in cells]
         if missing or len(cells) != len(paths):
-            told = f"no view of {missing[0]}" if missing else "several views of one row and column"
-            raise FlatError(f"a grid of {len(rows)} x {len(columns)} views: there is {told}")
-        grid, paths = (len(rows), len(columns)), [cells[row, column] for row in rows for column in columns]
+            told = missing[0] if missing else "several views of one row and column"
+            raise FlatError(f"a grid of {grid[0]} x {grid[1]} views: there is {told}")
+        paths = [cells[cell] for cell in order]
     if len(paths) != grid[0] * grid[1]:
         raise FlatError(f"a grid of {grid[0]} x {grid[1]} needs {grid[0] * grid[1]} views, {len(paths)} are there")
-    views = []
-    for path in paths:
+    views = [read_flat(paths[0])]
+    for path in paths[1:]:
         views.append(read_flat(path))
-        first, last = views[0], views[-1]
-        if (last.shape, last.dtype) != (first.shape, first.dtype):
-            kinds = ("{} x {} px of {}".format(*view.shape[1::-1], view.dtype) for view in (last, first))
-            raise FlatError("{}: is {}, the views before are {}; views of a grid are of one kind".format(path, *kinds))
+        kinds = ["{} x {} px of {}".format(*view.shape[1::-1], view.dtype) for view in (views[-1], views[0])]
+        if kinds[0] != kinds[1] or views[-1].ndim != views[0].ndim:
+            raise FlatError(f"{path}: is {kinds[0]}, the first is {kinds[1]}; views of a grid are of one kind")
     return np.stack(views).reshape(*grid, *views[0].shape)

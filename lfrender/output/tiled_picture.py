@@ -30,8 +30,8 @@ def move_into_place(made: Path, output: Path) -> None:
 class TileWriter:
     """Writes a picture of `shape` (rows, columns, channels) in a folder beside its place.
 
-    Zarr arrays have chunks of `side` (columns, rows). A TIFF has plain rows, in which tiles are written at their
-    places; `finish` packs them into deflated tiles if it is to `compress` them. `text` is the JSON text to store.
+    Zarr arrays have chunks of `side` (columns, rows). A TIFF has plain rows, which `finish` packs into deflated tiles
+    if it is to `compress` them. `text` is the JSON text to store.
     """
 
     def __init__(
@@ -48,21 +48,22 @@ class TileWriter:
         if fresh and self._path.exists():
             shutil.rmtree(self._path) if self._is_zarr else self._path.unlink()
         found = self._path.exists()
-        if self._is_zarr and not found:
+        if self._is_zarr:
             import zarr
 
-            chunks = (min(self._side[1], self._shape[0]), min(self._side[0], self._shape[1]), *self._shape[2:])
-            zarr.create_array(
-                str(self._path), shape=self._shape, dtype=self._dtype, chunks=chunks,
-                attributes={"description": self._text},
-            )  # fmt: skip
-        elif not self._is_zarr:
-            import tifffile
-
             if not found:
-                tifffile.imwrite(self._path, shape=self._shape, dtype=self._dtype, **self._tags)
-            with tifffile.TiffFile(self._path) as tiff:
-                self._start = tiff.pages[0].dataoffsets[0]
+                chunks = (*np.minimum(self._side[::-1], self._shape[:2]).tolist(), *self._shape[2:])
+                zarr.create_array(
+                    str(self._path), shape=self._shape, dtype=self._dtype, chunks=chunks,
+                    attributes={"description": self._text},
+                )  # fmt: skip
+            return found
+        import tifffile
+
+        if not found:
+            tifffile.imwrite(self._path, shape=self._shape, dtype=self._dtype, **self._tags)
+        with tifffile.TiffFile(self._path) as tiff:
+            self._start = tiff.pages[0].dataoffsets[0]
         return found
 
     def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
@@ -97,8 +98,7 @@ class TileWriter:
             import tifffile
 
             # If the process is killed here, the next run finds and removes this file in the folder of unfinished work.
-            made = self._path.with_name("packed.tif")
-            options = tiff_tiles(self._dtype) | self._tags
+            made, options = self._path.with_name("packed.tif"), tiff_tiles(self._dtype) | self._tags
             with atomic_write(made) as temporary:
                 tiles = self._tiles(options["tile"][0])
                 tifffile.imwrite(temporary, tiles, shape=self._shape, dtype=self._dtype, **options)
@@ -108,5 +108,4 @@ class TileWriter:
         """The tiles of the finished picture, row by row."""
         for top in range(0, self._shape[0], side):
             band = np.array(self._map()[top : top + side])
-            for left in range(0, self._shape[1], side):
-                yield band[:, left : left + side]
+            yield from (band[:, left : left + side] for left in range(0, self._shape[1], side))

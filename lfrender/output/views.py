@@ -36,10 +36,9 @@ def check_grid(folder: str | os.PathLike[str], suffix: str, dtype: Any = None, i
 def write_grid(
     folder: str | os.PathLike[str], pictures: Iterable[Rendering], columns: int, suffix: str = ".tif", **options: Any
 ) -> list[Path]:
-    """Write views row by row as `row1_column1.tif` and so on, into a folder that is made where it does not exist.
+    """Write views, `columns` in a row, as `row1_column1.tif` and so on, into a folder that is made if needed.
 
-    `pictures` are as `views` yields them for `grid_offsets`, `columns` in a row; one at a time is held in memory.
-    `options` are `settings` and `embedded` of `write_picture`, whose errors this raises.
+    One of the `pictures` at a time is held in memory; `options` and errors are those of `write_picture`.
 
     Examples
     --------
@@ -53,8 +52,7 @@ def write_grid(
     check_type(pictures, Iterable, "pictures", "give a list of pictures")
     target, paths = make_folder(folder), []
     for index, picture in enumerate(pictures):
-        row, column = divmod(index, columns)
-        paths.append(target / f"row{row + 1}_column{column + 1}{suffix}")
+        paths.append(target / f"row{index // columns + 1}_column{index % columns + 1}{suffix}")
         write_picture(paths[-1], picture, **options)
     return paths
 
@@ -64,8 +62,8 @@ def write_quilt(
 ) -> str:
     """Write views from left to right as a quilt of a Looking Glass display: the first at the bottom left, row by row.
 
-    There must be `columns * rows` of one size; `options` are `settings` and `embedded` of `write_picture`. Players take
-    grid and aspect of a view from the end of the name, such as `_qs8x6a1.33`, which is returned.
+    There must be `columns * rows` of one size; `options` are those of `write_picture`. Players take grid and aspect
+    of a view from the end of the name, such as `_qs8x6a1.33`, which is returned.
 
     Examples
     --------
@@ -87,18 +85,16 @@ def write_quilt(
 
 def scale_for_size(calibration: Calibration, size: tuple[int, int]) -> float:
     """Output pixels per pitch at which a picture has at least this width and height [px]."""
-    shares = [wanted / have for wanted, have in zip(size, calibration.image_size, strict=True)]
-    return min(max(shares), 4.0) * calibration.lattice.pitch
+    return min(float(np.max(np.divide(size, calibration.image_size))), 4.0) * calibration.lattice.pitch
 
 
 def resize_view(picture: Rendering, size: tuple[int, int]) -> Rendering:
     """A view with exactly this width and height [px]; its affine lays it over the same scene coordinates."""
-    height, width = picture.image.shape[:2]
-    if (width, height) == size:
+    if picture.valid.shape[::-1] == size:
         return picture
     import cv2
 
-    across, down = width / size[0], height / size[1]
+    across, down = np.divide(picture.valid.shape[::-1], size).tolist()
     method = cv2.INTER_AREA if min(across, down) >= 1 else cv2.INTER_CUBIC
     image = cv2.resize(picture.image, size, interpolation=method)
     valid = cv2.resize(picture.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
@@ -112,13 +108,12 @@ def crop_view(picture: Rendering, roi: tuple[float, float, float, float], lattic
 
     ValueError if these lie outside the flat.
     """
-    size, corners = np.array(picture.image.shape[1::-1]), np.array(check_region(roi, lattice)).reshape(2, 2)
+    size, corners = np.array(picture.valid.shape[::-1]), np.array(check_region(roi, lattice)).reshape(2, 2)
     low, high = (corners - picture.affine[:, 2]) / np.diag(picture.affine)
     left, top = np.clip(np.ceil(low), 0, size - 1).astype(int)
     right, bottom = np.clip(np.floor(high) + 1, (left + 1, top + 1), size).astype(int)
+    affine = np.column_stack([picture.affine[:, :2], picture.affine @ [left, top, 1]])
     part = np.s_[top:bottom, left:right]
-    affine = picture.affine.copy()
-    affine[:, 2] = picture.affine @ [left, top, 1]
     return replace(picture, image=picture.image[part], valid=picture.valid[part], affine=affine)
 
 
@@ -139,10 +134,9 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
 
 
 def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering], *, milliseconds: int = 80) -> None:
-    """Write views as GIF, animated PNG or animated WebP that repeats without end; the file appears whole or not at all.
+    """Write at least one view as GIF, animated PNG or WebP of 8 bits that repeats without end; whole or not at all.
 
-    The suffix of `path` chooses the format. At least one of the `pictures`, each shown so many `milliseconds`; they are
-    written with 8 bits.
+    The suffix of `path` chooses the format; each picture is shown so many `milliseconds`.
 
     Examples
     --------
@@ -165,9 +159,8 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     options: dict[str, Any] = {"lossless": False, "quality": 90} if suffix == ".webp" else {}
     if suffix == ".gif":
         # All frames share one palette: with a palette each, colours would flicker.
-        colours = [frame.convert("RGB") for frame in frames]
-        palette = colours[0].quantize(256)
-        frames = [frame.quantize(palette=palette) for frame in colours]
+        palette = frames[0].convert("RGB").quantize(256)
+        frames = [frame.convert("RGB").quantize(palette=palette) for frame in frames]
     options |= {"save_all": True, "append_images": frames[1:], "duration": milliseconds, "loop": 0}
     with atomic_write(path) as temporary:
         frames[0].save(temporary, FORMATS[suffix].animation, **options)

@@ -19,7 +19,7 @@ from .. import analyze
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..flat.lens_graph import nearest_lens
-from ..output.depth_picture import magnification_picture, mode_picture
+from ..output.depth_picture import lens_maps
 from ..output.picture import write_picture
 from .report import write_report
 from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_url
@@ -65,12 +65,11 @@ def run_demo(
     with report.stage("write"):
         true_picture = np.rint(reference * np.iinfo(flat.dtype).max).astype(flat.dtype)
         crop = _crop_of_both_modes(capture)
-        grid = from_scene.lattice, sharp.affine, sharp.image.shape[:2]
+        maps = lens_maps(depth, from_scene.lattice, sharp.affine, sharp.image.shape[:2])
         written = {
             "flat": flat, "flat_crop": crop, "traditional": pictures.traditional, **pictures.fixed,
             "all_in_focus": sharp, "reference": true_picture,
-            "magnification": magnification_picture(depth.magnification, *grid),
-            "modes": mode_picture(depth.mode, *grid),
+            "magnification": maps["magnification"], "modes": maps["modes"],
         }  # fmt: skip
         for name, picture in written.items():
             write_picture(target / f"{name}.png", picture)

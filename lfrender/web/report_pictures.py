@@ -15,7 +15,7 @@ from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import BINOCULAR, MODES, TELESCOPIC, DepthMap, check_depth
 from ..data.rendering import PictureGrid, Rendering
-from ..output.depth_picture import confidence_picture, magnification_picture, mode_picture
+from ..output.depth_picture import lens_maps
 from ..rendering.render import render
 from ..rendering.traditional import traditional
 
@@ -107,9 +107,4 @@ def map_grid(lattice: Lattice) -> tuple[NDArray[np.float64], tuple[int, int]]:
 
 def maps(depth: DepthMap, lattice: Lattice) -> dict[str, NDArray[np.uint8]]:
     """Maps of magnification, mode and confidence, (h, w, 3) uint8 each."""
-    grid = lattice, *map_grid(lattice)
-    return {
-        "magnification": magnification_picture(depth.magnification, *grid),
-        "modes": mode_picture(depth.mode, *grid),
-        "confidence": confidence_picture(depth.confidence, *grid),
-    }
+    return lens_maps(depth, lattice, *map_grid(lattice))

@@ -48,7 +48,7 @@ def test_what_is_no_grid_is_refused_in_one_line(tmp_path):
         ([*corner, "--grid", "1x3"], "needs 3 views, 4 are there"),
         (
             [*corner[:2], corner[3], "--grid", "1x3"],
-            "cam_2_1.png: is 29 x 20 px of uint8, the views before are 30 x 20",
+            "cam_2_1.png: is 29 x 20 px of uint8, the first is 30 x 20",
         ),
         ([tmp_path / "nothing"], "nothing"),
         ([*corner[:2], "-c", corner[0]], "one flat is wanted"),
