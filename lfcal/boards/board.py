@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.errors import BoardError
+from ..runtime.errors import BoardError, check_number
 from ..runtime.output_file import atomic_write, check_output
 
 __all__ = ["PATTERNS", "Board", "BoardPattern", "draw_board", "write_board"]
@@ -54,16 +54,17 @@ class Board:
     def __post_init__(self) -> None:
         if self.pattern not in PATTERNS:
             raise ValueError(f"pattern must be {', '.join(PATTERNS)}, got {self.pattern!r}")
-        if not (2 <= self.columns <= 200 and 2 <= self.rows <= 200):
+        columns, rows = (check_number(getattr(self, name), name) for name in ("columns", "rows"))
+        if not (2 <= columns <= 200 and 2 <= rows <= 200):
             raise BoardError(f"a board has 2 to 200 inner corners each way, got {self.columns} x {self.rows}")
         if self.pattern == "checkerboard" and min(self.columns, self.rows) < 3:
             raise BoardError(f"a checkerboard needs 3 x 3 inner corners or more, got {self.columns} x {self.rows}")
-        if not 0 < self.square < np.inf:
+        if not 0 < check_number(self.square, "square") < np.inf:
             raise BoardError(f"the square must have a positive side [mm], got {self.square!r}")
-        marker = self.marker or self.square * (0.75 if self.pattern == "charuco" else 1.2)
+        marker = check_number(self.marker or self.square * (0.75 if self.pattern == "charuco" else 1.2), "marker")
         if not 0 < marker < np.inf or (self.pattern == "charuco" and marker >= self.square):
             raise BoardError(f"markers must be smaller than the square of {self.square} mm, got {marker!r} mm")
-        object.__setattr__(self, "marker", float(marker))
+        object.__setattr__(self, "marker", marker)
 
     @property
     def points(self) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.arrays import Frozen
-from ..runtime.errors import CalibrationError, CameraFileError, FlatError
+from ..runtime.errors import CalibrationError, CameraFileError, FlatError, check_number, check_type
 from ..runtime.image_formats import MOSAICS, Mosaic
 from ..runtime.output_file import atomic_write
 from .lens_types import LensBlur, LensTypes
@@ -126,9 +126,10 @@ class Calibration(Frozen):
     mosaic_guessed: bool = False
 
     def __post_init__(self) -> None:
+        check_type(self.lattice, Lattice, "lattice", "lfcal.state_lattice makes one of figures")
         if self.mosaic not in (None, *MOSAICS):
             raise ValueError(f"mosaic must be {', '.join(MOSAICS)} or None, got {self.mosaic!r}")
-        if self.white_level is not None and not 0 < self.white_level < np.inf:
+        if self.white_level is not None and not 0 < check_number(self.white_level, "white_level") < np.inf:
             raise ValueError(f"white_level must be positive or None, got {self.white_level!r}")
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.arrays import Frozen
+from ..runtime.errors import check_number, check_numbers
 
 __all__ = ["LensBlur", "LensTypes"]
 
@@ -52,10 +53,10 @@ class LensTypes(Frozen):
         if given.dtype.kind not in "iu" or not np.array_equal(np.unique(given), np.arange(given.max() + 1)):
             raise ValueError(f"lens types must be numbered 0, 1, 2 ... without gaps, got {given.tolist()}")
         count = int(given.max()) + 1
-        focus = np.full(count, np.nan) if self.focus is None else np.array(self.focus, dtype=np.float64)
+        focus = np.full(count, np.nan) if self.focus is None else check_numbers(self.focus, "focus")
         if focus.shape != (count,) or np.isinf(focus).any():
             raise ValueError(f"focus must be one number or NaN for each of {count} types, got {self.focus!r}")
-        if not 0 <= self.confidence <= 1:
+        if not 0 <= check_number(self.confidence, "confidence") <= 1:
             raise ValueError(f"confidence of lens types must be from 0 to 1, got {self.confidence!r}")
         self._set(
             cell=given.astype(np.int8), focus=focus, ordered=bool(self.ordered), confidence=float(self.confidence)
@@ -122,13 +123,14 @@ class LensBlur(Frozen):
     disc_errors: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        if not 0 < self.aperture < np.inf or not 0 <= self.aperture_error < np.inf:
+        aperture, error = (check_number(getattr(self, name), name) for name in ("aperture", "aperture_error"))
+        if not 0 < aperture < np.inf or not 0 <= error < np.inf:
             raise ValueError(f"aperture of the microlenses must be positive, got {self.aperture!r}")
-        self._set(aperture=float(self.aperture), aperture_error=float(self.aperture_error))
-        (types,), (depths,) = np.shape(self.focus), np.shape(self.ratios)
+        self._set(aperture=aperture, aperture_error=error)
+        types, depths = np.size(self.focus), np.size(self.ratios)
         shapes = {"focus": (types,), "focus_error": (types,), "ratios": (depths,)}
         for name, shape in (shapes | dict.fromkeys(("discs", "disc_errors"), (types, depths))).items():
-            values = np.array(getattr(self, name), np.float64)
+            values = check_numbers(getattr(self, name), name)
             if values.shape != shape or not np.isfinite(values).all() or (name == "disc_errors" and values.min() <= 0):
                 raise ValueError(f"{name} of the blur must be {shape} finite numbers, errors positive, got {values}")
             self._set(**{name: values})

@@ -6,14 +6,13 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.arrays import Frozen
-from ..runtime.errors import CameraFileError
+from ..runtime.errors import CameraFileError, check_numbers, check_path
 from ..runtime.output_file import atomic_write
 
 __all__ = ["OPTICS_PARAMETERS", "Optics", "object_slopes", "turn_to_array"]
@@ -112,7 +111,7 @@ class Optics(Frozen):
             if getattr(self, name) is not None:
                 self._set(**{name: _numbers(name, getattr(self, name), length)})
         if self.covariance is not None:
-            covariance = np.array(self.covariance, dtype=np.float64)
+            covariance = check_numbers(self.covariance, "covariance")
             if covariance.shape != (len(OPTICS_PARAMETERS),) * 2 or not np.isfinite(covariance).all():
                 raise ValueError(f"covariance must be 14 x 14 finite numbers, got shape {covariance.shape}")
             self._set(covariance=covariance)
@@ -159,10 +158,10 @@ class Optics(Frozen):
             Scene coordinates of the places, for the tilt of the array and the curvature of the field; by default all
             lie on the axis.
         """
-        ratio, where = np.asarray(ratio, dtype=np.float64), np.zeros((np.size(ratio), 2))
+        values, where = check_numbers(ratio, "ratio"), np.zeros((np.size(ratio), 2))
         if points is not None and self.principal_point is not None:
             where = np.asarray(points, dtype=np.float64).reshape(-1, 2) - self.principal_point
-        return self._behind(where, ratio.ravel())[0].reshape(ratio.shape)  # type: ignore[no-any-return]
+        return self._behind(where, values.ravel())[0].reshape(values.shape)  # type: ignore[no-any-return]
 
     def positions(self, points: Array, ratio: ArrayLike, middle: ArrayLike | None = None) -> Array:
         """(n, 3) places [m] seen at scene coordinates (n, 2) [px]: x right, y down, z in front of the main lens.
@@ -248,8 +247,9 @@ class Optics(Frozen):
         Camera files with optics, made by `lfcal metric`, can be read too. CameraFileError if a number is wrong.
         """
         remedy = f"give a JSON object with {', '.join(f'{name}_mm' for name in _LENGTHS)}"
+        file = check_path(path)
         try:
-            data = json.loads(Path(path).read_text(encoding="utf-8"))
+            data = json.loads(file.read_text(encoding="utf-8"))
             return cls.from_dict(data["optics"] if isinstance(data, dict) and data.get("optics") else data)
         except OSError as error:
             raise CameraFileError(f"{path}: cannot be read as optics ({error.strerror or error}); {remedy}") from error

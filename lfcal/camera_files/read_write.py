@@ -17,7 +17,7 @@ import numpy as np
 
 from ..camera.calibration import Calibration
 from ..camera.schema import check_plausible
-from ..runtime.errors import CameraFileError
+from ..runtime.errors import CameraFileError, check_path
 from ..runtime.image_formats import IMAGE_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
 from .centre_table import format_centre_table, parse_centre_table
@@ -81,7 +81,7 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
     >>> load(path).lattice.radius
     9.5
     """
-    source = Path(path)
+    source = check_path(path)
     try:
         text = source.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

@@ -11,7 +11,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ..runtime.errors import FlatError
+from ..runtime.errors import FlatError, check_path
 from ..runtime.image_formats import IMAGE_FORMATS, RAW_PHOTO_SUFFIXES, VIDEO_FORMATS, identify_format
 from .containers import is_zarr, open_zarr, read_hdf5, read_openexr, read_raw_photo
 from .lytro import read_lytro
@@ -79,7 +79,7 @@ def read_flat(
     ...     lfcal.read_flat(f"{folder}/flat.png").shape
     (20, 30, 3)
     """
-    source = Path(path)
+    source = check_path(path)
     with file_errors(source):
         if is_yuv(source) and source.is_file():
             return checked_pixels(read_yuv(source, page, size, pixel_format))
@@ -102,13 +102,13 @@ def count_pages(
     ...     lfcal.count_pages(f"{folder}/frames.tif")
     5
     """
-    with file_errors(Path(path)):
-        if is_yuv(Path(path)):
-            return count_yuv_frames(Path(path), size, pixel_format)
-        with open(path, "rb") as stream:
-            if identify_format(stream.read(16)) != "TIFF":
-                return 1
-        return count_tiff_pages(Path(path))
+    source = check_path(path)
+    with file_errors(source):
+        if is_yuv(source):
+            return count_yuv_frames(source, size, pixel_format)
+        with source.open("rb") as stream:
+            kind = identify_format(stream.read(16))
+        return count_tiff_pages(source) if kind == "TIFF" else 1
 
 
 def _decode(source: Path, page: int | None) -> NDArray[Any]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.errors import FlatError
+from ..runtime.errors import FlatError, check_path
 from ..runtime.image_formats import TIFF_SUFFIXES
 from .containers import is_zarr, open_zarr
 from .pixels import checked_pixels, file_errors
@@ -105,9 +105,10 @@ def open_flat(
     ...     source.read(5, 5, 15, 10).shape
     (5, 10)
     """
-    source = _open(Path(path), page)
+    black = None if dark is None else check_path(dark, "dark")
+    source = _open(check_path(path), page)
     source.page = page
-    return source if dark is None else _subtract(source, Path(dark))
+    return source if black is None else _subtract(source, black)
 
 
 def _subtract(source: FlatSource, path: Path) -> FlatSource:

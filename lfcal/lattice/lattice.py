@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.arrays import Frozen
+from ..runtime.errors import check_number, check_numbers
 from .distortion import Distortion
 
 # [squared length] nearer is equal: measured hexagons get the basis of exact ones.
@@ -93,21 +94,22 @@ class Lattice(Frozen):
     distortion: Distortion | None = None
 
     def __post_init__(self) -> None:
-        origin = np.array(self.origin, dtype=np.float64)
-        basis = np.array(self.basis, dtype=np.float64)
+        origin, basis = check_numbers(self.origin, "origin"), check_numbers(self.basis, "basis")
         if origin.shape != (2,) or not np.abs(origin).max() < 1e9:
             raise ValueError(f"origin must be two finite numbers on a flat, got {self.origin!r}")
         if basis.shape != (2, 2) or not np.isfinite(basis).all() or abs(np.linalg.det(basis)) < 1e-6:
             raise ValueError(f"basis must be two independent finite vectors, got {self.basis!r}")
-        width, height = (int(v) for v in self.image_size)
-        if (width, height) != tuple(self.image_size) or width < 1 or height < 1:
+        size = check_numbers(self.image_size, "image_size")
+        if size.shape != (2,) or not (size == np.rint(size)).all() or size.min() < 1:
             raise ValueError(f"image_size must be a whole number of px in width and height, got {self.image_size!r}")
+        width, height = map(int, size)
         across = np.abs(np.linalg.inv(basis)).max() * (width + height)
         if across > 1e7 or width * height > min(1 << 31, (1 << 27) * abs(np.linalg.det(basis))):
             raise ValueError(f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart")
-        if not (np.isfinite(self.radius) and self.radius > 0):
+        radius = check_number(self.radius, "radius")
+        if not 0 < radius < np.inf:
             raise ValueError(f"radius must be a positive number of px, got {self.radius!r}")
-        self._set(origin=origin, basis=basis, image_size=(width, height), radius=float(self.radius))
+        self._set(origin=origin, basis=basis, image_size=(width, height), radius=radius)
 
     def __len__(self) -> int:
         return len(self._indices)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..runtime.errors import check_number, check_numbers
 from .lattice import Lattice, reduce_basis
 
 __all__ = ["ARRANGEMENTS", "LatticeHint", "state_lattice"]
@@ -38,9 +40,9 @@ class LatticeHint:
     angle: float = 2.0  # [degrees] by which the rotation may be off
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.pitch) and self.pitch > 0):
+        if not 0 < check_number(self.pitch, "pitch") < np.inf:
             raise ValueError(f"pitch must be a positive number of px, got {self.pitch!r}")
-        if self.rotation is not None and not np.isfinite(self.rotation):
+        if self.rotation is not None and not np.isfinite(check_number(self.rotation, "rotation")):
             raise ValueError(f"rotation must be a number of degrees, got {self.rotation!r}")
 
     def bases(self) -> list[NDArray[np.float64]]:
@@ -79,7 +81,7 @@ def turned_basis(arrangement: str, pitch: float, rotation: float) -> NDArray[np.
 def state_lattice(
     image_size: tuple[int, int],
     pitch: float,
-    arrangement: str = "hexagonal",
+    arrangement: Literal["hexagonal", "hexagonal-vertical", "square"] = "hexagonal",
     rotation: float = 0.0,
     centre: tuple[float, float] | None = None,
     radius: float | None = None,
@@ -112,8 +114,7 @@ def state_lattice(
     if arrangement not in ARRANGEMENTS:
         raise ValueError(f"arrangement must be one of {', '.join(ARRANGEMENTS)}, got {arrangement!r}")
     hint = LatticeHint(pitch, rotation)
-    middle = ((image_size[0] - 1) / 2, (image_size[1] - 1) / 2)
-    basis = reduce_basis(turned_basis(arrangement, hint.pitch, rotation))
-    return Lattice(
-        np.array(centre or middle, np.float64), basis, image_size, hint.pitch / 2 if radius is None else radius
-    )
+    middle = (check_numbers(image_size, "image_size") - 1) / 2
+    basis = reduce_basis(turned_basis(arrangement, hint.pitch, check_number(rotation, "rotation")))
+    radius = hint.pitch / 2 if radius is None else radius
+    return Lattice(middle if centre is None else np.array(centre), basis, image_size, radius)

@@ -17,7 +17,7 @@ from ..boards.board import Board
 from ..boards.detection import DetectedBoard, FocusSweep
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
-from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_type
+from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_number, check_type
 from .bundle_adjustment import BASE, POSE, Adjusted, Observations, Poses, adjust, inverse, select_order
 from .camera_model import INTERNAL
 from .observe import BoardFlat, measure, prepare
@@ -93,6 +93,8 @@ def calibrate_metric(
             raise BoardError("give the side of the squares [mm] beside the corners of the board: square=")
         board = Board(*board, square)
     check_type(board, Board, "board", "give lfcal.Board, or its inner corners across and down")
+    if not hasattr(flats, "__len__"):
+        raise TypeError(f"flats must be a sequence of flats, got {type(flats).__name__}")
     names = list(names) if names is not None else [f"flat {m + 1}" for m in range(len(flats))]
     if len(names) != len(flats):
         raise ValueError(f"names must be one for each of {len(flats)} flats, got {len(names)}")
@@ -104,7 +106,7 @@ def calibrate_metric(
     if pixel is None:
         pixel = DEFAULT_PIXEL
         warnings.append(f"the size of a pixel is not given: {pixel * 1000:.3g} um is assumed; F, L and b scale with it")
-    if not 0 < pixel < 1:
+    if not 0 < check_number(pixel, "pixel") < 1:
         raise ValueError(f"pixel must be a positive number of mm below 1, got {pixel!r}")
     found, missing = _prepare_all(flats, names, calibration, board, progress)
     warnings += [f"{flat.name}: {flat.reason}; left out" for flat in missing]

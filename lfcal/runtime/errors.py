@@ -1,11 +1,15 @@
 """The errors of this toolkit: each message says what was wrong, where, and what to do."""
 
+import os
 from collections.abc import Iterable
+from contextlib import suppress
+from numbers import Real
+from pathlib import Path
 from typing import Any
 
 __all__ = [
     "CAMERA_ADVICE", "RAW_FLAT_ADVICE", "BoardError", "CalibrationError", "CameraFileError", "FlatError",
-    "LightFieldError", "check_type",
+    "LightFieldError", "check_number", "check_numbers", "check_path", "check_type",
 ]  # fmt: skip
 
 #: Where a camera comes from, for `check_type`.
@@ -82,3 +86,28 @@ def check_type(value: Any, kind: type, name: str, remedy: str) -> None:
     if not isinstance(value, kind) or (kind is Iterable and isinstance(value, str)):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         raise TypeError(f"{name} must be {article} {kind.__name__}, got {type(value).__name__}; {remedy}")
+
+
+def check_path(value: Any, name: str = "path") -> Path:
+    """An argument as a path; TypeError that names it if it is none."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise TypeError(f"{name} must be a str or path-like, got {type(value).__name__}")
+    return Path(value)
+
+
+def check_number(value: Any, name: str) -> float:
+    """An argument as a number; TypeError that names it if it is none."""
+    if not isinstance(value, Real):
+        raise TypeError(f"{name} must be a number, got {type(value).__name__}")
+    return float(value)
+
+
+def check_numbers(values: Any, name: str) -> Any:
+    """An argument as a float64 array; TypeError that names it if it cannot be one."""
+    import numpy as np
+
+    # NumPy takes None for NaN.
+    with suppress(TypeError, ValueError):
+        if values is not None:
+            return np.array(values, np.float64)
+    raise TypeError(f"{name} must be numbers, got {values!r}")

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .errors import LightFieldError
+from .errors import LightFieldError, check_path
 
 __all__ = ["OutputError", "atomic_write", "check_folder", "check_output", "make_folder"]
 
@@ -32,7 +32,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     It has the suffix of `path`, for writers that choose the format by it, and the usual permissions of new files.
     OutputError if the file cannot be made, written or moved.
     """
-    target = Path(path)
+    target = check_path(path)
     with _temporary(target) as temporary:
         yield temporary
         os.replace(temporary, target)
