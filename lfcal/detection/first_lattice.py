@@ -183,9 +183,10 @@ def _confirm_by_circles(
     known = [one.lattice.basis for one in uncertain]
     pitches: list[float] = []
     for basis in [*known, *tried]:
-        pitch = 2 * _inradius(basis)
-        if pitch >= 0.99 * 6 and all(abs(np.log(pitch / other)) > 0.15 for other in pitches):
-            pitches.append(pitch)
+        # Scene detail draws the shortest period of an uncertain basis to less than the pitch.
+        for pitch in (2 * _inradius(basis), 2.2 * _inradius(basis)):
+            if pitch >= 0.99 * 6 and all(abs(np.log(pitch / other)) > 0.07 for other in pitches):
+                pitches.append(pitch)
     for pitch in pitches:
         proposed = propose_basis(picture, pitch)
         if proposed is None or any(is_same_lattice(proposed, basis) for basis in known):

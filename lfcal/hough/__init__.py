@@ -1,1 +1,1 @@
-"""Hough vote for circle centres: a witness of the lattice that uses neither spectra nor averages."""
+"""Hough vote for circle centres: a check of the lattice that uses neither spectra nor averages."""

@@ -75,8 +75,8 @@ def propose_basis(picture: NDArray[np.float32], pitch: float) -> NDArray[np.floa
     centres = find_circles(picture, pitch).centres
     if len(centres) < 20:
         return None
-    steps = (centres[:, None] - centres[None]).reshape(-1, 2)
-    steps = steps[np.abs(np.hypot(*steps.T) / pitch - 1.05) < 0.35]
+    every = (centres[:, None] - centres[None]).reshape(-1, 2)
+    steps = every[np.abs(np.hypot(*every.T) / pitch - 1.05) < 0.35]
     # A step and its opposite are the same.
     steps = np.where((steps[:, :1] < 0) | ((steps[:, :1] == 0) & (steps[:, 1:] < 0)), -steps, steps)
     size, count = 0.06 * pitch, 24
@@ -94,5 +94,18 @@ def propose_basis(picture: NDArray[np.float32], pitch: float) -> NDArray[np.floa
         table[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = 0
     for a, b in combinations(found, 2):
         if abs(a[0] * b[1] - a[1] * b[0]) > 0.4 * np.hypot(*a) * np.hypot(*b):
-            return reduce_basis(np.array([a, b]))
+            return _refine(reduce_basis(np.array([a, b])), every)
     return None
+
+
+def _refine(basis: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A basis (2, 2) [px] fitted to longer and longer ones of the `steps` (n, 2) [px] between circles."""
+    for reach in (1, 2, 3, 4, 6, 8):
+        index = np.rint(steps @ np.linalg.inv(basis))
+        near = np.hypot(*(steps - index @ basis).T) < 0.15 * np.hypot(*basis[0])
+        near &= (np.abs(index).max(1) <= reach) & index.any(1)
+        fitted, _, rank, _ = np.linalg.lstsq(index[near], steps[near], rcond=None)
+        if rank < 2:
+            break
+        basis = fitted
+    return basis

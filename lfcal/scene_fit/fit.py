@@ -74,7 +74,10 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
 
 def _summarise(fit: _Converged) -> LatticeFit:
     lattice, shifts, weight = fit.lattice, fit.shifts, fit.weight
-    error = standard_error(shifts, fit.change, weight) * error_inflation(shifts, weight)
+    index = lattice.indices()
+    # The scene may have light in a part of the flat alone.
+    field = np.column_stack([np.ones(len(index)), index])
+    error = standard_error(shifts, fit.change, weight, field) * error_inflation(shifts, weight)
     tile, parity = _tiles(shifts, max(_TILES, len(weight) // 16))
     sides = [parity[tile] == side for side in (0, 1)]
     if min(side.sum() for side in sides) < 3:
@@ -82,7 +85,7 @@ def _summarise(fit: _Converged) -> LatticeFit:
     one, two = (solve_irls(shifts.select(side))[0] for side in sides)
     miss = ((shifts.shift - shifts.design @ fit.change) ** 2).sum(1)
     scatter = float(np.sqrt(np.average(miss, weights=weight)))
-    differ = field_rms(shifts.design, one - two)
+    differ = field_rms(field, one - two)
     # The variance of each half is twice that of the whole; a fit that has not converged is off by what is left to go.
     error = float(np.hypot(max(error, differ / 2), fit.remaining))
     used = int((weight > 0).sum())
@@ -146,7 +149,7 @@ class _Fitter:
             shifts, shown = measured.shifts, np.isfinite(measured.variance)
             before = None if weights is None else weights[shown]
             change, weight = solve_irls(shifts, before if before is not None and before.any() else None)
-            short = _SETTLED * standard_error(shifts, change, weight)
+            short = _SETTLED * standard_error(shifts, change, weight, shifts.design)
             leap = path.leap(lattice, change, shifts.design)
             settled = max(field_rms(shifts.design, change), field_rms(shifts.design, leap)) < short
             if settled and restarts and before is not None:
@@ -263,8 +266,10 @@ def measure_shifts(
     return _Measured(LensShifts(design, shift, known, lattice.basis), variance)
 
 
-def standard_error(shifts: LensShifts, change: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
-    """Standard error of a centre, RMS over the field [px], from the residuals of tiles of the flat.
+def standard_error(
+    shifts: LensShifts, change: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]
+) -> float:
+    """Standard error of a centre, RMS over the `field` (m, 3) as of `LensShifts.design` [px], from residuals of tiles.
 
     A cluster-robust ("sandwich") covariance: Huber, Robust Statistics (1981), section 7.6.
     """
@@ -275,7 +280,7 @@ def standard_error(shifts: LensShifts, change: NDArray[np.float64], weight: NDAr
     np.add.at(total, tile, pull)
     bread = np.linalg.pinv((shifts.design * weight[:, None]).T @ shifts.design)
     covariance = bread @ np.einsum("tap,taq->pq", total, total) @ bread
-    moments = shifts.design.T @ shifts.design / len(weight)
+    moments = field.T @ field / len(field)
     return float(np.sqrt(max(np.trace(covariance @ moments), 0.0) * tiles / max(tiles - 3, 1)))
 
 

@@ -32,7 +32,7 @@ def test_standard_error_with_inflation_is_the_spread_of_the_fits():
         step = rng.normal(0, 0.1, (len(design), 2)) * np.sqrt(variance)[:, None]
         steps = LensShifts(design, step, variance, 14.0 * np.eye(2))
         change, share = solve_irls(steps)
-        stated.append(standard_error(steps, change, share) * error_inflation(steps, share))
+        stated.append(standard_error(steps, change, share, steps.design) * error_inflation(steps, share))
         found.append(field_rms(steps.design, change))
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(np.sqrt(np.mean(np.square(stated))), rel=0.15)
 
