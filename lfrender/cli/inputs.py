@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
+    from ..live.recording import Recording
 
 __all__ = ["MOVING", "CaptureInput", "is_large", "is_published"]
 
@@ -54,6 +56,18 @@ class CaptureInput:
     def files(self) -> list[Path | None]:
         """The files that must not be replaced by an output."""
         return [self.flat, self.camera, self.white, self.depth_file, self.dark]
+
+    @cached_property
+    def recording(self) -> Recording | None:
+        """Camera and settings that stand in the flat itself, if 'lfrender live' has recorded it."""
+        from ..live.recording import read_recording
+
+        return read_recording(self.flat)
+
+    @property
+    def chosen_preset(self) -> Preset:
+        """The preset that was given, or that of the recording."""
+        return self.preset or (self.recording.preset if self.recording else "balanced")
 
     def load(self) -> tuple[NDArray[Any], Calibration, DepthMap]:
         """The flat in colour, its camera and its depth."""
@@ -118,6 +132,9 @@ class CaptureInput:
             calibration = calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
         elif self.white is not None:
             calibration = self._calibrate_white(self.white, pixels)
+        elif self.recording is not None and self.recording.camera is not None:
+            calibration = self.recording.camera
+            calibration = calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
         else:
             calibration = self._calibrate_scene(pixels)
         encoded = calibration.encoded is None and self.flat.suffix.lower() in (*VIDEO_FORMATS, RAW_SUFFIX)
@@ -153,7 +170,7 @@ class CaptureInput:
                 return self.read_depth(pixels)
             from .. import analyze
 
-            return analyze(pixels, calibration, preset=self.preset or "balanced", **options)
+            return analyze(pixels, calibration, preset=self.chosen_preset, **options)
 
     def read_depth(self, flat: NDArray[Any] | FlatSource | None) -> DepthMap:
         """The depth of the file, with a warning if it was made from another flat of this size; None asks for no check.

@@ -10,6 +10,7 @@ import cloup
 from lfcal.runtime import command_line as cl
 
 from .analyze import analyze
+from .live import live
 from .options import declare
 from .pages import demo, report, view
 from .render import render
@@ -50,7 +51,7 @@ def main() -> None:
 main.section("First steps", demo, warm)
 main.section("One capture", render, analyze, refocus, views)
 main.section("Look and share", view, report)
-main.section("Sequences", batch)
+main.section("Sequences", batch, live)
 main.section("Other programs", lenslet)
 
 

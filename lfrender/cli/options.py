@@ -126,6 +126,17 @@ TABLE = {
         "pages.", metavar="FOLDER|PAGE.html"),
     "port": _row("--port", click.IntRange(0, 65535), "Port on this machine; by default a free one.", default=0),
     "no_browser": _row("--no-browser", bool, "Only print the address of the page, do not open a browser."),
+    "host": _row("--host", str,
+        "Serve the page on this address of the machine, for others too; its address then holds a token.",
+        metavar="ADDRESS", default="127.0.0.1", show_default=True),
+    # Of live frames.
+    "live_folder": _row("-o --output", _OUTPUT, "Folder for recordings and snapshots.",
+        metavar="FOLDER", default=".", show_default=True),
+    "live_format": _row("--pixel-format", str,
+        "What a GenICam camera is set to: Mono8, Mono12, BayerRG8, ... [default: as it is]", metavar="FORMAT"),
+    "live_rate": _row("--fps", click.FloatRange(0, 1000, min_open=True),
+        "Frames a second of files. [default: of the video, or 10]"),
+    "live_preset": _row("--preset", _PRESET, "How much time the depth analysis may take. [default: fast]"),
     # Several processes.
     "workers": _row("--workers", click.IntRange(1), "Work in so many processes of this machine (needs Dask)."),
     "scheduler": _row("--scheduler", str, "Work on this Dask scheduler.", metavar="tcp://HOST:PORT"),

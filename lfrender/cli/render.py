@@ -38,6 +38,8 @@ def render(capture: CaptureInput, given: Any) -> None:
     Zarr, is read and drawn in tiles; the finished tiles of an interrupted run are used by the next one.
     """
     in_tiles = _check(capture, given)
+    if given.scale is None and given.patch_size is None and capture.recording is not None:
+        given.scale = capture.recording.scale  # that of the live pictures
     drawing = {
         "patch_size": given.patch_size,
         "scale": given.scale,

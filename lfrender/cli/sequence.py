@@ -73,7 +73,7 @@ def batch(capture: CaptureInput, given: Any) -> int:
     with option_errors():
         frames = open_frames(given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark, **chosen)
     calibration = None
-    if capture.camera or capture.white or capture.mosaic:
+    if capture.camera or capture.white or capture.mosaic or capture.recording:
         with report.stage("calibrate"):
             calibration = _find_camera(frames, capture)
     start = perf_counter()
@@ -118,7 +118,7 @@ def _render(
     ):  # fmt: skip
         try:
             for result in render(
-                frames, given.output, calibration, preset=capture.preset or "balanced", scale=given.scale,
+                frames, given.output, calibration, preset=capture.chosen_preset, scale=given.scale,
                 overwrite=given.overwrite, depth_maps=given.depth_maps, rate=given.fps, announce=announce,
                 **cluster, **further,
             ):  # fmt: skip

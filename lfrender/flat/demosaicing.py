@@ -6,6 +6,7 @@ Green is interpolated along edges, red and blue by their difference to green (J.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 from lfcal.runtime.kernels import FAST, kernel
 
+from ..runtime.cache import cached_latest
 from .distorted_lookup import displacement_at, lens_displacements, nearest_index
 
 __all__ = ["SUPPORT", "demosaic"]
@@ -195,10 +197,17 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
         return pixels
     if corner[0] % 2 or corner[1] % 2:
         raise ValueError(f"corner must be two even numbers, or colours are exchanged; got {corner}")
+    place = calibration.lattice, corner, pixels.shape
     white = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
+    # Frames of live cameras follow one another; 16 megapixels take 64 MB.
+    lens = (
+        cached_latest(calibration, "lens of pixels", (corner, pixels.shape), partial(_lens_of_pixels, *place))
+        if pixels.size <= 1 << 24
+        else _lens_of_pixels(*place)
+    )
     mosaic = _Mosaic(
         pixels,
-        _lens_of_pixels(calibration.lattice, corner, pixels.shape),
+        lens,
         np.array([_COLOURS[letter] for letter in calibration.mosaic], np.int8).reshape(2, 2),
         np.exp(-0.5 * np.arange(3.0) ** 2).astype(np.float32),
         np.float32(_SIMILAR * white),

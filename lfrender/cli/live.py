@@ -1,0 +1,80 @@
+"""`lfrender live`: pictures of a camera in the browser, while it runs."""
+
+from __future__ import annotations
+
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+import cloup
+
+from lfcal.runtime import command_line as cl
+from lfcal.runtime.output_file import make_folder
+
+from .inputs import CaptureInput
+from .options import at_most_one, declare
+
+if TYPE_CHECKING:
+    from lfcal import Calibration
+    from lfcal.runtime.image_formats import Mosaic
+
+    from ..live.sources import Shot
+
+__all__ = ["live"]
+
+
+@cl.command(
+    "lfrender live 0",
+    "lfrender live rtsp://camera/stream -c camera.json",
+    "lfrender live arv: --pixel-format Mono12 -o recordings",
+    "lfrender live frames --fps 5",
+)
+@click.argument("source", metavar="SOURCE")
+@cloup.option_group("Files", *(declare(name, "the first frame") for name in ("live_folder", "camera", "white")))
+@cloup.option_group("Frames", *(declare(name) for name in ("live_format", "live_rate", "mosaic")))
+@cloup.option_group("Depth analysis", declare("live_preset"))
+@cloup.option_group("Where to show it", *(declare(name) for name in ("host", "port", "no_browser")))
+@cl.report_options
+def live(report: cl.Report, given: Any) -> None:
+    """Show a camera in the browser: raw, traditional, sharp, depth, in focus where you click.
+
+    SOURCE is the number, file, address or GStreamer pipeline of a camera or stream that OpenCV reads; a GenICam
+    camera, as PRODUCER.cti[:DEVICE] or with Aravis as arv:[DEVICE]; or files, a folder or a video, in a loop. The
+    newest frame is drawn, others are counted as lost. The page is served to this machine alone until Ctrl-C.
+    """
+    from ..live.grabber import Grabber
+    from ..live.server import LiveServer
+    from ..live.session import Session
+    from ..live.sources import open_source
+
+    at_most_one("--camera", given.camera, "--white", given.white)
+    source = given.source
+    capture = CaptureInput(report, Path(source), given.camera, given.white, mosaic=given.mosaic)
+    report.compile_kernels()
+    with report.stage("open"):
+        make_folder(given.output)
+        grabber = Grabber(lambda: open_source(source, given.pixel_format, given.fps))
+    session = Session(grabber, lambda shot: find_camera(capture, shot), given.preset or "fast", given.output)
+    with closing(session), LiveServer(session, source, given.host, given.port) as server:
+        with report.stage("calibrate"):
+            session.start(strict=bool(given.camera or given.white))
+        figures = {"page": server.url, "warnings": list(session.camera.warnings) if session.camera else []}
+        report.finish(figures, session.status()["camera"] + ".", f"{server.url} until Ctrl-C.")
+        if not given.no_browser:
+            click.launch(server.url)
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()
+
+
+def find_camera(capture: CaptureInput, shot: Shot) -> Calibration:
+    """The camera of a frame, with what the source tells about its pixels."""
+    if capture.mosaic is None and shot.mosaic is not None:
+        capture = replace(capture, mosaic=cast("Mosaic", shot.mosaic))
+    camera = capture.find_camera(shot.pixels)
+    return replace(
+        camera,
+        white_level=shot.white if camera.white_level is None else camera.white_level,
+        encoded=shot.encoded if camera.encoded is None else camera.encoded,
+    )

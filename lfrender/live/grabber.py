@@ -1,0 +1,100 @@
+"""Reading a source in a thread of its own: the newest frame only, frames counted, and opened again when it comes back.
+
+A slow reader never blocks the camera: a frame that is not taken before the next one arrives is counted as lost.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from threading import Condition, Event, Thread
+
+from lfcal import LightFieldError
+
+from .recording import Recorder
+from .sources import Shot
+
+__all__ = ["Grabber", "Rate"]
+
+# Time between attempts to open a source that is gone [s].
+_AGAIN = 1.0
+
+
+class Rate:
+    """How often something has happened of late."""
+
+    def __init__(self) -> None:
+        self._times: deque[float] = deque(maxlen=20)
+
+    def add(self) -> None:
+        """It happens now."""
+        self._times.append(time.monotonic())
+
+    def __float__(self) -> float:
+        """Times a second; 0 once it has not happened for three seconds."""
+        times = list(self._times)
+        if len(times) < 2 or time.monotonic() - times[-1] > 3:
+            return 0.0
+        return (len(times) - 1) / max(times[-1] - times[0], 1e-6)
+
+
+class Grabber:
+    """Reads the frames that `open_source` gives; errors of the first frame are raised, later ones are a `message`."""
+
+    def __init__(self, open_source: Callable[[], Iterator[Shot]]) -> None:
+        self.received = self.lost = 0
+        self.rate = Rate()
+        self.message = ""
+        #: Gets every frame while it is set.
+        self.recorder: Recorder | None = None
+        self._open, self._frames = open_source, open_source()
+        self._changed, self._stopped = Condition(), Event()
+        self._newest: Shot | None = None
+        #: The first frame.
+        self.first = self._put(next(self._frames))
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def take(self, timeout: float) -> Shot | None:
+        """The newest frame that has not been taken yet; None if none arrives within so many seconds."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest is not None, timeout)
+            shot, self._newest = self._newest, None
+            return shot
+
+    def close(self) -> None:
+        """Give the source back."""
+        self._stopped.set()
+        self._thread.join(timeout=2)
+
+    def _put(self, shot: Shot) -> Shot:
+        with self._changed:
+            self.lost += shot.lost + (self._newest is not None)
+            self.received += 1 + shot.lost
+            recorder = self.recorder
+            shot = replace(
+                shot, number=self.received, arrived=time.monotonic(), time=time.time(), recorded=recorder is not None
+            )
+            self._newest, self.message = shot, ""
+            self.rate.add()
+            self._changed.notify_all()
+        if recorder is not None:
+            recorder.add(shot)
+        return shot
+
+    def _run(self) -> None:
+        while not self._stopped.is_set():
+            try:
+                for shot in self._frames:
+                    self._put(shot)
+                    if self._stopped.is_set():
+                        break
+            # Drivers raise errors of any kind when a camera is pulled out.
+            except Exception as error:
+                text = " ".join(str(error).split()) or type(error).__name__
+                self.message = text if isinstance(error, LightFieldError) else f"the camera fails: {text}"
+                self._stopped.wait(_AGAIN)
+                self._frames = self._open()
+        self._frames.close()  # type: ignore[attr-defined]

@@ -1,0 +1,265 @@
+"""A live session: the newest frame of a source, its depth and its pictures, as far as somebody looks at them.
+
+Depth and the sharp picture are updated from a reference frame where nothing has moved. While a recording runs, they are
+made of each frame alone, so that they have the bits of those that are rendered from the recording.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from threading import Condition, Event, Lock, Thread
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, LightFieldError, OutputError
+from lfcal.runtime.arrays import to_eight_bits
+
+from ..data.depth_map import DepthMap, default_scale
+from ..data.rendering import Rendering
+from ..depth.analyze import analyze
+from ..flat.demosaicing import demosaic
+from ..output.depth_picture import depth_picture
+from ..rendering.refocus import refocus
+from ..rendering.render import render
+from ..rendering.traditional import find_depth_problem, traditional
+from ..runtime.choices import Preset
+from .grabber import Grabber, Rate
+from .recording import Recorder
+from .sources import Shot
+
+__all__ = ["KINDS", "Session", "View"]
+
+#: Pictures of a frame.
+KINDS = ("raw", "traditional", "sharp", "focus", "depth")
+# A picture that nobody has asked for during so long [s] is not made.
+_WATCHED = 3.0
+# Compared with a reference frame, a frame in which less than this share of the lenses is still becomes the next one.
+_STILL = 0.9
+# After so many references in a row depth starts afresh, or changes smaller than the noise would add up.
+_CHAIN = 30
+# Output pixels per pitch of the depth picture, which browsers enlarge: more would take longer than the depth itself.
+_DEPTH_SCALE = 4.0
+
+
+#: A place in a picture, as shares of its width and height.
+Place = tuple[float, float]
+
+
+@dataclass
+class View:
+    """One frame and what is known of it."""
+
+    shot: Shot
+    flat: NDArray[Any]  # in colour where the camera has a mosaic
+    camera: Calibration | None = None
+    depth: DepthMap | None = None
+    sharp: Rendering | None = None
+    jpegs: dict[Any, bytes] = field(default_factory=dict)
+    lock: Lock = field(default_factory=Lock)
+
+    def has(self, kind: str) -> bool:
+        """Whether the picture can be drawn; without a camera all are the raw frame."""
+        needed = {"sharp": self.sharp, "focus": self.depth, "depth": self.depth}.get(kind, self.camera)
+        return self.camera is None or needed is not None
+
+    def draw(self, kind: str, at: Place = (0.5, 0.5)) -> NDArray[Any]:
+        """The picture with 8 bits; `at` is the place in focus, as shares of width and height."""
+        if self.camera is None or kind == "raw":
+            white = self.camera.white_level if self.camera else None
+            return to_eight_bits(self.shot.pixels, self.shot.white or white)
+        if kind == "traditional":
+            picture = traditional(self.flat, self.camera)
+        elif kind == "depth":
+            assert self.depth is not None
+            picture = depth_picture(self.depth, _DEPTH_SCALE)
+        elif kind == "focus":
+            place = tuple(share * length - 0.5 for share, length in zip(at, self.camera.image_size, strict=True))
+            picture = refocus(self.flat, self.camera, position=place, depth=self.depth)  # type: ignore[arg-type]
+        else:
+            assert self.sharp is not None
+            picture = self.sharp
+        return to_eight_bits(picture.image, picture.white)
+
+    def jpeg(self, kind: str, at: Place = (0.5, 0.5)) -> bytes:
+        """The same as a JPEG file; drawn once for all who ask."""
+        import cv2
+
+        with self.lock:
+            key = (kind, at if kind == "focus" else None)
+            if key not in self.jpegs:
+                pixels = self.draw(kind, at)
+                pixels = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+                self.jpegs[key] = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
+            return self.jpegs[key]
+
+
+class Session:
+    """Analyses and draws the newest frame of a source again and again, in a thread of its own.
+
+    `find_camera` gives the camera of a frame; where it fails, the raw frames are shown and it is tried again.
+    Recordings and snapshots go into `folder`.
+    """
+
+    def __init__(
+        self,
+        grabber: Grabber,
+        find_camera: Callable[[Shot], Calibration],
+        preset: Preset = "fast",
+        folder: Path = Path(),
+    ) -> None:
+        self.grabber, self.preset, self.folder = grabber, preset, folder
+        self.camera: Calibration | None = None
+        self.view: View | None = None
+        self.drawn, self.rate, self.latency, self.message, self.saved = 0, Rate(), 0.0, "", ""
+        self.still = 0.0
+        self.scale: float | None = None
+        self._find_camera, self._tried = find_camera, 0.0
+        self._wanted: dict[str, float] = {}
+        self._reference: tuple[View, Calibration] | None = None
+        self._chain = 0
+        self._published, self._stopped = Condition(), Event()
+        self._recording = Lock()
+        self._thread = Thread(target=self._run, daemon=True)
+
+    def start(self, strict: bool = False) -> None:
+        """Find the camera on the first frame, and begin; `strict` raises the error if that fails."""
+        try:
+            self.camera = self._find_camera(self.grabber.first)
+        except LightFieldError as error:
+            if strict:
+                raise
+            self.message = str(error)
+        self._tried = time.monotonic()
+        self._thread.start()
+
+    def picture(self, kind: str, after: int, at: Place = (0.5, 0.5), timeout: float = 5.0) -> tuple[View, bytes] | None:
+        """The picture of a frame later than number `after` as JPEG; None if there is none within so many seconds."""
+        end = time.monotonic() + timeout
+        with self._published:
+            while True:
+                self._wanted[kind] = time.monotonic()
+                if (view := self.view) is not None and view.shot.number > after and view.has(kind):
+                    break
+                if (left := end - time.monotonic()) <= 0:
+                    return None
+                self._published.wait(min(left, 1.0))
+        data = view.jpeg(kind, at)
+        self.latency = time.monotonic() - view.shot.arrived
+        return view, data
+
+    def status(self) -> dict[str, Any]:
+        """Counts, rates [1/s], the time from the arrival of a frame to its picture [s], and what is to be said."""
+        grabber, recorder, camera = self.grabber, self.grabber.recorder, self.camera
+        about = "no microlens array yet"
+        if camera is not None:
+            lattice = camera.lattice
+            (x, y), period = lattice.steps[0] @ lattice.basis, 30 if len(lattice.steps) == 6 else 90
+            turned = (float(np.degrees(np.arctan2(y, x))) + period / 2) % period - period / 2
+            about = f"{len(lattice):,} microlenses, {lattice.pitch:.2f} px apart, turned by {turned:.2f} degrees"
+        return {
+            "received": grabber.received, "drawn": self.drawn, "lost": grabber.lost, "rate": float(grabber.rate),
+            "drawn_rate": float(self.rate), "latency": self.latency, "still": self.still, "camera": about,
+            "message": grabber.message or (recorder and recorder.message) or self.message, "saved": self.saved,
+            "recording": recorder and recorder.figures(),
+        }  # fmt: skip
+
+    def command(self, name: str) -> None:
+        """Do `record`, `stop`, `snapshot` or `calibrate`; OutputError if a file cannot be written."""
+        with self._recording:
+            if name == "record" and self.grabber.recorder is None:
+                self.grabber.recorder = self._open_recorder("recording")
+            elif name == "stop" and self.grabber.recorder is not None:
+                recorder, self.grabber.recorder = self.grabber.recorder, None
+                recorder.close()
+                self.saved = f"{recorder.path}: {recorder.frames} frames"
+                self.saved += f", {recorder.skipped} skipped" if recorder.skipped else ""
+            elif name == "snapshot" and self.view is not None:
+                recorder = self._open_recorder("snapshot")
+                recorder.add(self.view.shot)
+                recorder.close()
+                if recorder.message:
+                    raise OutputError(recorder.message)
+                self.saved = str(recorder.path)
+            elif name == "calibrate" and self.grabber.recorder is None:
+                self.camera, self.scale, self._tried = None, None, 0.0
+
+    def close(self) -> None:
+        """Stop, and close what is being recorded and the source."""
+        self._stopped.set()
+        self.command("stop")
+        if self._thread.is_alive():
+            self._thread.join(timeout=5)
+        self.grabber.close()
+
+    def _open_recorder(self, name: str) -> Recorder:
+        camera = self.camera and self.camera.to_dict()
+        path = self.folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}.tif"
+        return Recorder(path, {"camera": camera, "preset": self.preset, "scale": self.scale})
+
+    def _watched(self, *kinds: str) -> bool:
+        return any(time.monotonic() - self._wanted.get(kind, -_WATCHED) < _WATCHED for kind in kinds)
+
+    def _run(self) -> None:
+        while not self._stopped.is_set():
+            shot = self.grabber.take(0.2)
+            self.drawn += shot is not None
+            if shot is None:
+                if self.view is None or all(map(self.view.has, filter(self._watched, KINDS))):
+                    continue
+                # The same frame once more, with a picture that nobody has looked at before.
+                shot = self.view.shot
+            view = View(shot, shot.pixels)
+            try:
+                self._analyze(view)
+            # What is wrong with one frame, such as its size, is said, and the next one is tried.
+            except Exception as error:
+                self.message, view.camera = " ".join(str(error).split()) or type(error).__name__, None
+            with self._published:
+                self.view = view
+                self.rate.add()
+                self._published.notify_all()
+
+    def _analyze(self, view: View) -> None:
+        """Camera, depth and sharp picture of a frame, as far as somebody wants them."""
+        camera = self.camera
+        if camera is None:
+            if time.monotonic() - self._tried < 2:
+                return
+            try:
+                camera = self._find_camera(view.shot)
+            finally:
+                self._tried = time.monotonic()
+            self.camera = camera
+        view.flat, self.message = demosaic(view.shot.pixels, camera), ""
+        if self._watched("sharp", "focus", "depth"):
+            before = self._comparable(view, camera)
+            earlier = None if before is None else (before.flat, before.depth)
+            view.depth = depth = analyze(view.flat, camera, self.preset, previous=earlier)  # type: ignore[arg-type]
+            self.still = float(depth.saved.get("still", 0.0)) if before else 0.0
+            self.message = find_depth_problem(depth) or ""
+            if self.scale is None and not self.message and not view.shot.recorded:
+                self.scale = default_scale(depth)
+            if self._watched("sharp"):
+                drawn: Any = {"scale": self.scale}
+                if before is not None and before.sharp is not None:
+                    drawn = {"previous": (before.flat, before.depth, before.sharp)}
+                view.sharp = render(view.flat, camera, depth, **drawn)
+            # A picture of no scene has another scale than those that follow.
+            if self.scale is not None and (before is None or self.still < _STILL or (view.sharp and not before.sharp)):
+                self._chain = 0 if before is None else self._chain + 1
+                self._reference = view, camera
+        view.camera = camera
+
+    def _comparable(self, view: View, camera: Calibration) -> View | None:
+        """The frame that this one is compared with, if there is one and the picture may depend on it."""
+        if view.shot.recorded or self._reference is None or self._chain >= _CHAIN:
+            return None
+        before, of = self._reference
+        alike = before.flat.shape == view.flat.shape and before.flat.dtype == view.flat.dtype
+        return before if of is camera and alike else None

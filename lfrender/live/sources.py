@@ -1,0 +1,262 @@
+"""Sources of live frames: files played in a loop, devices and streams of OpenCV, GenICam cameras by GenTL or Aravis.
+
+A source is a generator of shots: it opens its camera when the first one is asked for, raises `SourceError` as soon as
+the camera is gone, and gives it back when it is closed. Pixels are copied before the camera gets its buffer back.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import FlatError, LightFieldError
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, VIDEO_FORMATS
+
+from ..sequence.frames import open_frames
+
+__all__ = ["Shot", "SourceError", "open_source", "to_flat"]
+
+# A camera that gives no frame for so long [s] is taken for unplugged.
+_PATIENCE = 5.0
+# Frames of files are kept for the next round if all of them take no more bytes.
+_MOST_KEPT = 1 << 29
+_FORMAT = re.compile(r"(Mono|Bayer(?:RG|BG|GR|GB)|RGBa?|BGRa?)(8|10|12|14|16)(p|Packed)?")
+
+
+class SourceError(LightFieldError, OSError):
+    """A source of live frames cannot be opened, or gives no more frames."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One frame of a source."""
+
+    pixels: NDArray[Any]  # (h, w) or (h, w, 3) uint8 or uint16
+    mosaic: str | None = None  # its colour filters, where the source names them
+    white: float | None = None  # its largest value, where that is less than the type holds
+    encoded: bool | None = None  # whether it is encoded for display, where the source tells it
+    lost: int = 0  # frames that the source has lost since the one before
+    ticks: int | None = None  # the clock of the camera [ns]
+    number: int = 0  # since the start
+    arrived: float = 0.0  # by the monotonic clock [s]
+    time: float = 0.0  # since 1970 [s]
+    recorded: bool = False  # whether it goes into a recording
+
+
+def open_source(name: str, pixel_format: str | None = None, rate: float | None = None) -> Iterator[Shot]:
+    """The frames of a source.
+
+    Parameters
+    ----------
+    name : str
+        A file or folder that `open_frames` reads; the number, file, address or GStreamer pipeline of
+        `cv2.VideoCapture`; `PRODUCER.cti` or `PRODUCER.cti:DEVICE`, a GenICam camera by its GenTL producer;
+        `arv:` or `arv:DEVICE`, one by Aravis.
+    pixel_format : str, optional
+        What GenICam cameras are set to: `"Mono8"`, `"Mono12"`, `"BayerRG8"`, ...
+    rate : float, optional [1/s]
+        Of files; with None that of the video, else 10.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> with TemporaryDirectory() as folder:
+    ...     lfrender.write_picture(f"{folder}/0.png", lfrender.data.example()[0])
+    ...     next(open_source(folder)).pixels.shape
+    (301, 401, 3)
+    """
+    if name.startswith("arv:"):
+        return _read_aravis(name, pixel_format)
+    if re.search(r"\.cti(:|$)", name):
+        return _read_gentl(name, pixel_format)
+    if pixel_format is not None:
+        raise SourceError(f"{name}: --pixel-format is for GenICam cameras; leave it out")
+    path = Path(name).expanduser()
+    if path.is_dir() or (path.suffix.lower() in {*IMAGE_SUFFIXES, *VIDEO_FORMATS, RAW_SUFFIX} and "://" not in name):
+        return _play_files(path, rate)
+    return _read_opencv(name)
+
+
+def _play_files(path: Path, rate: float | None) -> Iterator[Shot]:
+    """Frames of files, again and again; damaged ones are lost."""
+    frames = open_frames([path])
+    step = 1 / float(rate or frames.rate or Fraction(10))
+    kept: list[NDArray[Any]] | None = []
+    complete, due = False, time.monotonic()
+    while True:
+        lost, error = 0, None
+        for item in kept if complete and kept else frames:
+            try:
+                pixels = item if isinstance(item, np.ndarray) else item.read()
+            except FlatError as wrong:
+                lost, error = lost + 1, wrong
+                continue
+            if kept is not None and not complete:
+                kept = [*kept, pixels] if (len(kept) + 1) * pixels.nbytes <= _MOST_KEPT else None
+            time.sleep(max(0.0, due - time.monotonic()))
+            due = max(due + step, time.monotonic())
+            yield Shot(pixels, lost=lost)
+            lost = 0
+        if error is not None and not kept:
+            raise SourceError(str(error))
+        complete = error is None and kept is not None
+
+
+def _read_opencv(name: str) -> Iterator[Shot]:
+    import cv2
+
+    # What is wrong is said once, by this program.
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    if name.isdigit():
+        device = cv2.VideoCapture(int(name))
+    elif " ! " in name:
+        if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):
+            raise SourceError(f"{name}: this OpenCV is built without GStreamer, as those of PyPI are; use Debian's")
+        device = cv2.VideoCapture(name, cv2.CAP_GSTREAMER)
+    elif "://" in name:
+        wait = int(1000 * _PATIENCE)
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, wait, cv2.CAP_PROP_READ_TIMEOUT_MSEC, wait]
+        device = cv2.VideoCapture(name, cv2.CAP_FFMPEG, limits)
+    else:
+        device = cv2.VideoCapture(name)
+    try:
+        if not device.isOpened():
+            raise SourceError(f"{name}: OpenCV finds no camera, stream or video there")
+        device.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        while True:
+            good, frame = device.read()
+            if not good:
+                raise SourceError(f"{name}: gives no more frames")
+            yield Shot(np.ascontiguousarray(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)))
+    finally:
+        device.release()
+
+
+def to_flat(name: str, data: NDArray[Any], width: int, height: int) -> Shot:
+    """A frame of a GenICam camera from the name of its pixel format (PFNC) and its data; the pixels are a copy.
+
+    Pixels of 8 bits, of 10 to 16 in two bytes, and of 12 in three bytes for two are read: grey, colours, and Bayer
+    mosaics. SourceError for others.
+    """
+    found = _FORMAT.fullmatch(name)
+    colours, bits, packed = found.groups() if found else ("", "", None)
+    if not found or (packed and data.dtype == np.uint8 and bits != "12"):
+        raise SourceError(f"pixels of the camera of kind {name} are not read; set Mono8, Mono12, BayerRG8 or the like")
+    if packed and data.dtype == np.uint8:
+        first, middle, last = (part.astype(np.uint16) for part in data[: width * height * 3 // 2].reshape(-1, 3).T)
+        # PFNC has the low bits first, GigE Vision 1 ("Packed") the high ones.
+        pairs = (
+            (first | (middle & 15) << 8, middle >> 4 | last << 4)
+            if packed == "p"
+            else (first << 4 | middle & 15, last << 4 | middle >> 4)
+        )
+        values = np.stack(pairs, 1).ravel()
+    else:
+        values = data.view(np.uint8).view(np.uint8 if bits == "8" else "<u2")
+    channels = len(colours) if colours[0] in "RB" and colours[1] == "G" else 1
+    pixels = values[: width * height * channels].reshape((height, width, channels))
+    if channels > 1:
+        pixels = pixels[:, :, 2::-1] if colours[0] == "B" else pixels[:, :, :3]
+    filters = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}.get(colours.removeprefix("Bayer"))
+    white = None if bits in ("8", "16") else float(2 ** int(bits) - 1)
+    return Shot(np.array(pixels if channels > 1 else pixels[:, :, 0], order="C"), filters, white, encoded=False)
+
+
+def _counted(shot: Shot, number: int, before: int | None, ticks: int | None) -> Shot:
+    """A frame with the number of those that are missing between its number and that of the one `before`."""
+    # Numbers of GigE Vision 1 begin again after 65535.
+    return replace(shot, lost=number - before - 1 if before is not None and number > before else 0, ticks=ticks)
+
+
+def _read_gentl(name: str, pixel_format: str | None) -> Iterator[Shot]:
+    try:
+        from genicam.genapi import GenericException as FeatureError
+        from genicam.gentl import GenericException, TimeoutException
+        from harvesters.core import Harvester
+    except ImportError as error:
+        raise SourceError(
+            f"{name}: GenTL producers need the package 'harvesters'; pip install 'lfrender[live]'"
+        ) from error
+    producer, _, wanted = name.partition(".cti")
+    harvester, camera, before = Harvester(), None, None
+    try:
+        if not Path(f"{producer}.cti").is_file():
+            raise SourceError(f"{producer}.cti: there is no such GenTL producer")
+        harvester.add_file(f"{producer}.cti")
+        harvester.update()
+        devices = [device.id_ for device in harvester.device_info_list]
+        device = next((found for found in devices if wanted[1:] in ("", found)), None)
+        if device is None:
+            raise SourceError(f"{name}: no such camera; this producer finds {', '.join(devices) or 'none'}")
+        camera = harvester.create({"id_": device})
+        if pixel_format:
+            camera.remote_device.node_map.PixelFormat.value = pixel_format
+        camera.start()
+        while True:
+            with camera.fetch(timeout=_PATIENCE) as buffer:
+                part, number, ticks = buffer.payload.components[0], buffer.frame_id, None
+                with suppress(GenericException):
+                    ticks = buffer.timestamp_ns
+                shot = to_flat(part.data_format, part.data, part.width, part.height)
+            yield _counted(shot, number, before, ticks)
+            before = number
+    except TimeoutException as error:
+        raise SourceError(f"{name}: no frame for {_PATIENCE:g} s") from error
+    except (GenericException, FeatureError) as error:
+        raise SourceError(f"{name}: {error}") from error
+    finally:
+        with suppress(GenericException):
+            if camera is not None:
+                camera.destroy()
+            harvester.reset()
+
+
+def _read_aravis(name: str, pixel_format: str | None) -> Iterator[Shot]:
+    try:
+        import gi
+
+        gi.require_version("Aravis", "0.8")
+        from gi.repository import Aravis, GLib
+    except (ImportError, ValueError) as error:
+        raise SourceError(
+            f"{name}: needs Aravis for Python: apt install gir1.2-aravis-0.8 python3-gi, and an environment made with "
+            "python3 -m venv --system-site-packages"
+        ) from error
+    camera, before = None, None
+    try:
+        camera = Aravis.Camera.new(name.removeprefix("arv:") or None)
+        if pixel_format:
+            camera.set_pixel_format_from_string(pixel_format)
+        stream = camera.create_stream(None, None)
+        kind = camera.get_pixel_format_as_string()
+        for _ in range(4):
+            stream.push_buffer(Aravis.Buffer.new_allocate(camera.get_payload()))
+        camera.start_acquisition()
+        while True:
+            buffer = stream.timeout_pop_buffer(int(1e6 * _PATIENCE))
+            if buffer is None:
+                raise SourceError(f"{name}: no frame for {_PATIENCE:g} s")
+            shot, number, ticks = None, buffer.get_frame_id(), buffer.get_timestamp()
+            if buffer.get_status() == Aravis.BufferStatus.SUCCESS:
+                size = buffer.get_image_width(), buffer.get_image_height()
+                shot = to_flat(kind, np.frombuffer(buffer.get_data(), np.uint8), *size)
+            stream.push_buffer(buffer)
+            if shot is not None:
+                yield _counted(shot, number, before, ticks)
+                before = number
+    except GLib.Error as error:
+        raise SourceError(f"{name}: {error.message}") from error
+    finally:
+        if camera is not None:
+            with suppress(GLib.Error):
+                camera.stop_acquisition()

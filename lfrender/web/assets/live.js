@@ -1,0 +1,93 @@
+"use strict";
+// The live page: asks for the picture after the one it shows, for the status twice a second, and sends commands.
+const find = (id) => document.getElementById(id);
+const picture = find("picture");
+const token = new URLSearchParams(location.search).get("token") ?? "";
+let kind = "sharp", place = [0.5, 0.5], shown = 0, waiting = new AbortController();
+
+const pause = (ms) => new Promise((done) => setTimeout(done, ms));
+const address = (path, values = {}) => `${path}?${new URLSearchParams({ ...values, token })}`;
+
+function say(text) { find("status").textContent = text; }
+
+async function nextPicture() {
+  const [x, y] = place.map((share) => share.toFixed(4));
+  const values = { kind, after: shown, x, y };
+  const response = await fetch(address("frame", values), { signal: waiting.signal });
+  if (response.status === 200) {
+    const url = URL.createObjectURL(await response.blob());
+    const before = picture.src;
+    picture.src = url;
+    await picture.decode();
+    if (before.startsWith("blob:")) URL.revokeObjectURL(before);
+    shown = Number(response.headers.get("X-Frame"));
+  } else if (response.status !== 204) await pause(500);
+}
+
+async function showPictures() {
+  for (;;) {
+    try { await nextPicture(); } catch (error) {
+      // Another picture was chosen, or the program has ended, which the status says.
+      if (error.name !== "AbortError") await pause(500);
+    }
+  }
+}
+
+function choose(next) {
+  kind = next;
+  shown = 0;
+  waiting.abort();
+  waiting = new AbortController();
+  document.querySelector(`input[value=${kind}]`).checked = true;
+  picture.className = kind === "raw" ? "" : "focus";
+}
+
+function showStatus(status) {
+  const rate = (count, speed) => `${count.toLocaleString("en")}, ${speed.toFixed(1)} / s`;
+  find("about").textContent = status.camera;
+  find("received").textContent = rate(status.received, status.rate);
+  find("drawn").textContent = rate(status.drawn, status.drawn_rate);
+  find("lost").textContent = status.lost.toLocaleString("en");
+  find("latency").textContent = `${(1000 * status.latency).toFixed(0)} ms`;
+  find("still").textContent = `${(100 * status.still).toFixed(0)} % as before`;
+  const recording = status.recording, button = find("record");
+  button.dataset.command = recording ? "stop" : "record";
+  button.textContent = recording ? "Stop recording" : "Record raw frames";
+  button.classList.toggle("on", Boolean(recording));
+  const skipped = recording?.skipped ? `, ${recording.skipped} skipped` : "";
+  find("saved").textContent = recording ? `${recording.file}: ${recording.frames} frames${skipped}` : status.saved;
+  say(status.message);
+}
+
+async function showStatuses() {
+  for (;;) {
+    try { showStatus(await (await fetch(address("status"))).json()); } catch { say("lfrender live has ended, or is out of reach"); }
+    await pause(500);
+  }
+}
+
+async function send(command) {
+  try {
+    const answer = await fetch(address(command), { method: "POST", headers: { "X-Lfrender": "1" } });
+    const status = await answer.json();
+    if (answer.ok) showStatus(status); else find("saved").textContent = status.message;
+  } catch { say("lfrender live has ended, or is out of reach"); }
+}
+
+for (const input of document.querySelectorAll("input[name=kind]")) input.addEventListener("change", () => choose(input.value));
+for (const button of document.querySelectorAll("[data-command]")) button.addEventListener("click", () => send(button.dataset.command));
+find("whole").addEventListener("change", (event) => find("stage").classList.toggle("whole", event.target.checked));
+picture.addEventListener("click", (event) => {
+  if (kind === "raw") return;
+  // The picture lies in the middle of its element, as large as fits.
+  const box = picture.getBoundingClientRect(), width = picture.naturalWidth, height = picture.naturalHeight;
+  const scale = Math.min(box.width / width, box.height / height);
+  const at = [(event.clientX - box.left - (box.width - scale * width) / 2) / (scale * width),
+    (event.clientY - box.top - (box.height - scale * height) / 2) / (scale * height)];
+  if (at.some((share) => share < 0 || share > 1)) return;
+  place = at;
+  choose("focus");
+});
+choose(kind);
+showPictures();
+showStatuses();
