@@ -265,19 +265,24 @@ def convert(report: cl.Report, given: Any) -> None:
     check_output(output, FORMATS, [given.camera, image])
     pixels = _read_image(given)
     size = given.size if pixels is None else (pixels.shape[1], pixels.shape[0])
-    camera = _read(given.camera, size, bool(given.y_up))
-    if pixels is not None and given.y_up is None and (up := _read(given.camera, size, True)) != camera:
+    camera, up, told = _read(given.camera, size), _read(given.camera, size, True), ""
+    if camera == up and given.y_up is not None:
+        raise click.UsageError("--y-up and --y-down are for tables of centres")
+    if camera != up and given.y_up is None and pixels is not None:
         from ..display.fit_check import choose_orientation
 
         camera = choose_orientation(camera, up, pixels)
+    elif camera != up:
+        told = "; y was taken to point down: --image shows whether it does" if given.y_up is None else ""
+        camera = up if given.y_up else camera
     if mode is None and pixels is not None and output.suffix.lower() == ".cfg":
         from ..lens_types.coarse_disparity import find_scene_mode
 
         mode = find_scene_mode(pixels, camera.lattice)
     run(camera, output, mode=mode)
-    rms = f", {camera.residual_rms:.3f} px (RMS) from the centres of the table"
-    rms = rms if camera.source == "published" and camera.lenses_used else ""
-    report.finish({"written": str(output), **describe(camera)}, *summarise(camera), f"{output} is written{rms}.")
+    if camera.source == "published" and camera.lenses_used:
+        told = f", {camera.residual_rms:.3f} px (RMS) from the centres of the table{told}"
+    report.finish({"written": str(output), **describe(camera)}, *summarise(camera), f"{output} is written{told}.")
 
 
 def _read_image(given: Any) -> NDArray[Any] | None:
