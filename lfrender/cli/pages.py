@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -39,36 +39,41 @@ def view(capture: CaptureInput, given: Any) -> None:
     and each is analysed when it is looked at. The page is served to this machine alone until Ctrl-C. It needs a
     browser with WebGL 2.
     """
-    from ..web.viewer import viewer_files, write_viewer
+    from ..web.viewer import FlatPages, write_viewer
     from ..web.viewer_server import PageServer
 
     report, export, flats = capture.report, given.export, _find_flats(given.inputs)
-    if export is not None and export.suffix:
+    several, page = len(flats) > 1, export is not None and export.suffix != ""
+    if page:
         check_output(export, {".html", ".htm"}, [*flats, *capture.files])
-    if len(flats) > 1:
-        _view_several(capture, given, flats)
-        return
-    capture = replace(capture, flat=flats[0])
-    pixels, calibration, depth = capture.load()
-    warnings = figures.capture_figures(calibration, depth)["warnings"]
-    sentences = figures.capture_sentences(capture, calibration, depth)
+    if several and page:
+        raise click.UsageError(f"{export} holds one flat: give a folder to --export")
+    if several and capture.depth_file is not None:
+        raise click.UsageError("--depth is for one flat: leave it out, each is analysed when it is looked at")
+    if several:
+        load, found, sentences = _loader(capture, flats), {}, [f"{len(flats)} flats, analysed when they are looked at."]
+    else:
+        capture = replace(capture, flat=flats[0])
+        loaded = capture.load()
+        load, sentences = (lambda _: loaded), figures.capture_sentences(capture, *loaded[1:])
+        found = {"warnings": figures.capture_figures(*loaded[1:])["warnings"]}
+    one_folder = len({flat.parent for flat in flats}) == 1
+    pages = FlatPages([flat.name if one_folder else str(flat) for flat in flats], load)
     if export is not None:
         with report.stage("write"):
-            page = write_viewer(export, pixels, calibration, depth, capture.flat.name)
-        closing = f"{page} in {report.took}: open it in a browser, or put it on a web page."
-        report.finish({"page": str(page), "warnings": warnings}, *sentences, closing)
+            path = write_viewer(export, *loaded, flats[0].name) if page else pages.write(export)
+        closing = f"{path} in {report.took}: open it in a browser, or put it on a web page."
+        report.finish({"page": str(path), **found}, *sentences, closing)
         return
-    with report.stage("prepare"):
-        server = PageServer(dict(viewer_files(pixels, calibration, depth, capture.flat.name)), given.port)
-    report.finish({"page": server.url, "warnings": warnings}, *sentences, f"{server.url} until Ctrl-C.")
-    _serve(server, given)
-
-
-def _serve(server: Any, given: Any) -> None:
-    with server, suppress(KeyboardInterrupt):
+    with PageServer(pages, given.port) as server:
+        if not several:
+            with report.stage("prepare"):
+                pages.get("data/1/scene.json.js")
+        report.finish({"page": server.url, **found}, *sentences, f"{server.url} until Ctrl-C.")
         if not given.no_browser:
             click.launch(server.url)
-        server.serve_forever()
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()
 
 
 def _find_flats(inputs: Iterable[Path]) -> list[Path]:
@@ -79,15 +84,9 @@ def _find_flats(inputs: Iterable[Path]) -> list[Path]:
     return [flat for path in inputs for flat in (open_frames([path]).files if path in folders else [path])]
 
 
-def _view_several(capture: CaptureInput, given: Any, flats: list[Path]) -> None:
-    """Show flats one after the other; a camera that is no file is found on the first of them that is looked at."""
-    from ..web.viewer import FlatPages
-    from ..web.viewer_server import PageServer
-
-    report, export = capture.report, given.export
+def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
+    """A function that loads one of the flats; a camera that is no file is found on the first that is looked at."""
     found: list[Calibration] = []
-    if capture.depth_file is not None:
-        raise click.UsageError("--depth is for one flat: leave it out, each is analysed when it is looked at")
 
     def load(number: int) -> Any:
         one = replace(capture, flat=flats[number])
@@ -103,17 +102,7 @@ def _view_several(capture: CaptureInput, given: Any, flats: list[Path]) -> None:
             click.echo(f"warning: {one.flat}: {text}", err=True)
         return pixels, calibration, depth
 
-    folders = {path.parent for path in flats}
-    pages = FlatPages([str(path) if len(folders) > 1 else path.name for path in flats], load)
-    if export is None:
-        server = PageServer(pages, given.port)
-        report.finish({"page": server.url, "flats": len(flats)}, f"{len(flats)} flats at {server.url} until Ctrl-C.")
-        _serve(server, given)
-        return
-    if export.suffix:
-        raise click.UsageError(f"{export} holds one flat: give a folder to --export")
-    page = pages.write(export)
-    report.finish({"page": str(page), "flats": len(flats)}, f"{page} in {report.took}: open it in a browser.")
+    return load
 
 
 @capture_command(

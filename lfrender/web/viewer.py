@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import json
 import os
+import re
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from ..data.depth_map import DepthMap
 from .templates import fill, read_asset, safe
 from .viewer_scene import viewer_scene
 
-__all__ = ["FlatPages", "viewer_files", "viewer_page", "write_viewer"]
+__all__ = ["FlatPages", "viewer_page", "write_viewer"]
 
 # Scripts of the page, each a module that imports only those before it.
 _MODULES = (
@@ -27,25 +28,8 @@ _MODULES = (
 )  # fmt: skip
 
 
-def viewer_files(
-    flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field", **options: Any
-) -> Iterator[tuple[str, bytes]]:
-    """All files of the viewer, the page last: paths relative to the page, `index.html` or `data/...`, and contents.
-
-    `options` are `tile` and `compression` of `viewer_scene`.
-    """
-    yield from _data_files("data", flat, calibration, depth, title, **options)
-    yield "index.html", _page(title).encode()
-
-
-def _data_files(folder: str, *scene: Any, **options: Any) -> Iterator[tuple[str, bytes]]:
-    for name, content in viewer_scene(*scene, **options):
-        text = base64.b64encode(content).decode()
-        yield f"{folder}/{name}.js", f'lightFieldData("{name}", "{text}");\n'.encode()
-
-
 def viewer_page(flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field") -> str:
-    """The viewer as one HTML page that holds everything; arguments as of `viewer_files`.
+    """The viewer as one HTML page that holds everything; errors as of `render`.
 
     Examples
     --------
@@ -95,24 +79,14 @@ def write_viewer(
         with atomic_write(target) as temporary:
             temporary.write_text(viewer_page(flat, calibration, depth, title), encoding="utf-8")
         return target
-    # Files that are sent over a network are worth the time of compression.
-    _write_files(target, viewer_files(flat, calibration, depth, title, compression=6))
-    return target / "index.html"
-
-
-def _write_files(target: Path, files: Iterator[tuple[str, bytes]]) -> None:
-    make_folder(target, parents=True)
-    for name, content in files:
-        make_folder((target / name).parent, parents=True)
-        with atomic_write(target / name) as temporary:
-            temporary.write_bytes(content)
+    return FlatPages([title], lambda _: (flat, calibration, depth)).write(target)
 
 
 class FlatPages:
     """Viewers of several flats, each of which leads to the one before and the next: for `PageServer`, or a folder.
 
-    The pages are there at once. A flat is loaded when its page asks for its data, then the next one, one at a time; the
-    page of a flat that cannot be loaded says why.
+    The pages are there at once. A flat is loaded when its page asks for its data, then the next one, one at a time. The
+    page of one of several flats that cannot be loaded says why.
 
     Parameters
     ----------
@@ -120,10 +94,14 @@ class FlatPages:
         Titles of the flats.
     load : callable
         Returns flat, calibration and depth by the number of the flat, or raises LightFieldError.
+    options
+        `tile` and `compression` of `viewer_scene`.
     """
 
-    def __init__(self, names: Sequence[str], load: Callable[[int], tuple[NDArray, Calibration, DepthMap]]) -> None:
-        self.names, self._load = names, load
+    def __init__(
+        self, names: Sequence[str], load: Callable[[int], tuple[NDArray, Calibration, DepthMap]], **options: Any
+    ) -> None:
+        self.names, self._load, self._options = names, load, options
         self._pages = ["index.html", *(f"{number}.html" for number in range(2, len(names) + 1))]
         # Data files of the flats that were looked at last, and the one that is looked at now.
         self._made: dict[int, dict[str, bytes]] = {}
@@ -132,28 +110,44 @@ class FlatPages:
     def get(self, path: str) -> bytes | None:
         """The content of a file; None if there is none, or another flat has been asked for since."""
         if path in self._pages:
-            return self._page(self._pages.index(path)).encode()
-        head, _, rest = path.partition("/")
-        number, _, _ = rest.partition("/")
-        if head != "data" or not (number.isdecimal() and 1 <= int(number) <= len(self.names)):
+            return self._page(self._pages.index(path))
+        found = re.fullmatch(r"data/(\d{1,6})/.*", path)
+        if not found or not 1 <= int(found[1]) <= len(self.names):
             return None
-        self._wanted = int(number) - 1
+        self._wanted = int(found[1]) - 1
         files = self._data(self._wanted, self._wanted)
         threading.Thread(target=self._data, args=(self._wanted, self._wanted + 1), daemon=True).start()
         return None if files is None else files.get(path)
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write the pages of all flats; returns the path of the first."""
+        # Files that are sent over a network are worth the time of compression.
+        self._options.setdefault("compression", 6)
         for number, name in enumerate(self._pages):
-            _write_files(Path(folder), iter(self._make(number, compression=6).items()))
-            _write_files(Path(folder), iter([(name, self._page(number).encode())]))
+            for path, content in {**self._make(number), name: self._page(number)}.items():
+                make_folder((Path(folder) / path).parent, parents=True)
+                with atomic_write(Path(folder) / path) as temporary:
+                    temporary.write_bytes(content)
         return Path(folder) / self._pages[0]
 
-    def _page(self, number: int) -> str:
+    def _make(self, number: int) -> dict[str, bytes]:
+        """The data files of a flat."""
+        folder = f"data/{number + 1}"
+        try:
+            scene = viewer_scene(*self._load(number), self.names[number], **self._options)
+            texts = {name: json.dumps([name, base64.b64encode(content).decode()]) for name, content in scene}
+        except (LightFieldError, OSError) as error:
+            if len(self.names) == 1:
+                raise
+            texts = {"scene.json": json.dumps(["scene.json", "", str(error)])}
+        return {f"{folder}/{name}.js": f"lightFieldData(...{text});\n".encode() for name, text in texts.items()}
+
+    def _page(self, number: int) -> bytes:
         beside = {"previous": [None, *self._pages][number], "next": [*self._pages, None][number + 1]}
-        title, status = self.names[number], f"Loading {self.names[number]}; a flat is analysed once, for some seconds"
+        title = self.names[number]
+        status = "Loading" if len(self.names) == 1 else f"Loading {title}; a flat is analysed once, for some seconds"
         place = {"folder": f"data/{number + 1}", "flats": len(self.names), "number": number, "status": status}
-        return _page(title, None, **place, **beside)
+        return _page(title, None, **place, **beside).encode()
 
     def _data(self, wanted: int, number: int) -> dict[str, bytes] | None:
         """The data files of a flat, made now while `wanted` is still the one that is looked at."""
@@ -163,11 +157,3 @@ class FlatPages:
                 for old in list(self._made)[:-4]:
                     del self._made[old]
             return self._made.get(number)
-
-    def _make(self, number: int, **options: Any) -> dict[str, bytes]:
-        folder = f"data/{number + 1}"
-        try:
-            return dict(_data_files(folder, *self._load(number), self.names[number], **options))
-        except (LightFieldError, OSError) as error:
-            words = json.dumps(str(error))
-            return {f"{folder}/scene.json.js": f'lightFieldData("scene.json", "", {words});\n'.encode()}

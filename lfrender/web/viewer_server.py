@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, Protocol
+from typing import Any
 
 from lfcal import LightFieldError
 
@@ -22,21 +22,15 @@ class ServerError(LightFieldError, OSError):
     """The page cannot be served."""
 
 
-class Files(Protocol):
-    """Contents by paths relative to the root."""
-
-    def get(self, path: str, /) -> bytes | None: ...
-
-
 class PageServer(ThreadingHTTPServer):
-    """Serves files from memory, or made when they are asked for, over HTTP to programs on this machine.
+    """Serves what `files.get` gives for paths relative to the root, over HTTP to programs on this machine.
 
     Port 0 takes any that is free; ServerError if the port is taken or not allowed.
     """
 
     daemon_threads = True
 
-    def __init__(self, files: Files, port: int = 0) -> None:
+    def __init__(self, files: Any, port: int = 0) -> None:
         self.files = files
         try:
             super().__init__((_HOST, port), _Handler)

@@ -9,7 +9,7 @@ import pytest
 
 import lfcal
 import lfrender
-from lfrender.web.viewer import viewer_files
+from lfrender.web.viewer import FlatPages
 from lfrender.web.viewer_server import PageServer
 
 from ._browser import READY, errors, start_browser, wait_for
@@ -34,7 +34,8 @@ def served(captured):
     """The viewer of the house on a server, in several tiles; its camera has optics, so that places have metres."""
     flat, camera, depth = captured
     optics = lfcal.Optics(focal_length=50, mla_distance=58, sensor_distance=0.7, pixel=0.005)
-    server = PageServer(dict(viewer_files(flat, replace(camera, optics=optics), depth, "house.png", tile=256)))
+    scene = flat, replace(camera, optics=optics), depth
+    server = PageServer(FlatPages(["house.png"], lambda _: scene, tile=256))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     yield server
     server.shutdown()

@@ -25,7 +25,8 @@ from lfrender.data.depth_map import DepthMap
 from lfrender.data.surface import Surface
 from lfrender.flat.prefilter import prefilter_flat
 from lfrender.rendering.viewpoints import views_with_depth
-from lfrender.web.viewer import viewer_files, write_viewer
+from lfrender.web.viewer import viewer_page, write_viewer
+from lfrender.web.viewer_scene import viewer_scene
 
 from ._browser import READY, RESTS, errors, mouse, pixels, wait_for
 
@@ -243,12 +244,12 @@ def test_a_depth_map_of_another_flat_is_refused(captured):
     flat, camera, depth = captured
     other = replace(depth, image_size=(100, 100))
     with pytest.raises(lfcal.CalibrationError, match="another camera"):
-        list(viewer_files(flat, camera, other))
+        viewer_page(flat, camera, other)
 
 
 def test_a_flat_of_more_tiles_than_browsers_take_is_refused(captured):
     with pytest.raises(lfcal.LightFieldError, match="browsers take 256"):
-        list(viewer_files(*captured, tile=20))
+        list(viewer_scene(*captured, "house", tile=20))
 
 
 def test_view_serves_until_it_is_interrupted(house_files, captured, tmp_path):
@@ -290,7 +291,7 @@ def test_view_exports_from_the_command_line(house_files, captured, tmp_path):
     # Nothing from elsewhere.
     assert 'src="http' not in page
     assert 'href="http' not in page
-    assert (tmp_path / "page" / "data" / "scene.json.js").exists()
+    assert (tmp_path / "page" / "data" / "1" / "scene.json.js").exists()
 
 
 def test_view_of_a_folder_exports_pages_that_lead_to_each_other(house_files, tmp_path):
