@@ -83,7 +83,10 @@ def analyze(capture: CaptureInput, given: Any) -> None:
         if output.suffix.lower() == ".npz":
             depth.save(output)
         if "dense" in forms:
-            _write_dense(forms["dense"], depth, given, optics)
+            from ..data.dense_depth import dense_depth, dense_distance, write_dense
+
+            grid = dense_depth(depth, fill=not given.unfilled)
+            write_dense(forms["dense"], grid, dense_distance(grid, optics) if given.metres and optics else None)
         if "picture" in forms:
             from ..output.depth_picture import depth_picture, magnification_limits
             from ..output.picture import write_picture
@@ -114,10 +117,3 @@ def _near_and_far(depth: DepthMap) -> str:
     shown = [mode for mode in ends if (depth.mode == mode).mean() > 0.01]
     names = {1: " where telescopic", -1: " where binocular"}
     return ", ".join(ends[mode] + (names[mode] if len(shown) > 1 else "") for mode in shown)
-
-
-def _write_dense(path: Path, depth: DepthMap, given: Any, optics: Any) -> None:
-    from ..data.dense_depth import dense_depth, dense_distance, write_dense
-
-    grid = dense_depth(depth, fill=not given.unfilled)
-    write_dense(path, grid, dense_distance(grid, optics) if given.metres else None)

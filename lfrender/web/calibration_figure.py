@@ -15,7 +15,7 @@ from lfcal import Calibration, check_fit
 from .report_pictures import picture_url
 from .templates import fill
 
-__all__ = ["calibration_panels", "enlarged_crop"]
+__all__ = ["calibration_panels", "flat_part"]
 
 _TYPES = ("#5cb8ff", "#ff6fb5", "#7be07b", "#ffd84d")  # circles of lens types
 _SIDE = 320  # of a panel, in its own units
@@ -37,12 +37,8 @@ def calibration_panels(flat: NDArray, calibration: Calibration, pitches: float =
     )  # fmt: skip
 
 
-def enlarged_crop(flat: NDArray, middle: NDArray[np.float64], side: float) -> Any:
-    """SVG of the part of a flat about a place, `side` pixels across, with all its contrast."""
-    return fill("crop.svg", part=_part(flat, middle, side))
-
-
-def _part(flat: NDArray, middle: NDArray[np.float64], side: float) -> dict[str, Any]:
+def flat_part(flat: NDArray, middle: NDArray[np.float64], side: float) -> dict[str, Any]:
+    """The part of a flat about a place, `side` pixels across, with all its contrast, for the macro `crop`."""
     size = np.array(flat.shape[1::-1])
     reach = np.minimum(np.round(side).astype(int), size)
     low = np.clip(np.round(middle - reach / 2).astype(int), 0, size - reach)
@@ -56,7 +52,7 @@ def _part(flat: NDArray, middle: NDArray[np.float64], side: float) -> dict[str, 
 def _crop(flat: NDArray, calibration: Calibration, middle: NDArray[np.float64], pitches: float) -> dict[str, Any]:
     """A part of the flat with the circles of its lenses, and those that get no light."""
     lattice, types = calibration.lattice, calibration.lens_types
-    part = _part(flat, middle, pitches * lattice.pitch)
+    part = flat_part(flat, middle, pitches * lattice.pitch)
     low = np.array([part["x"], part["y"]]) - lattice.pitch
     high = low + [part["width"], part["height"]] + 2 * lattice.pitch
     centres, unlit = lattice.centres(), lattice.points(calibration.defects.lenses)

@@ -147,11 +147,10 @@ def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -
     best_fixed = max(psnr[name] for name in figures["fixed_patch_size"])
     names = {"all_in_focus": "all in focus"}
     sources = {"scene": "the capture itself", "white": "the white image"}
-    depths = (
-        ("mode_right", "mode is right", ".1%"),
-        ("mode_wrong", "mode is the opposite one", ".1%"),
-        ("magnification_error", "M, median relative error (unresolved: 1)", ".2%"),
-    )
+    depths = {
+        "mode_right": ("mode is right", ".1%"), "mode_wrong": ("mode is the opposite one", ".1%"),
+        "magnification_error": ("M, median relative error (unresolved: 1)", ".2%"),
+    }  # fmt: skip
     return fill(
         "demo.html",
         flat_crop=flat_crop,
@@ -172,6 +171,7 @@ def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -
         ],
         lenses=f"{figures['lenses_judged']:,}",
         depths=[
-            (label, *(f"{figures[name][key]:{form}}" for key in ("all", "one_depth"))) for name, label, form in depths
+            (label, *(f"{figures[name][key]:{form}}" for key in ("all", "one_depth")))
+            for name, (label, form) in depths.items()
         ],
     )

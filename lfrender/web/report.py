@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from importlib.metadata import version
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,16 @@ from lfcal import Calibration
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import MODES, REASONS, DepthMap
-from ..output.depth_picture import MODE_COLOURS, magnification_limits
-from .calibration_figure import calibration_panels, enlarged_crop
-from .histogram import magnification_histogram
-from .report_pictures import ReportPictures, data_urls, draw_pictures, fit_width, maps, picture_url
+from ..data.rendering import PictureGrid
+from ..output.depth_picture import MODE_COLOURS, lens_maps, magnification_limits
+from .calibration_figure import calibration_panels, flat_part
+from .report_pictures import ReportPictures, data_urls, draw_pictures, fit_width, picture_url
 from .templates import fill, read_asset
 
 __all__ = ["write_report"]
 
+# Bars between the limits; width and height of the drawing, its left margin and that below, in its own units.
+_BINS, _WIDTH, _HEIGHT, _LEFT, _BELOW = 40, 900, 280, 84, 30
 _SHORTCUTS = {
     "blank": "lenses without texture, which were not matched",
     "ranges": "shifts that occur in no lens of a sample, which were not tried",
@@ -66,7 +69,11 @@ def write_report(
     '<!doctype html>'
     """
     pictures = draw_pictures(flat, calibration, depth) if pictures is None else pictures
-    charts = {name: picture_url(picture, ".png") for name, picture in maps(depth, calibration.lattice).items()}
+    # Maps have at most 1100 columns and 12 pixels per pitch.
+    lattice, (columns, _) = calibration.lattice, calibration.image_size
+    grid = PictureGrid(lattice.image_size, lattice.pitch, min(12.0, 1100 * lattice.pitch / columns))
+    maps = lens_maps(depth, lattice, grid.affine(), grid.size[::-1])
+    charts = {name: picture_url(picture, ".png") for name, picture in maps.items()}
     shown = {
         "all_in_focus": pictures.sharp.image,
         **{name: picture.image for name, picture in pictures.fixed.items()},
@@ -75,9 +82,9 @@ def write_report(
         "flat": fit_width(flat, 1120, calibration.white_level),
     }
     panels = calibration_panels(flat, calibration)
-    crop = enlarged_crop(flat, _most_detail(pictures), 7 * calibration.lattice.pitch)
+    crop = flat_part(flat, _most_detail(pictures), 7 * calibration.lattice.pitch)
     # Mail programs and browsers accept pages of 15 MB.
-    room = 14_500_000 - sum(map(len, [*charts.values(), further, panels, crop]))
+    room = 14_500_000 - sum(map(len, [*charts.values(), further, panels, crop["url"]]))
     urls, size = data_urls(shown, room, calibration.white_level)
     names = {"all_in_focus": "all in focus", "traditional": "traditional"}
     names |= {name: f"one patch size, {name}" for name in pictures.fixed} | {name: name for name in compare or {}}
@@ -91,7 +98,7 @@ def write_report(
         version=version("lfrender"), calibration=calibration,
         source=_SOURCES.get(calibration.source, calibration.source), known=float(np.mean(~depth.filled)),
         width=width, height=height, size=size, names=names, urls=urls, sizes=pictures.patch_size,
-        charts=charts, limits=limits, histogram=magnification_histogram(depth),
+        charts=charts, limits=limits, histogram=_histogram(depth),
         outliers=int(np.sum((known < limits[0]) | (known > limits[1]))), panels=panels, crop=crop, further=further,
         modes=[(name, MODE_COLOURS[code], float(np.mean(depth.mode == code))) for code, name in MODES.items()],
         reasons=dict(sorted(reasons.items(), key=lambda item: -item[1])), seconds=seconds or {},
@@ -115,6 +122,43 @@ def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
     v, u = np.unravel_index(int(np.where(inner, score, -1).argmax()), score.shape)
     place: NDArray[np.float64] = pictures.traditional.affine @ [u, v, 1]
     return place
+
+
+def _histogram(depth: DepthMap) -> Any:
+    """SVG: number of lenses over magnification on a logarithmic scale, telescopic ones above the axis, binocular below.
+
+    Heights are square roots: a wall has thousands of lenses of one M, and single branches are seen beside it. What lies
+    beyond the limits of the scale, mostly errors, is in a pale bar at each end.
+    """
+    low, high = magnification_limits(depth.magnification)
+    edges = np.array([0.0, *np.geomspace(low, high, _BINS + 1), np.inf])
+    counts = {code: np.histogram(depth.magnification[depth.mode == code], edges)[0] for code in (1, -1)}
+    tall = {code: np.sqrt(max(count.max(), 1)) for code, count in counts.items()}
+    # Both modes have one scale; the axis lies where it leaves room for either.
+    tall = {code: max(n, 0.12 * max(tall.values())) for code, n in tall.items()}
+    unit = (_HEIGHT - _BELOW - 20) / sum(tall.values())
+    axis, step = 10 + unit * tall[1], (_WIDTH - _LEFT - 8) / (_BINS + 2)
+    spans = [f"below {low:.2f}", *(f"{a:.2f} to {b:.2f}" for a, b in pairwise(edges[1:-1]))]
+    spans.append(f"above {high:.2f}")
+    bars = [
+        {
+            "x": _LEFT + step * n + 0.5, "height": (bar := unit * float(np.sqrt(count[n]))), "count": int(count[n]),
+            "y": axis - bar if code > 0 else axis, "mode": MODES[code], "colour": MODE_COLOURS[code],
+            "span": spans[n], "pale": n in (0, _BINS + 1),
+        }
+        for code, count in counts.items() for n in np.nonzero(count)[0].tolist()
+    ]  # fmt: skip
+    # Round numbers, if enough of them lie on the scale.
+    powers = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    ticks = np.unique(np.outer(10.0**powers, (1, 1.5, 2, 3, 4, 5, 7)).round(6))
+    ticks = ticks[(ticks >= low) & (ticks <= high)]
+    ticks = ticks if len(ticks) >= 3 else np.geomspace(low, high, 5)
+    places = _LEFT + step * (1 + _BINS * np.log(ticks / low) / np.log(high / low))
+    return fill(
+        "histogram.svg", width=_WIDTH, height=_HEIGHT, left=_LEFT, axis=axis, bars=bars, step=step,
+        ticks=list(zip(places.tolist(), ticks.tolist(), strict=True)),
+        most=[int(counts[1].max()), int(counts[-1].max())], lenses=int(sum(count.sum() for count in counts.values())),
+    )  # fmt: skip
 
 
 def _figures(

@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Calibration, Lattice
+from lfcal import Calibration
 from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import BINOCULAR, MODES, TELESCOPIC, DepthMap, check_depth
-from ..data.rendering import PictureGrid, Rendering
-from ..output.depth_picture import lens_maps
+from ..data.rendering import Rendering
 from ..rendering.render import render
 from ..rendering.traditional import traditional
 
-__all__ = ["ReportPictures", "data_urls", "draw_pictures", "fit_width", "map_grid", "maps", "picture_url"]
+__all__ = ["ReportPictures", "data_urls", "draw_pictures", "fit_width", "picture_url"]
 
 
 @dataclass(frozen=True)
@@ -93,18 +92,3 @@ def _reduce(picture: NDArray[np.uint8], size: float) -> NDArray[Any]:
 
     width, height = (max(1, round(size * n)) for n in picture.shape[1::-1])
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA))
-
-
-def map_grid(lattice: Lattice) -> tuple[NDArray[np.float64], tuple[int, int]]:
-    """Affine from map pixels to scene coordinates, and the shape of the maps.
-
-    They have at most 1100 columns and 12 pixels per pitch.
-    """
-    pitch = lattice.pitch
-    grid = PictureGrid(lattice.image_size, pitch, min(12.0, 1100 * pitch / lattice.image_size[0]))
-    return grid.affine(), grid.size[::-1]
-
-
-def maps(depth: DepthMap, lattice: Lattice) -> dict[str, NDArray[np.uint8]]:
-    """Maps of magnification, mode and confidence, (h, w, 3) uint8 each."""
-    return lens_maps(depth, lattice, *map_grid(lattice))
