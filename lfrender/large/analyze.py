@@ -85,7 +85,7 @@ def analyze_large(
     shortcuts = Shortcuts.of(skip)
     reader = TileReader(source, calibration)
     calibration = reader.calibration = match_exposure(reader.sample_exposure(), calibration)
-    flat = FlatContext(reader, preset, shortcuts)
+    flat = _Flat(reader, preset, shortcuts, SceneStatistics(0.0, np.zeros(0, np.float32), 0.0))
     workers = Workers(client, threads)
     tiles = lens_tiles(
         calibration.lattice, flat.factor, PRESETS[preset], reader.channels * source.dtype.itemsize, memory
@@ -98,13 +98,13 @@ def analyze_large(
 
 
 @dataclass(frozen=True)
-class FlatContext:
+class _Flat:
     """What the analysis of each part needs to know about the whole flat."""
 
     reader: TileReader
     preset: str
     shortcuts: Shortcuts
-    overview: SceneStatistics = SceneStatistics(0.0, np.zeros(0, np.float32), 0.0)  # noqa: RUF009 (nobody writes into it)
+    overview: SceneStatistics
 
     @property
     def factor(self) -> int:
@@ -134,7 +134,7 @@ class FlatContext:
 
 
 def _measure_roughness(
-    flat: FlatContext, part: LensTile, pixels: NDArray[Any]
+    flat: _Flat, part: LensTile, pixels: NDArray[Any]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Roughness of the lenses of a window, with and without their common shading."""
     gray = flat.gray_tile(part, pixels)
@@ -143,7 +143,7 @@ def _measure_roughness(
     return plain.roughness[part.inside], texture.statistics.roughness[part.inside]
 
 
-def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> DepthMap:
+def _analyze_tile(flat: _Flat, part: LensTile, pixels: NDArray[Any]) -> DepthMap:
     """Depth of the lenses of a part and its halo."""
     gray = flat.gray_tile(part, pixels)
     plain = sample_statistics(gray)
@@ -154,20 +154,20 @@ def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> De
     return locate_edges(gray, part.lattice, depth) if PRESETS[flat.preset].edges else depth
 
 
-def _survey(flat: FlatContext, workers: Workers, windows: list[LensTile]) -> SceneStatistics:
+def _survey(flat: _Flat, workers: Workers, windows: list[LensTile]) -> SceneStatistics:
     """Noise and range of depths in windows of the flat."""
-    measured = workers.map(_measure_roughness, flat, windows, FlatContext.read)
+    measured = workers.map(_measure_roughness, flat, windows, _Flat.read)
     raw, rough = map(np.concatenate, zip(*measured, strict=True))
     overview = SceneStatistics(estimate_noise(rough), np.zeros(0, np.float32), estimate_noise(raw))
     thorough = Shortcuts(blank=flat.shortcuts.blank, ranges=False, still=False)
     estimating = replace(flat, shortcuts=thorough, overview=overview)
-    found = workers.map(_analyze_tile, estimating, windows, FlatContext.read)
+    found = workers.map(_analyze_tile, estimating, windows, _Flat.read)
     sizes = [depth.patch_size[part.inside & ~depth.filled] for part, depth in zip(windows, found, strict=True)]
     return replace(overview, sizes=np.concatenate(sizes))
 
 
 def _analyze_tiles(
-    flat: FlatContext, workers: Workers, tiles: list[LensTile], progress: Callable[[int, int], None] | None
+    flat: _Flat, workers: Workers, tiles: list[LensTile], progress: Callable[[int, int], None] | None
 ) -> DepthMap:
     """Analyse all tiles and put their results together."""
     lattice, preset = flat.lattice, flat.preset
@@ -176,7 +176,7 @@ def _analyze_tiles(
     finer = FINER if PRESETS[preset].edges else 1
     surface = np.empty((shape[0] * finer, shape[1] * finer), np.float32)
     saved: dict[str, float] = {}
-    found = workers.map(_analyze_tile, flat, tiles, FlatContext.read)
+    found = workers.map(_analyze_tile, flat, tiles, _Flat.read)
     for number, (part, depth) in enumerate(zip(tiles, found, strict=True)):
         rows = rows_of(part.lattice, lattice)[part.inside]
         for name, whole in values.items():

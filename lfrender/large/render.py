@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from ..output.tiled_picture import TileWriter, move_into_place
 from ..rendering.render import make_renderer
 from ..rendering.renderer import Renderer
 from ..runtime.choices import Detail
-from ..sequence.workers import Workers
+from ..sequence.workers import Workers, ahead
 from .tiles import TileReader
 
 __all__ = ["LargePicture", "check_large_picture", "render_large"]
@@ -86,9 +85,7 @@ def render_large(
         Side of the tiles of the picture; None chooses it by the size of the flat.
     alpha, compress, settings
         As in `write_picture`.
-    progress : callable or None
-        Called with the number of finished tiles and of all.
-    client, threads
+    progress, client, threads
         As in `analyze_large`: tiles are drawn by the workers of a cluster, and written here.
 
     Examples
@@ -113,8 +110,12 @@ def render_large(
     text, suffix = describe(grid.affine(), settings), output.suffix.lower()
     channels = reader.channels + alpha
     shape = (*grid.size[::-1], channels) if channels > 1 else grid.size[::-1]
-    choices = [patch_size, grid.scale, drawing.blend, drawing.noise, *side, alpha, compress, suffix, text]
-    key = _identity(source, calibration, depth, choices)
+    # Of all that the picture depends on: tiles of an earlier run are used if it is the same.
+    key = fingerprint(
+        file_identity(source.path), file_identity(source.dark), [source.page, str(source.dtype)], calibration.to_dict(),
+        [patch_size, grid.scale, drawing.blend, drawing.noise, *side, alpha, compress, suffix, text],
+        *([] if depth is None else [depth.patch_size, depth.surface.patch_size]),
+    )  # fmt: skip
     checkpoint, direct = Checkpoint(output), FORMATS[suffix].tiles
     writer = TileWriter(
         output if direct else output.with_suffix(".tif"), checkpoint.open(), shape, source.dtype, side, text,
@@ -128,15 +129,17 @@ def render_large(
     kept, parts = len(done), dict(enumerate(grid.tiles(side)))
     missing = {number: part for number, part in parts.items() if str(number) not in done}
     # A copy, without the tables that are cached in it: workers compute their own.
-    drawn = workers.map(_draw_tile, _Drawing(replace(drawing), reader), missing.values(), _read_part)
+    drawn = workers.map(_draw_tile, _Drawing(replace(drawing), reader), missing.values(), _Drawing.read)
 
-    def store(number: int, pixels: NDArray[Any], valid: NDArray[np.bool_]) -> None:
+    def store(tile: tuple[int, tuple[NDArray[Any], NDArray[np.bool_]]]) -> None:
+        number, (pixels, valid) = tile
         pixels = pixels if reader.channels > 1 else pixels[:, :, 0]
         writer.write(parts[number], with_alpha(pixels, valid) if alpha else pixels)
         done[str(number)] = int(np.count_nonzero(valid))
         checkpoint.keep("picture", key, done)
 
-    for count, _ in enumerate(_store_beside(missing, drawn, store), kept + 1):
+    # Each tile is stored while the next one is drawn.
+    for count, _ in enumerate(ahead(store, zip(missing, drawn, strict=True), 1), kept + 1):
         if progress is not None:
             progress(count, len(parts))
     if direct:
@@ -149,27 +152,6 @@ def render_large(
     return LargePicture(output, grid.size, grid.affine(), grid.scale, valid_share, len(parts), kept)
 
 
-def _identity(source: FlatSource, calibration: Calibration, depth: DepthMap | None, choices: list[Any]) -> str:
-    """Of all that a picture depends on: tiles of an earlier run are used if it is the same."""
-    return fingerprint(
-        file_identity(source.path), file_identity(source.dark), [source.page, str(source.dtype)], choices,
-        calibration.to_dict(), [fingerprint(depth.patch_size, depth.surface.patch_size) if depth is not None else ""],
-    )  # fmt: skip
-
-
-def _store_beside(numbers: Iterable[int], drawn: Iterable[Any], store: Callable[..., None]) -> Iterator[None]:
-    """Store each tile in a thread while the next one is drawn."""
-    waiting: Future[None] | None = None
-    with ThreadPoolExecutor(1) as pool:
-        for number, (image, valid) in zip(numbers, drawn, strict=True):
-            if waiting is not None:
-                waiting.result()
-            waiting = pool.submit(store, number, image, valid)
-            yield
-        if waiting is not None:
-            waiting.result()
-
-
 @dataclass(frozen=True)
 class _Drawing:
     """What workers need to draw a tile."""
@@ -177,9 +159,8 @@ class _Drawing:
     renderer: Renderer
     reader: TileReader
 
-
-def _read_part(drawing: _Drawing, tile: Part) -> NDArray[Any]:
-    return drawing.reader.read_raw(drawing.renderer.required_part(tile))
+    def read(self, tile: Part) -> NDArray[Any]:
+        return self.reader.read_raw(self.renderer.required_part(tile))
 
 
 def _draw_tile(drawing: _Drawing, tile: Part, raw: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:

@@ -16,7 +16,7 @@ from lfcal.runtime.errors import check_type
 from ..output.formats import check_format
 from ..runtime.choices import Preset
 from .film_file import film_results
-from .frames import Frame, is_video
+from .frames import Frame, Frames, is_video
 from .job import FrameResult, Job, render_group
 from .view_grid import ViewGrid
 from .workers import Workers
@@ -61,8 +61,8 @@ def render_frames(
 
     Parameters
     ----------
-    frames : iterable of Frame
-        From `open_frames`.
+    frames : Frames
+        From `open_frames`, or any frames.
     folder : path-like
         Made where it does not exist; its parent must exist.
     calibration : Calibration or None
@@ -73,7 +73,7 @@ def render_frames(
     suffix : str
         Format of the pictures: `".tif"`, `".png"`, ...
     overwrite : bool
-        Render all frames again, whatever is in the folder.
+        Remove what is in the folder for these frames, and render them again.
     views : ViewGrid, optional
         Views of a grid instead of one picture: raw video of each view, `v000-1920x1080.yuv` and so on, if `suffix` is
         `".yuv"` or a pixel format such as `".yuv444p12"`, else a folder for each frame, `FRAME/image_001.png` and so
@@ -82,17 +82,15 @@ def render_frames(
         Write pictures with 8 bits a channel, 0 to white in proportion; JPEG and WebP have no more anyway.
     depth_maps : path-like, optional
         Folder for the depth map of each frame, `FRAME.npz`, or a film of depth pictures: magnification in the colours
-        of `lfrender analyze --picture`, from blue to red as in the first frame, so that a colour means one depth.
+        of `lfrender analyze --picture`, blue and red at the ends of the first frame for all.
     rate : float, optional
         Pictures a second of that film; with None those of the first video, else 25.
     announce : callable, optional
-        Called once with a `Plan` before the first picture is written: numbers of frames, size.
+        Called once with a `Plan`, before the first picture is written.
     segment, group : int
         Frames from one key frame to the next, and frames that are compared with the same one, the first of them.
-    client : distributed.Client, optional
-        As in `render_frames_on`.
-    threads : int, optional
-        Threads of the kernels in each worker of a cluster; None leaves it to the machine.
+    client, threads
+        As in `analyze_large`.
 
     Yields
     ------
@@ -111,27 +109,27 @@ def render_frames(
     ['rendered']
     """
     check_type(frames, Iterable, "frames", "lfrender.open_frames finds them")
-    place, names = Path(folder).absolute(), getattr(frames, "names", [])
-    maps = None if depth_maps is None else Path(depth_maps).absolute()
-    if maps is not None and is_video(maps):
-        check_format(maps, "film", inputs=getattr(frames, "files", ()))
+    known = frames if isinstance(frames, Frames) else Frames(())
+    place, maps = (
+        path if path is None else Path(path) if client is None else Path(path).absolute()
+        for path in (folder, depth_maps)
+    )  # fmt: skip
+    film = maps is not None and is_video(maps)
+    if maps is not None and film:
+        check_format(maps, "film", inputs=known.files)
         if maps.exists() and not overwrite:
             raise OutputError(f"{maps}: is there already; give another output, or render it again (--overwrite)")
-    dark, encoded = getattr(frames, "dark", None), getattr(frames, "encoded", False)
-    job = Job(
-        place, calibration, preset, scale, suffix, views, eight_bits, dark and str(dark), encoded, maps
-    )  # fmt: skip
-    job.start(overwrite, names)
-    results = _render(job, frames, names, overwrite, segment, group, announce, Workers(client, threads, at_once=2))
-    if maps is None or not is_video(maps):
+    assert place is not None
+    dark = None if known.dark is None else str(known.dark)
+    job = Job(place, calibration, preset, scale, suffix, views, eight_bits, dark, known.encoded, maps)
+    job.start(overwrite, known.names)
+    results = _render(job, frames, known.names, overwrite, segment, group, announce, Workers(client, threads, 2))
+    if maps is None or not film:
         yield from results
         return
-    speed = Fraction(rate or getattr(frames, "rate", None) or 25)
-    pictures = job.depth_path_of("").parent
-    yield from film_results(
-        results, maps, job.hidden, speed, lambda result: job.depth_path_of(result.name), rendering="depth",
-    )  # fmt: skip
-    shutil.rmtree(pictures)
+    speed, depth_of = Fraction(rate or known.rate or 25), job.depth_path_of
+    yield from film_results(results, maps, job.hidden, speed, lambda result: depth_of(result.name), rendering="depth")
+    shutil.rmtree(depth_of("").parent)
 
 
 def _render(
@@ -151,4 +149,5 @@ def _render(
         for result in results:
             done.append(result.name)
             yield result
-    job.finish(done)
+    if job.output is not None:
+        job.output.finish(done)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -84,6 +84,7 @@ class FilmFile:
         # Rates of television have denominators up to 1001; further digits of a decimal number are rounding.
         self._path, self._rate, self._kind = path, rate.limit_denominator(1001), path.suffix.lower()
         self._stream: Any = None
+        self._first = ""  # kind of the first picture
         # With the index before the pictures, a browser can play the film before it has all of it.
         options = {"movflags": "+faststart"} if self._kind in (".mp4", ".mov") else {}
         with self._output_errors():
@@ -97,13 +98,10 @@ class FilmFile:
         Up to the `white` of integers if the film is not lossless. PictureError if it is of another kind, OutputError if
         the film cannot be written.
         """
-        if self._stream is None:
-            self._first = pixels.shape, pixels.dtype
-        if (pixels.shape, pixels.dtype) != self._first:
-            told = " and ".join(
-                f"{shape[1]} x {shape[0]} px of {kind}" for shape, kind in (self._first, (pixels.shape, pixels.dtype))
-            )
-            raise PictureError(f"{self._path}: the pictures of a film are of one kind, these are {told}")
+        kind = f"{pixels.shape[1]} x {pixels.shape[0]} px of {pixels.dtype}{'' if pixels.ndim == 2 else ' in colour'}"
+        self._first = self._first or kind
+        if kind != self._first:
+            raise PictureError(f"{self._path}: the pictures of a film are of one kind, not {self._first} and {kind}")
         with self._output_errors():
             frame = self._frame(pixels, white)
             if self._stream is None:
@@ -112,22 +110,14 @@ class FilmFile:
             self._file.mux(self._stream.encode(frame))
         self.count += 1
 
-    def close(self) -> None:
-        """Write what the encoder still holds, and close the file."""
-        with self._output_errors():
-            if self._stream is not None:
-                self._file.mux(self._stream.encode())
-            self._file.close()
-
     def __enter__(self) -> FilmFile:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
-            self.close()
-            return
-        # The error is raised already, and the file is incomplete.
-        with suppress(OutputError), self._output_errors():
+        # After an error, which is raised already, the file is incomplete.
+        with nullcontext() if kind is None else suppress(OutputError), self._output_errors():
+            if kind is None and self._stream is not None:
+                self._file.mux(self._stream.encode())
             self._file.close()
 
     def _begin(self, frame: Any) -> None:

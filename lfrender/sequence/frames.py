@@ -117,7 +117,7 @@ class Frames:
     @property
     def encoded(self) -> bool:
         """Whether frames are encoded for display, whatever bits they have, as those of videos are."""
-        return all(is_video(part.path) for part in self.parts)
+        return bool(self.parts) and all(is_video(part.path) for part in self.parts)
 
     def __iter__(self) -> Iterator[Frame]:
         first = 0

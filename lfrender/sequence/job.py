@@ -40,6 +40,8 @@ from .view_grid import ViewGrid, ViewOutput
 __all__ = ["FrameResult", "Group", "Job", "load_camera", "render_group"]
 
 _HIDDEN = ".lfrender"
+# Of key frames: groups of one segment may be worked on at once.
+_LOCK = RLock()
 
 
 @dataclass(frozen=True)
@@ -105,15 +107,11 @@ class Job:
     still: float | None = None  # patch size [px] of the places that all views have in common
     colours: tuple[float, float] | None = None  # magnification at the ends of the colours of depth pictures
     stopped: bool = False  # nobody takes the results of further frames
-    _output: ViewOutput | None = None
+    output: ViewOutput | None = None  # files of views
     _keys: dict[str, _Reference] = field(default_factory=dict)  # the last two, of neighbouring segments
-    _lock: RLock = field(default_factory=RLock, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_keys": {}, "_lock": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _lock=RLock())
+        return {**self.__dict__, "_keys": {}}
 
     def start(self, overwrite: bool, names: list[str]) -> None:
         """Make the folder, or continue the run that is there, with frames of these names."""
@@ -124,8 +122,8 @@ class Job:
         if self.views is None:
             check_format(self.folder / f"picture{self.suffix}", "picture")
         else:
-            self._output = ViewOutput(self.folder, self.hidden, self.suffix)
-            self._output.start(overwrite, names)
+            self.output = ViewOutput(self.folder, self.hidden, self.suffix)
+            self.output.start(overwrite, names)
         if self.depth_maps is not None:
             make_folder(self.depth_path_of("").parent)
         if overwrite:
@@ -134,14 +132,10 @@ class Job:
         if self._settings_file.exists():
             self._resume()
 
-    @property
-    def hidden(self) -> Path:
-        """The hidden folder."""
-        return self.folder / _HIDDEN
-
-    @property
-    def _settings_file(self) -> Path:
-        return self.hidden / "settings.json"
+    def __post_init__(self) -> None:
+        #: The hidden folder.
+        self.hidden = self.folder / _HIDDEN
+        self._settings_file = self.hidden / "settings.json"
 
     def _settings(self) -> dict[str, Any]:
         """What pictures of one folder have in common, beside their camera and scale; as JSON returns it."""
@@ -169,7 +163,7 @@ class Job:
         """The frames in groups, all but the last with some to be rendered; key frames are analysed on the way."""
         earlier: Frame | None = None
         key: Frame | None = None
-        made, alone = Group(), True
+        made = Group()
         for number, frame in enumerate(frames):
             check_type(frame, Frame, "frames", "lfrender.open_frames finds them")
             if number % segment == 0:
@@ -195,15 +189,11 @@ class Job:
             made.outcomes.append(None)
             made.missing.append((number, frame))
             made.key = key
-            if alone and key is frame:
-                # The first picture, in one thread, imports what all need.
-                yield made
-                made, alone = Group(first=key), False
         yield made
 
     def path_of(self, name: str) -> Path:
         """Where the picture of a frame is."""
-        return self._output.path_of(name) if self._output else self.folder / f"{name}{self.suffix}"
+        return self.output.path_of(name) if self.output else self.folder / f"{name}{self.suffix}"
 
     def depth_path_of(self, name: str) -> Path:
         """Where the depth map of a frame is, or its picture for the film of them."""
@@ -213,13 +203,13 @@ class Job:
 
     def is_missing(self, name: str) -> bool:
         """Whether a frame is still to be rendered."""
-        missing = self._output.is_missing(name) if self._output else not self.path_of(name).exists()
+        missing = self.output.is_missing(name) if self.output else not self.path_of(name).exists()
         return missing or (self.depth_maps is not None and not self.depth_path_of(name).exists())
 
     def remove(self, names: list[str]) -> None:
         """Remove the results for frames that are all rendered again, so that none is kept if this is interrupted."""
         for name in names:
-            paths = [] if self._output and self._output.raw else [self.path_of(name)]
+            paths = [] if self.output and self.output.raw else [self.path_of(name)]
             paths += [] if self.depth_maps is None else [self.depth_path_of(name)]
             for path in paths:
                 shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
@@ -233,21 +223,13 @@ class Job:
             return None
         return PictureGrid(self.calibration.image_size, self.calibration.lattice.pitch, self.scale).size
 
-    def finish(self, names: list[str]) -> None:
-        """Move what becomes whole with the last frame into place, once all frames of these names are done."""
-        if self._output is not None:
-            self._output.finish(names)
-
-    def failed(self, frame: Frame, error: LightFieldError, seconds: float = 0.0) -> FrameResult:
+    def failed(self, frame: Frame, error: LightFieldError) -> FrameResult:
         """The outcome of a frame with an error."""
-        return FrameResult(frame.name, self.path_of(frame.name), "failed", f"{frame.name}: {error}", seconds)
+        return FrameResult(frame.name, self.path_of(frame.name), "failed", f"{frame.name}: {error}")
 
-    def _depth_file(self, name: str) -> Path:
-        return self.hidden / f"depth_{name}.npz"
-
-    def _comparison_file(self, name: str) -> Path:
-        """What later frames are compared with, beside the depth map of a key frame."""
-        return self.hidden / f"comparison_{name}.npz"
+    def _depth_file(self, name: str, kind: str = "depth") -> Path:
+        """The depth map of a frame that others are compared with; what key frames have as "comparison" beside it."""
+        return self.hidden / f"{kind}_{name}.npz"
 
     def camera(self, pixels: NDArray[Any]) -> Calibration:
         """The camera of the run, calibrated from these pixels if there is none yet."""
@@ -272,23 +254,23 @@ class Job:
             camera, previous = self.camera(flat), None
             if earlier is not None:
                 # The depth as it was saved: the state of that in memory is that of its own segment.
-                match = load_reference_match(self._load_depth(earlier), self._comparison_file(earlier.name))
+                match = load_reference_match(self._load_depth(earlier), self._depth_file(earlier.name, "comparison"))
                 previous = self._key(earlier).flat, match
             depth = analyze(flat, camera, self.preset, previous=previous)
             if not self._settings_file.exists():
                 self._save_settings(camera, depth)
-            save_reference_match(depth, self._comparison_file(frame.name))
+            save_reference_match(depth, self._depth_file(frame.name, "comparison"))
             depth.save(file)
         self._remember(_Reference(frame.name, flat, self._load_depth(frame)))
 
     def _remember(self, key: _Reference) -> _Reference:
-        with self._lock:
+        with _LOCK:
             self._keys = {**dict(list(self._keys.items())[-1:]), key.name: key}
         return key
 
     def _key(self, frame: Frame) -> _Reference:
         """A key frame with flat and depth."""
-        with self._lock:
+        with _LOCK:
             found = self._keys.get(frame.name)
             return found or self._remember(_Reference(frame.name, self.read(frame), self._load_depth(frame)))
 
@@ -314,9 +296,8 @@ class Job:
     def first_of_group(self, frame: Frame, flat: NDArray[Any] | None, key: Frame) -> _Reference:
         """The first frame of a group with flat, depth and picture; it may be the key frame of its segment itself."""
         before = self._key(key)
-        # Locked: groups of one segment may be worked on at once.
-        with self._lock:
-            if before.picture is None and self._output is None:
+        with _LOCK:
+            if before.picture is None and self.output is None:
                 before.picture = render(before.flat, self.camera(before.flat), before.depth, scale=self.scale)
         if frame.name == before.name:
             return before
@@ -324,7 +305,7 @@ class Job:
         if not self._depth_file(frame.name).exists():
             self._analyze_after(before, flat).save(self._depth_file(frame.name))
         first = _Reference(frame.name, flat, self._load_depth(frame))
-        if self._output is None:
+        if self.output is None:
             first.picture = render(flat, self.camera(flat), first.depth, previous=before.previous())
         return first
 
@@ -333,29 +314,24 @@ class Job:
 
     def render_frame(self, number: int, frame: Frame, flat: NDArray[Any], first: _Reference) -> FrameResult:
         """Analyse, draw and write one frame, with its pixels in colour, after the `first` of its group."""
-        path, start, own = self.path_of(frame.name), perf_counter(), first.name == frame.name
+        start, path, own = perf_counter(), self.path_of(frame.name), first.name == frame.name
         camera = self.camera(flat)
         depth = first.depth if own else self._analyze_after(first, flat)
-        if self.depth_maps is not None:
-            self._write_depth(depth, self.depth_path_of(frame.name))
-        if self._output is not None:
+        if self.depth_maps is not None and is_video(self.depth_maps):
+            write_picture(self.depth_path_of(frame.name), depth_picture(depth, self.scale, self.colours))
+        elif self.depth_maps is not None:
+            depth.save(self.depth_path_of(frame.name))
+        if self.output is not None:
             assert self.views is not None and self.still is not None
             pictures = self.views.draw(flat, camera, depth, self.scale, self.still)
-            self._output.write(number, frame.name, map(eight_bits, pictures) if self.eight_bits else pictures)
+            self.output.write(number, frame.name, map(eight_bits, pictures) if self.eight_bits else pictures)
         else:
             picture = first.picture if own else render(flat, camera, depth, previous=first.previous())
             settings = {"rendering": "all in focus", "preset": self.preset}
             embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
             shown = eight_bits(picture) if self.eight_bits else picture
             write_picture(path, shown, settings=settings, embedded=embedded)
-        still = float(depth.saved.get("still", 0.0))
-        return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, still)
-
-    def _write_depth(self, depth: DepthMap, path: Path) -> None:
-        if path.suffix == ".npz":
-            depth.save(path)
-        else:
-            write_picture(path, depth_picture(depth, self.scale, self.colours))
+        return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, float(depth.saved.get("still", 0)))
 
 
 def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
@@ -364,7 +340,6 @@ def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
     for number, frame in group.missing:
         if job.stopped:
             break
-        start = perf_counter()
         try:
             flat = job.read(frame)
             if first is None:
@@ -375,6 +350,6 @@ def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
         except OutputError:
             raise
         except LightFieldError as error:
-            result = job.failed(frame, error, perf_counter() - start)
+            result = job.failed(frame, error)
         outcomes[outcomes.index(None)] = result
     return [outcome for outcome in outcomes if outcome is not None]

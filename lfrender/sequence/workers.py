@@ -12,7 +12,7 @@ from typing import Any
 
 from lfcal import LightFieldError, OutputError
 
-__all__ = ["Workers", "connect", "task_result"]
+__all__ = ["Workers", "ahead", "connect"]
 
 
 class Workers:
@@ -44,18 +44,16 @@ class Workers:
         if self._client is not None:
             yield from self._map_there(task, shared, items, load)
         elif self._at_once == 1:
-            for item, loaded in _ahead(lambda item: load(shared, item), items, 1):
+            for item, loaded in ahead(lambda item: (item, load(shared, item)), items, 1):
                 yield task(shared, item, loaded)
         else:
             try:
-                for _, result in _ahead(lambda item: task(shared, item, load(shared, item)), items, self._at_once):
-                    yield result
+                yield from ahead(lambda item: task(shared, item, load(shared, item)), items, self._at_once)
             finally:
                 # Where not all results are taken, tasks end as soon as they look at this.
                 shared.stopped = True
 
     def _map_there(self, task: Any, shared: Any, items: Iterable[Any], load: Any) -> Iterator[Any]:
-        assert self._client is not None
         options: dict[str, Any] = {"pure": False, "retries": 3}
         sent: Any = None
         waiting: deque[Any] = deque()
@@ -66,34 +64,27 @@ class Workers:
                 waiting.append(self._client.submit(_work, task, load, sent, item, self._threads, **options))
                 # One that is worked on, and one that waits, for each thread.
                 while len(waiting) > 2 * self.count:
-                    yield task_result(waiting.popleft())
+                    yield _result(waiting.popleft())
             while waiting:
-                yield task_result(waiting.popleft())
+                yield _result(waiting.popleft())
         finally:
             self._client.cancel([*waiting, *([sent] if sent else [])])
 
 
-def _ahead(function: Callable[[Any], Any], items: Iterable[Any], count: int) -> Iterator[tuple[Any, Any]]:
-    """Each item and what the function makes of it, `count` of them at a time in threads."""
+def ahead(function: Callable[[Any], Any], items: Iterable[Any], count: int) -> Iterator[Any]:
+    """What the function makes of each item, `count` of them at a time in threads; the first one in this thread."""
     import numba
 
-    waiting: deque[tuple[Any, Future[Any]]] = deque()
+    waiting: deque[Future[Any]] = deque()
     with ThreadPoolExecutor(count, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)) as pool:
         try:
             for number, item in enumerate(items):
-                future: Future[Any] = Future()
-                if number:
-                    future = pool.submit(function, item)
-                else:
-                    # The first one, in this thread, imports what all need.
-                    future.set_result(function(item))
-                waiting.append((item, future))
-                while len(waiting) > count:
-                    done, future = waiting.popleft()
-                    yield done, future.result()
+                # The first one imports what all need.
+                waiting.append(pool.submit(function, item) if number else pool.submit(_identity, function(item)))
+                if len(waiting) > count:
+                    yield waiting.popleft().result()
             while waiting:
-                done, future = waiting.popleft()
-                yield done, future.result()
+                yield waiting.popleft().result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
@@ -129,7 +120,7 @@ def _work(task: Any, load: Any, shared: Any, item: Any, threads: int | None) -> 
             return error
 
 
-def task_result(future: Any) -> Any:
+def _result(future: Any) -> Any:
     """The result of a task; an OutputError if all workers that tried it were lost."""
     from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
