@@ -46,9 +46,15 @@ def render_in_tiles(capture: CaptureInput, given: Any, cluster: dict[str, Any], 
                 else:
                     pixels = [*file_identity(capture.flat), capture.page, *file_identity(capture.dark)]
                     key = fingerprint(pixels, calibration.to_dict(), capture.preset)
-                    depth = Checkpoint(output).reuse(
-                        "depth.npz", key, DepthMap.load, lambda: _analyze(capture, source, calibration, cluster)
-                    )
+                    checkpoint = Checkpoint(output)
+                    file = checkpoint.folder / "depth.npz"
+                    if not (checkpoint.find("depth", key) and file.exists()):
+                        found_depth = _analyze(capture, source, calibration, cluster)
+                        checkpoint.open()
+                        found_depth.save(file)
+                        checkpoint.keep("depth", key)
+                    # Always from the file: later results do not depend on whether a run was interrupted.
+                    depth = DepthMap.load(file)
         settings = figures.rendering_settings(depth, given.patch_size, given.detail)
         with report.stage("render"), report.progress("tiles") as progress, option_errors():
             made = render_large(

@@ -62,7 +62,7 @@ def batch(capture: CaptureInput, given: Any) -> int:
 
     report, output, maps = capture.report, given.output, given.depth_maps
     films = [path for path in (output, maps) if path is not None and is_video(path)]
-    further = _film_options(given) if output in films else _folder_options(given)
+    further = _drawing_options(given, output in films)
     if given.fps is not None and not films:
         raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
     if films == [output, output]:
@@ -158,36 +158,27 @@ def _sum_up(results: list[FrameResult], seconds: float) -> tuple[dict[str, Any],
     return figures, f"{', '.join(told)}.{moved}"
 
 
-def _film_options(given: Any) -> dict[str, Any]:
-    """The arguments of `render_film`."""
-    if given.views is not None:
-        raise click.UsageError(f"{given.output} is a film; views go into a folder")
-    _check_view_options(given)
-    if given.suffix is not None or given.eight_bits:
-        raise click.UsageError(f"{given.output} is a film: leave out --format and --8bit")
-    return {}
-
-
-def _folder_options(given: Any) -> dict[str, Any]:
-    """The arguments of `render_frames`."""
+def _drawing_options(given: Any, film: bool) -> dict[str, Any]:
+    """Further arguments of `render_frames`; those of films are the defaults."""
     from ..sequence.view_grid import ViewGrid
 
+    if given.views is None and (given.aperture is not None or given.resize is not None):
+        raise click.UsageError("--aperture and --resize are for --views")
+    if film:
+        if given.views is not None:
+            raise click.UsageError(f"{given.output} is a film; views go into a folder")
+        if given.suffix is not None or given.eight_bits:
+            raise click.UsageError(f"{given.output} is a film: leave out --format and --8bit")
+        return {}
     check_folder(given.output)
-    _check_view_options(given)
     suffix = (given.suffix or "tif").lstrip(".")
-    raw = suffix.startswith("yuv")
-    if given.eight_bits and raw:
+    if suffix.startswith("yuv") and given.eight_bits:
         raise click.UsageError("--8bit is for pictures: leave it out, or --format yuv")
-    if raw and given.views is None:
+    if suffix.startswith("yuv") and given.views is None:
         raise click.UsageError("raw video is a film or views: give -o FILM.yuv, or --views")
     rows, columns = given.views or (0, 0)
     grid = ViewGrid(rows, columns, given.aperture or 0.7, given.resize) if given.views else None
     return {"eight_bits": given.eight_bits, "suffix": f".{suffix}", "views": grid}
-
-
-def _check_view_options(given: Any) -> None:
-    if given.views is None and (given.aperture is not None or given.resize is not None):
-        raise click.UsageError("--aperture and --resize are for --views")
 
 
 def _find_camera(frames: Frames, capture: CaptureInput) -> Calibration:

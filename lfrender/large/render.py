@@ -170,14 +170,12 @@ def _draw_tile(drawing: _Drawing, tile: Part, raw: NDArray[Any]) -> tuple[NDArra
 
 
 def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> None:
-    """Raise an error if a picture could not be written; as `check_format`, but Zarr arrays are accepted too."""
-    if output.suffix.lower() != ".zarr":
+    """Raise an error if a picture could not be written; as `check_format`, but Zarr arrays may be replaced."""
+    if output.suffix.lower() != ".zarr" or not output.is_dir():
         check_format(output, "picture", dtype=dtype, alpha=alpha, inputs=inputs)
         return
     check_package(output, FORMATS[".zarr"])
-    if not output.absolute().parent.is_dir():
-        raise PictureError(f"{output}: the folder '{output.parent}' does not exist")
-    if any(name is not None and Path(name).absolute() == output.absolute() for name in inputs):
+    if any(name is not None and output.samefile(name) for name in inputs):
         raise PictureError(f"{output}: is an input of this command; give another output")
 
 

@@ -6,10 +6,9 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +16,6 @@ from lfcal import OutputError
 from lfcal.runtime.output_file import atomic_write
 
 __all__ = ["Checkpoint", "file_identity", "fingerprint"]
-
-_Result = TypeVar("_Result")
 
 
 class Checkpoint:
@@ -51,19 +48,6 @@ class Checkpoint:
         self._kept[name] = {"key": key, "value": value}
         with atomic_write(self._state) as temporary:
             temporary.write_text(json.dumps(self._kept), encoding="utf-8")
-
-    def reuse(self, file: str, key: str, load: Callable[[Path], _Result], compute: Callable[[], Any]) -> _Result:
-        """A result with a method `save`, computed if it is not there, and always read from its file in the folder.
-
-        So later results do not depend on whether a run was interrupted.
-        """
-        path = self.folder / file
-        if not (self.find(path.stem, key) and path.exists()):
-            result = compute()
-            self.open()
-            result.save(path)
-            self.keep(path.stem, key)
-        return load(path)
 
     def remove(self) -> None:
         """Remove the folder."""

@@ -110,6 +110,11 @@ class Job:
     output: ViewOutput | None = None  # files of views
     _keys: dict[str, _Reference] = field(default_factory=dict)  # the last two, of neighbouring segments
 
+    def __post_init__(self) -> None:
+        #: The hidden folder.
+        self.hidden = self.folder / _HIDDEN
+        self._settings_file = self.hidden / "settings.json"
+
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_keys": {}}
 
@@ -131,11 +136,6 @@ class Job:
                 file.unlink()
         if self._settings_file.exists():
             self._resume()
-
-    def __post_init__(self) -> None:
-        #: The hidden folder.
-        self.hidden = self.folder / _HIDDEN
-        self._settings_file = self.hidden / "settings.json"
 
     def _settings(self) -> dict[str, Any]:
         """What pictures of one folder have in common, beside their camera and scale; as JSON returns it."""

@@ -11,34 +11,6 @@ from lfcal import OutputError
 from lfrender.output.resume import Checkpoint, file_identity, fingerprint
 
 
-class Number:
-    """A result that can be saved."""
-
-    def __init__(self, value):
-        self.value = value
-
-    def save(self, path):
-        path.write_text(str(self.value))
-
-    @classmethod
-    def load(cls, path):
-        return cls(int(path.read_text()))
-
-
-def test_results_are_computed_once_for_each_key_and_by_any_later_run(tmp_path):
-    calls = []
-
-    def reuse(key):
-        return Checkpoint(tmp_path / "out.tif").reuse("n.txt", key, Number.load, lambda: calls.append(1) or Number(7))
-
-    assert [reuse("a").value, reuse("a").value, len(calls)] == [7, 7, 1]
-    reuse("b")
-    assert len(calls) == 2
-    (tmp_path / ".out.tif.unfinished" / "n.txt").unlink()
-    reuse("b")
-    assert len(calls) == 3
-
-
 def test_a_removed_checkpoint_leaves_nothing_behind(tmp_path):
     checkpoint = Checkpoint(tmp_path / "out.tif")
     checkpoint.keep("picture", "key", {"0": 5})
