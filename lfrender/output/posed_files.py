@@ -131,7 +131,7 @@ def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     points, colours, pixels = _tracks(views)
     seen = np.isfinite(pixels[..., 0])
     # Each picture counts the points that it shows, from 0.
-    order = np.cumsum(seen, axis=1) - 1
+    order = (np.cumsum(seen, axis=1).T - 1).tolist()
     cameras, images, lines = [], [], []
     for number, view in enumerate(views, 1):
         camera, bent = view.camera, any(view.camera.distortion)
@@ -139,11 +139,11 @@ def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
         kind, place = "OPENCV" if bent else "PINHOLE", " ".join(f"{-p:.12g}" for p in camera.position)
         cameras.append(f"{number} {kind} {camera.size[0]} {camera.size[1]} {values}")
         shown = np.flatnonzero(seen[number - 1])
-        where = zip((pixels[number - 1, shown] + 0.5).tolist(), shown + 1, strict=True)
+        where = zip((pixels[number - 1, shown] + 0.5).tolist(), (shown + 1).tolist(), strict=True)
         images.append(f"{number} 1 0 0 0 {place} {number} {view.name}.png")
         images.append(" ".join(f"{x:.4f} {y:.4f} {point}" for (x, y), point in where))
     for point, (place, colour) in enumerate(zip(points.tolist(), colours.tolist(), strict=True)):
-        track = " ".join(f"{view + 1} {order[view, point]}" for view in np.flatnonzero(seen[:, point]))
+        track = " ".join(f"{view + 1} {order[point][view]}" for view in np.flatnonzero(seen[:, point]).tolist())
         lines.append("{} {:.9g} {:.9g} {:.9g} {} {} {} {:.3g} ".format(point + 1, *place, *colour, rig.error) + track)
     for name, text in (("cameras", cameras), ("images", images), ("points3D", lines)):
         _write_text(sparse / f"{name}.txt", "\n".join(text))
