@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ..runtime.errors import FlatError
 
 __all__ = [
-    "MAX_PIXELS", "check_only_page", "check_size", "checked_pixels", "decode_picture", "decode_with_opencv",
-    "file_errors", "import_reader",
+    "MAX_PIXELS", "check_only_page", "check_page", "check_size", "checked_pixels", "decode_picture",
+    "decode_with_opencv", "file_errors", "import_reader",
 ]  # fmt: skip
 
 #: Largest flat that is read [px]: twice a 25,000 x 22,000 sensor, and what OpenCV accepts out of the box.
@@ -34,6 +34,16 @@ def check_size(width: int, height: int) -> None:
         raise FlatError(f"image size {width} x {height} is not valid")
     if width * height > MAX_PIXELS:
         raise FlatError(f"{width} x {height} px is more than the {MAX_PIXELS} px this toolkit reads")
+
+
+def check_page(page: int | None, count: int, file: str, pictures: str, one: str) -> int:
+    """The number of a picture in a file of several; FlatError where it is not there, or none is given."""
+    if page is None and count != 1:
+        advice = "give the number of one (--page), or use 'lfrender batch'"
+        raise FlatError(f"the {file} holds {count} {pictures}; {advice}")
+    if not 0 <= (page or 0) < count:
+        raise FlatError(f"the {file} holds {count} {pictures} and no {one} {page}")
+    return page or 0
 
 
 def check_only_page(page: int | None) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from .pixels import check_size, decode_with_opencv
+from .pixels import check_page, check_size, decode_with_opencv
 
 __all__ = ["count_tiff_pages", "open_tiff", "part_reader", "read_tiff", "select_tiff_page"]
 
@@ -34,7 +34,7 @@ def count_tiff_pages(source: Path) -> int:
     """Number of full pictures; a list of pages that is cut off counts as one more."""
     with open_tiff(source) as tiff:
         pages, is_cut_off = _full_pages(tiff)
-        return len(pages) + is_cut_off
+    return len(pages) + is_cut_off
 
 
 def _full_pages(tiff: Any) -> tuple[list[Any], bool]:
@@ -61,12 +61,7 @@ def select_tiff_page(tiff: Any, number: int | None) -> Any:
     pages, is_cut_off = _full_pages(tiff)
     if number in (None, len(pages)) and is_cut_off:
         raise FlatError(f"truncated TIFF: its list of pages is cut off after {len(pages)}")
-    if number is None and len(pages) != 1:
-        advice = "give the number of one (--page), or use 'lfrender batch'"
-        raise FlatError(f"the TIFF holds {len(pages)} pictures; {advice}")
-    if not 0 <= (number or 0) < len(pages):
-        raise FlatError(f"the TIFF holds {len(pages)} pictures and no page {number}")
-    page: Any = pages[number or 0]
+    page: Any = pages[check_page(number, len(pages), "TIFF", "pictures", "page")]
     parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
     if not parts or any(count == 0 or start + count > tiff.filehandle.size for start, count in parts):
         raise FlatError("truncated TIFF: pixel data are missing")

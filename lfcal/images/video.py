@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import RAW_SUFFIX, VIDEO_FORMATS
 from ..runtime.video import import_av, parse_pixel_format, rgb_pixels
-from .pixels import check_size
+from .pixels import check_page, check_size
 
 __all__ = ["RawLayout", "count_yuv_frames", "find_layout", "is_yuv", "read_video_frame", "read_yuv"]
 
@@ -28,12 +28,10 @@ _SHARES = {"420": (2, 2), "422": (2, 1), "444": (1, 1)}
 
 
 class RawLayout(NamedTuple):
-    """Width and height [px], FFmpeg's name of the pixel format, bits of a sample, bytes of a frame."""
-
-    width: int
+    width: int  # [px]
     height: int
-    pixel_format: str
-    bits: int
+    pixel_format: str  # FFmpeg's name
+    bits: int  # of a sample
     frame_bytes: int
 
 
@@ -81,11 +79,7 @@ def read_yuv(path: Path, page: int | None, size: tuple[int, int] | None, pixel_f
     colours give their samples (h, w) as they are.
     """
     layout = find_layout(path, size, pixel_format)
-    count, number = -(-path.stat().st_size // layout.frame_bytes), page or 0
-    if page is None and count > 1:
-        raise FlatError(f"the video holds {count} frames; give the number of one (--page), or use 'lfrender batch'")
-    if not 0 <= number < count:
-        raise FlatError(f"the video holds {count} frames and no frame {page}")
+    number = check_page(page, -(-path.stat().st_size // layout.frame_bytes), "video", "frames", "frame")
     with path.open("rb") as stream:
         stream.seek(number * layout.frame_bytes)
         data = stream.read(layout.frame_bytes)
