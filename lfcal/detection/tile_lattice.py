@@ -103,7 +103,7 @@ def _maximise_coherence(
     import nlopt
 
     reach = np.abs(offset).max() + 1.0
-    norm = float((np.abs(stack) ** 2).sum() * stack.shape[1])
+    norm = max(float((np.abs(stack) ** 2).sum() * stack.shape[1]), 1e-30)
 
     def energy(parameters: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         phase = (index @ (parameters.reshape(2, 2) / reach)) @ offset.T

@@ -331,11 +331,10 @@ class Report:
         for warning in found.pop("warnings"):
             click.echo(_name_pipes(f"warning: {warning}"), err=True)
         width = max(map(len, found)) + 2
-        for line in (
-            ()
-            if self.quiet
-            else sentences or (f"{name.replace('_', ' '):{width}}{_text(value)}" for name, value in found.items())
-        ):
+        table = (
+            f"{name.replace('_', ' '):{width}}{_text(value, width)}" for name, value in found.items() if value != {}
+        )
+        for line in () if self.quiet else sentences or table:
             self._echo(line)
 
     def _echo(self, line: str) -> None:
@@ -363,11 +362,11 @@ def _built_in(value: Any) -> Any:
     return str(value) if isinstance(value, os.PathLike) else value.tolist()
 
 
-def _text(value: Any) -> str:
-    """A figure in words."""
+def _text(value: Any, indent: int = 0) -> str:
+    """A figure in words, several named ones on lines of their own."""
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
-        return ", ".join(f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items())
+        return f"\n{' ' * indent}".join(f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items())
     if isinstance(value, (list, tuple)):
         return "  ".join(map(_text, value))
     if isinstance(value, float):
