@@ -323,7 +323,8 @@ class Report:
         With `--json`, print all figures with the seconds of all stages; without any sentence, print them as a table.
         """
         found = {**figures, "warnings": [*figures.get("warnings", ()), *self.warnings]}
-        found["seconds"] = {name: round(value, 4) for name, value in self.seconds.items()}
+        if self.seconds or self.as_json:
+            found["seconds"] = {name: round(value, 4) for name, value in self.seconds.items()}
         if self.as_json:
             # NaN and infinity are null.
             click.echo(_name_pipes(msgspec.json.encode(found, enc_hook=_built_in).decode()), err=_is_piped())
@@ -331,9 +332,7 @@ class Report:
         for warning in found.pop("warnings"):
             click.echo(_name_pipes(f"warning: {warning}"), err=True)
         width = max(map(len, found)) + 2
-        table = (
-            f"{name.replace('_', ' '):{width}}{_text(value, width)}" for name, value in found.items() if value != {}
-        )
+        table = (f"{name.replace('_', ' '):{width}}{_text(value, width)}" for name, value in found.items())
         for line in () if self.quiet else sentences or table:
             self._echo(line)
 
