@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +48,10 @@ def _read(path: str | list[str]) -> list[Layer]:
     return layers
 
 
-def house() -> list[Layer]:
-    """The sample `house`: the flat, its true camera."""
-    sample = data.house()
+def _sample(name: str) -> list[Layer]:
+    """The flat of a sample, and its true camera."""
+    sample = getattr(data, name)()
     return napari_layers(flat=sample.flat, calibration=sample.truth.calibration)
 
 
-def clutter() -> list[Layer]:
-    """The sample `clutter`: the flat, its true camera."""
-    sample = data.clutter()
-    return napari_layers(flat=sample.flat, calibration=sample.truth.calibration)
+house, clutter = partial(_sample, "house"), partial(_sample, "clutter")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Calibration
+from lfcal import Calibration, LightFieldError
 from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import BINOCULAR, MODES, TELESCOPIC, DepthMap, check_depth
@@ -18,7 +18,7 @@ from ..data.rendering import Rendering
 from ..rendering.render import render
 from ..rendering.traditional import traditional
 
-__all__ = ["ReportPictures", "data_urls", "draw_pictures", "fit_width", "picture_url"]
+__all__ = ["ReportPictures", "data_urls", "draw_pictures", "encode_picture", "fit_width", "picture_url"]
 
 
 @dataclass(frozen=True)
@@ -63,22 +63,32 @@ def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None 
         for name, picture in shown.items():
             # The traditional picture, of a pixel per lens, stays as it is.
             reduced = picture if max(picture.shape) < 400 else _reduce(picture, size)
-            urls[name] = picture_url(reduced, ".webp", quality)
+            urls[name] = picture_url(reduced, quality=quality)
         if sum(map(len, urls.values())) <= most:
             break
     return urls, size
 
 
 def picture_url(picture: NDArray[np.uint8], suffix: str = ".webp", quality: int = 85) -> str:
-    """A picture (h, w) or (h, w, C) in a data URL: WebP, or PNG, for few colours."""
+    """A picture in a data URL: WebP, or PNG, for few colours; arguments as of `encode_picture`."""
+    content = encode_picture(picture, suffix, 9 if suffix == ".png" else quality)
+    return f"data:image/{suffix[1:]};base64,{base64.b64encode(content).decode()}"
+
+
+def encode_picture(picture: NDArray[np.uint8], suffix: str, quality: int) -> bytes:
+    """A picture (h, w) or (h, w, C), of which one or three channels are shown, as WebP or PNG.
+
+    `quality` is that of WebP, 0 to 100, or the compression of PNG, 0 to 9 for more. LightFieldError if it is too large.
+    """
     import cv2
 
-    if picture.ndim == 2 or picture.shape[2] < 3:
-        picture = np.repeat(picture.reshape(*picture.shape[:2], -1)[..., :1], 3, axis=2)
-    options = {".webp": [cv2.IMWRITE_WEBP_QUALITY, quality], ".png": [cv2.IMWRITE_PNG_COMPRESSION, 9]}[suffix]
-    done, data = cv2.imencode(suffix, np.ascontiguousarray(picture[..., 2::-1]), options)
-    assert done
-    return f"data:image/{suffix[1:]};base64,{base64.b64encode(data.tobytes()).decode()}"
+    parameter = {".webp": cv2.IMWRITE_WEBP_QUALITY, ".png": cv2.IMWRITE_PNG_COMPRESSION}[suffix]
+    channels = picture.reshape(*picture.shape[:2], -1)
+    shown = np.ascontiguousarray(channels[..., 2::-1] if channels.shape[2] >= 3 else channels[..., :1])
+    done, data = cv2.imencode(suffix, shown, [parameter, quality])
+    if not done:
+        raise LightFieldError(f"{picture.shape[1]} x {picture.shape[0]} px cannot be written as {suffix[1:].upper()}")
+    return data.tobytes()
 
 
 def fit_width(picture: NDArray, widest: int, white: float | None = None) -> NDArray[np.uint8]:

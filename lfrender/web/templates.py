@@ -6,7 +6,9 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-__all__ = ["fill", "read_asset", "safe"]
+from markupsafe import Markup
+
+__all__ = ["Markup", "fill", "read_asset"]
 
 
 @cache
@@ -17,18 +19,11 @@ def _environment() -> Any:
     return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
 
 
-def safe(text: str) -> Any:
-    """A text that is HTML already, as `markupsafe.Markup`."""
-    from markupsafe import Markup
-
-    return Markup(text)
-
-
 def fill(template: str, **values: Any) -> Any:
     """The text of a template with values in it."""
-    return safe(_environment().get_template(template).render(**values))
+    return Markup(_environment().get_template(template).render(**values))
 
 
 def read_asset(name: str) -> Any:
     """A style sheet, script or shader, to be put into a page as it is."""
-    return safe((files(__package__) / "assets" / name).read_text(encoding="utf-8"))
+    return Markup((files(__package__) / "assets" / name).read_text(encoding="utf-8"))

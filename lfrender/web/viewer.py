@@ -17,7 +17,7 @@ from lfcal import Calibration, LightFieldError
 from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthMap
-from .templates import fill, read_asset, safe
+from .templates import Markup, fill, read_asset
 from .viewer_scene import viewer_scene
 
 __all__ = ["FlatPages", "viewer_page", "write_viewer"]
@@ -51,7 +51,7 @@ def _page(title: str, data: dict[str, str] | None = None, **place: Any) -> str:
     inside = f"<script>globalThis.lightFieldFiles = {json.dumps(data)};</script>" if data is not None else ""
     page = fill(
         "viewer.html", title=title, style=read_asset("viewer.css"), shader=read_asset("light_field.frag"),
-        prefilter=read_asset("prefilter.frag"), modules=safe(json.dumps({"imports": urls})), data=safe(inside),
+        prefilter=read_asset("prefilter.frag"), modules=Markup(json.dumps({"imports": urls})), data=Markup(inside),
         **{"folder": "data", "flats": 1, "status": "Loading", **place},
     )  # fmt: skip
     return str(page)

@@ -26,6 +26,7 @@ from ..rendering.blend.occlusion import project_surface
 from ..rendering.renderer import AGREEMENT, BLUR, REACH, REFOCUS_REACH, VIEW_REACH
 from ..rendering.traditional import traditional
 from ..rendering.warped_surface import Viewpoint, virtual_depth
+from .report_pictures import encode_picture
 
 __all__ = ["viewer_scene"]
 
@@ -69,13 +70,12 @@ def viewer_scene(
         if part.any():
             with_occlusion.append(name)
             coded = np.dstack([part >> 8, part & 255, _cut(central_codes, x, y, side)]).astype(np.uint8)
-            yield f"occlusion-{name}.png", _png(coded, compression)
-        shown = _cut(even, x, y, side)[:, :, : 3 if even.shape[2] >= 3 else 1]
-        yield f"flat-{name}.png", _png(to_eight_bits(shown, white), compression)
+            yield f"occlusion-{name}.png", encode_picture(coded, ".png", compression)
+        shown = to_eight_bits(_cut(even, x, y, side), white)
+        yield f"flat-{name}.png", encode_picture(shown, ".png", compression)
     plain = traditional(flat, calibration)
-    image = plain.image if plain.image.ndim == 3 else plain.image[..., None]
-    yield "traditional.png", _png(to_eight_bits(image[..., : 3 if image.shape[2] >= 3 else 1], white), compression)
-    scene["traditional"] = {"first": plain.affine[:, 2].tolist(), "shape": list(image.shape[:2])}
+    yield "traditional.png", encode_picture(to_eight_bits(plain.image, white), ".png", compression)
+    scene["traditional"] = {"first": plain.affine[:, 2].tolist(), "shape": plain.image.shape[:2]}
     columns, rows = (int(n) + 1 for n in list(places)[-1].split("-"))
     scene["tiles"] = {"side": side, "columns": columns, "rows": rows, "occlusion": with_occlusion}
     surface = depth.surface
@@ -86,11 +86,8 @@ def viewer_scene(
     yield "confidence.u8", known.astype(np.uint8)[nearest_lens(calibration.lattice, points)].tobytes()
     if calibration.optics is not None:
         # Where scene points lie in front of the main lens [m]; NaN at infinity.
-        middle, ratio = (
-            (np.array(depth.image_size) - 1) / 2,
-            surface.patch_size.ravel().astype(np.float64) / depth.pitch,
-        )
-        at = calibration.optics.positions(points, ratio, middle)
+        ratio = surface.patch_size.ravel().astype(np.float64) / depth.pitch
+        at = calibration.optics.positions(points, ratio, (np.array(depth.image_size) - 1) / 2)
         at = np.where(np.isfinite(at).all(1, keepdims=True), at, np.nan)
         yield "positions.f32", at.astype("<f4").tobytes()
     yield "scene.json", json.dumps(scene).encode()
@@ -189,16 +186,6 @@ def _planes(depth: DepthMap) -> tuple[list[float], float]:
     limits = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]
     middle = min(max(middle, limits[0]), limits[1])
     return limits, middle if middle < pitch else middle - 2 * pitch
-
-
-def _png(pixels: NDArray[np.uint8], compression: int) -> bytes:
-    import cv2
-
-    picture = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR) if pixels.shape[2] == 3 else pixels
-    done, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, compression])
-    if not done:
-        raise LightFieldError(f"{pixels.shape[1]} x {pixels.shape[0]} px cannot be written as PNG")
-    return bytes(data.tobytes())
 
 
 def _base64(values: ArrayLike, dtype: Any) -> str:
