@@ -6,7 +6,6 @@ A slow reader never blocks the camera: a frame that is not taken before the next
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from threading import Condition, Event, Thread
@@ -16,28 +15,10 @@ from lfcal import LightFieldError
 from .recording import Recorder
 from .sources import Shot
 
-__all__ = ["Grabber", "Rate"]
+__all__ = ["Grabber"]
 
 # Time between attempts to open a source that is gone [s].
 _AGAIN = 1.0
-
-
-class Rate:
-    """How often something has happened of late."""
-
-    def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=20)
-
-    def add(self) -> None:
-        """It happens now."""
-        self._times.append(time.monotonic())
-
-    def __float__(self) -> float:
-        """Times a second; 0 once it has not happened for three seconds."""
-        times = list(self._times)
-        if len(times) < 2 or time.monotonic() - times[-1] > 3:
-            return 0.0
-        return (len(times) - 1) / max(times[-1] - times[0], 1e-6)
 
 
 class Grabber:
@@ -45,7 +26,6 @@ class Grabber:
 
     def __init__(self, open_source: Callable[[], Iterator[Shot]]) -> None:
         self.received = self.lost = 0
-        self.rate = Rate()
         self.message = ""
         #: Gets every frame while it is set.
         self.recorder: Recorder | None = None
@@ -78,7 +58,6 @@ class Grabber:
                 shot, number=self.received, arrived=time.monotonic(), time=time.time(), recorded=recorder is not None
             )
             self._newest, self.message = shot, ""
-            self.rate.add()
             self._changed.notify_all()
         if recorder is not None:
             recorder.add(shot)

@@ -78,9 +78,10 @@ class Recorder:
         else:
             self._queue.put(shot)
 
-    def figures(self) -> dict[str, Any]:
-        """The name of the file, and how many frames are in it and were skipped."""
-        return {"file": self.path.name, "frames": self.frames, "skipped": self.skipped}
+    @property
+    def told(self) -> str:
+        """The file, and how many frames are in it and were skipped."""
+        return f"{self.path}: {self.frames} frames{f', {self.skipped} skipped' if self.skipped else ''}"
 
     def close(self) -> None:
         """Write what waits, and close the file."""

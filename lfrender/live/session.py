@@ -29,7 +29,7 @@ from ..rendering.refocus import refocus
 from ..rendering.render import render
 from ..rendering.traditional import find_depth_problem, traditional
 from ..runtime.choices import Preset
-from .grabber import Grabber, Rate
+from .grabber import Grabber
 from .recording import Recorder
 from .sources import Shot
 
@@ -99,6 +99,20 @@ class View:
             return self.jpegs[key]
 
 
+def _in_colour(shot: Shot, camera: Calibration) -> NDArray[Any]:
+    """The pixels of a frame, in colour where the camera has a mosaic.
+
+    Recorded frames get the colours that commands would give them; others, of 8 bits, in a tenth of that time by
+    variable number of gradients (Chang et al. 1999), which also mixes pixels of neighbouring microimages: on Fujita2
+    pictures are 40.2 dB from those of the true colours, and not 42.9.
+    """
+    import cv2
+
+    if shot.recorded or shot.pixels.ndim == 3 or camera.mosaic is None or shot.pixels.dtype != np.uint8:
+        return demosaic(shot.pixels, camera)
+    return cv2.demosaicing(shot.pixels, getattr(cv2, f"COLOR_Bayer{camera.mosaic}2RGB_VNG"))
+
+
 class Session:
     """Analyses and draws the newest frame of a source again and again, in a thread of its own.
 
@@ -116,8 +130,7 @@ class Session:
         self.grabber, self.preset, self.folder = grabber, preset, folder
         self.camera: Calibration | None = None
         self.view: View | None = None
-        self.drawn, self.rate, self.latency, self.message, self.saved = 0, Rate(), 0.0, "", ""
-        self.still = 0.0
+        self.drawn, self.latency, self.still, self.message, self.saved = 0, 0.0, 0.0, "", ""
         self.scale: float | None = None
         self._find_camera, self._tried = find_camera, 0.0
         self._wanted: dict[str, float] = {}
@@ -130,12 +143,11 @@ class Session:
     def start(self, strict: bool = False) -> None:
         """Find the camera on the first frame, and begin; `strict` raises the error if that fails."""
         try:
-            self.camera = self._find_camera(self.grabber.first)
+            self._calibrate(self.grabber.first)
         except LightFieldError as error:
             if strict:
                 raise
             self.message = str(error)
-        self._tried = time.monotonic()
         self._thread.start()
 
     def picture(self, kind: str, after: int, at: Place = (0.5, 0.5), timeout: float = 5.0) -> tuple[View, bytes] | None:
@@ -154,7 +166,7 @@ class Session:
         return view, data
 
     def status(self) -> dict[str, Any]:
-        """Counts, rates [1/s], the time from the arrival of a frame to its picture [s], and what is to be said."""
+        """Counts, the time from the arrival of a frame to its picture [s], and what is to be said."""
         grabber, recorder, camera = self.grabber, self.grabber.recorder, self.camera
         about = "no microlens array yet"
         if camera is not None:
@@ -163,10 +175,9 @@ class Session:
             turned = (float(np.degrees(np.arctan2(y, x))) + period / 2) % period - period / 2
             about = f"{len(lattice):,} microlenses, {lattice.pitch:.2f} px apart, turned by {turned:.2f} degrees"
         return {
-            "received": grabber.received, "drawn": self.drawn, "lost": grabber.lost, "rate": float(grabber.rate),
-            "drawn_rate": float(self.rate), "latency": self.latency, "still": self.still, "camera": about,
-            "message": grabber.message or (recorder and recorder.message) or self.message, "saved": self.saved,
-            "recording": recorder and recorder.figures(),
+            "received": grabber.received, "drawn": self.drawn, "lost": grabber.lost, "latency": self.latency,
+            "still": self.still, "camera": about, "saved": self.saved, "recording": recorder and recorder.told,
+            "message": grabber.message or (recorder and recorder.message) or self.message,
         }  # fmt: skip
 
     def command(self, name: str) -> None:
@@ -177,8 +188,7 @@ class Session:
             elif name == "stop" and self.grabber.recorder is not None:
                 recorder, self.grabber.recorder = self.grabber.recorder, None
                 recorder.close()
-                self.saved = f"{recorder.path}: {recorder.frames} frames"
-                self.saved += f", {recorder.skipped} skipped" if recorder.skipped else ""
+                self.saved = recorder.told
             elif name == "snapshot" and self.view is not None:
                 recorder = self._open_recorder("snapshot")
                 recorder.add(self.view.shot)
@@ -222,8 +232,15 @@ class Session:
                 self.message, view.camera = " ".join(str(error).split()) or type(error).__name__, None
             with self._published:
                 self.view = view
-                self.rate.add()
                 self._published.notify_all()
+
+    def _calibrate(self, shot: Shot) -> Calibration:
+        try:
+            # As recordings hold it: in files, gain is rounded.
+            self.camera = Calibration.from_dict(self._find_camera(shot).to_dict())
+        finally:
+            self._tried = time.monotonic()
+        return self.camera
 
     def _analyze(self, view: View) -> None:
         """Camera, depth and sharp picture of a frame, as far as somebody wants them."""
@@ -231,12 +248,8 @@ class Session:
         if camera is None:
             if time.monotonic() - self._tried < 2:
                 return
-            try:
-                camera = self._find_camera(view.shot)
-            finally:
-                self._tried = time.monotonic()
-            self.camera = camera
-        view.flat, self.message = demosaic(view.shot.pixels, camera), ""
+            camera = self._calibrate(view.shot)
+        view.flat, self.message = _in_colour(view.shot, camera), ""
         if self._watched("sharp", "focus", "depth"):
             before = self._comparable(view, camera)
             earlier = None if before is None else (before.flat, before.depth)

@@ -3,6 +3,7 @@
 const find = (id) => document.getElementById(id);
 const picture = find("picture");
 const token = new URLSearchParams(location.search).get("token") ?? "";
+const past = [];
 let kind = "sharp", place = [0.5, 0.5], shown = 0, waiting = new AbortController();
 
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
@@ -43,10 +44,14 @@ function choose(next) {
 }
 
 function showStatus(status) {
-  const rate = (count, speed) => `${count.toLocaleString("en")}, ${speed.toFixed(1)} / s`;
+  // Rates are those of the last few seconds.
+  past.push({ ...status, time: performance.now() });
+  if (past.length > 7) past.shift();
+  const first = past[0], last = past[past.length - 1], seconds = Math.max((last.time - first.time) / 1000, 0.1);
+  const rate = (name) => `${status[name].toLocaleString("en")}, ${((last[name] - first[name]) / seconds).toFixed(1)} / s`;
   find("about").textContent = status.camera;
-  find("received").textContent = rate(status.received, status.rate);
-  find("drawn").textContent = rate(status.drawn, status.drawn_rate);
+  find("received").textContent = rate("received");
+  find("drawn").textContent = rate("drawn");
   find("lost").textContent = status.lost.toLocaleString("en");
   find("latency").textContent = `${(1000 * status.latency).toFixed(0)} ms`;
   find("still").textContent = `${(100 * status.still).toFixed(0)} % as before`;
@@ -54,8 +59,7 @@ function showStatus(status) {
   button.dataset.command = recording ? "stop" : "record";
   button.textContent = recording ? "Stop recording" : "Record raw frames";
   button.classList.toggle("on", Boolean(recording));
-  const skipped = recording?.skipped ? `, ${recording.skipped} skipped` : "";
-  find("saved").textContent = recording ? `${recording.file}: ${recording.frames} frames${skipped}` : status.saved;
+  find("saved").textContent = recording ?? status.saved;
   say(status.message);
 }
 

@@ -18,7 +18,7 @@ from lfrender.cli.main import main
 from lfrender.live.grabber import Grabber
 from lfrender.live.recording import Recorder, read_recording
 from lfrender.live.server import LiveServer
-from lfrender.live.session import Session
+from lfrender.live.session import Session, _in_colour
 from lfrender.live.sources import Shot, SourceError, open_source, to_flat
 
 
@@ -48,12 +48,17 @@ def wait_until(condition, seconds=10.0):
         time.sleep(0.005)
 
 
+@pytest.fixture(scope="module")
+def camera(house):
+    return lfcal.calibrate(house.white, kind="white")
+
+
 @pytest.fixture
-def session(house, tmp_path):
+def session(house, camera, tmp_path):
     """A live session of a camera that shows the house, and that camera."""
     shifted = np.roll(house.flat, 1, 1)
     source = Camera(house.flat, shifted)
-    made = Session(Grabber(source), lambda shot: house.truth.calibration, folder=tmp_path)
+    made = Session(Grabber(source), lambda shot: camera, folder=tmp_path)
     made.start(strict=True)
     yield made, source
     made.grabber._stopped.set()
@@ -106,6 +111,16 @@ def test_pixel_formats_of_genicam_are_unpacked(name, data, expected, mosaic, whi
     assert (shot.mosaic, shot.white, shot.encoded) == (mosaic, white, False)
     with pytest.raises(SourceError, match="YUV422_8 are not read"):
         to_flat("YUV422_8", given, 2, 2)
+
+
+@pytest.mark.parametrize("mosaic", ["RGGB", "BGGR", "GRBG", "GBRG"])
+@pytest.mark.parametrize("recorded", [True, False])
+def test_raw_mosaics_get_their_colours(mosaic, recorded):
+    cell = np.array(["RGB".index(letter) for letter in mosaic]).reshape(2, 2)
+    flat = np.array([90, 120, 40], np.uint8)[np.tile(cell, (12, 16))]
+    camera = lfcal.Calibration(lfcal.Lattice((8, 8), ((8, 0), (0, 8)), (32, 24), 4.0), mosaic=mosaic)
+    colours = _in_colour(Shot(flat, recorded=recorded), camera)
+    assert np.unique(colours.reshape(-1, 3), axis=0).tolist() == [[90, 120, 40]]
 
 
 def test_only_the_newest_frame_is_taken_and_the_others_are_counted():
