@@ -95,28 +95,25 @@ def _measure(
     selections = {"all": resolvable, "one_depth": resolvable & ~truth.mixed}
     lens = nearest_lens(cameras["scene"].lattice, true_lattice.centres())
     mode, size = np.asarray(depth.mode)[lens], np.asarray(depth.patch_size)[lens]
+    errors = {
+        "mode_right": lambda where: mode_accuracy(mode, truth.mode, where),
+        "mode_wrong": lambda where: mode_accuracy(-mode, truth.mode, where),
+        "magnification_error": lambda where: magnification_error(size, truth.patch_size, where),
+    }
     return {
-        "flat_size": list(truth.calibration.image_size),
-        "pitch": true_lattice.pitch,
-        "lenses": len(true_lattice),
+        "flat_size": list(truth.calibration.image_size), "pitch": true_lattice.pitch, "lenses": len(true_lattice),
         "lenses_judged": int(resolvable.sum()),
         "calibration": {
             kind: {"centre_error": centre_error(c.lattice, true_lattice), "confidence": float(c.confidence)}
             for kind, c in cameras.items()
         },
-        "mode_right": {name: mode_accuracy(mode, truth.mode, where) for name, where in selections.items()},
-        "mode_wrong": {name: mode_accuracy(-mode, truth.mode, where) for name, where in selections.items()},
-        "magnification_error": {
-            name: magnification_error(size, truth.patch_size, where) for name, where in selections.items()
-        },
+        **{key: {name: error(where) for name, where in selections.items()} for key, error in errors.items()},
         "merit": {
             name: _compare(capture, picture) for name, picture in {"all_in_focus": sharp, **pictures.fixed}.items()
         },
-        "fixed_patch_size": dict(pictures.patch_size),
-        "picture_size": list(sharp.image.shape[1::-1]),
-        "scale": sharp.scale,
-        "warnings": list(cameras["scene"].warnings),
-    }
+        "fixed_patch_size": dict(pictures.patch_size), "picture_size": list(sharp.image.shape[1::-1]),
+        "scale": sharp.scale, "warnings": list(cameras["scene"].warnings),
+    }  # fmt: skip
 
 
 def _compare(capture: Capture, picture: Rendering, resolvable: float = 0.75) -> dict[str, float]:
@@ -151,17 +148,15 @@ def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -
         "mode_right": ("mode is right", ".1%"), "mode_wrong": ("mode is the opposite one", ".1%"),
         "magnification_error": ("M, median relative error (unresolved: 1)", ".2%"),
     }  # fmt: skip
+    cards = {
+        "all in focus": f"{psnr['all_in_focus']:.1f} dB",
+        "better than the best single patch size": f"{psnr['all_in_focus'] - best_fixed:.1f} dB",
+        "modes right, lenses that see one depth": f"{figures['mode_right']['one_depth']:.1%}",
+        "error of M, median, all lenses": f"{figures['magnification_error']['all']:.1%}",
+        "RMS error of centres, from the capture alone": f"{calibrations['scene']['centre_error']:.3f} px",
+    }
     return fill(
-        "demo.html",
-        flat_crop=flat_crop,
-        reference=reference,
-        cards={
-            "all in focus": f"{psnr['all_in_focus']:.1f} dB",
-            "better than the best single patch size": f"{psnr['all_in_focus'] - best_fixed:.1f} dB",
-            "modes right, lenses that see one depth": f"{figures['mode_right']['one_depth']:.1%}",
-            "error of M, median, all lenses": f"{figures['magnification_error']['all']:.1%}",
-            "RMS error of centres, from the capture alone": f"{calibrations['scene']['centre_error']:.3f} px",
-        },
+        "demo.html", flat_crop=flat_crop, reference=reference, cards=cards, lenses=f"{figures['lenses_judged']:,}",
         pictures=[
             (names.get(name, f"one patch size, {name}"), f"{m['psnr']:.1f} dB", f"{m['ssim']:.3f}")
             for name, m in quality.items()
@@ -169,9 +164,8 @@ def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -
         calibrations=[
             (sources[kind], f"{c['centre_error']:.4f} px", f"{c['confidence']:.2f}") for kind, c in calibrations.items()
         ],
-        lenses=f"{figures['lenses_judged']:,}",
         depths=[
             (label, *(f"{figures[name][key]:{form}}" for key in ("all", "one_depth")))
             for name, (label, form) in depths.items()
         ],
-    )
+    )  # fmt: skip

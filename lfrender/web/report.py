@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
+from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import MODES, REASONS, DepthMap
 from ..data.rendering import PictureGrid
 from ..output.depth_picture import MODE_COLOURS, lens_maps, magnification_limits
 from .calibration_figure import calibration_panels, flat_part
-from .report_pictures import ReportPictures, data_urls, draw_pictures, fit_width, picture_url
+from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_url, reduce_picture
 from .templates import fill, read_asset
 
 __all__ = ["write_report"]
@@ -79,7 +80,7 @@ def write_report(
         **{name: picture.image for name, picture in pictures.fixed.items()},
         "traditional": pictures.traditional.image,
         **(compare or {}),
-        "flat": fit_width(flat, 1120, calibration.white_level),
+        "flat": reduce_picture(to_eight_bits(flat, calibration.white_level), min(1.0, 1120 / flat.shape[1])),
     }
     panels = calibration_panels(flat, calibration)
     crop = flat_part(flat, _most_detail(pictures), 7 * calibration.lattice.pitch)
@@ -113,13 +114,11 @@ def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
     """The place of the flat [px] about which lenses differ most, and none is dark."""
     import cv2
 
-    image = pictures.traditional.image.astype(np.float32)
-    image = image if image.ndim == 2 else np.ascontiguousarray(image[..., :3].mean(2))
+    image = np.atleast_3d(pictures.traditional.image).astype(np.float32)[..., :3].mean(2)
     spread = cv2.blur(image**2, (7, 7)) - cv2.blur(image, (7, 7)) ** 2
-    score = np.sqrt(np.maximum(spread, 0)) * cv2.erode(image, np.ones((7, 7)))
-    inner = np.zeros(score.shape, bool)
-    inner[tuple(slice(3, -3) if n > 6 else slice(None) for n in score.shape)] = True
-    v, u = np.unravel_index(int(np.where(inner, score, -1).argmax()), score.shape)
+    # Beyond the border all is dark.
+    darkest = cv2.erode(image, np.ones((7, 7)), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    v, u = np.unravel_index(int((np.sqrt(np.maximum(spread, 0)) * darkest).argmax()), image.shape)
     place: NDArray[np.float64] = pictures.traditional.affine @ [u, v, 1]
     return place
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +17,7 @@ from ..data.rendering import Rendering
 from ..rendering.render import render
 from ..rendering.traditional import traditional
 
-__all__ = ["ReportPictures", "data_urls", "draw_pictures", "encode_picture", "fit_width", "picture_url"]
+__all__ = ["ReportPictures", "data_urls", "draw_pictures", "encode_picture", "picture_url", "reduce_picture"]
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None 
         urls = {}
         for name, picture in shown.items():
             # The traditional picture, of a pixel per lens, stays as it is.
-            reduced = picture if max(picture.shape) < 400 else _reduce(picture, size)
+            reduced = picture if max(picture.shape) < 400 else reduce_picture(picture, size)
             urls[name] = picture_url(reduced, quality=quality)
         if sum(map(len, urls.values())) <= most:
             break
@@ -91,14 +90,9 @@ def encode_picture(picture: NDArray[np.uint8], suffix: str, quality: int) -> byt
     return data.tobytes()
 
 
-def fit_width(picture: NDArray, widest: int, white: float | None = None) -> NDArray[np.uint8]:
-    """A picture with 8 bits, reduced to at most `widest` columns."""
-    colours = picture[..., :3] if picture.ndim == 3 else picture
-    return _reduce(to_eight_bits(colours, white), min(1.0, widest / picture.shape[1]))
-
-
-def _reduce(picture: NDArray[np.uint8], size: float) -> NDArray[Any]:
+def reduce_picture(picture: NDArray[np.uint8], size: float) -> NDArray[np.uint8]:
+    """A picture of this share of width and height."""
     import cv2
 
     width, height = (max(1, round(size * n)) for n in picture.shape[1::-1])
-    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA))
+    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
