@@ -290,6 +290,8 @@ class Job:
         self.still, self.colours = still_depth(depth), magnification_limits(depth.magnification)
         settings = {**self._settings(), "scale": self.scale, "still": self.still, "colours": self.colours}
         camera.save(self.hidden / "camera.json")
+        # As a continued run will have it.
+        self.calibration = load_camera(self.folder)
         with atomic_write(self._settings_file) as temporary:
             temporary.write_text(json.dumps(settings), encoding="utf-8")
 

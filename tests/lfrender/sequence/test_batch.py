@@ -87,6 +87,17 @@ def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole,
     assert _pictures(tmp_path) == _pictures(whole[0])
 
 
+def test_a_run_uses_the_camera_as_its_file_has_it_so_that_a_continued_one_has_the_same(house, sequence, tmp_path):
+    frames = lfrender.open_frames([sequence[0]], frames="2:4")
+    camera = lfcal.calibrate(house.white, kind="white")
+    run = job.Job(tmp_path, camera, "fast", 4.0, ".tif")
+    run.start(False, frames.names)
+    list(run.groups(frames, False, 30, 5))
+    stored = job.load_camera(tmp_path).gain_map
+    np.testing.assert_array_equal(run.calibration.gain_map.profile, stored.profile)
+    assert not np.array_equal(camera.gain_map.profile, stored.profile)
+
+
 def test_other_settings_are_refused_unless_everything_is_rendered_again(sequence, whole):
     with pytest.raises(lfcal.OutputError, match="overwrite"):
         _run(sequence, whole[0], scale=3.0)
