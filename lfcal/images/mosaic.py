@@ -95,20 +95,17 @@ def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:
     """(h, w) float32 light of a mosaic `flat` (h, w), its four phases scaled to the same local mean."""
     import cv2
 
-    light = np.array(flat, dtype=np.float32)
-    height, width = light.shape
+    height, width = flat.shape
+    # Odd sizes get a row or column of the phase that they lack.
+    light = np.pad(flat.astype(np.float32), ((0, height % 2), (0, width % 2)), "reflect")
     window = max(65, int(min(height, width) / 8)) // 2 | 1
     phases = [light[y::2, x::2] for y in (0, 1) for x in (0, 1)]
-    size = (width // 2, height // 2)
     means: list[Any] = [cv2.blur(phase, (window, window)) for phase in phases]
-    common: Any = np.mean([mean[: size[1], : size[0]] for mean in means], axis=0)
+    common: Any = np.mean(means, axis=0)
     floor = np.float32(1e-6 * float(common.mean()) + 1e-30)
     for phase, mean in zip(phases, means, strict=True):
-        h, w = mean.shape
-        # Odd sizes leave two phases a row or column more than the others.
-        target = common[np.minimum(np.arange(h), size[1] - 1)][:, np.minimum(np.arange(w), size[0] - 1)]
-        phase *= target / np.maximum(mean, floor)
-    return light
+        phase *= common / np.maximum(mean, floor)
+    return np.ascontiguousarray(light[:height, :width])
 
 
 def remove_mosaic(light: NDArray[np.float32]) -> NDArray[Any]:

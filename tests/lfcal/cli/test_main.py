@@ -85,8 +85,8 @@ def test_info_prints_lens_types_optics_with_their_errors_and_defects(house, tmp_
     assert (figures["sensor_distance_mm"], figures["sensor_distance_mm_error"]) == (0.7, 0.01)
     expected = {"count": 2, "by_focus": True, "confidence": 0.9, "focus": [-0.4, None], "cell": [[0, 1], [1, 0]]}
     assert found["lens_types"] == expected
-    told = run("info", camera).stdout
-    assert "focal length mm 50" in told and "count 2, by focus True" in told
+    told = " ".join(run("info", camera).stdout.split())
+    assert "focal length mm 50" in told and "count 2 by focus True" in told
     assert "2 defective pixels; 1 unlit lenses" in run("convert", camera, "-o", tmp_path / "camera.csv").stdout
 
 

@@ -11,7 +11,7 @@ import lfcal
 from lfcal import Board, BoardError, Calibration, FlatError, Lattice, calibrate_metric, locate_board
 from lfcal.boards.detection import FocusSweep
 from lfcal.metric.calibrate import _first
-from lfcal.metric.observe import prepare
+from lfcal.metric.observe import BoardFlat, prepare
 
 from ._cameras import camera, detect, poses
 
@@ -81,16 +81,19 @@ def test_poses_that_are_alike_are_named():
         _first(detect(camera(), where, rng, 1e-4), Calibration(LATTICE), Board(9, 6, 7.0))
 
 
-def test_another_number_of_squares_is_named(boards):
-    flat = prepare(boards[2](11), "b.png", boards[1], Board(11, 7, 7.0), FocusSweep(boards[1].lattice))
-    assert flat.detected is None
-    assert "9 x 6" in flat.reason
+@pytest.mark.parametrize("size", [(11, 7), (8, 6)])
+def test_another_number_of_squares_is_named(boards, size):
+    flat = prepare(boards[2](11), "b.png", boards[1], Board(*size, 7.0), FocusSweep(boards[1].lattice))
+    assert flat.other == "9 x 6"
+    assert (flat.detected is None) == ("9 x 6" in flat.reason)
 
 
-def test_a_board_with_fewer_corners_than_most_flats_show_is_refused(boards):
-    flats = [boards[2](k) for k in (0, 1, 2)]
+def test_a_board_of_another_size_than_most_flats_show_is_refused(monkeypatch):
+    blank = Calibration(Lattice((10, 10), [[20, 0], [0, 20]], (200, 160), 9.5))
+    seen = lambda flat, name, **_: BoardFlat(name, flat, None, other="9 x 6")  # noqa: E731
+    monkeypatch.setattr("lfcal.metric.calibrate.prepare", seen)
     with pytest.raises(BoardError, match="3 flats show a checkerboard of 9 x 6 corners, not of 8 x 6"):
-        calibrate_metric(flats, boards[1], (8, 6), 7.0, pixel=0.0055)
+        calibrate_metric([np.zeros((160, 200))] * 3, blank, (8, 6), 7.0, pixel=0.0055)
 
 
 def test_flats_without_a_board_are_named():
