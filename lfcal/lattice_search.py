@@ -158,7 +158,7 @@ def _find_starts(
         if picture is None or has_mosaic:
             picture = sqrt_luminance(remove_mosaic(make()) if has_mosaic else make())
         try:
-            for start in _find_starts_on(picture) if hint is None else find_stated_lattices(picture, hint):
+            for start in _find_starts_on(picture, hint):
                 found = True
                 yield start
         except CalibrationError as failure:
@@ -169,13 +169,16 @@ def _find_starts(
     raise error
 
 
-def _find_starts_on(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
+def _find_starts_on(picture: NDArray[np.float32], hint: LatticeHint | None) -> Iterator[FirstLattice]:
     """First lattices of a picture (h, w); CalibrationError where there is none."""
     import cv2
 
     mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
     if mean == 0 or deviation < 1e-4 * mean:
         raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
+    if hint is not None:
+        yield from find_stated_lattices(picture, hint)
+        return
     for start in find_first_lattices(picture):
         if start.repeatability < DETECTION.repeatability and not start.confirmed:
             raise CalibrationError(NO_MICROIMAGES)

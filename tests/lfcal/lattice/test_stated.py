@@ -37,3 +37,9 @@ def test_hint_leads_to_the_lattice_and_a_wrong_one_is_refused(whites):
         lfcal.calibrate(image, pitch=31.0)
     with pytest.raises(ValueError, match="give both"):
         lfcal.calibrate(image, rotation=3.0)
+
+
+@pytest.mark.parametrize("pitch", [5.0, 20.0])
+def test_an_even_flat_is_refused_whatever_is_stated(pitch):
+    with pytest.raises(lfcal.CalibrationError, match="even grey"):
+        lfcal.calibrate(np.full((300, 400), 100, np.uint8), pitch=pitch)
