@@ -130,7 +130,7 @@ class Session:
         self.grabber, self.preset, self.folder = grabber, preset, folder
         self.camera: Calibration | None = None
         self.view: View | None = None
-        self.drawn, self.latency, self.still, self.message, self.saved = 0, 0.0, 0.0, "", ""
+        self.latency, self.still, self.message, self.saved = 0.0, 0.0, "", ""
         self.scale: float | None = None
         self._find_camera, self._tried = find_camera, 0.0
         self._wanted: dict[str, float] = {}
@@ -175,8 +175,8 @@ class Session:
             turned = (float(np.degrees(np.arctan2(y, x))) + period / 2) % period - period / 2
             about = f"{len(lattice):,} microlenses, {lattice.pitch:.2f} px apart, turned by {turned:.2f} degrees"
         return {
-            "received": grabber.received, "drawn": self.drawn, "lost": grabber.lost, "latency": self.latency,
-            "still": self.still, "camera": about, "saved": self.saved, "recording": recorder and recorder.told,
+            "received": grabber.received, "lost": grabber.lost, "latency": self.latency, "still": self.still,
+            "camera": about, "saved": self.saved, "recording": recorder and recorder.told,
             "message": grabber.message or (recorder and recorder.message) or self.message,
         }  # fmt: skip
 
@@ -218,7 +218,6 @@ class Session:
     def _run(self) -> None:
         while not self._stopped.is_set():
             shot = self.grabber.take(0.2)
-            self.drawn += shot is not None
             if shot is None:
                 if self.view is None or all(map(self.view.has, filter(self._watched, KINDS))):
                     continue
@@ -226,7 +225,7 @@ class Session:
                 shot = self.view.shot
             view = View(shot, shot.pixels)
             try:
-                self._analyze(view)
+                self.message = self._analyze(view)
             # What is wrong with one frame, such as its size, is said, and the next one is tried.
             except Exception as error:
                 self.message, view.camera = " ".join(str(error).split()) or type(error).__name__, None
@@ -242,21 +241,22 @@ class Session:
             self._tried = time.monotonic()
         return self.camera
 
-    def _analyze(self, view: View) -> None:
-        """Camera, depth and sharp picture of a frame, as far as somebody wants them."""
-        camera = self.camera
+    def _analyze(self, view: View) -> str:
+        """Find camera, depth and sharp picture of a frame, as far as somebody wants them; what is to be said of it."""
+        camera, message = self.camera, ""
         if camera is None:
-            if time.monotonic() - self._tried < 2:
-                return
+            # A recording has one camera or none.
+            if view.shot.recorded or time.monotonic() - self._tried < 2:
+                return self.message
             camera = self._calibrate(view.shot)
-        view.flat, self.message = _in_colour(view.shot, camera), ""
+        view.flat = _in_colour(view.shot, camera)
         if self._watched("sharp", "focus", "depth"):
             before = self._comparable(view, camera)
             earlier = None if before is None else (before.flat, before.depth)
             view.depth = depth = analyze(view.flat, camera, self.preset, previous=earlier)  # type: ignore[arg-type]
             self.still = float(depth.saved.get("still", 0.0)) if before else 0.0
-            self.message = find_depth_problem(depth) or ""
-            if self.scale is None and not self.message and not view.shot.recorded:
+            message = find_depth_problem(depth) or ""
+            if self.scale is None and not message and not view.shot.recorded:
                 self.scale = default_scale(depth)
             if self._watched("sharp"):
                 drawn: Any = {"scale": self.scale}
@@ -268,6 +268,7 @@ class Session:
                 self._chain = 0 if before is None else self._chain + 1
                 self._reference = view, camera
         view.camera = camera
+        return message
 
     def _comparable(self, view: View, camera: Calibration) -> View | None:
         """The frame that this one is compared with, if there is one and the picture may depend on it."""

@@ -4,7 +4,7 @@ const find = (id) => document.getElementById(id);
 const picture = find("picture");
 const token = new URLSearchParams(location.search).get("token") ?? "";
 const past = [];
-let kind = "sharp", place = [0.5, 0.5], shown = 0, waiting = new AbortController();
+let kind = "sharp", place = [0.5, 0.5], shown = 0, pictures = 0, waiting = new AbortController();
 
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 const address = (path, values = {}) => `${path}?${new URLSearchParams({ ...values, token })}`;
@@ -21,8 +21,12 @@ async function nextPicture() {
     picture.src = url;
     await picture.decode();
     if (before.startsWith("blob:")) URL.revokeObjectURL(before);
+    pictures += 1;
     shown = Number(response.headers.get("X-Frame"));
-  } else if (response.status !== 204) await pause(500);
+  } else if (response.status !== 204) {
+    find("saved").textContent = (await response.json()).message;
+    await pause(500);
+  }
 }
 
 async function showPictures() {
@@ -45,13 +49,13 @@ function choose(next) {
 
 function showStatus(status) {
   // Rates are those of the last few seconds.
-  past.push({ ...status, time: performance.now() });
+  past.push({ ...status, pictures, time: performance.now() });
   if (past.length > 7) past.shift();
   const first = past[0], last = past[past.length - 1], seconds = Math.max((last.time - first.time) / 1000, 0.1);
-  const rate = (name) => `${status[name].toLocaleString("en")}, ${((last[name] - first[name]) / seconds).toFixed(1)} / s`;
+  const rate = (name) => `${last[name].toLocaleString("en")}, ${((last[name] - first[name]) / seconds).toFixed(1)} / s`;
   find("about").textContent = status.camera;
   find("received").textContent = rate("received");
-  find("drawn").textContent = rate("drawn");
+  find("shown").textContent = rate("pictures");
   find("lost").textContent = status.lost.toLocaleString("en");
   find("latency").textContent = `${(1000 * status.latency).toFixed(0)} ms`;
   find("still").textContent = `${(100 * status.still).toFixed(0)} % as before`;
