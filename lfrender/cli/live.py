@@ -61,7 +61,7 @@ def live(report: cl.Report, given: Any) -> None:
         with report.stage("calibrate"):
             session.start(strict=bool(given.camera or given.white))
         figures = {"page": server.url, "warnings": list(session.camera.warnings) if session.camera else []}
-        report.finish(figures, session.status()["camera"] + ".", f"{server.url} until Ctrl-C.")
+        report.finish(figures, f"{session.about}.", f"{server.url} until Ctrl-C.")
         if not given.no_browser:
             click.launch(server.url)
         with suppress(KeyboardInterrupt):

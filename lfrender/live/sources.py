@@ -6,13 +6,16 @@ the camera is gone, and gives it back when it is closed. Pixels are copied befor
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from threading import current_thread, main_thread
 from typing import Any
 
 import numpy as np
@@ -116,6 +119,7 @@ def _read_opencv(name: str) -> Iterator[Shot]:
     import cv2
 
     # What is wrong is said once, by this program.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if name.isdigit():
         device = cv2.VideoCapture(int(name))
@@ -198,7 +202,11 @@ def _read_gentl(name: str, pixel_format: str | None) -> Iterator[Shot]:
         device = next((found for found in devices if wanted[1:] in ("", found)), None)
         if device is None:
             raise SourceError(f"{name}: no such camera; this producer finds {', '.join(devices) or 'none'}")
+        interrupt = signal.getsignal(signal.SIGINT)
         camera = harvester.create({"id_": device})
+        # The library takes Ctrl-C for itself.
+        if current_thread() is main_thread():
+            signal.signal(signal.SIGINT, interrupt)
         if pixel_format:
             camera.remote_device.node_map.PixelFormat.value = pixel_format
         camera.start()

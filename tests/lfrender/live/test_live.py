@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import signal
 import threading
 import time
 
@@ -254,6 +255,7 @@ def test_a_gentl_producer_gives_frames():
     frames = open_source(f"{producer}:VikyTL_DEV_green", "Mono8")
     shot = next(frames)
     assert shot.pixels.shape == (400, 400) and shot.pixels.dtype == np.uint8
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler  # Ctrl-C ends the program
     frames.close()
     with pytest.raises(SourceError, match="no such camera; this producer finds VikyTL_DEV_red"):
         next(open_source(f"{producer}:none"))
