@@ -121,11 +121,7 @@ class Session:
     """
 
     def __init__(
-        self,
-        grabber: Grabber,
-        find_camera: Callable[[Shot], Calibration],
-        preset: Preset = "fast",
-        folder: Path = Path(),
+        self, grabber: Grabber, find_camera: Callable[[Shot], Calibration], preset: Preset, folder: Path
     ) -> None:
         self.grabber, self.preset, self.folder = grabber, preset, folder
         self.camera: Calibration | None = None
@@ -168,19 +164,20 @@ class Session:
     @property
     def about(self) -> str:
         """The camera in words."""
-        if self.camera is None:
+        if (camera := self.camera) is None:
             return "no microlens array yet"
-        lattice = self.camera.lattice
+        lattice = camera.lattice
         (x, y), period = lattice.steps[0] @ lattice.basis, 30 if len(lattice.steps) == 6 else 90
         turned = (float(np.degrees(np.arctan2(y, x))) + period / 2) % period - period / 2
         return f"{len(lattice):,} microlenses, {lattice.pitch:.2f} px apart, turned by {turned:z.2f} degrees"
 
     def status(self) -> dict[str, Any]:
         """Counts, the time from the arrival of a frame to its picture [s], and what is to be said."""
-        grabber, recorder = self.grabber, self.grabber.recorder
+        grabber, recorder, camera = self.grabber, self.grabber.recorder, self.camera
         return {
             "received": grabber.received, "lost": grabber.lost, "latency": self.latency, "still": self.still,
-            "camera": ". ".join([self.about, *(self.camera.warnings if self.camera else ())]), "saved": self.saved, "recording": recorder and recorder.told,
+            "camera": ". ".join([self.about, *(camera.warnings if camera else ())]), "saved": self.saved,
+            "recording": recorder and recorder.told,
             "message": grabber.message or (recorder and recorder.message) or self.message,
         }  # fmt: skip
 

@@ -56,27 +56,9 @@ class Shot:
 
 
 def open_source(name: str, pixel_format: str | None = None, rate: float | None = None) -> Iterator[Shot]:
-    """The frames of a source.
+    """The frames of a source, by its name (docs/live.md); of files, `rate` a second, by default as the video, or 10.
 
-    Parameters
-    ----------
-    name : str
-        A file or folder that `open_frames` reads; the number, file, address or GStreamer pipeline of
-        `cv2.VideoCapture`; `PRODUCER.cti` or `PRODUCER.cti:DEVICE`, a GenICam camera by its GenTL producer;
-        `arv:` or `arv:DEVICE`, one by Aravis.
-    pixel_format : str, optional
-        What GenICam cameras are set to: `"Mono8"`, `"Mono12"`, `"BayerRG8"`, ...
-    rate : float, optional [1/s]
-        Of files; with None that of the video, else 10.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> import lfrender
-    >>> with TemporaryDirectory() as folder:
-    ...     lfrender.write_picture(f"{folder}/0.png", lfrender.data.example()[0])
-    ...     next(open_source(folder)).pixels.shape
-    (180, 240, 3)
+    GenICam cameras are set to a `pixel_format` such as `"Mono12"`, if it is given.
     """
     if name.startswith("arv:"):
         return _read_aravis(name, pixel_format)
@@ -159,12 +141,8 @@ def to_flat(name: str, data: NDArray[Any], width: int, height: int) -> Shot:
     if packed and data.dtype == np.uint8:
         first, middle, last = (part.astype(np.uint16) for part in data[: width * height * 3 // 2].reshape(-1, 3).T)
         # PFNC has the low bits first, GigE Vision 1 ("Packed") the high ones.
-        pairs = (
-            (first | (middle & 15) << 8, middle >> 4 | last << 4)
-            if packed == "p"
-            else (first << 4 | middle & 15, last << 4 | middle >> 4)
-        )
-        values = np.stack(pairs, 1).ravel()
+        one = first | (middle & 15) << 8 if packed == "p" else first << 4 | middle & 15
+        values = np.stack([one, last << 4 | middle >> 4], 1).ravel()
     else:
         values = data.view(np.uint8).view(np.uint8 if bits == "8" else "<u2")
     channels = len(colours) if colours[0] in "RB" and colours[1] == "G" else 1

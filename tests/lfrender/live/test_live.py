@@ -59,7 +59,7 @@ def session(house, camera, tmp_path):
     """A live session of a camera that shows the house, and that camera."""
     shifted = np.roll(house.flat, 1, 1)
     source = Camera(house.flat, shifted)
-    made = Session(Grabber(source), lambda shot: camera, folder=tmp_path)
+    made = Session(Grabber(source), lambda shot: camera, "fast", tmp_path)
     made.start(strict=True)
     yield made, source
     made.grabber._stopped.set()
