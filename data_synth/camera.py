@@ -85,6 +85,9 @@ class Camera:
         Of microlens array and sensor together: with a positive first angle the lower part of the flat lies farther from
         the main lens, with a positive second angle its right part nearer. Cameras with distortion or
         tilt can photograph boards (`shoot_board`); `simulate` knows the truth of straight ones only.
+    sensor_tilt : (float, float) [rad]
+        Of the sensor against the array: towards the right and towards the bottom of the flat the distance between them
+        grows by the tangent, about `sensor_distance` at the principal point. `lattice` is that without it.
 
     Examples
     --------
@@ -115,6 +118,7 @@ class Camera:
     stop: tuple[float, float] | None = None
     k1: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
+    sensor_tilt: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not (1 <= self.width <= 1 << 15 and 1 <= self.height <= 1 << 15):
@@ -147,9 +151,11 @@ class Camera:
         points = [tuple(float(v) for v in point) for point in (self.origin, self.principal_point)]
         if any(len(point) != 2 or not np.isfinite(point).all() for point in points):
             raise ValueError("origin and principal_point must be two finite numbers each")
-        if not np.isfinite([self.k1, *self.tilt]).all() or max(map(abs, self.tilt)) > 0.1:
-            raise ValueError(f"k1 and tilt must be finite, tilt at most 0.1 rad, got {self.k1} and {self.tilt}")
-        object.__setattr__(self, "tilt", (float(self.tilt[0]), float(self.tilt[1])))
+        tilts = (*self.tilt, *self.sensor_tilt)
+        if not np.isfinite([self.k1, *tilts]).all() or max(map(abs, tilts)) > 0.1:
+            raise ValueError(f"k1 and tilts must be finite, tilts at most 0.1 rad, got {self.k1} and {tilts}")
+        for name in ("tilt", "sensor_tilt"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         object.__setattr__(self, "microlens_focal_lengths", focal)
         object.__setattr__(self, "basis", _shortest_acute(self.basis))
         object.__setattr__(self, "origin", points[0])
@@ -238,8 +244,8 @@ class Camera:
 
     @property
     def straight(self) -> bool:
-        """Whether the main lens has no distortion and the array no tilt."""
-        return self.k1 == 0 and self.tilt == (0.0, 0.0)
+        """Whether the main lens has no distortion, and neither array nor sensor a tilt."""
+        return self.k1 == 0 and not any((*self.tilt, *self.sensor_tilt))
 
     @cached_property
     def array_axes(self) -> NDArray[np.float64]:

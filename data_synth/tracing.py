@@ -8,6 +8,7 @@ minus is the half turn of object space that keeps pictures upright. Camera vecto
     22 reach: largest distance of a lit point from its microimage centre [px]  23 whether bent: distortion or tilt
     24 k1  25, 26 slope of the optical axis in the frame of the array  27..35 axes of the array, row by row
     36 whether the main aperture is square  37, 38 direction of its sides
+    39, 40 growth of b over the sensor, to the right and down
 
 Rows of the surface table: 0 kind, 1..3 corner or centre, 4..6 normal (4: radius of a sphere), 7..9 and 10..12
 duals of the edges, 13 texture offset, 14, 15 its width and height, 16 whether alpha cuts, 17..22 bounds.
@@ -74,11 +75,16 @@ def _camera_vector(camera: Camera) -> NDArray[np.float64]:
     values = [camera.pixel, *camera.principal_point, camera.focal_length, camera.mla_distance, camera.sensor_distance]
     side = basis[0] / np.linalg.norm(basis[0])
     reach = camera.microimage_radius * (2**0.5 if camera.square_aperture else 1.0) + defocus
+    growth = np.tan(camera.sensor_tilt)
+    # Where the sensor is farther away, microimages are larger, and farther from the axis.
+    away = float(np.hypot(camera.width, camera.height)) * camera.pixel * float(np.hypot(*growth))
+    reach *= 1 + away / camera.sensor_distance
+    reach += away / camera.mla_distance * float(np.hypot(camera.width, camera.height))
     values += [aperture, lens, *camera.origin, *basis.ravel(), *np.linalg.inv(basis).ravel(), camera.spread]
     values += [float(camera.natural_vignetting), stop[0], stop[1] / 2, reach]
     axes = camera.array_axes
     values += [float(not camera.straight), camera.k1, *(axes[2, :2] / axes[2, 2]), *axes.ravel()]
-    values += [float(camera.square_aperture), *side]
+    values += [float(camera.square_aperture), *side, *growth]
     return np.array(values)
 
 
@@ -298,8 +304,10 @@ def _passes(cam, ax, ay, half):
 @njit(error_model="numpy")
 def _through_lens(total, x, y, cam, cx, cy, power, half, table, texels, background, points, shift, chosen):
     """Add the light that reaches pixel `(x, y)` through one microlens with centre `(cx, cy)` [mm]."""
-    pixel, focal, dl, b = cam[0], cam[3], cam[4], cam[5]
+    pixel, focal, dl = cam[0], cam[3], cam[4]
     px, py = (x - cam[1]) * pixel, (y - cam[2]) * pixel
+    # The cosine of the tilt of the sensor is left out.
+    b = cam[5] + cam[39] * px + cam[40] * py
     # A ray from sensor point `p` over microlens point `c + r` leaves the lens with slope (c + r - p) / b - r * power.
     bend = 1 / b - power
     slope_x, slope_y = (cx - px) / b, (cy - py) / b

@@ -3,6 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .assessment.result import Assessment, Finding
+    from .assessment.white import assess
     from .boards.board import Board
     from .camera.calibration import Calibration
     from .camera.lens_types import LensBlur, LensTypes
@@ -22,15 +24,18 @@ if TYPE_CHECKING:
     from .runtime.output_file import OutputError
 
 __all__ = [
-    "Board", "BoardError", "BoardPose", "Calibration", "CalibrationError", "CameraCheck", "CameraFileError",
-    "FlatError", "FlatSource", "Lattice", "LensBlur", "LensTypes", "LightFieldError", "MetricCalibration", "Optics",
-    "OutputError", "calibrate", "calibrate_metric", "check_camera", "check_fit", "compare", "count_pages", "load",
-    "locate_board", "open_flat", "read_flat", "show", "state_lattice", "subtract_dark",
+    "Assessment", "Board", "BoardError", "BoardPose", "Calibration", "CalibrationError", "CameraCheck",
+    "CameraFileError", "Finding", "FlatError", "FlatSource", "Lattice", "LensBlur", "LensTypes", "LightFieldError",
+    "MetricCalibration", "Optics", "OutputError", "assess", "calibrate", "calibrate_metric", "check_camera",
+    "check_fit", "compare", "count_pages", "load", "locate_board", "open_flat", "read_flat", "show",
+    "state_lattice", "subtract_dark",
 ]  # fmt: skip
 
 # Imported at first use, since `--help` needs none of it. No module may bear the name of a function here, or importing
 # the one would hide the other.
 _HOMES = {
+    "assessment.result": ("Assessment", "Finding"),
+    "assessment.white": ("assess",),
     "boards.board": ("Board",),
     "camera.calibration": ("Calibration",),
     "camera.lens_types": ("LensBlur", "LensTypes"),

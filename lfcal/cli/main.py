@@ -13,6 +13,7 @@ import cloup
 from ..runtime import command_line as cl
 from ..runtime.image_formats import MOSAICS, TIFF_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
+from .assess import assess
 from .figures import describe, summarise
 from .metric import board, metric
 
@@ -330,7 +331,7 @@ def main() -> None:
 
 
 main.section("Calibrate a camera", calibrate, lattice)
-main.section("Look at camera files", info, show, compare)
+main.section("Look at camera files", info, show, compare, assess)
 main.section("Use them elsewhere", convert, flatten)
 main.section("Measure in metres", board, metric)
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..camera.optics import OPTICS_PARAMETERS
 from ..metric.result import MetricCalibration
-from ..runtime.output_file import atomic_write, check_output
+from ..runtime.output_file import check_output
+from ..runtime.page import to_svg, write_page
 from .next_pose import suggest_poses
 
 __all__ = ["write_metric_report"]
@@ -24,18 +23,14 @@ def write_metric_report(
     path: str | os.PathLike[str], found: MetricCalibration, *, title: str = "Metric camera"
 ) -> None:
     """Write the report of a metric calibration as one HTML file; it appears whole or not at all."""
-    from jinja2 import Environment, FileSystemLoader
-
     check_output(path, {".html"})
     near, far = (f(pose.translation[2] for pose in found.poses) / 1000 for f in (min, max))
-    templates = Environment(loader=FileSystemLoader(Path(__file__).with_name("assets")), autoescape=True)
-    page = templates.get_template("metric.html").render(
+    write_page(
+        path, Path(__file__).with_name("assets") / "metric.html",
         found=found, title=title, near=near, far=far, parameters=_parameters(found), poses=_poses(found),
         depths=_depths(found), reliability=_reliability(found), next=suggest_poses(found),
         drawn_poses=_draw_poses(found), drawn_field=_draw_field(found),
     )  # fmt: skip
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
 
 
 def _parameters(found: MetricCalibration) -> _Rows:
@@ -101,7 +96,7 @@ def _draw_poses(found: MetricCalibration) -> str:
         axes.set(title=f"from {name}", ylabel="x [m]" if axis == 0 else "y [m]")
     axes.invert_yaxis()
     axes.set_xlabel("distance from the camera [m]")
-    return _svg(figure)
+    return to_svg(figure)
 
 
 def _draw_field(found: MetricCalibration) -> str:
@@ -122,11 +117,4 @@ def _draw_field(found: MetricCalibration) -> str:
     if kept.any():
         largest = float(np.hypot(*means[kept].T).max())
         axes.quiverkey(arrows, 0.9, 1.03, largest, f"{largest:.2g} px", labelpos="W")
-    return _svg(figure)
-
-
-def _svg(figure: Any) -> str:
-    """A figure without the head of a file, for a page."""
-    text = StringIO()
-    figure.savefig(text, format="svg")
-    return text.getvalue()[text.getvalue().index("<svg") :]
+    return to_svg(figure)

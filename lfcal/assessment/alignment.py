@@ -1,0 +1,111 @@
+"""Rotation of an array against the sensor, and the gradient of its pitch, from centres of single microimages.
+
+With the sensor tilted against the array by `g` (tangents to the right and down), the array seen from a pupil at the
+distance `L`, a microimage at `x` from the axis is displaced by `x (g x) / L`. Radial distortion about a place beside
+the middle of the flat displaces microimages by another quadratic form, which is fitted too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.calibration import Calibration
+from ..gain.gain_map import field_place
+from ..lattice.lattice import Lattice
+from ..lattice.orientation import describe_orientation
+
+__all__ = ["Alignment", "measure_alignment"]
+
+Array = NDArray[np.float64]
+# [px] error that centres of a white image share over half the diagonal, whatever the scatter of single ones; and in
+# pitches that of a scene, which moves microimages by what it shows in them.
+_WHITE_FAULT, _SCENE_FAULT = 0.01, 0.02
+# Quadratic displacements x^2, xy, y^2 in x, then in y, of a tilt to the right and down, and of a radial distortion
+# about a place to the right and below.
+_TILT = np.array([[1, 0, 0, 0, 1, 0], [0, 1, 0, 0, 0, 1], [3, 0, 1, 0, 2, 0], [0, 2, 0, 1, 0, 3]], float).T
+
+
+class Alignment(NamedTuple):
+    """Rotation clockwise on the screen, of the rows from those of pixels, and gradient of the pitch."""
+
+    shape: str
+    rows: str
+    rotation: float  # [degrees]
+    rotation_error: float
+    gradient: Array  # (2,) [px] displacement by a tilt to the right and down at half a diagonal from the middle
+    gradient_error: float  # inf where not measured
+
+
+def measure_alignment(camera: Calibration) -> Alignment:
+    """Rotation and pitch gradient of a calibrated camera."""
+    lattice, residuals = camera.lattice, camera.residuals
+    shape, rows, _ = describe_orientation(lattice)
+    reach = float(np.hypot(*lattice.image_size)) / 2
+    gradient, gradient_error = np.full(2, np.nan), float("inf")
+    if residuals is not None and camera.source == "white" and len(residuals.indices) >= 60:
+        basis, variance, gradient, gradient_error = _fit_centres(camera, lattice)
+        fault = _WHITE_FAULT
+    else:
+        basis, fault = lattice.basis, (_WHITE_FAULT if camera.source == "white" else _SCENE_FAULT * lattice.pitch)
+        variance = (
+            np.zeros(2) if camera.errors is None else np.diag(camera.errors.covariance)[2:6].reshape(2, 2).mean(1)
+        )
+        if camera.errors is None:
+            fault = float("inf")
+    vectors = basis @ [1, 1j]
+    hexagonal = len(lattice.steps) == 6
+    # Where the first vector would be, by each of both.
+    own = vectors[1] * np.exp(-1j * np.pi / (3 if hexagonal else 2))
+    both = [vectors[0], own] if shape != "oblique" else [vectors[0]]
+    angle = float(np.degrees(np.angle(sum(one / abs(one) for one in both))))
+    period = 60.0 if hexagonal else 90.0
+    angle = (angle + period / 2) % period - period / 2
+    if rows == "vertical":
+        angle -= float(np.copysign(30.0, angle))
+    scatter = sum(float(v) / abs(one) ** 2 for v, one in zip(variance, both, strict=False)) / len(both) ** 2
+    error = float(np.degrees(np.hypot(np.sqrt(scatter), fault / reach)))
+    return Alignment(shape, rows, angle, error, gradient, gradient_error)
+
+
+def _fit_centres(camera: Calibration, lattice: Lattice) -> tuple[Array, Array, Array, float]:
+    """Basis in the middle of the flat with variances (2,) of its vectors, pitch gradient (2,) [px] and its error.
+
+    Means over tiles of the flat are fitted, so that errors which neighbours share count as such.
+    """
+    assert camera.residuals is not None
+    indices, offset = camera.residuals.indices, camera.residuals.offset.astype(np.float64)
+    length = np.hypot(*offset.T)
+    keep = length <= 4 * np.median(length) + 1e-9
+    indices, offset = indices[keep], offset[keep]
+    centres = lattice.points(indices) + offset
+    x, y = place = field_place(centres, lattice).T
+    table = np.column_stack([np.ones(len(x)), indices, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+    column, row = np.clip((centres / lattice.image_size * 8).astype(int), 0, 7).T
+    _, tile, count = np.unique(8 * row + column, return_inverse=True, return_counts=True)
+    means = np.array([np.bincount(tile, values) / count for values in np.column_stack([table, centres]).T]).T
+    design, target = means[:, :10], means[:, 10:]
+    # Few tiles tell no third order.
+    design = design if len(count) >= 20 else design[:, :6]
+    scale = np.abs(design).max(0)
+    root = np.sqrt(count)[:, None]
+    inverse = np.linalg.pinv(root * design / scale) / scale[:, None]
+    factors = inverse @ (root * target)
+    left = root * (target - design @ factors)
+    free = len(count) - design.shape[1]
+    if free < 4:
+        single = np.full(2, float((offset**2).sum() / 2 / len(offset) ** 2))
+        return lattice.basis, single, np.full(2, np.nan), float("inf")
+    covariance = inverse @ inverse.T * float((left**2).sum() / (2 * free))
+    quadratic = factors[3:6].T.ravel()
+    weight = np.kron(np.eye(2), np.linalg.pinv(covariance[3:6, 3:6]))
+    normal = np.linalg.inv(_TILT.T @ weight @ _TILT)
+    found = normal @ _TILT.T @ weight @ quadratic
+    miss = quadratic - _TILT @ found
+    # What neither form explains, two numbers, is an error of both.
+    excess = max(1.0, float(miss @ weight @ miss) / 2)
+    error = float(np.hypot(np.sqrt(np.diag(normal)[:2].mean() * excess), _WHITE_FAULT))
+    assert place.shape[0] == 2
+    return factors[1:3], np.diag(covariance)[1:3], found[:2], error

@@ -1,0 +1,123 @@
+"""Assess an array from a white image, and a scene if there is one."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..camera.calibration import Calibration
+from ..images.stack import check_flats
+from ..pipeline import calibrate
+from ..runtime.errors import FlatError
+from . import findings
+from .alignment import measure_alignment
+from .microimages import measure_microimages
+from .result import Assessment, Finding
+
+__all__ = ["assess"]
+
+# Confidence of calibrations below which there is no advice.
+_CONFIDENCE = 0.8
+
+
+def assess(
+    white: ArrayLike | str | os.PathLike[str],
+    scene: ArrayLike | str | os.PathLike[str] | None = None,
+    *,
+    calibration: Calibration | None = None,
+    f_number: float | None = None,
+    pupil: float | None = None,
+    pixel: float | None = None,
+) -> Assessment:
+    """Tell how a microlens array is mounted on its sensor, and what to turn.
+
+    Parameters
+    ----------
+    white : (h, w) or (h, w, 3) array_like, or path-like
+        White image: an evenly lit surface. Of a scene nothing but the rotation is told.
+    scene : array_like or path-like, optional
+        A scene of the same camera.
+    calibration : Calibration, optional
+        Of the white image, so that it is not calibrated again.
+    f_number : float, optional
+        Of the main lens as the sensor sees it, distance of the exit pupil over its diameter: at infinity what is
+        printed on it. Tells tilts in degrees.
+    pupil : float, optional [mm]
+        From the exit pupil of the main lens to the array; by default that of the optics of the calibration.
+    pixel : float, optional [mm]
+        Side of a pixel.
+
+    Raises
+    ------
+    FlatError
+        If an image cannot be a flat, or scene and calibration are of other sizes than the white image.
+    CalibrationError
+        If no lattice is on the white image.
+
+    Examples
+    --------
+    >>> import lfcal, lfrender
+    >>> sample = lfrender.data.house(size=(400, 300), samples=2)
+    >>> found = lfcal.assess(sample.white, f_number=4)
+    >>> found.exposure.verdict
+    'well exposed'
+    """
+    for name, value in (("f_number", f_number), ("pupil", pupil), ("pixel", pixel)):
+        if value is not None and not 0 < value < np.inf:
+            raise ValueError(f"{name} must be a positive number, got {value!r}")
+    flats = check_flats(white)
+    if len(flats) > 1:
+        raise FlatError("several white images are given; give one")
+    (flat,) = flats
+    shown = None if scene is None else check_flats(scene)[0]
+    camera = calibrate(flat) if calibration is None else calibration
+    for name, one in (("the white image", flat), ("the scene", shown)):
+        if one is not None and one.shape[1::-1] != camera.image_size:
+            given, own = ("{} x {} px".format(*size) for size in (one.shape[1::-1], camera.image_size))
+            raise FlatError(f"{name} is {given}, the camera is for {own}; give flats of one camera")
+    known = camera.optics
+    if known is not None:
+        pixel, pupil = pixel or known.pixel, pupil or known.mla_distance
+    optics = findings.Optics(f_number, pupil / pixel if pupil and pixel else None, pixel)
+    told = _assess_white(flat, camera, optics)
+    if shown is not None:
+        from .scene import assess_scene
+
+        told = replace(told, scene=assess_scene(shown, camera))
+    return told
+
+
+def _assess_white(flat: Any, camera: Calibration, optics: findings.Optics) -> Assessment:
+    lattice, alignment, field = camera.lattice, measure_alignment(camera), None
+    units = {
+        "tilt": "degrees", "distance": "px", "apertures": "px", "vignetting": "px", "exposure": "%", "evenness": "%",
+        "dirt": "places",
+    }  # fmt: skip
+    why = "this takes a white image, which the flat is not"
+    told: dict[str, Any] = {name: findings.unmeasured(unit, why) for name, unit in units.items()}
+    told["rotation"] = findings.find_rotation(alignment, lattice)
+    if camera.source == "white":
+        field = measure_microimages(flat, camera)
+        told["tilt"] = findings.find_tilt(alignment, field, lattice, optics)
+        told["distance"] = findings.find_distance(field, camera, optics)
+        told["apertures"] = findings.find_apertures(field, lattice, optics)
+        told["vignetting"] = findings.find_vignetting(field, camera)
+        told["exposure"] = findings.find_exposure(flat, camera)
+        told["evenness"] = findings.find_evenness(field, lattice)
+        told["dirt"] = findings.find_dirt(flat, camera)
+    top = camera.white_level or (float(np.iinfo(flat.dtype).max) if flat.dtype.kind == "u" else float(flat.max()))
+    histogram = np.histogram(flat[:: max(1, len(flat) // 1000)], 256, (0, max(top, 1e-9)))[0]
+    told = {name: _without_advice(one, camera) for name, one in told.items()}
+    return Assessment(**told, scene={}, calibration=camera, microimages=field, histogram=histogram)
+
+
+def _without_advice(finding: Finding, camera: Calibration) -> Finding:
+    """A finding without its advice, where the calibration is doubtful."""
+    if camera.confidence >= _CONFIDENCE or not np.isfinite(finding.value):
+        return finding
+    doubt = f"{finding.verdict}; no advice: the calibration is doubtful (confidence {camera.confidence:.2f})"
+    return replace(finding, verdict=doubt, advice="")

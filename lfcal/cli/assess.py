@@ -1,0 +1,53 @@
+"""`lfcal assess`: how the microlens array is mounted, and what to turn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from ..runtime import command_line as cl
+from ..runtime.output_file import check_output
+
+__all__ = ["assess"]
+
+_INPUT, _LENGTH = cl.InputPath(), click.FloatRange(0, min_open=True)
+
+
+@cl.command("lfcal assess white.png", "lfcal assess white.png scene.png --f-number 4 --pixel 5.5 -o page.html")
+@click.argument("white", type=_INPUT)
+@click.argument("scene", type=_INPUT, required=False)
+@cl.option("-c --camera", _INPUT, "Camera file made from WHITE, which is not calibrated again then.")
+@cl.option("--f-number", _LENGTH, "Of the main lens as the sensor sees it: for tilts in degrees.", "N")
+@cl.option("--pupil", _LENGTH, "From the exit pupil of the main lens to the array [mm]; takes --pixel.", "MM")
+@cl.option("--pixel", _LENGTH, "Side of a pixel of the sensor [um].", "UM")
+@cl.option("-o --output", cl.OutputPath(), "Page with a drawing of each figure.", "PAGE.html")
+@cl.report_options
+def assess(report: cl.Report, given: Any) -> None:
+    """Tell from the white image WHITE how the microlens array is mounted, and what to turn.
+
+    Rotation, tilt, distance and gaps of the microimages, each with its error and a verdict; light and dirt; from SCENE,
+    a capture of the same camera, whether the array has moved, and what is seen of depth.
+    """
+    output = given.output
+    if output is not None:
+        check_output(output, {".html", ".htm"}, [given.white, given.scene, given.camera])
+    if given.pupil is not None and given.pixel is None:
+        raise click.UsageError("--pupil needs --pixel")
+    with report.stage("read"):
+        from .. import assess as run
+        from .. import load, read_flat
+
+        white = read_flat(given.white)
+        scene = None if given.scene is None else read_flat(given.scene)
+        camera = None if given.camera is None else load(given.camera, (white.shape[1], white.shape[0]))
+    with report.stage("assess"), cl.name_file_in_errors(given.white):
+        pixel = None if given.pixel is None else given.pixel / 1000
+        found = run(white, scene, calibration=camera, f_number=given.f_number, pupil=given.pupil, pixel=pixel)
+    closing = []
+    if output is not None:
+        with report.stage("write"):
+            found.write_page(output, f"Microlens array on {given.white.name}")
+        closing = [f"{output} in {report.took}: open it in a browser."]
+    figures = {"findings": found.to_dict(), "confidence": found.calibration.confidence}
+    report.finish({**figures, "warnings": found.calibration.warnings}, *str(found).splitlines(), *closing)

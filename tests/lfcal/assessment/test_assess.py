@@ -1,0 +1,124 @@
+"""Assessing an array: simulated mounts are recovered within twice the stated errors, and nothing unsure is advised."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+import lfcal
+from data_synth import Camera, tracing
+from lfcal.assessment.alignment import measure_alignment
+from lfcal.assessment.findings import Optics, find_tilt
+from lfcal.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    """A ray-traced camera turned by 0.7 degrees, with a gap of 12 %, whose sensor is farther away to the right."""
+    camera = Camera.design((380, 280), 15.3, rotation=0.7, focus=0.15, fill=0.8, microimage_fill=0.88, focal_length=20)
+    camera = camera.replace(sensor_tilt=(np.radians(0.5), 0.0))
+    light = tracing.sensor(np.zeros((0, 23)), np.zeros((1, 4), np.float32), (1.0,) * 3, camera, 8, 1)[..., 3]
+    return camera, np.rint(50_000 * light / light.max()).astype(np.uint16)
+
+
+@pytest.fixture(scope="module")
+def assessed(tilted):
+    camera, white = tilted
+    return lfcal.assess(white, f_number=camera.mla_distance / camera.aperture)
+
+
+def within(finding, truth):
+    return abs(finding.value - truth) < 2 * finding.error
+
+
+def test_rotation_tilt_gap_and_focus_are_recovered_within_twice_their_errors(tilted, assessed):
+    camera, _ = tilted
+    assert within(assessed.rotation, 0.7) and assessed.rotation.error < 0.01
+    assert within(assessed.tilt, 0.5) and assessed.tilt.error < 0.07
+    gap = 15.3 - 2 * camera.microimage_radius
+    assert within(assessed.apertures, gap) and assessed.apertures.error < 0.1
+    blur = camera.fill * 15.3 * 0.15
+    assert within(assessed.distance, blur) and assessed.distance.error < 0.3
+
+
+def test_advice_tells_which_way_to_turn(assessed):
+    assert "degrees counter-clockwise as it looks on the flat" in assessed.rotation.advice
+    assert "open the main lens to 0.8" in assessed.apertures.advice
+    assert not any(one.advice for one in (assessed.vignetting, assessed.exposure, assessed.evenness, assessed.dirt))
+
+
+def test_a_tilt_is_advised_on_only_where_pitches_or_rims_confirm_it(assessed):
+    lattice, alignment = assessed.calibration.lattice, measure_alignment(assessed.calibration)
+    for error, advised in ((0.01, True), (1.0, False)):
+        seen = alignment._replace(gradient_error=error)
+        found = find_tilt(seen, assessed.microimages, lattice, Optics(f_number=4))
+        assert "farther from the array at the right" in found.verdict
+        assert bool(found.advice) == advised
+
+
+@pytest.fixture(scope="module")
+def overlapping():
+    """A white image whose microimages overlap by 6 %, and its calibration."""
+    camera = Camera.design(size=(240, 200), pitch=16, microimage_fill=1.06, fill=0.4)
+    light = tracing.sensor(np.zeros((0, 23)), np.zeros((1, 4), np.float32), (1.0,) * 3, camera, 8, 1)[..., 3]
+    white = np.rint(20_000 * light / light.max()).astype(np.uint16)
+    return white, replace(camera.calibration(), source="white", encoded=False)
+
+
+def test_an_overlap_is_measured_in_the_light_of_both_lenses(overlapping):
+    found = lfcal.assess(overlapping[0], calibration=overlapping[1])
+    assert within(found.apertures, -0.06 * 16)
+    assert "stop the main lens down to 1.06" in found.apertures.advice
+    assert np.isnan(found.tilt.value)
+
+
+def test_a_doubtful_calibration_gives_no_advice(overlapping):
+    white, camera = overlapping
+    found = lfcal.assess(white, calibration=replace(camera, confidence=0.7))
+    assert not any(one.advice for one in found.findings.values())
+    assert "doubtful (confidence 0.70)" in found.apertures.verdict
+
+
+def test_of_a_scene_nothing_is_told_that_takes_a_white_image(house):
+    camera = replace(house.truth.calibration, source="scene")
+    found = lfcal.assess(house.flat, calibration=camera)
+    assert np.isnan([found.tilt.value, found.apertures.value, found.dirt.value]).all()
+    assert "white image" in found.apertures.verdict
+
+
+def test_a_scene_tells_modes_and_that_the_array_has_not_moved(house):
+    camera = replace(house.truth.calibration, source="scene")
+    found = lfcal.assess(house.white, house.flat, calibration=camera).scene
+    assert found["place"].advice == "" and np.isfinite(found["place"].value)
+    assert found["depth"].details["telescopic"] > 0.3
+
+
+def test_flats_of_two_sizes_are_refused(tilted, assessed):
+    with pytest.raises(lfcal.FlatError, match="the scene is 380 x 200 px"):
+        lfcal.assess(tilted[1], tilted[1][:200], calibration=assessed.calibration)
+
+
+def test_the_command_writes_a_page_without_network_and_all_figures(tilted, assessed, tmp_path):
+    tifffile.imwrite(tmp_path / "white.tif", tilted[1])
+    assessed.calibration.save(tmp_path / "camera.json")
+    words = [
+        "assess",
+        f"{tmp_path}/white.tif",
+        "-c",
+        f"{tmp_path}/camera.json",
+        "-o",
+        f"{tmp_path}/page.html",
+        "--json",
+    ]
+    result = CliRunner().invoke(main, words, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)["findings"]
+    assert found["rotation"]["value"] == pytest.approx(assessed.rotation.value, abs=1e-4)
+    assert list(found) == [line.split()[0] for line in str(assessed).splitlines()]
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 8 and "src=" not in page and "@import" not in page
