@@ -54,7 +54,8 @@ def _draw_rotation(axes: Any, found: Assessment) -> None:
 
 def _draw_tilt(axes: Any, found: Assessment) -> None:
     """Radii of the microimages over the flat, and where the sensor is farther away."""
-    assert (field := found.microimages) is not None
+    field = found.microimages
+    assert field is not None
     middle = np.array(found.calibration.image_size) / 2
     half = float(np.hypot(*middle))
     _map(axes, found, field.place * half + middle, field.radii.mean(1), "radius of the microimages [px]", 150)
@@ -65,7 +66,8 @@ def _draw_tilt(axes: Any, found: Assessment) -> None:
 
 def _draw_distance(axes: Any, found: Assessment) -> None:
     """Light in the mean microimage of the middle over the distance from its centre."""
-    assert (field := found.microimages) is not None
+    field = found.microimages
+    assert field is not None
     far, light, model = field.profile
     axes.plot(far, light, ".", color=TYPE_COLOURS[0], markersize=3, label="measured")
     axes.plot(far, model, ".", color=TYPE_COLOURS[1], markersize=1.5, label="blurred discs")
