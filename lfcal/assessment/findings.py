@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -55,20 +56,22 @@ def _way(vector: Vector) -> str:
 def find_rotation(found: Alignment, lattice: Lattice) -> Finding:
     """Rotation of the rows of lenses."""
     value, error = found.rotation, found.rotation_error
-    details = {"lattice": found.shape, "rows": found.rows}
+    told = partial(Finding, value, error, "degrees", details={"lattice": found.shape, "rows": found.rows})
     if not np.isfinite(error):
-        return Finding(value, error, "degrees", "its error is not known, so there is no advice", details=details)
+        return told("its error is not known, so there is no advice")
     drift = abs(np.radians(value)) * max(lattice.image_size)
     rows = "the rows of lenses" if found.rows == "both ways" else f"the {found.rows} rows of lenses"
-    if abs(value) <= _SURE * error or drift < 0.5:
-        return Finding(value, error, "degrees", f"{rows} lie along those of the sensor", details=details)
+    if drift < 0.5:
+        return told(f"{rows} lie along those of the sensor")
+    if abs(value) <= _SURE * error:
+        return told(f"{rows} are not turned by more than {abs(value) + _SURE * error:.2g} degrees")
     here, back = ("clockwise", "counter-clockwise")[:: 1 if value > 0 else -1]
     verdict = f"{rows} are turned {here} on the flat, by {drift:.1f} px over it"
     advice = (
         f"to align them turn the array by {abs(value):.3g} degrees {back} as it looks on the flat, that is {here} seen "
         "from the main lens (unless the camera mirrors its flats)"
     )
-    return Finding(value, error, "degrees", verdict, advice, details)
+    return told(verdict, advice)
 
 
 def find_tilt(found: Alignment, field: MicroimageField | None, lattice: Lattice, optics: Optics) -> Finding:
@@ -98,34 +101,23 @@ def find_tilt(found: Alignment, field: MicroimageField | None, lattice: Lattice,
     vector = sum(w * one for w, (one, _) in zip(weight, by, strict=True)) / weight.sum()
     error = float(np.degrees(weight.sum() ** -0.5))
     value, unit = float(np.degrees(np.hypot(*vector))), "degrees per f-number" if per_number else "degrees"
-    details = {
-        "to_right": float(np.degrees(vector[0])),
-        "to_bottom": float(np.degrees(vector[1])),
-        "radius_change_px": (2 * slope).tolist(),
-        "pitch_displacement_px": bent.tolist(),
-    }
+    to_right, to_bottom = np.degrees(vector).tolist()
+    told = partial(Finding, value, error, unit, details={"to_right": to_right, "to_bottom": to_bottom})
     if len(by) == 2 and np.hypot(*(by[0][0] - by[1][0])) > _APART * np.hypot(by[0][1], by[1][1]):
-        verdict = (
-            "radii and pitches of the microimages tell different tilts: a distortion or vignetting of the main lens"
-        )
-        return Finding(value, error, unit, verdict, details=details)
+        return told("radii and pitches tell different tilts: the main lens distorts or cuts microimages on one side")
     if value <= _SURE * error:
         limit = "" if per_number else f" larger than {_SURE * error:.2g} degrees"
-        return Finding(
-            value, error, unit, f"no tilt{limit} is seen: microimages are alike on all sides", details=details
-        )
+        return told(f"no tilt{limit} is seen: microimages are alike on all sides")
     verdict = f"the sensor is farther from the array at the {_way(vector)}"
     if per_number:
         verdict += f": {4 * value:.2g} degrees if the main lens has f/4 (give its f-number)"
     if field is not None and 2 * np.hypot(*slope) < 0.01 * field.radius.value:
-        return Finding(value, error, unit, f"{verdict}, by too little to matter", details=details)
+        return told(f"{verdict}, by too little to matter")
     if field is not None and not _is_confirmed(slope, bent, bent_error, field):
-        doubt = f"{verdict}; neither pitches nor rims confirm it, it may be the light"
-        return Finding(value, error, unit, doubt, details=details)
+        return told(f"{verdict}; neither pitches nor rims confirm it, it may be the light")
     lift = 2 * reach * float(np.hypot(*vector))
     away = f", by {optics.length(lift)} over the diagonal of the sensor" if not per_number else ""
-    advice = f"bring them nearer there, or farther apart at the {_way(-vector)}{away}"
-    return Finding(value, error, unit, verdict, advice, details)
+    return told(verdict, f"bring them nearer there, or farther apart at the {_way(-vector)}{away}")
 
 
 def _is_confirmed(slope: Vector, bent: Vector, bent_error: float, field: MicroimageField) -> bool:
@@ -152,16 +144,17 @@ def find_distance(field: MicroimageField | None, camera: Calibration, optics: Op
         return unmeasured("px", "the microimages show no rims")
     pitch, blurs = camera.lattice.pitch, field.blur
     value, error = (float(np.mean([getattr(blur, name) for blur in blurs])) for name in ("value", "error"))
-    details: dict[str, Any] = {"disc_px": [b.value for b in blurs], "disc_error_px": [b.error for b in blurs]}
     discs = " / ".join(f"{blur.value:.2g}" for blur in blurs) + (" px (lens types)" if len(blurs) > 1 else " px")
     aperture = camera.lens_blur.aperture if camera.lens_blur is not None else pitch
-    details["focus_px"] = sizes = [blur.value * pitch / aperture for blur in blurs]
+    sizes = [blur.value * pitch / aperture for blur in blurs]
+    details = {"disc_px": [b.value for b in blurs], "disc_error_px": [b.error for b in blurs], "focus_px": sizes}
+    told = partial(Finding, value, error, "px", details=details)
     if value <= _SURE * error or max(blur.value for blur in blurs) < 1:
         most = max(blur.value + _SURE * blur.error for blur in blurs)
         verdict = f"rims are blurred over {most:.1f} px at most"
         if most < 2:
-            verdict = "rims are sharp: the sensor lies in the focal plane of the microlenses, as in unfocused cameras"
-        return Finding(value, error, "px", verdict, details=details)
+            verdict = "rims are sharp: the sensor lies in the focal plane of the microlenses, or these are stopped down"
+        return told(verdict)
     sizes_told = " / ".join(f"{size:.2g}" for size in sizes)
     least = "" if camera.lens_blur is not None else ", or at larger ones if they are open over less than their pitch"
     verdict = f"rims are blurred over {discs}: the microlenses are focused at |s| = {sizes_told} px{least}"
@@ -172,7 +165,7 @@ def find_distance(field: MicroimageField | None, camera: Calibration, optics: Op
     slope = blurs[0].slope
     if np.hypot(*slope) > max(_APART * blurs[0].slope_error, 0.1 * blurs[0].value):
         verdict += f"; sharper towards the {_way(-slope)}"
-    return Finding(value, error, "px", verdict, details=details)
+    return told(verdict)
 
 
 def find_apertures(field: MicroimageField | None, lattice: Lattice, optics: Optics) -> Finding:
@@ -182,39 +175,32 @@ def find_apertures(field: MicroimageField | None, lattice: Lattice, optics: Opti
     nearest, radius = 2 * nearest_half(lattice), field.radius.value
     gap, error, ratio = nearest - 2 * radius, 2 * field.radius.error, 2 * radius / nearest
     change = f"{ratio:.3g} times its f-number" + (f", f/{ratio * optics.f_number:.2g}" if optics.f_number else "")
-    details = {
-        "radius_px": radius,
-        "gap_of_pitch": gap / nearest,
-        "f_number_ratio": ratio,
-        "radii_px": field.radii.mean(0).tolist(),
-    }
-    if abs(gap) <= max(_SURE * error, 0.02 * nearest):
-        sure = _SURE * error < 0.05 * nearest
-        verdict = "microimages touch: the apertures match" if sure else "neither a gap nor an overlap is sure"
-        return Finding(gap, error, "px", verdict, details=details)
-    if gap > 0:
-        lost = details["lost"] = 1 - ratio**2
-        verdict = (
-            f"microimages leave gaps of {gap / nearest:.1%} of their distance; {lost:.0%} of the sensor is lost by it"
-        )
-        advice = f"open the main lens to {change}, and they touch"
-        return Finding(gap, error, "px", verdict, advice, details)
     half = np.clip(1 / ratio, 0, 1)
     shared = radius**2 * (2 * np.arccos(half) - 2 * half * np.sqrt(1 - half**2)) * len(lattice.steps) / 2
-    lost = details["lost"] = float(shared / abs(np.linalg.det(lattice.basis)))
-    verdict = f"microimages overlap by {-gap / nearest:.1%} of their distance; {lost:.0%} of the sensor sees two lenses"
-    return Finding(gap, error, "px", verdict, f"stop the main lens down to {change}", details)
+    lost = 1 - ratio**2 if gap > 0 else float(shared / abs(np.linalg.det(lattice.basis)))
+    details = {"radii_px": field.radii.mean(0).tolist(), "f_number_ratio": ratio, "lost": lost}
+    told = partial(Finding, gap, error, "px", details=details)
+    if abs(gap) <= max(_SURE * error, 0.02 * nearest):
+        sure = _SURE * error < 0.05 * nearest
+        return told("microimages touch: the apertures match" if sure else "neither a gap nor an overlap is sure")
+    share = f"{abs(gap) / nearest:.1%} of their distance; {lost:.0%} of the sensor"
+    if gap > 0:
+        return told(
+            f"microimages leave gaps of {share} is lost by it", f"open the main lens to {change}, and they touch"
+        )
+    return told(f"microimages overlap by {share} sees two lenses", f"stop the main lens down to {change}")
 
 
 def find_vignetting(field: MicroimageField | None, camera: Calibration) -> Finding:
     """Where the main lens cuts microimages, and how the light falls towards the corners."""
-    if field is None:
+    gain = camera.gain_map
+    if field is None or gain is None:
         return unmeasured("px", "the microimages show no rims")
-    gain, radius = camera.gain_map, field.radius.value
+    radius = field.radius.value
     corner = 1 - float(np.exp(min(field.level.bend, 0.0))) if np.isfinite(field.level.bend) else float("nan")
     details = {"corner_light_lost": corner}
     falls = "" if np.isnan(corner) else f"; the light falls by {corner:.0%} towards the corners"
-    if gain is None or not len(gain.cut):
+    if not len(gain.cut):
         # Cuts by less are not looked for.
         return Finding(0.0, 0.3, "px", f"no microimages are cut{falls}", details=details)
     shift, growth, limit = float(np.hypot(*gain.cut[:2])), abs(float(gain.cut[2])), float(gain.cut[3])
@@ -223,16 +209,11 @@ def find_vignetting(field: MicroimageField | None, camera: Calibration) -> Findi
     error = float(np.hypot(field.radius.error, growth * scale.std() / np.sqrt(len(scale))))
     if depth <= max(_SURE * error, 0.02 * radius):
         return Finding(max(depth, 0.0), error, "px", f"no microimages are cut by more{falls}", details=details)
-    begins = float(np.clip((limit - radius - shift) / growth, 0, 1))
-    details["begins_at"] = begins
+    begins = details["begins_at"] = float(np.clip((limit - radius - shift) / growth, 0, 1))
     verdict = f"microimages are cut from {begins:.0%} of the way to the corners on{falls}"
     most = limit - growth - shift
-    advice = (
-        f"stop the main lens down to {radius / most:.2g} times its f-number, and all are whole"
-        if most > 0.3 * radius
-        else ""
-    )
-    return Finding(depth, error, "px", verdict, advice, details)
+    advice = f"stop the main lens down to {radius / most:.2g} times its f-number, and all are whole"
+    return Finding(depth, error, "px", verdict, advice if most > 0.3 * radius else "", details)
 
 
 def find_exposure(flat: NDArray[Any], camera: Calibration) -> Finding:
@@ -242,20 +223,13 @@ def find_exposure(flat: NDArray[Any], camera: Calibration) -> Finding:
     top = camera.white_level or float(np.iinfo(flat.dtype).max)
     values = flat[:: max(1, len(flat) // 1000)]
     bright, clipped = float(np.percentile(values, 99)) / top, measure_overexposure(flat)
-    value, error, details = 100 * bright, 50 / top, {"clipped": clipped}
+    told = partial(Finding, 100 * bright, 50 / top, "%", details={"clipped": clipped})
     if clipped > 0.02:
-        return Finding(
-            value,
-            error,
-            "%",
-            f"over-exposed: {clipped:.0%} of the pixels are clipped",
-            "expose less, by a half or more",
-            details,
-        )
+        return told(f"over-exposed: {clipped:.0%} of the pixels are clipped", "expose less, by a half or more")
     if bright < 0.25:
-        verdict = f"under-exposed: bright pixels have {bright:.1%} of the largest value"
-        return Finding(value, error, "%", verdict, f"expose up to {0.8 / max(bright, 1e-4):.2g} times longer", details)
-    return Finding(value, error, "%", "well exposed", details=details)
+        longer = f"expose up to {0.8 / max(bright, 1e-4):.2g} times longer"
+        return told(f"under-exposed: bright pixels have {bright:.1%} of the largest value", longer)
+    return told("well exposed")
 
 
 def find_evenness(field: MicroimageField | None, lattice: Lattice) -> Finding:
@@ -268,10 +242,8 @@ def find_evenness(field: MicroimageField | None, lattice: Lattice) -> Finding:
     if value <= _SURE * error or value < 10:
         sure = value + _SURE * error < 15
         return Finding(value, error, "%", "evenly lit" if sure else "no side is surely brighter than the others")
-    way = _way(field.level.slope)
-    return Finding(
-        value, error, "%", f"brighter towards the {way}", "light the white surface evenly, and centre the main lens"
-    )
+    advice = "light the white surface evenly, and centre the main lens"
+    return Finding(value, error, "%", f"brighter towards the {_way(field.level.slope)}", advice)
 
 
 def find_dirt(flat: NDArray[Any], camera: Calibration) -> Finding:
@@ -291,44 +263,40 @@ def find_dirt(flat: NDArray[Any], camera: Calibration) -> Finding:
     outside = (stats[label, cv2.CC_STAT_AREA] > 9) & (dark > 0) | (known == 0)
     inside = cv2.erode((~outside).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     dead = defects.lenses[inside[tuple((defects.lenses - low).T)]]
-    details: dict[str, Any] = {"dead_lenses": len(dead)}
-    told = f"{len(dead)} dead lenses" if len(dead) else "no dead lenses"
+    seen = f"{len(dead)} dead lenses" if len(dead) else "no dead lenses"
     if flat.shape[0] * flat.shape[1] >= LARGE:
-        return Finding(len(dead), 0.0, "places", f"{told}; pixels of flats as large as this are not looked at")
+        return Finding(len(dead), 0.0, "places", f"{seen}; pixels of flats as large as this are not looked at")
     mask = np.zeros(flat.shape[:2], np.uint8)
     mask[defects.pixels[:, 1], defects.pixels[:, 0]] = 1
     _, label, stats, middle = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    area, light = stats[1:, cv2.CC_STAT_AREA], luminance(flat)
-    large = 1 + np.flatnonzero(area >= _SPECK)
-    home = np.rint(lattice.to_index(middle[large])).astype(np.int64)
-    large = large[inside[tuple(np.clip(home - low, 0, np.array(inside.shape) - 1).T)]]
-    specks = [
-        k for k in large[np.argsort(-stats[large, cv2.CC_STAT_AREA])][:200] if _is_seen(light, label == k, camera)
-    ]
-    single = int((area < _SPECK).sum())
-    details |= {"pixels": len(defects.pixels), "specks": len(specks)}
-    details["largest"] = [
-        [*middle[k].round().astype(int).tolist(), int(stats[k, cv2.CC_STAT_AREA])] for k in specks[:5]
-    ]
-    if len(defects.pixels) > 0.01 * mask.size:
-        share = len(defects.pixels) / mask.size
-        verdict = f"{share:.1%} of the pixels differ from their like: much dirt, or an uneven white surface"
-        return Finding(len(specks) + len(dead), 0.0, "places", verdict, details=details)
-    verdict = f"{len(specks)} specks, {told}, {single} single pixels of the sensor"
+    area, light = stats[:, cv2.CC_STAT_AREA], luminance(flat)
+    large = 1 + np.flatnonzero(area[1:] >= _SPECK)
+    home = np.clip(np.rint(lattice.to_index(middle[large])).astype(np.int64) - low, 0, np.array(inside.shape) - 1)
+    large = large[inside[tuple(home.T)]]
+    specks = [k for k in large[np.argsort(-area[large])][:200] if _is_seen(light, label, k, stats[k], camera)]
+    count, share = len(specks) + len(dead), len(defects.pixels) / mask.size
+    told = partial(Finding, count, 0.0, "places", details={"pixels": len(defects.pixels), "dead_lenses": len(dead)})
+    if share > 0.01:
+        return told(f"{share:.1%} of the pixels differ from their like: much dirt, or an uneven white surface")
+    single = int((area[1:] < _SPECK).sum())
+    verdict = f"{len(specks)} specks, {seen}, {single} single pixels of the sensor"
     if specks:
-        x, y, size = details["largest"][0]
-        advice = f"clean array and sensor: the largest speck ({size} px) is at x {x}, y {y}"
-    else:
-        x, y = lattice.points(dead[:1])[0].round().astype(int) if len(dead) else (0, 0)
-        advice = f"look at the lens at x {x}, y {y}" if len(dead) else ""
-    return Finding(len(specks) + len(dead), 0.0, "places", verdict if advice or single else "clean", advice, details)
+        x, y = middle[specks[0]].round().astype(int)
+        return told(verdict, f"clean array and sensor: the largest speck ({area[specks[0]]} px) is at x {x}, y {y}")
+    if len(dead):
+        x, y = lattice.points(dead[:1])[0].round().astype(int)
+        return told(verdict, f"look at the lens at x {x}, y {y}")
+    return told(verdict if single else "clean")
 
 
-def _is_seen(light: NDArray[np.float32], speck: NDArray[np.bool_], camera: Calibration) -> bool:
+def _is_seen(
+    light: NDArray[np.float32], label: NDArray[Any], number: int, box: NDArray[Any], camera: Calibration
+) -> bool:
     """Whether a speck is darker or brighter by 10 % than the same place of lenses around it, of the same type."""
-    y, x = np.nonzero(speck)
+    left, top, wide, high = box[:4]
+    y, x = np.nonzero(label[top : top + high, left : left + wide] == number)
+    x, y, (height, width) = x + left, y + top, light.shape
     period = 1 if camera.lens_types is None else len(camera.lens_types.cell)
-    height, width = light.shape
     ratios = []
     for step in period * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)]) @ camera.lattice.basis:
         u, v = np.rint(x + step[0]).astype(int), np.rint(y + step[1]).astype(int)

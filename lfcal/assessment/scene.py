@@ -24,10 +24,8 @@ _STEP = 0.05
 
 def assess_scene(scene: NDArray[Any], camera: Calibration) -> dict[str, Finding]:
     """Findings on a scene, given the camera as its white image shows it."""
-    light = find_exposure(scene, camera)
-    return {"place": _find_shift(scene, camera), "exposure": light, "depth": _find_depth(scene, camera)} | _find_focus(
-        scene, camera
-    )
+    found = {"place": _find_shift(scene, camera), "exposure": find_exposure(scene, camera)}
+    return found | {"depth": _find_depth(scene, camera)} | _find_focus(scene, camera)
 
 
 def _find_shift(scene: NDArray[Any], camera: Calibration) -> Finding:
@@ -48,7 +46,7 @@ def _find_depth(scene: NDArray[Any], camera: Calibration) -> Finding:
     if len(known) < 100:
         return unmeasured("s / D", "too few lenses show how far they differ from their neighbours")
     low, middle, high = np.quantile(known, (0.02, 0.5, 0.98))
-    telescopic, binocular = (float((way * known > 0).mean()) for way in (1, -1))
+    telescopic, binocular = (float((way * known > 1.5 * _STEP).mean()) for way in (1, -1))
     share = {"telescopic": telescopic, "binocular": binocular, "resolved": len(known) / len(ratio)}
     details = {"from": float(low), "to": float(high), **share}
     verdict = (
@@ -63,16 +61,8 @@ def _find_focus(scene: NDArray[Any], camera: Calibration) -> dict[str, Finding]:
     if camera.lens_types is None:
         return {}
     types = find_lens_types(sqrt_luminance(scene), camera.lattice, False)
-    if (
-        types is None
-        or types.focus is None
-        or not np.isfinite(types.focus).all()
-        or types.count != camera.lens_types.count
-    ):
-        return {
-            "focus": unmeasured(
-                "s / D", "the scene has too little detail at several depths to tell what each type is focused at"
-            )
-        }
-    told = " / ".join(f"{one:+.2f}" for one in types.focus)
-    return {"focus": Finding(float(types.focus.mean()), _STEP, "s / D", f"the lens types are sharpest at s = {told} D")}
+    focus = None if types is None or types.count != camera.lens_types.count else types.focus
+    if focus is None or not np.isfinite(focus).all():
+        return {"focus": unmeasured("s / D", "the scene has too little detail at several depths")}
+    told = " / ".join(f"{one:+.2f}" for one in focus)
+    return {"focus": Finding(float(focus.mean()), _STEP, "s / D", f"the lens types are sharpest at s = {told} D")}

@@ -97,7 +97,7 @@ def _assess_white(flat: Any, camera: Calibration, optics: findings.Optics) -> As
         "tilt": "degrees", "distance": "px", "apertures": "px", "vignetting": "px", "exposure": "%", "evenness": "%",
         "dirt": "places",
     }  # fmt: skip
-    why = "this takes a white image, which the flat is not"
+    why = "this takes a white image, and a calibration made from it"
     told: dict[str, Any] = {name: findings.unmeasured(unit, why) for name, unit in units.items()}
     told["rotation"] = findings.find_rotation(alignment, lattice)
     if camera.source == "white":
