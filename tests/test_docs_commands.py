@@ -24,7 +24,13 @@ ROOT = Path(__file__).parents[1]
 PROGRAMS = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main, "lfsynth": data_synth.cli.main}
 PAGES = [ROOT / "README.md", *(p for p in sorted((ROOT / "docs").rglob("*.md")) if "built" not in str(p))]
 # What waits for somebody, takes long, or is run by other tests.
-_NOT_RUN = {("lfrender", "view"), ("lfrender", "demo"), ("lfrender", "warm"), ("lfsynth", "house")}
+_NOT_RUN = {
+    ("lfrender", "view"),
+    ("lfrender", "live"),
+    ("lfrender", "demo"),
+    ("lfrender", "warm"),
+    ("lfsynth", "house"),
+}
 
 
 def blocks(page, *languages):
@@ -129,7 +135,8 @@ def prepared(house, tmp_path_factory):
     camera.optics.save(folder / "optics.json")
     convert(camera, folder / "calibration.xml")
     lfrender.analyze(flat, camera).save(folder / "depth.npz")
-    tifffile.imwrite(folder / "stack.tif", np.stack([flat, flat]), photometric="rgb")
+    for name in ("stack.tif", "recording.tif"):
+        tifffile.imwrite(folder / name, np.stack([flat, flat]), photometric="rgb")
     if importlib.util.find_spec("av"):
         with FilmFile(folder / "film.mkv", Fraction(25)) as film:
             film.add(flat)
@@ -149,7 +156,7 @@ def _single_commands():
     known = [call for page in WHOLE_PAGES for call in commands(ROOT / page)]
     for page in PAGES:
         for program, words in commands(page):
-            long = (program, words[0]) in {("lfrender", "warm"), ("lfrender", "demo"), ("lfcal", "metric")}
+            long = (program, words[0]) in {*_NOT_RUN, ("lfcal", "metric")} - {("lfrender", "view")}
             if long or {"--workers", "--scheduler"} & set(words) or program == "lfsynth" or (program, words) in known:
                 continue
             known.append((program, words))

@@ -38,7 +38,7 @@ __all__ = ["KINDS", "Session", "View"]
 #: Pictures of a frame.
 KINDS = ("raw", "traditional", "sharp", "focus", "depth")
 # A picture that nobody has asked for during so long [s] is not made.
-_WATCHED = 3.0
+_WATCHED = 5.0
 # Compared with a reference frame, a frame in which less than this share of the lenses is still becomes the next one.
 _STILL = 0.9
 # After so many references in a row depth starts afresh, or changes smaller than the noise would add up.
