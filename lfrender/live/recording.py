@@ -73,7 +73,7 @@ class Recorder:
 
     def add(self, shot: Shot) -> None:
         """Write a frame soon; if the disk is too slow, or full, the frame is skipped."""
-        if self.message or (self._queue.qsize() + 1) * shot.pixels.nbytes > _WAITING + shot.pixels.nbytes:
+        if self.message or self._queue.qsize() * shot.pixels.nbytes > _WAITING:
             self.skipped += 1
         else:
             self._queue.put(shot)
@@ -95,7 +95,7 @@ class Recorder:
                     self._write(shot)
                 except OSError as error:
                     self.skipped += 1
-                    self.message = f"{self.path}: recording has ended ({error.strerror or error})"
+                    self.message = f"{self.path}: recording has ended ({error.strerror or 'is the disk full?'})"
 
     def _write(self, shot: Shot) -> None:
         if self.message:
