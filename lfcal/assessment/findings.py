@@ -204,9 +204,7 @@ def find_vignetting(field: MicroimageField | None, camera: Calibration) -> Findi
         # Cuts by less are not looked for.
         return Finding(0.0, 0.3, "px", f"no microimages are cut{falls}", details=details)
     shift, growth, limit = float(np.hypot(*gain.cut[:2])), abs(float(gain.cut[2])), float(gain.cut[3])
-    depth, outer = radius + shift + growth - limit, np.hypot(*field.place.T) > 0.4
-    scale = field.cuts[outer] if outer.sum() > 2 else np.array([0.8, 1.2])
-    error = float(np.hypot(field.radius.error, growth * scale.std() / np.sqrt(len(scale))))
+    depth, error = radius + shift + growth - limit, float(np.hypot(field.radius.error, 0.1))
     if depth <= max(_SURE * error, 0.02 * radius):
         return Finding(max(depth, 0.0), error, "px", f"no microimages are cut by more{falls}", details=details)
     begins = details["begins_at"] = float(np.clip((limit - radius - shift) / growth, 0, 1))

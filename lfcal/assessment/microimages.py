@@ -61,7 +61,6 @@ class MicroimageField:
 
     place: Array  # (n, 2) of tiles, from the middle of the flat in half diagonals
     radii: Array  # (n, types) [px]
-    cuts: Array  # (n,) displacement of the cutting disc over that of the calibration; nothing without one
     radius: Field  # [px], mean of the types
     blur: tuple[Field, ...]  # [px], of each type
     level: Field  # logarithm of the light in the middles of microimages
@@ -136,18 +135,12 @@ class _Model:
         return np.asarray(self.cut[:2] + self.cut[2] * place) if len(self.cut) else np.zeros(2)
 
     def start(self, radius: float) -> Array:
-        """Radii, radii of blur, light of each type; two factors of shading, stray light, displacement of the cut."""
-        return np.repeat([radius, 1.5, 1.0, 0.0, 0.02, 1.0], [self.count] * 3 + [2, 1, 1])
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        repeats = [self.count] * 3 + [2, 1, 1]
-        low = np.repeat([0.1 * self.pitch, 0.05, 0.3, -1.0, -0.1, -1.0], repeats)
-        return low, np.repeat([0.8 * self.pitch, 0.5 * self.pitch, 1.7, 1.0, 0.9, 3.0], repeats)
+        """Radii, radii of blur and light of each type; shading at the rim, stray light."""
+        return np.repeat([radius, 1.5, 1.0, 0.0, 0.02], [self.count] * 3 + [1, 1])
 
     def light(self, mean: _Mean, p: Array, shift: Array) -> Array:
         """(m,) light at the squares of mean microimages, in a tile where the cut is displaced by `shift` (2,)."""
-        t, total = self.count, np.full(len(mean.kind), p[-2])
+        t, total = self.count, np.full(len(mean.kind), p[-1])
         # Of the blur by the squares, places of mean pixels leave two thirds.
         width = float(np.sqrt(1 + 0.65 * mean.side**2))
         for number, step in enumerate(self.steps):
@@ -160,9 +153,8 @@ class _Model:
             else:
                 seen = _blurred_disc(far, radius, blur, width)
             if len(self.cut):
-                seen = seen * _blurred_edge(self.cut[3] - np.hypot(*(away - p[-1] * shift).T), 2 * self.cut[4], width)
-            square = np.minimum(far / radius, 1.2) ** 2
-            total += p[2 * t : 3 * t][kind] * (1 + p[-4] * square + p[-3] * square**2) * seen
+                seen = seen * _blurred_edge(self.cut[3] - np.hypot(*(away - shift).T), 2 * self.cut[4], width)
+            total += p[2 * t : 3 * t][kind] * (1 + p[-2] * np.minimum(far / radius, 1.2) ** 2) * seen
         return total
 
     def fit(self, mean: _Mean, start: Array, shift: Array) -> tuple[Array, float]:
@@ -170,13 +162,14 @@ class _Model:
         from scipy.optimize import least_squares
 
         root = np.sqrt(mean.weight / mean.weight.mean())
-        low, high = self.bounds
-        # What the pixels do not tell stays about as it is expected: shading, stray light, place of the cut.
-        expected, spread = np.array([0, 0, 0.02, 1.0]), np.array([0.3, 0.03, 0.2, 0.5])
-        stiff = 0.02 * np.sqrt(len(root)) / spread / 10
+        repeats = [self.count] * 3 + [1, 1]
+        low = np.repeat([0.1 * self.pitch, 0.05, 0.3, -1.0, -0.1], repeats)
+        high = np.repeat([0.8 * self.pitch, 0.5 * self.pitch, 1.7, 1.0, 0.9], repeats)
+        # Shading and stray light that the pixels do not tell stay about 0 and 0.02.
+        stiff = 0.002 * np.sqrt(len(root)) / np.array([0.3, 0.2])
 
         def miss(p: Array) -> Array:
-            return np.append(root * (self.light(mean, p, shift) - mean.light), stiff * (p[-4:] - expected))
+            return np.append(root * (self.light(mean, p, shift) - mean.light), stiff * (p[-2:] - [0, 0.02]))
 
         found = least_squares(
             miss, np.clip(start, low, high), bounds=(low, high), loss="soft_l1", f_scale=0.03, ftol=1e-4, xtol=1e-4,
@@ -273,7 +266,7 @@ def _fit_tiles(model: _Model, tiles: list[_Tile], start: Array) -> MicroimageFie
     modelled = model.light(mean, start, model.shift(tiles[0].place))
     of_shape = np.hypot(_SHAPE_FAULT * float(np.median(blurs)), _SIDES_FAULT * bool(model.sides))
     return MicroimageField(
-        place, table[:, :t], table[:, -1] if len(model.cut) else np.zeros(0),
+        place, table[:, :t],
         fit_field(place, table[:, :t].mean(1), _RADIUS_FAULT, float(of_shape)),
         tuple(fit_field(place, values, fault) for values, fault in zip(blurs.T, faults, strict=True)),
         fit_field(place, np.log(light), _LIGHT_FAULT), model.sides,

@@ -36,7 +36,7 @@ class Finding:
     --------
     >>> from lfcal import Finding
     >>> print(Finding(0.68, 0.001, "degrees", "rows are turned clockwise", "turn them back"))
-    0.68 +- 0.001 degrees: rows are turned clockwise; turn them back
+    0.6800 +- 0.0010 degrees: rows are turned clockwise; turn them back
     """
 
     value: float
