@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..camera.calibration import Calibration
 from ..gain.gain_map import nearest_half
 from ..images.preprocessing import luminance
-from ..images.stack import measure_overexposure
+from ..images.stack import estimate_white_level, measure_overexposure
 from ..lattice.lattice import Lattice
 from .alignment import Alignment
 from .microimages import MicroimageField
@@ -108,7 +108,7 @@ def find_tilt(found: Alignment, field: MicroimageField | None, lattice: Lattice,
     if value <= _SURE * error:
         limit = "" if per_number else f" larger than {_SURE * error:.2g} degrees"
         return told(f"no tilt{limit} is seen: microimages are alike on all sides")
-    verdict = f"the sensor is farther from the array at the {_way(vector)}"
+    verdict = f"the sensor is farther from the array at the {_way(vector)} of the flat"
     if per_number:
         verdict += f": {4 * value:.2g} degrees if the main lens has f/4 (give its f-number)"
     if field is not None and 2 * np.hypot(*slope) < 0.01 * field.radius.value:
@@ -218,7 +218,9 @@ def find_exposure(flat: NDArray[Any], camera: Calibration) -> Finding:
     """Over- or under-exposed."""
     if flat.dtype.kind != "u":
         return unmeasured("%", "values that are no whole numbers have no largest one")
-    top = camera.white_level or float(np.iinfo(flat.dtype).max)
+    top = estimate_white_level([flat]) or float(np.iinfo(flat.dtype).max)
+    if camera.white_level is not None and flat.max() <= camera.white_level:
+        top = camera.white_level
     values = flat[:: max(1, len(flat) // 1000)]
     bright, clipped = float(np.percentile(values, 99)) / top, measure_overexposure(flat)
     told = partial(Finding, 100 * bright, 50 / top, "%", details={"clipped": clipped})

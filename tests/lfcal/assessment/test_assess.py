@@ -57,7 +57,7 @@ def test_a_tilt_is_advised_on_only_where_pitches_or_rims_confirm_it(assessed):
     for error, advised in ((0.01, True), (1.0, False)):
         seen = alignment._replace(gradient_error=error)
         found = find_tilt(seen, assessed.microimages, lattice, Optics(f_number=4))
-        assert "farther from the array at the right" in found.verdict
+        assert "farther from the array at the right of the flat" in found.verdict
         assert bool(found.advice) == advised
 
 
