@@ -56,7 +56,10 @@ def live(report: cl.Report, given: Any) -> None:
     with report.stage("open"):
         make_folder(given.output)
         grabber = Grabber(lambda: open_source(source, given.pixel_format, given.fps))
-    session = Session(grabber, lambda shot: find_camera(capture, shot), given.preset or "fast", given.output)
+    known = bool(given.camera or given.white or capture.recording)
+    session = Session(
+        grabber, lambda shot: find_camera(capture, shot), given.preset or "fast", given.output, given=known
+    )
     with closing(session), LiveServer(session, source, given.host, given.port) as server:
         with report.stage("calibrate"):
             session.start(strict=bool(given.camera or given.white))

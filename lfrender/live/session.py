@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from threading import Condition, Event, Lock, Thread
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, LightFieldError, OutputError
+from lfcal import Calibration, LightFieldError, OutputError, assess
 from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import DepthMap, default_scale
@@ -116,19 +116,26 @@ def _in_colour(shot: Shot, camera: Calibration) -> NDArray[Any]:
 class Session:
     """Analyses and draws the newest frame of a source again and again, in a thread of its own.
 
-    `find_camera` gives the camera of a frame; where it fails, the raw frames are shown and it is tried again.
+    `find_camera` gives the camera of a frame, measured on it unless it is `given`; where it fails, the raw frames are
+    shown and it is tried again.
     Recordings and snapshots go into `folder`.
     """
 
     def __init__(
-        self, grabber: Grabber, find_camera: Callable[[Shot], Calibration], preset: Preset, folder: Path
+        self,
+        grabber: Grabber,
+        find_camera: Callable[[Shot], Calibration],
+        preset: Preset,
+        folder: Path,
+        given: bool = False,
     ) -> None:
         self.grabber, self.preset, self.folder = grabber, preset, folder
         self.camera: Calibration | None = None
         self.view: View | None = None
         self.latency, self.still, self.message, self.saved = 0.0, 0.0, "", ""
         self.scale: float | None = None
-        self._find_camera, self._tried = find_camera, 0.0
+        self.findings: list[str] = []  # how the array is mounted
+        self._find_camera, self._given, self._tried = find_camera, given, 0.0
         self._wanted: dict[str, float] = {}
         self._reference: tuple[View, Calibration] | None = None
         self._chain = 0
@@ -166,18 +173,15 @@ class Session:
         """The camera in words."""
         if (camera := self.camera) is None:
             return "no microlens array yet"
-        lattice = camera.lattice
-        (x, y), period = lattice.steps[0] @ lattice.basis, 30 if len(lattice.steps) == 6 else 90
-        turned = (float(np.degrees(np.arctan2(y, x))) + period / 2) % period - period / 2
-        return f"{len(lattice):,} microlenses, {lattice.pitch:.2f} px apart, turned by {turned:z.2f} degrees"
+        return f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
 
     def status(self) -> dict[str, Any]:
         """Counts, the time from the arrival of a frame to its picture [s], and what is to be said."""
         grabber, recorder, camera = self.grabber, self.grabber.recorder, self.camera
         return {
             "received": grabber.received, "lost": grabber.lost, "latency": self.latency, "still": self.still,
-            "camera": ". ".join([self.about, *(camera.warnings if camera else ())]), "saved": self.saved,
-            "recording": recorder and recorder.told,
+            "camera": "\n".join([self.about, *(camera.warnings if camera else ()), *self.findings]),
+            "saved": self.saved, "recording": recorder and recorder.told,
             "message": grabber.message or (recorder and recorder.message) or self.message,
         }  # fmt: skip
 
@@ -198,7 +202,7 @@ class Session:
                     raise OutputError(recorder.message)
                 self.saved = str(recorder.path)
             elif name == "calibrate" and self.grabber.recorder is None:
-                self.camera, self.scale, self._tried = None, None, 0.0
+                self.camera, self.scale, self.findings, self._tried = None, None, [], 0.0
 
     def close(self) -> None:
         """Stop, and close what is being recorded and the source."""
@@ -235,12 +239,16 @@ class Session:
                 self._published.notify_all()
 
     def _calibrate(self, shot: Shot) -> Calibration:
+        """Camera and assessment of a frame."""
         try:
             # As recordings hold it: in files, gain is rounded.
-            self.camera = Calibration.from_dict(self._find_camera(shot).to_dict())
+            self.camera = camera = Calibration.from_dict(self._find_camera(shot).to_dict())
         finally:
             self._tried = time.monotonic()
-        return self.camera
+        # A camera that is given tells nothing but the rotation: this frame need not be its white image.
+        found = assess(shot.pixels, calibration=replace(camera, source="scene") if self._given else camera).findings
+        self.findings = [f"{name}: {finding}" for name, finding in found.items() if finding.measured]
+        return camera
 
     def _analyze(self, view: View) -> str:
         """Find camera, depth and sharp picture of a frame, as far as somebody wants them; what is to be said of it."""

@@ -59,7 +59,7 @@ def session(house, camera, tmp_path):
     """A live session of a camera that shows the house, and that camera."""
     shifted = np.roll(house.flat, 1, 1)
     source = Camera(house.flat, shifted)
-    made = Session(Grabber(source), lambda shot: camera, "fast", tmp_path)
+    made = Session(Grabber(source), lambda shot: camera, "fast", tmp_path, given=True)
     made.start(strict=True)
     yield made, source
     made.grabber._stopped.set()
@@ -182,7 +182,7 @@ def test_still_scenes_keep_their_depth_and_pictures_follow_the_place_in_focus(se
     assert near.shape == far.shape and np.any(near != far)
     for kind in ("raw", "traditional", "depth"):
         assert second.draw(kind).dtype == np.uint8
-    assert "turned by" in live.status()["camera"]
+    assert "rotation: 1.3" in live.status()["camera"] and "tilt" not in live.status()["camera"]
 
 
 def test_a_recording_that_the_disk_cannot_follow_skips_frames_and_says_so(tmp_path, monkeypatch):
