@@ -53,7 +53,9 @@ function showStatus(status) {
   if (past.length > 7) past.shift();
   const first = past[0], last = past[past.length - 1], seconds = Math.max((last.time - first.time) / 1000, 0.1);
   const rate = (name) => `${last[name].toLocaleString("en")}, ${((last[name] - first[name]) / seconds).toFixed(1)} / s`;
-  find("about").textContent = status.camera;
+  const [about, ...told] = status.camera.split("\n");
+  find("about").textContent = about;
+  find("told").textContent = told.join("\n\n");
   find("received").textContent = rate("received");
   find("shown").textContent = rate("pictures");
   find("lost").textContent = status.lost.toLocaleString("en");
