@@ -76,6 +76,7 @@ def propose_basis(picture: NDArray[np.float32], pitch: float) -> NDArray[np.floa
     if len(centres) < 20:
         return None
     every = (centres[:, None] - centres[None]).reshape(-1, 2)
+    every = every[np.abs(every).max(1) < 5 * pitch]
     steps = every[np.abs(np.hypot(*every.T) / pitch - 1.05) < 0.35]
     # A step and its opposite are the same.
     steps = np.where((steps[:, :1] < 0) | ((steps[:, :1] == 0) & (steps[:, 1:] < 0)), -steps, steps)
@@ -100,7 +101,7 @@ def propose_basis(picture: NDArray[np.float32], pitch: float) -> NDArray[np.floa
 
 def _refine(basis: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
     """A basis (2, 2) [px] fitted to longer and longer ones of the `steps` (n, 2) [px] between circles."""
-    for reach in (1, 2, 3, 4, 6, 8):
+    for reach in (1, 2, 3, 4):
         index = np.rint(steps @ np.linalg.inv(basis))
         near = np.hypot(*(steps - index @ basis).T) < 0.15 * np.hypot(*basis[0])
         near &= (np.abs(index).max(1) <= reach) & index.any(1)
