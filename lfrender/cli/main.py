@@ -40,7 +40,7 @@ def warm(report: cl.Report, given: Any) -> None:
     name="lfrender",
     context_settings={"help_option_names": ["-h", "--help"]},
     others=(
-        "lfcal", ("board", "calibrate", "compare", "convert", "flatten", "info", "lattice", "metric", "show"),
+        "lfcal", ("assess", "board", "calibrate", "compare", "convert", "flatten", "info", "lattice", "metric", "show"),
     ),
 )  # fmt: skip
 @click.version_option(package_name="lfrender", prog_name="lfrender")
