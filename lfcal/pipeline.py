@@ -23,11 +23,13 @@ if TYPE_CHECKING:
     from .lattice.lattice import Lattice
     from .lattice_search import LatticeCandidate
 
-__all__ = ["calibrate"]
+__all__ = ["SURE_CONFIDENCE", "calibrate"]
 
-# A calibration of less confidence, and a white image with a larger share of clipped pixels, are doubtful: a dim
-# microscope capture at 0.78 is a quarter of a pitch beside its white image; most right captures have 0.84 and more.
-_CONFIDENCE, _CLIPPED = 0.8, 0.02
+#: A calibration of less confidence is doubtful: a dim microscope capture at 0.78 was a quarter of a pitch beside its
+#: white image; most right captures have 0.84 and more.
+SURE_CONFIDENCE = 0.8
+# Share of clipped pixels from which on a white image is over-exposed.
+_CLIPPED = 0.02
 
 
 def calibrate(
@@ -152,7 +154,7 @@ def _calibrate(
     elif camera.source == "scene" and not (measured.parallax and np.isfinite(camera.circle_agreement)):
         camera = replace(camera, confidence=min(camera.confidence, CALIBRATION.shape_confidence))
     types, warnings = camera.lens_types, list(camera.warnings)
-    if camera.confidence < _CONFIDENCE:
+    if camera.confidence < SURE_CONFIDENCE:
         warnings.append(
             f"the lattice is uncertain (confidence {camera.confidence:.2f}, halves of the flat differ by "
             f"{measured.found.fit.half_difference:.2f} px); check the circles on the flat or calibrate on a white image"

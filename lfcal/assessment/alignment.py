@@ -20,9 +20,10 @@ from ..lattice.orientation import describe_orientation
 __all__ = ["Alignment", "measure_alignment"]
 
 Array = NDArray[np.float64]
-# [px] error that centres of a white image share over half the diagonal, whatever the scatter of single ones; and in
-# pitches that of a scene, which moves microimages by what it shows in them.
-_WHITE_FAULT, _SCENE_FAULT = 0.01, 0.02
+# [px] error that centres of a white image share over half the diagonal, whatever the scatter of single ones.
+_WHITE_FAULT = 0.01
+# [pitch] the same of a scene, which moves microimages by what it shows in them.
+_SCENE_FAULT = 0.02
 # Quadratic displacements x^2, xy, y^2 in x, then in y, of a tilt to the right and down, and of a radial distortion
 # about a place to the right and below.
 _TILT = np.array([[1, 0, 0, 0, 1, 0], [0, 1, 0, 0, 0, 1], [3, 0, 1, 0, 2, 0], [0, 2, 0, 1, 0, 3]], float).T
@@ -81,7 +82,7 @@ def _fit_centres(camera: Calibration, lattice: Lattice) -> tuple[Array, Array, A
     keep = length <= 4 * np.median(length) + 1e-9
     indices, offset = indices[keep], offset[keep]
     centres = lattice.points(indices) + offset
-    x, y = place = field_place(centres, lattice).T
+    x, y = field_place(centres, lattice).T
     table = np.column_stack([np.ones(len(x)), indices, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
     column, row = np.clip((centres / lattice.image_size * 8).astype(int), 0, 7).T
     _, tile, count = np.unique(8 * row + column, return_inverse=True, return_counts=True)
@@ -107,5 +108,4 @@ def _fit_centres(camera: Calibration, lattice: Lattice) -> tuple[Array, Array, A
     # What neither form explains, two numbers, is an error of both.
     excess = max(1.0, float(miss @ weight @ miss) / 2)
     error = float(np.hypot(np.sqrt(np.diag(normal)[:2].mean() * excess), _WHITE_FAULT))
-    assert place.shape[0] == 2
     return factors[1:3], np.diag(covariance)[1:3], found[:2], error

@@ -24,8 +24,9 @@ __all__ = [
 ]  # fmt: skip
 
 Vector = NDArray[np.float64]
-# Errors within which a value counts as zero; and from which on two measurements contradict each other.
-_SURE, _APART = 2.0, 4.0
+# [standard errors] within which a value counts as zero, and from which on two measurements contradict each other.
+_SURE = 2.0
+_APART = 4.0
 # [px] smaller defects are the sensor's own.
 _SPECK = 9
 _WAYS = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")

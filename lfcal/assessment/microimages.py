@@ -27,9 +27,15 @@ __all__ = ["Field", "MicroimageField", "decode_srgb", "fit_field", "measure_micr
 
 Array = NDArray[np.float64]
 _ACROSS_PIXEL = ((-(0.15**0.5), 5 / 18), (0.0, 8 / 18), (0.15**0.5, 5 / 18))
-# Errors of the model: of radii [px], per px of blur that is no disc, and with straight sides; of discs of blur, in
-# shares and, as pixels hide small ones, in px of one of 1 px; of the logarithm of light.
-_RADIUS_FAULT, _SHAPE_FAULT, _SIDES_FAULT, _BLUR_SHARE, _BLUR_FAULT, _LIGHT_FAULT = 0.02, 0.02, 0.15, 0.04, 0.25, 0.002
+# Errors of the model, which the scatter of tiles does not show (`python -m benchmarks.assess`; white images of others).
+# [px] of radii; [1] more of them per px of blur, which need not be a disc; [px] more for apertures with straight sides.
+_RADIUS_FAULT = 0.02
+_SHAPE_FAULT = 0.02
+_SIDES_FAULT = 0.15
+# Of the diameter of the blur: [1] its share; [px] of a disc of 1 px, as pixels hide small ones.
+_BLUR_SHARE = 0.04
+_BLUR_FAULT = 0.25
+_LIGHT_FAULT = 0.002  # of the logarithm of the light
 
 
 class Field(NamedTuple):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..camera.calibration import Calibration
 from ..images.stack import check_flats
-from ..pipeline import calibrate
+from ..pipeline import SURE_CONFIDENCE, calibrate
 from ..runtime.errors import FlatError
 from . import findings
 from .alignment import measure_alignment
@@ -19,9 +19,6 @@ from .microimages import measure_microimages
 from .result import Assessment, Finding
 
 __all__ = ["assess"]
-
-# Confidence of calibrations below which there is no advice.
-_CONFIDENCE = 0.8
 
 
 def assess(
@@ -117,7 +114,7 @@ def _assess_white(flat: Any, camera: Calibration, optics: findings.Optics) -> As
 
 def _without_advice(finding: Finding, camera: Calibration) -> Finding:
     """A finding without its advice, where the calibration is doubtful."""
-    if camera.confidence >= _CONFIDENCE or not np.isfinite(finding.value):
+    if camera.confidence >= SURE_CONFIDENCE or not np.isfinite(finding.value):
         return finding
     doubt = f"{finding.verdict}; no advice: the calibration is doubtful (confidence {camera.confidence:.2f})"
     return replace(finding, verdict=doubt, advice="")
