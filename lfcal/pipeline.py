@@ -305,12 +305,13 @@ def _measure(found: LatticeCandidate) -> _Measured:
     unexplained = doubt is not None and light.outlier_share > MOST_OFF_GAIN
     doubt = None if found.stated else doubt
     agreement, beside = _compare_circles(found, lattice)
+    dark = None if white or not isinstance(picture, np.ndarray) else _find_dark_rest(picture, pitch)
     # With a third of the pixels unlike the model there is no trust in its centres.
     confidence = min(
         found.start.repeatability,
         1 - max(fit.half_difference, fit.displacement) / (CALIBRATION.max_half_difference * pitch),
         1 - 3 * light.outlier_share,
-        CALIBRATION.unproven_confidence if doubt else 1,
+        CALIBRATION.unproven_confidence if doubt or dark else 1,
     )
     camera = Calibration(
         lattice=lattice,
@@ -319,7 +320,7 @@ def _measure(found: LatticeCandidate) -> _Measured:
         residual_rms=fit.residual_rms,
         lenses_used=fit.lenses_used,
         confidence=float(np.clip(confidence, 0, 1)),
-        warnings=(*light.warnings, *(text for text in (doubt, fit.doubt, beside) if text is not None)),
+        warnings=(*light.warnings, *(text for text in (doubt, fit.doubt, beside, dark) if text is not None)),
         lens_types=light.lens_types,
         gain_map=light.gain_map,
         defects=light.defects,
@@ -328,6 +329,22 @@ def _measure(found: LatticeCandidate) -> _Measured:
         circle_agreement=agreement,
     )
     return _Measured(camera, found, unexplained, parallax)
+
+
+def _find_dark_rest(picture: NDArray[np.float32], pitch: float) -> str | None:
+    """A warning where the convex hull of what is lit of a scene (h, w) leaves much of the flat out."""
+    import cv2
+
+    side = int(np.ceil(pitch))
+    mean = cv2.blur(picture, (side, side))[side // 2 :: side, side // 2 :: side]
+    # A fifth of the root of light: a twenty-fifth of the light.
+    y, x = np.nonzero(mean > 0.2 * np.quantile(mean, 0.95))
+    hull: Any = cv2.convexHull(np.column_stack([x, y]).astype(np.int32))
+    share = cv2.contourArea(hull) / np.prod(np.maximum(np.array(mean.shape) - 1, 1))
+    return None if share >= CALIBRATION.lit_share else (
+        f"light lies on {share:.0%} of the flat, and the lattice of all the rest follows from there; "
+        "calibrate on a white image or on a scene that fills the flat"
+    )
 
 
 def _compare_circles(found: LatticeCandidate, lattice: Lattice) -> tuple[float, str | None]:

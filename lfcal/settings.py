@@ -19,6 +19,8 @@ class CalibrationSettings:
     # agreement of circles below which parallax proves nothing: 61 scenes have 0.19 and more, 26 crops of captures 0.25;
     # pictures that are no flats, but show parallax by chance, -0.05 to -0.11
     circles: float = 0.1
+    lit_share: float = 0.5  # of a scene, by the convex hull of its light: captures have 0.85 and more, one that was a
+    # quarter of a pitch beside its lattice 0.17
     glare: float = 0.5  # [mean] standard deviation of the root of the luminance, beyond which a few bright places may
     # outweigh the microimages; files with gamma have up to 0.46, linear ones up to 0.9
     min_roundness: float = 0.55  # of the average microimage, below which they may have done so

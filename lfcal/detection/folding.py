@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from ..runtime.kernels import kernel
 
@@ -136,8 +135,8 @@ class TileFolds:
         level = total.sum() / max(count.sum(), 1)
         # A pitch of a whole number of pixels leaves bins empty: average over the width of a pixel.
         for axis, length in ((1, np.hypot(*self.basis[0])), (0, np.hypot(*self.basis[1]))):
-            width = int(np.ceil(self.bins / length)) | 1
-            total, count = (width * uniform_filter1d(v, width, axis, mode="wrap") for v in (total, count))
+            half = int(np.ceil(self.bins / length)) // 2
+            total, count = (sum(np.roll(v, k, axis) for k in range(-half, half + 1)) for v in (total, count))
         return np.where(count > 0.5, total / np.maximum(count, 0.5), level)
 
 

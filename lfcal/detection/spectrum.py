@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft2
 
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import reduce_basis
@@ -101,7 +100,7 @@ def _log_power(picture: NDArray[np.float32], reduction: int) -> NDArray[np.float
         window = np.ascontiguousarray(picture[y : y + size, x : x + size])
         for feature in (window, edge_strength(window)):
             levelled = normalise_locally(feature, size / 10) * taper[:, None] * taper
-            log_power += np.log(np.abs(rfft2(levelled)) ** 2 + np.float32(1e-6))
+            log_power += np.log(np.abs(np.fft.rfft2(levelled)) ** 2 + np.float32(1e-6))
     return np.fft.fftshift(log_power / np.float32(2 * len(windows)), axes=0)
 
 

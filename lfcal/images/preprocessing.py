@@ -131,9 +131,9 @@ def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np
 
 
 def interpolate_linear(picture: NDArray[np.float32], positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...,) bilinear interpolation of a picture at positions `positions` (..., 2) [px]."""
-    from scipy.ndimage import map_coordinates
-
-    return np.asarray(
-        map_coordinates(picture, np.moveaxis(positions, -1, 0)[::-1], np.float64, order=1, mode="nearest")
-    )
+    """(...,) bilinear interpolation of a picture (h, w) at positions `positions` (..., 2) [px]; nearest beyond it."""
+    low = np.clip(np.floor(positions), 0, np.array(picture.shape[::-1]) - 2).astype(np.intp)
+    (x, y), (right, down) = np.moveaxis(low, -1, 0), np.moveaxis(np.clip(positions - low, 0, 1), -1, 0)
+    above = (1 - right) * picture[y, x] + right * picture[y, x + 1]
+    below = (1 - right) * picture[y + 1, x] + right * picture[y + 1, x + 1]
+    return np.asarray((1 - down) * above + down * below)

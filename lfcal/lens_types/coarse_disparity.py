@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from ..images.preprocessing import sqrt_luminance
 from ..lattice.lattice import Lattice
@@ -79,8 +78,11 @@ def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) 
     _correlate(picture, sample.place[chosen], steps, ratios, radius, max(1.0, radius / 4), *sums)
     full = np.zeros((2, *sample.whole.shape, len(ratios)))
     full[:, chosen] = sums
-    covariance, variance = (uniform_filter(sums, (0, 3, 3, 0), mode="constant") for sums in full)
-    correlation = covariance / (variance + 1e-5 / 9)
+    padded = np.pad(full, ((0, 0), (0, 0), (1, 1), (1, 1), (0, 0)))
+    height, width = full.shape[2:4]
+    # Over 3 x 3 lenses.
+    covariance, variance = sum(padded[:, :, y : y + height, x : x + width] for y in range(3) for x in range(3))
+    correlation = covariance / (variance + 1e-5)
     best, highest = correlation.argmax(-1), correlation.max(-1)
     apart = np.abs(np.arange(len(ratios)) - best[..., None]) > 2
     second = np.where(apart, correlation, -1.0).max(-1)

@@ -55,7 +55,7 @@ class EmbeddedMetadata(NamedTuple):
 def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
     """Colour profile and EXIF data of an image file (PNG, JPEG, WebP), of TIFF the profile; nothing if damaged."""
     import tifffile
-    from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin
+    from PIL import Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
     suffix = Path(path).suffix.lower()
     # The formats' own classes: Image.open refuses sensors above 179 megapixels.
@@ -66,7 +66,8 @@ def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
                 tag = tiff.pages[0].tags.get("InterColorProfile")  # type: ignore[union-attr]
                 return EmbeddedMetadata(b"" if tag is None else bytes(tag.value))
         with readers.get(suffix, JpegImagePlugin.JpegImageFile)(str(path)) as image:
-            exif = image.getexif()
+            # Looking for EXIF data behind the pixels of a PNG file would decode them.
+            exif = Image.Exif() if suffix == ".png" and "exif" not in image.info else image.getexif()
             # Width and height of the flat, which are not those of the picture.
             for tag in (0x0100, 0x0101, 0xA002, 0xA003):
                 exif.pop(tag, None)

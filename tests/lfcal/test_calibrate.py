@@ -21,10 +21,8 @@ from lfcal.detection import downscale
     [
         ("HEXAGON", 6.4, 11, (400, 300)),
         ("SQUARE", 9.3, 0, (400, 300)),
-        ("SQUARE", 14.3, 0.7, (600, 500)),
-        ("HEXAGON", 23.2, 90, (700, 600)),
-        ("SQUARE", 40, 30, (1000, 800)),
-        ("HEXAGON", 70.4, 45, (1000, 800)),
+        ("HEXAGON", 23.2, 90, (500, 400)),
+        ("SQUARE", 40, 30, (700, 600)),
     ],
 )
 def test_white_image_places_centres_within_a_hundredth_pixel(whites, shape, pitch, degrees, size):
@@ -86,7 +84,7 @@ def test_usable_radius_is_where_light_falls_to_half(whites):
 
 def test_any_pixel_type_gives_the_same_lattice(whites):
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
-    image, _ = whites.white_image(basis, (500, 400))
+    image, _ = whites.white_image(basis, (300, 240))
     reference = lfcal.calibrate(image).lattice
     rgb = np.repeat(image[..., None], 3, axis=2)
     for same in (image.astype(np.float64) / 65535, rgb, rgb.astype(np.float32)):
@@ -98,6 +96,14 @@ def test_scene_alone_places_centres_of_a_simulated_camera(house, whites):
     true = house.camera.lattice
     assert camera.source == "scene"
     assert whites.rms(whites.centre_errors(camera.lattice, true.origin, true.basis)) < 0.2
+
+
+def test_a_scene_that_is_lit_in_a_corner_is_doubted(house):
+    dark = house.flat.copy()
+    dark[dark.shape[0] // 3 :], dark[:, dark.shape[1] // 2 :] = 0, 0
+    camera = lfcal.calibrate(dark, kind="scene")
+    assert camera.confidence <= 0.4
+    assert any("light lies on" in warning for warning in camera.warnings)
 
 
 def test_few_bright_places_of_a_linear_scene_do_not_move_the_lattice(whites):
