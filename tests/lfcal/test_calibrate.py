@@ -166,15 +166,6 @@ def test_raytrix_scene_agrees_with_its_published_calibration(shared, whites):
     assert np.abs(whites.centre_errors(found, published.origin, published.basis)).max() < 0.5
 
 
-@pytest.mark.parametrize("name", ["MiniGarden2"])
-def test_single_focus_scene_is_near_its_coarse_published_corners(shared, whites, name):
-    flat = lfcal.read_flat(shared("captures", f"{name}.webp"))
-    published = lfcal.load(shared("captures", f"{name}.published.xml"), flat.shape[1::-1]).lattice
-    found = lfcal.calibrate(flat).lattice
-    assert np.abs(whites.centre_errors(found, published.origin, published.basis)).max() < 8
-    assert found.pitch == pytest.approx(70.35, abs=0.1)
-
-
 def test_lattice_of_a_flattened_capture_is_found_by_its_edges_alone(shared, whites):
     flat = lfcal.read_flat(shared("captures", "TempleBoatGiantR32.webp"))
     published = lfcal.load(shared("captures", "TempleBoatGiantR32.published.xml"), (6464, 4852)).lattice
@@ -210,19 +201,11 @@ def test_repeating_detail_of_a_plane_is_not_taken_for_the_lattice():
     assert cKDTree(camera.lattice.centres()).query(centres[inner])[0].max() < 0.05 * pitch
 
 
-@pytest.mark.parametrize(
-    ("name", "corner", "size"),
-    [
-        ("Boys2.webp", (994, 739), (1988, 1478)),
-        ("Fujita2.png", (973, 773), (1024, 1024)),
-    ],
-)
-def test_quarter_of_a_capture_has_the_lattice_of_all_of_it(shared, name, corner, size):
-    flat = lfcal.read_flat(shared("captures", name))
+def test_quarter_of_a_capture_has_the_lattice_of_all_of_it(shared):
+    flat = lfcal.read_flat(shared("captures", "Boys2.webp"))
     whole = lfcal.calibrate(flat).lattice
-    part = flat[corner[1] : corner[1] + size[1], corner[0] : corner[0] + size[0]].copy()
-    found = lfcal.calibrate(part).lattice
-    assert cKDTree(whole.centres()).query(found.centres() + corner)[0].max() < 0.1 * whole.pitch
+    found = lfcal.calibrate(flat[739:2217, 994:2982].copy()).lattice
+    assert cKDTree(whole.centres()).query(found.centres() + np.array([994, 739]))[0].max() < 0.1 * whole.pitch
 
 
 def _blas_threads():

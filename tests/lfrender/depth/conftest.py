@@ -21,8 +21,8 @@ def camera():
     return Camera.design(size=SIZE, pitch=23.2, lattice="hex", rotation=1.3)
 
 
-def shot_of(*surfaces, noise=None):
-    return simulate(Scene("some", surfaces), camera(), samples=32, seed=2, noise=noise)
+def shot_of(*surfaces, noise=None, samples=12):
+    return simulate(Scene("some", surfaces), camera(), samples=samples, seed=2, noise=noise)
 
 
 def card(ratio, low, high):

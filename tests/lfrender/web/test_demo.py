@@ -33,7 +33,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo") / "made" / "here"
-    return folder, run_demo(folder, flat_size=(760, 600), samples=16)
+    return folder, run_demo(folder, flat_size=(600, 460), samples=8)
 
 
 def test_all_pictures_and_the_page_are_written(demo):
