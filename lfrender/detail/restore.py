@@ -128,10 +128,10 @@ def restore_detail(
         np.float32(overshoot), np.float32(0.01), np.float32(1 / white), encoded,
         np.float32(half), np.float32(top),
     )  # fmt: skip
-    out = np.empty(image.shape, dtype)
+    out = np.empty(image.shape, np.float32)
     steps = np.array((*SMOOTHING, *_AVERAGING))
     _restore_rows(rows, unclipped, out.reshape(height, -1), channels, seen, places, lookup, steps, len(SMOOTHING))
-    return out
+    return out.astype(dtype, copy=False)
 
 
 # Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector loop takes together.

@@ -76,26 +76,29 @@ def _aggregate(size, stride, number, gap, work):
     among, upper, lower = work.among, work.upper, work.lower
     work.total[:number] = 0
     upper[:], lower[:] = size, 0
-    for row in range(size):
-        begin, end = size, 0
-        for column in range(work.left[row], work.right[row]):
-            if among[row * stride + column] != 1:
-                begin, end = min(begin, column), column + 1
-                upper[column], lower[column] = min(upper[column], row), row + 1
-        if end:
-            # With the settled pixel at either end.
-            begin, end = max(begin - 1, work.left[row]), min(end + 1, work.right[row])
-            _aggregate_line(number, gap, row * stride + begin, 1, end - begin, work)
-            _aggregate_line(number, gap, row * stride + end - 1, -1, end - begin, work)
-    for column in range(size):
-        begin, end = upper[column], lower[column]
-        if end:
-            if begin > 0 and work.left[begin - 1] <= column < work.right[begin - 1]:
-                begin -= 1
-            if end < size and work.left[end] <= column < work.right[end]:
-                end += 1
-            _aggregate_line(number, gap, begin * stride + column, stride, end - begin, work)
-            _aggregate_line(number, gap, (end - 1) * stride + column, -stride, end - begin, work)
+    for line in range(2 * size):
+        begin, end, first, step = size, 0, 0, 1
+        if line < size:
+            row, first = line, line * stride
+            for column in range(work.left[row], work.right[row]):
+                if among[row * stride + column] != 1:
+                    begin, end = min(begin, column), column + 1
+                    upper[column], lower[column] = min(upper[column], row), row + 1
+            if end:
+                # With the settled pixel at either end.
+                begin, end = max(begin - 1, work.left[row]), min(end + 1, work.right[row])
+        else:
+            column, step = line - size, stride
+            first, begin, end = column, upper[column], lower[column]
+            if end:
+                if begin > 0 and work.left[begin - 1] <= column < work.right[begin - 1]:
+                    begin -= 1
+                if end < size and work.left[end] <= column < work.right[end]:
+                    end += 1
+        # There and back. One call: each is compiled anew.
+        for turn in range(2 if end else 0):
+            start = first + (begin if turn == 0 else end - 1) * step
+            _aggregate_line(number, gap, start, step if turn == 0 else -step, end - begin, work)
 
 
 @njit(error_model="numpy")
