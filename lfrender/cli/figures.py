@@ -94,9 +94,12 @@ def capture_sentences(
         return sentences
     figures = capture_figures(calibration, depth, optics)
     count = figures["lenses_analysed"]
-    part = f"{count:,} lenses in this part" if count < len(depth) else "lenses"
+    lenses = f"{count:,} lenses in this part" if count < len(depth) else "lenses"
     shares = ", ".join(f"{percent(share)} {name}" for name, share in figures["modes"].items() if share >= 0.0005)
-    sentences.append(f"Of the {part} {shares}.")
+    # The reasons of a quarter of the unresolved lenses or more.
+    share = figures["modes"].get("unresolved", 0.0)
+    why = " or ".join(name for name, part in figures["unresolved"].items() if part >= 0.25 * share)
+    sentences.append(f"Of the {lenses} {shares}{f' ({why})' if share >= 0.0005 else ''}.")
     if optics is not None and figures["distance_median"] == figures["distance_median"]:
         near, far = figures["distance_range"]
         sentences.append(

@@ -258,7 +258,7 @@ def test_a_command_ends_with_sentences_that_name_the_source_and_percentages(ask,
     lines = run(*ask("render", "-o", tmp_path / "picture.png")).stdout.splitlines()
     assert [line for line in lines if not line.startswith("compiling")] == lines[-3:]
     assert lines[-3] == f"588 microlenses, 20.3 px apart, with {house_files / 'camera.json'}."
-    assert re.fullmatch(r"Of the lenses \d+ % telescopic, \d+ % binocular, \d+(\.\d)? % unresolved\.", lines[-2])
+    assert re.fullmatch(r"Of the lenses \d+ % telescopic, \d+ % binocular, \d+(\.\d)? % unresolved \(.+\)\.", lines[-2])
     size = "{1} x {0}".format(*lfcal.read_flat(tmp_path / "picture.png").shape)
     assert lines[-1].startswith(f"{tmp_path / 'picture.png'}: {size} px, sharp at every depth, in ")
     white = house_files / "white.png"
