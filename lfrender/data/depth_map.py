@@ -19,7 +19,7 @@ from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.quantiles import quantile
 from .flat_samples import is_same_flat, sample_flat
-from .frame_state import FrameState
+from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes
 from .surface import Surface
 
@@ -70,7 +70,7 @@ class DepthMap(Frozen):
     confidence : (n,) float32
         0..1, the probability that `patch_size` is the right optimum of the match.
     filled_patch_size : (n,) float32 [px]
-        `patch_size`, with unresolved lenses filled from their neighbours; finite.
+        `patch_size`, with unresolved lenses filled by the matching, which follows their neighbours; finite.
     surface : Surface
         `filled_patch_size` densified to a regular grid of scene points, with depth edges located on the pixels.
     pitch : float [px]
@@ -85,7 +85,7 @@ class DepthMap(Frozen):
         Share of the work that each shortcut left out: of the lenses, for `ranges` of the shifts. Empty if none was
         taken.
     frame_state : FrameState
-        For the analysis of the next frame; not saved.
+        For the analysis of the next frame; of it is saved what earlier frames leave.
     flat_samples : (m,) float32 or None
         Fingerprint of the flat that it was made from; None where that is unknown.
     centres : (n, 2) float32 [px] or None
@@ -158,10 +158,8 @@ class DepthMap(Frozen):
         return np.isnan(self.patch_size)
 
     def nearest_lens(self, shape: tuple[int, int], first: ArrayLike, spacing: float) -> NDArray[np.int64] | None:
-        """(h, w) the lens nearest to each pixel of a picture; None if the centres are not known.
-
-        Pixel (0, 0) lies at `first` (x, y), pixels are `spacing` [px of the flat] apart.
-        """
+        """(h, w) the lens nearest to each pixel, `spacing` [px] apart from `first` on; None if the centres are not
+        known."""
         from scipy.spatial import cKDTree
 
         if self.centres is None:
@@ -247,10 +245,13 @@ class DepthMap(Frozen):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
-        surface, saved = self.surface, self.saved
+        surface, saved, state = self.surface, self.saved, self.frame_state
         values = {name: value for name in (*_SAVED, *_OPTIONAL) if (value := getattr(self, name)) is not None}
         values |= {"drawn": self.filled_patch_size, "surface": surface.patch_size, "surface_first": surface.first}
         values |= {"saved_by": np.array(list(saved), str), "saved": np.array(list(saved.values()), np.float64)}
+        if state.reference is not None and state.kept is not None:
+            # Without it, many small changes would pass once the depth has been loaded again.
+            values |= {"kept": state.kept, **{f"kept_{name}": of for name, of in state.reference._asdict().items()}}
         with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
             np.savez(stream, version=np.int64(_VERSION), surface_spacing=surface.spacing, **values)
 
@@ -267,7 +268,12 @@ class DepthMap(Frozen):
                 raise DepthFileError(f"{path}: version {version} is not known (this is {_VERSION}); {remedy}")
             grid, first = np.ascontiguousarray(data["surface"], np.float32), tuple(data["surface_first"].tolist())
             saved = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True) if "saved" in data else ()
-            more = {name: data[name].astype(np.float32) for name in _OPTIONAL if name in data and data[name].size}
+            more: dict[str, Any] = {
+                name: data[name].astype(np.float32) for name in _OPTIONAL if name in data and data[name].size
+            }
+            if "kept" in data:
+                reference = LocalMatch(*(data[f"kept_{name}"] for name in LocalMatch._fields))
+                more["frame_state"] = FrameState(reference, data["kept"])
             surface, reason = Surface(grid, first, float(data["surface_spacing"])), data.get("reason")
             return cls(
                 data["patch_size"], data["standard_error"], data["confidence"], data["drawn"], surface,

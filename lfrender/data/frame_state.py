@@ -28,7 +28,7 @@ class LocalMatch(NamedTuple):
 
 @dataclass
 class FrameState:
-    """State of a depth map in a sequence: neither saved with it nor compared."""
+    """State of a depth map in a sequence: not compared."""
 
     # What the `kept` lenses are compared with: their match in the frame in which their depth was estimated. A
     # comparison with the last frame only would let many small changes pass.

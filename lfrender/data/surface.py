@@ -16,11 +16,7 @@ __all__ = ["DepthGrid", "Surface", "constant_surface", "edge_step", "patch_size_
 
 
 class DepthGrid(NamedTuple):
-    """Where the grid values of a surface lie, for kernels, all in float32 [px].
-
-    Without the values: Numba counts references each time that an array is taken out of a tuple, which costs more than
-    reading a value.
-    """
+    """Where the grid values of a surface lie, for kernels, all in float32 [px]."""
 
     x: Any  # scene coordinates of the first grid value
     y: Any
@@ -99,10 +95,8 @@ def edge_step(pitch: float) -> float:
 def sample_surface_at(
     surface: Surface, edge: float, shape: tuple[int, int], first: Any, spacing: float
 ) -> NDArray[np.float32]:
-    """Patch size [px] at every pixel of a picture of this shape; `edge` [px] is as `edge_step`.
-
-    Its pixels are `spacing` apart on the flat, (0, 0) lies at `first` (2,).
-    """
+    """Patch size [px] at every pixel of a picture, `spacing` apart from `first` (2,) on; `edge` [px] is as
+    `edge_step`."""
     out = np.empty(shape, np.float32)
     _sample(surface.patch_size, surface.grid(edge), float(first[0]), float(first[1]), spacing, out)
     return out

@@ -43,9 +43,8 @@ def _compare(begin, end, before, now, centres, radius, side, out):
 def find_changed_lenses(before: GrayFlat, statistics: LensStatistics, now: GrayFlat) -> NDArray[np.bool_]:
     """(n,) bool: lenses whose pixels differ visibly, and by more than noise, from those of a frame `before`.
 
-    Both grey flats are of one camera and exposure, `statistics` are of the first. The noise of a difference is
-    estimated on its smoothest lenses of like brightness, or on those that differ least between the frames, whichever
-    is less. Motion below the noise of a pixel shows in sums over blocks.
+    The noise of a difference is estimated on its smoothest lenses of like brightness, or on those that differ least
+    between the frames, whichever is less. Motion below the noise of a pixel shows in sums over blocks.
     """
     side = 4 if now.radius >= 6 else 2
     out = np.empty((3, len(now.centres)), np.float32)

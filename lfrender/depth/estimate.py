@@ -26,7 +26,7 @@ from .validity.classify import (
     match_suggests_texture,
     shift_exceeds_shading,
     signal_share,
-)
+)  # fmt: skip
 from .validity.periodicity import find_periodic_texture
 
 __all__ = ["LensEstimates", "LensSet", "estimate_lenses"]
@@ -55,8 +55,7 @@ class LensEstimates:
     standard_error: NDArray
     confidence: NDArray
     reason: NDArray[np.int8]  # (n,) as `DepthMap`
-    # (n,) [px] patch size to fill unresolved lenses with, unless smoothing toward their neighbours changes it
-    guess: NDArray
+    guess: NDArray  # (n,) [px] patch size to fill unresolved lenses with
     # (n,) [px] second-best patch size of lenses with texture; NaN where there is none
     second: NDArray[np.float32]
     match: MatchResult
@@ -103,24 +102,13 @@ class LensEstimates:
             ),
         )
 
-    def limit_guesses(self, pitch: float) -> LensEstimates:
-        """Replace guesses beyond the resolvable range, of lenses without texture, by the median of the resolved ones.
-
-        Costs that are all alike have their minimum at an end of the range, where only rims of microimages overlap.
-        Without any texture in the scene the guess is a quarter of a pitch.
-        """
-        beyond = (self.reason == 1) & (np.abs(self.guess) > RESOLVABLE * pitch)
-        known = self.patch_size[self.resolved]
-        return replace(self, guess=np.where(beyond, np.median(known) if known.size else pitch / 4, self.guess))
-
 
 def estimate_lenses(
     lenses: LensSet, preset: Preset, before: DepthMap | None = None, sizes: NDArray[np.float32] | None = None
 ) -> LensEstimates:
     """Search the patch size of lenses, refine it on the pixels of every pair, and classify the result.
 
-    Lenses that are not `updated` keep what they had `before`. `sizes` (m,) [px] are patch sizes that occur, as found
-    elsewhere, see `match_lenses`.
+    Lenses that are not `updated` keep what they had `before`; `sizes` are as for `match_lenses`.
     """
     texture, updated, pitch = lenses.texture, lenses.updated, lenses.pitch
     known = None if before is None else np.where(updated, np.nan, before.filled_patch_size).astype(np.float32)
@@ -130,24 +118,21 @@ def estimate_lenses(
     doubtful = texture.faint | like_shading
     textured = updated & ((texture.clear & ~doubtful) | (doubtful & match_proves_texture(match, pitch)))
     perhaps = updated & doubtful & ~textured & match_suggests_texture(match)
-    wanted = textured | perhaps
-    own = _refine(lenses, preset, np.where(wanted, match.patch_size, np.nan).astype(np.float32))
+    own = _refine(lenses, preset, np.where(textured | perhaps, match.patch_size, np.nan).astype(np.float32))
     measured = np.isfinite(own.patch_size)
     refined = np.where(measured, own.patch_size, match.patch_size)
     error = np.where(measured, own.standard_error, np.inf)
     textured |= perhaps & shift_exceeds_shading(refined, error, lenses.neighbours.all, pitch)
     textured &= ~like_shading | (np.abs(refined) >= 8 * error)
     estimates = _classify(lenses, match, textured, own, refined, error, before)
-    if before is not None:
-        estimates = estimates.keep(~updated, before)
-    return estimates.limit_guesses(pitch)
+    return estimates if before is None else estimates.keep(~updated, before)
 
 
 def _refine(lenses: LensSet, preset: Preset, first: NDArray[np.float32]) -> LensFits:
     """Fits of lenses to their pixels from the patch sizes `first` (n,) [px]; NaN leaves a lens out.
 
-    Registration finds the optimum next to its start. Where neighbours share few pixels the search falls short: those
-    lenses start from a larger patch size, too, and the fit with the smaller error is kept.
+    Where neighbours share few pixels the fit falls short: it starts from a larger patch size too, the better one
+    counts.
     """
     texture, pitch = lenses.texture, lenses.pitch
     # Beyond this difference of brightness two pixels hardly show the same point.
@@ -189,4 +174,6 @@ def _classify(
     own_error = np.where(reason == 0, inflate_errors(own.standard_error, explained), np.inf)
     second = np.where(textured, match.second, np.nan).astype(np.float32)
     own = replace(own, standard_error=own_error)
-    return LensEstimates(refined, error, SURE * sure if perhaps else sure, reason, match.patch_size, second, match, own)
+    # Beyond this places are seen by no lens: without texture, costs may be least at an end of the range.
+    guess = np.clip(match.patch_size, -RESOLVABLE * pitch, RESOLVABLE * pitch)
+    return LensEstimates(refined, error, SURE * sure if perhaps else sure, reason, guess, second, match, own)

@@ -9,14 +9,11 @@ from __future__ import annotations
 import weakref
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, FlatError, Lattice, OutputError
-from lfcal.runtime.output_file import atomic_write
+from lfcal import Calibration, FlatError, Lattice
 
 from ..data.depth_map import DepthMap
 from ..data.frame_state import FrameState, LocalMatch
@@ -37,7 +34,7 @@ from .same_surface import TOLERANCE
 from .surface.scene_grid import grid_shape
 from .validity.textureless import find_textureless
 
-__all__ = ["changed_since", "find_moved", "load_reference_match", "save_reference_match", "update_depth"]
+__all__ = ["changed_since", "find_moved", "update_depth"]
 
 
 def update_depth(
@@ -49,10 +46,8 @@ def update_depth(
     earlier: NDArray,
     before: DepthMap,
 ) -> DepthMap:
-    """Estimate the depth of a frame from the `earlier` frame and its depth, `before`; arguments as for `analyze`.
-
-    Raises `FlatError` if the frames are not of one kind, `ValueError` if `before` is of another camera or preset.
-    """
+    """Estimate the depth of a frame from the `earlier` frame and its depth, `before`; arguments and errors as
+    `analyze`."""
     lattice = calibration.lattice
     earlier = _check_previous(flat, calibration, preset, earlier, before)
     neighbours = neighbour_rows(lattice, lattice.steps)
@@ -167,33 +162,6 @@ def _complete_reference(
     return state.complete
 
 
-def save_reference_match(depth: DepthMap, path: Path) -> None:
-    """Save what later frames are compared with, of the lenses that have kept their depth from an earlier frame.
-
-    Without it, many small changes would pass once the depth has been loaded from a file.
-    """
-    state = depth.frame_state
-    if state.reference is not None and state.kept is not None:
-        with atomic_write(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, kept=state.kept, **state.reference._asdict())
-
-
-def load_reference_match(depth: DepthMap, path: Path) -> DepthMap:
-    """The `depth`, loaded from a file, with what was saved by `save_reference_match`, if anything was.
-
-    Raises `OutputError` if the file is damaged.
-    """
-    if not path.exists():
-        return depth
-    try:
-        # np.load leaves a damaged file open if it opened it itself.
-        with open(path, "rb") as stream, np.load(stream) as file:
-            reference = LocalMatch(*(file[name] for name in LocalMatch._fields))
-            return replace(depth, frame_state=FrameState(reference, file["kept"]))
-    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
-        raise OutputError(f"{path}: damaged ({error}); render everything anew (--overwrite)") from error
-
-
 def _match_at_depth(
     gray: GrayFlat,
     lattice: Lattice,
@@ -202,10 +170,7 @@ def _match_at_depth(
     factor: int,
     known: NDArray[np.bool_] | None,
 ) -> LocalMatch:
-    """Match every lens at its `depth`, in a flat whose pixels are `factor` times as large.
-
-    Lenses that are `known` (n,) are matched only as neighbours of the others.
-    """
+    """Match every lens at its `depth`, on pixels `factor` times as large; `known` ones (n,) only as neighbours."""
     texture = classify_texture(gray, statistics)
     matcher = Matcher(texture, neighbours_of(lattice), PRESETS[depth.preset])
     textured = texture.clear | texture.faint
@@ -223,10 +188,9 @@ def find_moved(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Lenses whose depth may have changed, and those in doubt if one of their neighbours has.
 
-    An `estimated` lens (n,), with depth and texture, keeps its depth if from `reference` to `match` its cost rose by at
-    most 0.15 and its minimum did not move, together with two neighbours, by more than max(0.1 px, 4 sigma). Beside one
-    that moved, a quarter of that is doubtful. Others are estimated if they now carry texture or match. `reason` (n,) is
-    as in `DepthMap`.
+    An `estimated` lens (n,) keeps its depth if from `reference` to `match` its cost rose by at most 0.15 and its
+    minimum did not move, together with two neighbours, by more than max(0.1 px, 4 sigma). Beside one that moved, a
+    quarter of that is doubtful. Others are estimated if they now carry texture or match.
     """
     shift, rise = match.offset - reference.offset, match.cost - reference.cost
     moved = estimated & (rise > 0.15)

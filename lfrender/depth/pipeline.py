@@ -1,8 +1,8 @@
 """The passes of an analysis, in order, from a grey flat to its depth map.
 
 `estimate_depth_map`: which lenses have no texture (`validity.textureless`)? Then `estimate_lens_by_lens`: select the
-lenses to match; search, refine, classify and smooth them (`estimate`), fill unresolved ones, find second depths
-(`surface.second_layer`) and make a dense surface of all (`surface.densify`).
+lenses to match; search, refine, classify and smooth them (`estimate`), find second depths (`surface.second_layer`) and
+make a dense surface of all (`surface.densify`).
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from lfcal import Calibration, Lattice
 
 from ..data.depth_map import DepthMap
 from ..flat.gray_flat import GrayFlat, downsample_lattice, make_gray_flat
-from ..flat.lens_graph import count_similar, dilate_mask
+from ..flat.lens_graph import dilate_mask
 from ..flat.texture import LensStatistics, find_texture, sample_statistics
 from .estimate import LensEstimates, LensSet, estimate_lenses
 from .matching.matcher import sample_lenses
 from .matching.neighbours import neighbours_of
 from .presets import PRESETS, Preset, Shortcuts
-from .same_surface import TOLERANCE, same_surface
+from .same_surface import TOLERANCE
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
 from .validity.classify import SHADING_REACH, SURE, occurs_among
 from .validity.textureless import find_textureless
 
-__all__ = ["SceneStatistics", "estimate_depth_map", "estimate_lens_by_lens", "fill_unresolved", "prepare_flat"]
+__all__ = ["SceneStatistics", "estimate_depth_map", "estimate_lens_by_lens", "prepare_flat"]
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,7 @@ def estimate_lens_by_lens(
     before: DepthMap | None = None,
     overview: SceneStatistics | None = None,
 ) -> DepthMap:
-    """Depth of every lens, but for the `blank` ones (n,) and those `kept` (n,), which have that of `before`.
-
-    `overview` is of the larger flat of which this is a part.
-    """
+    """Depth of every lens, but for the `blank` ones (n,) and those `kept` (n,), which have that of `before`."""
     options, neighbours = PRESETS[preset], neighbours_of(lattice)
     # Lenses that keep their depth support their neighbours with it.
     updated = np.ones(len(lattice), bool) if kept is None else ~kept
@@ -89,7 +86,7 @@ def estimate_lens_by_lens(
     estimates = single.smooth(lenses)
     resolved = estimates.resolved
     occurring = estimates.patch_size[resolved] if overview is None else overview.sizes
-    filled = fill_unresolved(estimates.filled_patch_size, resolved, neighbours.all, TOLERANCE * lattice.pitch)
+    filled = estimates.filled_patch_size
     seconds = _find_second_depths(lenses, estimates, filled, occurring, options, shortcuts)
     # Unresolved lenses count little beside the confidence of others.
     weight = np.where(resolved, estimates.confidence, 0.05).astype(np.float32)
@@ -120,32 +117,6 @@ def _sample_depths(
     # Faint lenses match only at depths that are known to occur.
     enough = among.sum() * (among.sum() / max(active.sum(), 1)) ** 4 >= 300
     return sample_lenses(indices, among, 150) if enough else None
-
-
-def fill_unresolved(
-    values: NDArray[np.float32], known: NDArray[np.bool_], neighbours: NDArray[np.int32], gap: float
-) -> NDArray[np.float32]:
-    """Smooth the `values` (n,) [px] of lenses that are not `known` (n,), first guesses, toward their neighbours.
-
-    Values that differ by more than `gap` [px] belong to different surfaces. A guess that hardly any neighbour has is
-    replaced by the median of theirs.
-    """
-    result = values.copy()
-    # Pairs of guesses that stand alone lose one at a time.
-    for _ in range(3):
-        similar = count_similar(np.ones(len(result), bool), result, neighbours, gap)
-        alone = np.flatnonzero(~known & (similar <= 1) & (neighbours >= 0).any(1))
-        around = np.where(neighbours[alone] >= 0, result[neighbours[alone]], np.nan)
-        # The lower median is a value that one of them has, not the mean of two surfaces.
-        result[alone] = np.nanquantile(around, 0.5, axis=1, method="lower") if len(alone) else 0
-    unknown = np.flatnonzero(~known)
-    rows = neighbours[unknown]
-    for _ in range(24):
-        around, own = result[rows], result[unknown]
-        alike = (rows >= 0) & same_surface(around, own[:, None], np.float32(gap))
-        count = alike.sum(1)
-        result[unknown] = np.where(count > 0, np.where(alike, around, 0).sum(1) / np.maximum(count, 1), own)
-    return result
 
 
 def _find_second_depths(

@@ -31,10 +31,8 @@ class Preset:
     edges: bool
 
     def factor(self, pitch: float) -> int:
-        """How many pixels of the flat, each way, are merged into one for the whole analysis.
-
-        Merging more than three loses a precision of a twentieth of a pixel of the flat.
-        """
+        """How many pixels of the flat, each way, are merged into one for the whole analysis; more than three lose
+        precision."""
         return max(1, min(3, int(pitch / self.least_pitch))) if self.least_pitch else 1
 
 

@@ -75,10 +75,7 @@ def crop_lattice(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int6
 
 
 def embed_region(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bool_]) -> DepthMap:
-    """Depth of the whole flat from that of a part; lenses that are not `inside` get the reason "not analysed".
-
-    The surface stays that of the part: beyond its border it is read at the nearest value.
-    """
+    """Depth of the whole flat from that of a part, whose surface it keeps; other lenses are "not analysed"."""
     rows = rows_of(sub, lattice)
     chosen = inside[rows]
     filled = float(np.median(depth.filled_patch_size[chosen]))

@@ -15,19 +15,12 @@ TOLERANCE = 0.04
 
 @register_jitable(inline="always")
 def same_surface(a, b, tolerance):
-    """Whether patch sizes differ by no more than a tolerance [all in px]; False where one of them is NaN.
-
-    Takes scalars and arrays in Python, and scalars inside Numba kernels. Patch sizes also vary along a slanted surface,
-    so the tolerance depends on how far apart `a` and `b` were measured and how noisy they are.
-    """
+    """Whether patch sizes differ by no more than a tolerance [all in px]; False where one of them is NaN."""
     return abs(a - b) <= tolerance
 
 
 @njit(fastmath=FAST, inline="always")
 def depth_order(s, pitch):
-    """A monotonic function of nearness to the camera: telescopic patch sizes first, then binocular ones.
-
-    With the image at a = D * b / s in front of the microlenses, nearer objects have their image farther back: s rises
-    from 0 to D, goes on at -D behind the microlenses, and rises to 0 again.
-    """
+    """A monotonic function of nearness to the camera: telescopic patch sizes first, then binocular ones
+    (docs/geometry.md)."""
     return s if s > 0 else s + 2 * pitch

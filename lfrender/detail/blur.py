@@ -18,14 +18,6 @@ def sure_discs(calibration: Calibration, ratios: NDArray[np.float64], doubt: flo
 
     They are `doubt` standard errors smaller than the camera file tells, the lower fifth. Of several types, one is near
     its focus at any depth: what it is blurred by counts as the scene's.
-
-    Examples
-    --------
-    >>> from lfcal import Lattice, LensBlur
-    >>> blur = LensBlur(6.0, 1.2, [0.1], [0.1], [-0.3], [[2.4]], [[0.2]])
-    >>> camera = Calibration(Lattice([10, 12], [[20, 0], [0, 20]], (200, 100), 9.5), lens_blur=blur)
-    >>> sure_discs(camera, np.array([-0.25])).round(2)
-    array([[2.23]])
     """
     types, known = calibration.lens_types, calibration.lens_blur
     count = 1 if types is None else types.count
@@ -39,15 +31,7 @@ def sure_discs(calibration: Calibration, ratios: NDArray[np.float64], doubt: flo
 
 
 def disc_transfer(frequency: ArrayLike, diameter: ArrayLike) -> NDArray[np.float64]:
-    """Transfer function at a frequency [1 / px] of a uniform disc of this diameter [px]; both broadcast.
-
-    The disc is projected onto a line and transformed by Gauss-Chebyshev quadrature of the second kind.
-
-    Examples
-    --------
-    >>> disc_transfer(0.0, 3.0).round(3).item()
-    1.0
-    """
+    """Transfer function at a frequency [1 / px] of a uniform disc of this diameter [px]: Gauss-Chebyshev quadrature."""
     # As many nodes are exact up to some twenty periods across the disc.
     nodes = 32
     angle = np.arange(1, nodes + 1) * np.pi / (nodes + 1)
@@ -57,9 +41,7 @@ def disc_transfer(frequency: ArrayLike, diameter: ArrayLike) -> NDArray[np.float
 
 
 def interpolation_transfer(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Transfer function, along one axis, of bilinear interpolation of a flat that `prefilter_flat` has sharpened.
-
-    `frequency` is in cycles per pixel of the flat.
-    """
+    """Transfer function, at cycles per pixel along one axis, of bilinear interpolation of a flat from
+    `prefilter_flat`."""
     seen = np.minimum(np.abs(frequency), 1.0)
     return np.asarray(np.sinc(frequency) ** 2 * (1 + (1 - np.cos(2 * np.pi * seen)) / 6))

@@ -31,27 +31,16 @@ _FOLDS = ((0, 0), (-1, 0), (0, -1), (-1, -1))
 
 @dataclass(frozen=True)
 class DetailFilters:
-    """What is added of each band, for the places of a picture.
+    """What is added of each band, for the places of a picture."""
 
-    Parameters
-    ----------
-    gains : (p, n + 1, 4) float32
-        By power of the detail over light, and patch size: first the negative ones from zero, then the positive ones;
-        the last restores nothing.
-    noise : (2, n + 1) float32
-        Predicted power of the second band, and of the two coarser ones together, of noise in the light of white.
-    per_power : (2, n + 1) float32
-        Power of detail for each unit of power of these.
-    per_ratio : float
-        Entries for each unit of `|s / D|`.
-    weakest, per_octave : float
-        A power has the row `bits / 2^23 * per_octave - weakest`, where its bits as float32 are read as an integer.
-    """
-
+    # (p, n + 1, 4) by power of the detail over light, and patch size: first the negative ones from zero, then the
+    # positive ones; the last restores nothing
     gains: NDArray[np.float32]
+    # (2, n + 1) predicted power of the second band, and of both coarser ones together, of noise in the light of white
     noise: NDArray[np.float32]
-    per_power: NDArray[np.float32]
-    per_ratio: float
+    per_power: NDArray[np.float32]  # (2, n + 1) power of detail for each unit of power of these
+    per_ratio: float  # entries for each unit of `|s / D|`
+    # A power has the row `bits / 2^23 * per_octave - weakest`, where its bits as float32 are read as an integer.
     weakest: float
     per_octave: float
 
@@ -69,22 +58,10 @@ def make_filters(
     blur: float,
     depths: tuple[float, float],
 ) -> DetailFilters:
-    """The filters for a blended picture.
+    """The filters for a blended picture of `scale` pixels per pitch whose patch sizes lie between `depths` [px].
 
-    Parameters
-    ----------
-    calibration : Calibration
-        With the blur of the microlenses, as far as it is known.
-    noise : float [white]
-        As `measure_noise`.
-    scale : float
-        Output pixels per pitch.
-    reach : float [pitch]
-        Lenses farther from a scene point are not averaged.
-    blur : float
-        Share of a pixel's side over which microlenses average already: the picture is averaged over the rest.
-    depths : (float, float) [px]
-        Least and largest signed patch size of the picture; there are no filters for others.
+    `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged; microlenses average over the
+    share `blur` of a pixel's side already, the picture is averaged over the rest.
     """
     # Filters are computed for 14 powers of detail [white^2] and 16 |s / D| of either sign, and tabulated more finely.
     powers, levels = np.geomspace(1e-8, 0.015, 14), np.geomspace(0.06, 0.8, 16)
@@ -181,10 +158,7 @@ class _Levels:
         return disc * pixel * self._read(fx, fy), np.maximum(frequency, 0.01) ** -3.0
 
     def sums(self) -> _Table:
-        """(3, n, 23) of what follows, weighted by `_basis`: what fits need to know of powers over frequencies.
-
-        Power of detail, which noise is compared with; what is wanted of it; noise.
-        """
+        """(3, n, 23) of power of detail, of what is wanted of it, and of noise, weighted by `_basis`."""
         fx, fy, basis = _basis()
         (left, scene), *folded = (self.left(fx + x, fy + y) for x, y in _FOLDS)
         seen = left**2 * scene

@@ -31,12 +31,6 @@ def measure_noise(look: Look, calibration: Calibration) -> float:
 
     Its variance is in proportion to light, a hundredth of white at least; the quietest tenth of a hundred microimages
     shows it. Half the noise moves pictures by 0.01 dB, twice by 0.03.
-
-    Parameters
-    ----------
-    look : function
-        Gives a part of the flat.
-    calibration : Calibration
     """
     lattice = calibration.lattice
     half = int(np.clip(trusted_radius(calibration) / np.sqrt(2), 2, 5))

@@ -86,27 +86,10 @@ def restore_detail(
     dtype: DTypeLike = np.float32,
     overshoot: float = 0.25,
 ) -> NDArray[Any]:
-    """A picture as sharp as noise allows, and less noisy. A part with `HALO` gets the whole's bits.
+    """A picture (h, w, C) as sharp as noise allows, and less noisy. A part with `HALO` gets the whole's bits.
 
-    Parameters
-    ----------
-    image : (h, w, C) float32
-    valid : (h, w) bool
-        Pixels that were seen; beside others nothing is restored.
-    places : Places
-    filters : DetailFilters
-    white : float
-        Value of white.
-    encoded : bool
-        Values are about the square root of light.
-    dtype : data type
-        Of the result.
-    overshoot : float
-        By which part of the range of the values about it a pixel may leave that range: no halos.
-
-    Returns
-    -------
-    (h, w, C) array
+    Beside pixels that are not `valid` nothing is restored. Values are about the square root of light if they are
+    `encoded`. A pixel may leave the range of the values about it by the share `overshoot` of that range: no halos.
     """
     import cv2
 

@@ -19,16 +19,8 @@ _TURNS = 6
 
 
 def lens_displacements(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Displacement of every lens by the distortion of the lattice.
-
-    Returns
-    -------
-    displacement : (nj, ni, 2) float32 [px]
-        Of lens `(i, j)`, also some way beyond the flat, at `displacement[j - low[1], i - low[0]]`; (0, 0, 2) if the
-        lattice is straight.
-    low : (2,) int64
-        Smallest `i` and `j`.
-    """
+    """Displacement (nj, ni, 2) [px] of lens `(i, j)` by the distortion, at `[j - low[1], i - low[0]]`, and `low`; (0,
+    0, 2) if the lattice is straight."""
     if lattice.distortion is None:
         return np.zeros((0, 0, 2), np.float32), np.zeros(2, np.int64)
     ij = lattice.indices()

@@ -26,40 +26,19 @@ _MIXED = 0.5
 
 @dataclass(frozen=True)
 class GrayFlat:
-    """Brightness of a flat, corrected for vignetting, 1 at white, with the lens centres in its own pixels.
+    """Brightness of a flat, corrected for vignetting, 1 at white; all in its own pixels."""
 
-    Parameters
-    ----------
-    image : (H, W) float32
-        Brightness; corrected for vignetting at the pixels of microimages.
-    centres : (n, 2) float32 [px of `image`]
-        Lens centres, in the order of `lattice.centres()`.
-    radius : float [px of `image`]
-        Radius up to which a microimage is trusted.
-    pitch : float [px of `image`]
-    lens_type : (n,) int8, optional
-        Types of the lenses, if they are focused at different depths.
-    rounding : float [white]
-        Standard deviation that rounding to the integers of the flat leaves at least, 0 for floats.
-    """
-
-    image: NDArray[np.float32]
-    centres: NDArray[np.float32]
-    radius: float
+    image: NDArray[np.float32]  # (H, W)
+    centres: NDArray[np.float32]  # (n, 2) in the order of `lattice.centres()`
+    radius: float  # up to which a microimage is trusted
     pitch: float
-    lens_type: NDArray[np.int8] | None = None
-    rounding: float = 0.0
+    lens_type: NDArray[np.int8] | None = None  # (n,) if lenses are focused at different depths
+    rounding: float = 0.0  # standard deviation that rounding to integers leaves at least
 
 
 def correction_tables(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
-    """Factors that undo the vignetting, over the squared distance from the lens centre.
-
-    Returns
-    -------
-    factors : (t, k) float32
-        At squared distances `0, step, 2*step, ...`, for each type of lens if the gain map has several profiles.
-    step : float [px^2]
-    """
+    """Factors (t, k), for each type of lens if known, that undo the vignetting at squared distances `0, step, 2 * step`
+    ... from the centre of a lens, and that step [px^2]."""
     # To the corners between square microimages.
     squared = np.linspace(0.0, (0.75 * calibration.lattice.pitch) ** 2, 512)
     if calibration.vignetting is None:
@@ -80,10 +59,7 @@ def correction_cell(calibration: Calibration) -> NDArray[np.int8]:
 
 
 def has_uneven_lenses(calibration: Calibration, types: bool = False) -> bool:
-    """Whether lenses differ in their light, so that one radial profile would not make a flat even.
-
-    One per cent does not matter, nor does a profile for each type of lens unless `types` is set.
-    """
+    """Whether lenses differ in their light by more than one per cent, or with `types` by the type of lens."""
     known = calibration.gain_map
     if known is None:
         return False
@@ -93,10 +69,8 @@ def has_uneven_lenses(calibration: Calibration, types: bool = False) -> bool:
 
 
 def white_level(flat: NDArray, calibration: Calibration) -> float:
-    """Value of the brightest pixel that flats of the camera, or pictures rendered from them, can have.
-
-    1 for floats, less where they are dim (`match_exposure`).
-    """
+    """Value of the brightest pixel that flats of the camera, or pictures of them, can have; 1 for floats, less if
+    dim."""
     if flat.dtype.kind not in "ui":
         return min(1.0, calibration.white_level or 1.0)
     highest = float(np.iinfo(flat.dtype).max)
@@ -149,10 +123,8 @@ def _fill_gains(begin, end, centres, tables, radius, gains, per_step, image):
 
 @kernel(share=lambda centres, *_: len(centres), fastmath=FAST)
 def _fill_unlit(begin, end, centres, radius, light, image):
-    """Replace pixels whose `light` is NaN by the mean of the others within `radius` of their lens.
-
-    Left dark, the cut of microimages would match like texture that moves with the lens.
-    """
+    """Replace pixels whose `light` is NaN by the mean of the others of their lens: dark, they would match like
+    texture."""
     height, width = image.shape
     for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
@@ -180,10 +152,9 @@ def _fill_unlit(begin, end, centres, radius, light, image):
 def make_gray_flat(
     flat: NDArray, calibration: Calibration, factor: int = 1, light: NDArray[np.float32] | None = None
 ) -> GrayFlat:
-    """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond.
+    """Brightness of `flat` (H, W, C), corrected for vignetting, the mean of `factor` x `factor` pixels each.
 
-    Each pixel is the mean of `factor` x `factor` of the flat. `light` (H, W) is the gain of its pixels; needed if the
-    flat is part of a larger one, to which the gain map of the camera belongs.
+    `light` (H, W) is the gain of its pixels; needed if the flat is part of a larger one.
     """
     lattice = downsample_lattice(calibration.lattice, factor)
     image = allocate_pooled(lattice.image_size[::-1], np.float32)

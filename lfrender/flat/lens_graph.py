@@ -17,15 +17,8 @@ __all__ = [
 
 
 def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Row of each lens by its lattice index; cached, not to be written into.
-
-    Returns
-    -------
-    grid : (nj, ni) int32
-        Row in `lattice.centres()` of lens `(i, j)` at `grid[j - low[1], i - low[0]]`, -1 if there is none.
-    low : (2,) int64
-        Smallest `i` and `j`.
-    """
+    """Rows (nj, ni) in `lattice.centres()` of lenses `(i, j)`, at `[j - low[1], i - low[0]]`, -1 if there is none, and
+    `low`; cached, not to be written into."""
 
     def make() -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         ij = lattice.indices()
@@ -130,10 +123,8 @@ def _find_two_rings(begin, end, neighbours, out):
 
 
 def two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(n, 3 k) int32 rows of the lenses in two rings about each, of its neighbours (n, k) and theirs; cached.
-
-    -1 fills up. On a lattice the second ring has twice as many lenses as the first.
-    """
+    """(n, 3 k) int32 rows of the lenses in two rings about each, of its neighbours (n, k) and theirs, then -1;
+    cached."""
 
     def make() -> NDArray[np.int32]:
         out = np.empty((len(neighbours), 3 * neighbours.shape[1]), np.int32)
@@ -144,10 +135,7 @@ def two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def distant_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
-    """`two_rings` of every third lens: those three and six steps from each lens.
-
-    Their two rings share hardly any lens with its own, so their estimates are nearly independent.
-    """
+    """`two_rings` of every third lens: their estimates are nearly independent of those of its own two rings."""
 
     def make() -> NDArray[np.int32]:
         # -1 leads to the last row, which leads nowhere.
@@ -163,12 +151,8 @@ def distant_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
 def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """All lenses about one within `reach` and a pitch, the nearest first; of distorted lattices, some 500 tell.
 
-    Returns
-    -------
-    offsets : (k, 3) float32 [px]
-        Offset `x, y` on the straight lattice, and the least distance that such two lenses have on the flat.
-    steps : (k, 2) int32
-        The same in lattice indices.
+    Returns offsets (k, 3) float32 [px]: `x, y` on the straight lattice, and the least distance on the flat; and the
+    steps (k, 2) int32 in lattice indices.
     """
     limit = reach + lattice.pitch
     span = np.arange(-1, 2) if limit <= 0 else np.arange(-_span(lattice, limit), _span(lattice, limit) + 1)

@@ -16,22 +16,11 @@ _SHARP = 0.1
 
 
 def focus_weights(types: LensTypes | None) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Weights of the lens types over depth.
+    """Type (m, m) of lens `(i, j)` at `[i % m, j % m]`, and weights (count, WEIGHT_STEPS) of each at `s / D` from -1 to
+    1.
 
-    The blur of a microlens grows with the distance of `s / D` from its focus (docs/geometry.md: `s / D` is nearly
-    `b / a`, an inverse distance). The weight of a type falls with the square of that distance, relative to
-    the type nearest to focus.
-
-    Parameters
-    ----------
-    types : LensTypes or None
-
-    Returns
-    -------
-    cell : (m, m) int8
-        Type of lens `(i, j)` at `[i % m, j % m]`; (0, 0) if all lenses have equal weight.
-    weights : (count, WEIGHT_STEPS) float32
-        Weight of each type, 0..1, at `s / D` from -1 to 1.
+    (0, 0) types if all have equal weight. The blur of a microlens grows with the distance of `s / D` from its focus;
+    the weight of a type falls with the square of that, relative to the type nearest to focus.
     """
     if types is None or types.focus is None or types.count < 2 or not np.isfinite(types.focus).all():
         return np.zeros((0, 0), np.int8), np.ones((1, WEIGHT_STEPS), np.float32)

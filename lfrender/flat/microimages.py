@@ -31,33 +31,19 @@ _ROUNDING = 0.25
 
 @dataclass(frozen=True)
 class Strips:
-    """Microimages as strips of one length.
+    """Microimages as strips of one length: row `r` of one is row `r // step` of part `r % step` of its strip.
 
-    Row `r` of a microimage is row `r // step` of part `r % step` of its strip, so that every `step`-th row, which are
-    read together, follow each other.
-
-    Parameters
-    ----------
-    values : (n * size + spare,) float32
-        Brightness minus the mean of the lens, one strip after the other; any outside the flat, 0 after the last.
-    centre_pixels : (n, 2) int32 [px]
-        Pixel `x, y` in the middle of each microimage.
-    complete : (n,) bool
-        Microimages that lie within the flat.
-    extracted : (n,) bool
-        Microimages that have been cut out.
-    half_width, width, rows, step, size : int
-        Pixels from the middle to the sides, and from row to row; rows of a part, number of parts, pixels of a strip.
+    So every `step`-th row, which are read together, follow each other.
     """
 
-    values: NDArray[np.float32]
-    centre_pixels: NDArray[np.int32]
-    complete: NDArray[np.bool_]
-    extracted: NDArray[np.bool_]
-    half_width: int
-    width: int
-    rows: int
-    step: int
+    values: NDArray[np.float32]  # one strip after the other, less the mean of its lens; any off the flat, 0 at the end
+    centre_pixels: NDArray[np.int32]  # (n, 2) pixel `x, y` in the middle of each microimage
+    complete: NDArray[np.bool_]  # (n,) microimages that lie within the flat
+    extracted: NDArray[np.bool_]  # (n,) microimages that have been cut out
+    half_width: int  # pixels from the middle to the sides
+    width: int  # and from row to row
+    rows: int  # of a part
+    step: int  # number of parts
 
     @property
     def size(self) -> int:
@@ -78,33 +64,21 @@ def _offsets(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.fl
 
 
 class OverlapMasks(NamedTuple):
-    """Masks of the pixels of a microimage that another one also holds, by their shift in whole pixels.
+    """Masks of the pixels of a microimage that another one also holds, by their shift in whole pixels."""
 
-    Parameters
-    ----------
-    slots : (2 k + 1, 2 k + 1) int32
-        Row of the shift `x, y` in the other arrays at `[y + k, x + k]`, -1 for other shifts.
-    masks : (slots, rows * width + spare) float32
-        1 or 0 for the pixels of the first part of a strip, and 0 after them.
-    ends : (slots, 4) int32
-        Position of the first 1; a multiple of `VECTOR_LENGTH` values that holds them all; how much later in a strip
-        follow the pixel at this shift and the one below it.
-    counts : (slots,) int32
-        Number of ones.
-    """
-
-    slots: NDArray[np.int32]
-    masks: NDArray[np.float32]
+    slots: NDArray[np.int32]  # (2 k + 1, 2 k + 1) row of the shift `x, y` in the others at `[y + k, x + k]`, or -1
+    masks: NDArray[np.float32]  # (slots, rows * width + spare) 1 or 0 for the pixels of the first part of a strip
+    # (slots, 4) position of the first 1; a multiple of `VECTOR_LENGTH` values that holds them all; how much later in a
+    # strip follow the pixel at this shift and the one below it
     ends: NDArray[np.int32]
-    counts: NDArray[np.int32]
+    counts: NDArray[np.int32]  # (slots,) number of ones
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
     """Copy every `step`-th row of a box from (left, top) on, one after the other, to `out` from `begin` on.
 
-    `pixels` are those of the flat in one line, `stride` its width: to make one line of it takes longer than to copy the
-    box. What lies off the flat gets the value of any of its pixels.
+    `pixels` are those of the flat in one line, `stride` its width. What lies off it gets the value of any pixel.
     """
     beyond = len(pixels) - wide
     for row in range(rows):
@@ -148,10 +122,9 @@ def _clear_beyond(size, spare, wanted, done, values):
 def extract_strips(
     gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArray[np.bool_] | None = None
 ) -> Strips:
-    """Cut out the microimages of `gray`, minus the `means` (n,) of each, for reading every `step`-th row.
+    """Cut out the `wanted` microimages (n,), minus the `means` (n,) of each, for reading every `step`-th row.
 
-    Only those that are `wanted` (n,), all by default. The strips are cached with the flat, for the same means and step:
-    microimages in them are not cut out again.
+    The strips are cached with the flat, for the same means and step.
     """
     kept: dict[int, tuple[NDArray[np.float32], Strips]] = cached(gray, "strips", dict)
     if step not in kept or kept[step][0] is not means:
@@ -219,16 +192,8 @@ def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, cou
 
 
 def make_shift_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> OverlapMasks:
-    """Masks of the shared pixels of two microimages, for shifts in whole pixels; cached, not to be written into.
-
-    Parameters
-    ----------
-    strips : Strips
-    radius : float [px]
-        Up to which microimages are trusted, about the pixel in their middle.
-    wanted : (m, 2) int
-        Shifts `x, y`, each read a fraction of a pixel farther.
-    """
+    """Masks of the pixels that two microimages of this `radius` [px] share at shifts `wanted` (m, 2), each read a
+    fraction of a pixel farther; cached, not to be written into."""
     return _masks_of(strips.half_width, strips.width, strips.rows, strips.step, radius, wanted.tobytes())
 
 

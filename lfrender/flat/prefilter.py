@@ -19,17 +19,8 @@ __all__ = ["prefilter_flat", "prefilter_packed"]
 
 
 def prefilter_flat(pixels: NDArray) -> NDArray:
-    """The flat sharpened by `p - (sum of the four neighbours - 4 p) / 12`.
-
-    Parameters
-    ----------
-    pixels : (H, W, C) uint8, uint16 or float32
-
-    Returns
-    -------
-    array of the same shape and type
-        Integers are rounded, and clipped to their range.
-    """
+    """The flat (H, W, C) sharpened by `p - (sum of the four neighbours - 4 p) / 12`; integers are rounded and
+    clipped."""
     rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
     out = np.empty(rows.shape, np.float32)
     _filter_floats(rows, pixels.shape[2], np.float32(1 / 12), out)
@@ -111,12 +102,7 @@ def _pack_shorts(begin, end, flat, channels, out):
 
 
 def prefilter_packed(pixels: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint32 | np.uint64]:
-    """`prefilter_flat` with the channels of each pixel, at most four, in one number, the first lowest.
-
-    Returns
-    -------
-    (H, W) uint32 for bytes, uint64 for shorts
-    """
+    """`prefilter_flat` with the channels of each pixel, at most four, in one number (H, W), the first lowest."""
     rows, channels = np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2]
     of_bytes = pixels.dtype == np.uint8
     out = allocate_pooled(pixels.shape[:2], np.uint32 if of_bytes else np.uint64)

@@ -92,18 +92,10 @@ def remove_shading(
     wanted: NDArray[np.bool_],
     others: GrayFlat | None = None,
 ) -> GrayFlat:
-    """`gray` without the pattern that the lenses around each lens, of its own type, have in common.
+    """`gray` without the pattern that the lenses of its type around each `wanted` lens (n,) have in common.
 
-    Parameters
-    ----------
-    gray : GrayFlat
-    lattice : Lattice
-    means, contrast : (n,) float32
-        Mean and standard deviation of every microimage.
-    wanted : (n,) bool
-        Lenses to remove it from; the others keep it.
-    others : GrayFlat, optional
-        `gray` without the shading of other lenses; it is changed and returned.
+    `means` and `contrast` (n,) are of each microimage; `others` is `gray` without the shading of other lenses: it is
+    changed and returned.
     """
     if others is not None and not wanted.any():
         return others

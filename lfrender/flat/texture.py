@@ -34,45 +34,24 @@ _FAINT = 0.5
 
 @dataclass(frozen=True)
 class LensStatistics:
-    """Brightness inside each microimage, white = 1.
+    """Brightness inside each microimage, white = 1."""
 
-    Parameters
-    ----------
-    mean, contrast : (n,) float32
-        Mean and standard deviation.
-    central_contrast : (n,) float32
-        Standard deviation in the middle, within 0.36 pitches of the centre.
-    roughness : (n,) float32
-        RMS of what neither a plane nor a straight edge explains: noise, rounding, and the finest detail.
-    """
-
-    mean: NDArray[np.float32]
-    contrast: NDArray[np.float32]
-    central_contrast: NDArray[np.float32]
+    mean: NDArray[np.float32]  # (n,)
+    contrast: NDArray[np.float32]  # (n,) standard deviation
+    central_contrast: NDArray[np.float32]  # (n,) the same within 0.36 pitches of the centre
+    # (n,) RMS of what neither a plane nor a straight edge explains: noise, rounding, and the finest detail
     roughness: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Texture:
-    """Texture of all lenses.
+    """Texture of all lenses."""
 
-    Parameters
-    ----------
-    flat : GrayFlat
-        The flat that is matched, without common shading if that was removed.
-    statistics : LensStatistics
-        Of that flat.
-    noise : float
-        Standard deviation of a pixel, white = 1.
-    clear, faint : (n,) bool
-        Lenses with texture, and lenses whose contrast may be noise or shading: only a match can confirm it.
-    """
-
-    flat: GrayFlat
-    statistics: LensStatistics
-    noise: float
-    clear: NDArray[np.bool_]
-    faint: NDArray[np.bool_]
+    flat: GrayFlat  # that is matched, without common shading if that was removed
+    statistics: LensStatistics  # of that flat
+    noise: float  # standard deviation of a pixel, white = 1
+    clear: NDArray[np.bool_]  # (n,) lenses with texture
+    faint: NDArray[np.bool_]  # (n,) lenses whose contrast may be noise or shading: only a match can confirm it
 
 
 @njit(error_model="numpy")
@@ -84,10 +63,7 @@ def _mean_and_deviation(number, total, squares):
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda _, centres, *__: len(centres))
 def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
-    """Mean, contrast, contrast of the middle and roughness of the `wanted` lenses, into `out` (4, n).
-
-    Roughness is the response to a checkerboard filter, which is none to planes and straight edges (Immerkaer 1996).
-    """
+    """Fill `out` (4, n); roughness is the response to a checkerboard filter (Immerkaer 1996)."""
     height, width = image.shape
     line, across, one = image.reshape(-1), np.uint64(width), np.uint64(1)
     zero, unit, two, four, middle2 = np.float32(0), np.float32(1), np.float32(2), np.float32(4), middle * middle
@@ -133,10 +109,8 @@ def measure_statistics(
     wanted: NDArray[np.bool_] | None = None,
     row_step: int = 1,
 ) -> LensStatistics:
-    """Brightness inside each microimage.
-
-    Lenses that are not `wanted` (n,) keep their `known` values. Only every `row_step`-th row of pixels is read.
-    """
+    """Brightness inside each microimage, from every `row_step`-th row; lenses not `wanted` (n,) keep what is
+    `known`."""
     out = np.zeros((4, len(gray.centres)), np.float32)
     if known is not None:
         out[:] = known.mean, known.contrast, known.central_contrast, known.roughness
@@ -169,19 +143,10 @@ def find_texture(
     wanted: NDArray[np.bool_] | None = None,
     known_noise: float | None = None,
 ) -> Texture:
-    """Remove the common shading of microimages and classify the texture that is left.
+    """Remove the common shading of microimages, of the `wanted` lenses (n,), and classify the texture that is left.
 
-    Parameters
-    ----------
-    gray : GrayFlat
-    lattice : Lattice
-    plain : LensStatistics
-        Of `gray`.
-    blank : (n,) bool, optional
-        Lenses known to have no texture; only their shading beside lenses with texture is removed.
-    wanted : (n,) bool, optional
-        Lenses whose shading is removed; all by default.
-    known_noise : float, optional
+    `plain` are the statistics of `gray`; of lenses known to be `blank` (n,), only the shading beside lenses with
+    texture is removed.
     """
     wanted = np.ones(len(plain.mean), bool) if wanted is None else wanted
     first = wanted if blank is None else wanted & ~blank

@@ -20,17 +20,8 @@ _BRIGHTEST = 16.0
 
 
 def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
-    """The flat as an (H, W, C) array of uint8, uint16 or float32; in colour if the camera has a colour filter mosaic.
-
-    Raises
-    ------
-    FlatError
-        If it is not a gray or colour picture of finite numbers, or of floats that are far beyond 1 at white.
-    CalibrationError
-        If the calibration was made for another image size.
-    TypeError
-        If it is no Calibration.
-    """
+    """The flat as (H, W, C) uint8, uint16 or float32, in colour if the camera has a mosaic; FlatError or
+    CalibrationError."""
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     if isinstance(flat, (str, os.PathLike)):
         raise FlatError(f"flat is a path; give its pixels, lfcal.read_flat({os.fspath(flat)!r})")
@@ -74,17 +65,10 @@ def exposure_rows(height: int) -> NDArray[np.int64]:
 
 
 def match_exposure(rows: NDArray, calibration: Calibration) -> Calibration:
-    """The camera with a white level that a dim flat comes near to; the camera as it is for others.
+    """The camera with a white level that a dim flat comes near to, by its `exposure_rows`; as it is for others.
 
-    Noise, texture and tolerances are then measured against the light of the flat, not against that of the type. The
-    white level is lowered in steps, four for each factor of two, so that the frames of a sequence have the same; it
-    exceeds nearly all pixels by a tenth. Flats of 8 bits are never dim: their steps are what limits them.
-
-    Parameters
-    ----------
-    rows : (n, W, C) or (n, W) array
-        Those of `exposure_rows`.
-    calibration : Calibration
+    Noise, texture and tolerances are then measured against the light of the flat. The level is lowered in steps, four
+    for each factor of two, so that the frames of a sequence have the same. Flats of 8 bits are never dim.
     """
     if rows.dtype == np.uint8 or rows.size == 0:
         return calibration

@@ -85,12 +85,15 @@ def analyze_large(
     shortcuts = Shortcuts.of(skip)
     reader = TileReader(source, calibration)
     calibration = reader.calibration = match_exposure(reader.sample_exposure(), calibration)
-    flat = _Flat(reader, preset, shortcuts, SceneStatistics(0.0, np.zeros(0, np.float32), 0.0))
-    workers = Workers(client, threads)
+    flat, workers = _Flat(reader, preset, shortcuts), Workers(client, threads)
+    windows = lens_windows(calibration.lattice, flat.factor)
+    plain, rough, sizes = map(
+        np.concatenate, zip(*workers.map(_survey_window, flat, windows, _Flat.read), strict=True)
+    )  # fmt: skip
+    flat = replace(flat, overview=SceneStatistics(estimate_noise(rough), sizes, estimate_noise(plain)))
     tiles = lens_tiles(
         calibration.lattice, flat.factor, PRESETS[preset], reader.channels * source.dtype.itemsize, memory
     )
-    flat = replace(flat, overview=_survey(flat, workers, list(lens_windows(calibration.lattice, flat.factor))))
     depth = _analyze_tiles(flat, workers, list(tiles), progress)
     # Those of a colour filter mosaic are not those of the flat in colour.
     raw = calibration.mosaic is not None and len(source.shape) == 2
@@ -104,11 +107,10 @@ class _Flat:
     reader: TileReader
     preset: str
     shortcuts: Shortcuts
-    overview: SceneStatistics
+    overview: SceneStatistics | None = None
 
     @property
     def factor(self) -> int:
-        """Factor by which the flat is reduced for the analysis."""
         return PRESETS[self.preset].factor(self.reader.calibration.lattice.pitch)
 
     @cached_property
@@ -122,25 +124,23 @@ class _Flat:
         return self.reader.calibration.region_gain() if uneven_lenses(self.reader.calibration) else None
 
     def read(self, part: LensTile) -> NDArray[Any]:
-        """The pixels of a part as stored."""
         return self.reader.read_raw(part.rectangle)
 
     def gray_tile(self, part: LensTile, raw: NDArray[Any]) -> GrayFlat:
-        """A part of the flat as it is analysed, its vignetting corrected as on the whole flat."""
         pixels = self.reader.read(part.rectangle, raw)
         height, width = pixels.shape[:2]
         light = None if self._gain is None else self._gain.at(*part.rectangle[:2], width, height)
         return make_gray_flat(pixels, replace(self.reader.calibration, lattice=part.full), part.factor, light)
 
 
-def _measure_roughness(
-    flat: _Flat, part: LensTile, pixels: NDArray[Any]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Roughness of the lenses of a window, with and without their common shading."""
+def _survey_window(flat: _Flat, part: LensTile, pixels: NDArray[Any]) -> tuple[NDArray[np.float32], ...]:
+    """Roughness of the lenses of a window, with and without their common shading, and the depths of those with one."""
     gray = flat.gray_tile(part, pixels)
     plain = sample_statistics(gray)
     texture = find_texture(gray, part.lattice, plain)
-    return plain.roughness[part.inside], texture.statistics.roughness[part.inside]
+    depth = estimate_lens_by_lens(gray, part.lattice, flat.preset, Shortcuts.of(False), plain, None)
+    known = part.inside & ~depth.filled
+    return plain.roughness[part.inside], texture.statistics.roughness[part.inside], depth.patch_size[known]
 
 
 def _analyze_tile(flat: _Flat, part: LensTile, pixels: NDArray[Any]) -> DepthMap:
@@ -148,28 +148,15 @@ def _analyze_tile(flat: _Flat, part: LensTile, pixels: NDArray[Any]) -> DepthMap
     gray = flat.gray_tile(part, pixels)
     plain = sample_statistics(gray)
     blank = None
-    if flat.shortcuts.blank:
+    if flat.shortcuts.blank and flat.overview is not None:
         blank = find_textureless(gray, part.lattice, plain, PRESETS[flat.preset], flat.overview.raw_noise)
     depth = estimate_lens_by_lens(gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview)
     return locate_edges(gray, part.lattice, depth) if PRESETS[flat.preset].edges else depth
 
 
-def _survey(flat: _Flat, workers: Workers, windows: list[LensTile]) -> SceneStatistics:
-    """Noise and range of depths in windows of the flat."""
-    measured = workers.map(_measure_roughness, flat, windows, _Flat.read)
-    raw, rough = map(np.concatenate, zip(*measured, strict=True))
-    overview = SceneStatistics(estimate_noise(rough), np.zeros(0, np.float32), estimate_noise(raw))
-    thorough = Shortcuts(blank=flat.shortcuts.blank, ranges=False, still=False)
-    estimating = replace(flat, shortcuts=thorough, overview=overview)
-    found = workers.map(_analyze_tile, estimating, windows, _Flat.read)
-    sizes = [depth.patch_size[part.inside & ~depth.filled] for part, depth in zip(windows, found, strict=True)]
-    return replace(overview, sizes=np.concatenate(sizes))
-
-
 def _analyze_tiles(
     flat: _Flat, workers: Workers, tiles: list[LensTile], progress: Callable[[int, int], None] | None
 ) -> DepthMap:
-    """Analyse all tiles and put their results together."""
     lattice, preset = flat.lattice, flat.preset
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
     values = empty_lenses(len(lattice))
@@ -194,10 +181,7 @@ def _analyze_tiles(
 
 
 def _paste(target: NDArray[np.float32], surface: Surface, part: LensTile, spacing: float, finer: int) -> None:
-    """Copy the cells of the surface that lie in a tile from the tile's own surface.
-
-    Cells are `spacing` [px] wide, and have `finer` values of the `target` each way.
-    """
+    """Copy the cells, `spacing` [px] wide with `finer` values each way, of a tile from its own surface."""
     values = surface.patch_size
     if round(spacing / surface.spacing) < finer:
         values = refine_grid(values, finer, TOLERANCE * part.lattice.pitch)

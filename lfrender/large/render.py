@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,17 +103,17 @@ def render_large(
     output, reader = Path(path), TileReader(source, calibration)
     check_large_picture(output, source.dtype, alpha)
     exposed = match_exposure(reader.sample_exposure(), calibration)
-    drawing = make_renderer(reader.read, exposed, depth, patch_size, scale, blend, detail)
-    grid, workers = drawing.grid, Workers(client, threads)
+    renderer = make_renderer(reader.read, exposed, depth, patch_size, scale, blend, detail)
+    grid, workers = renderer.grid, Workers(client, threads)
     # For a cluster four tiles a thread, so that few threads are idle at the end.
-    side = _tile_size(drawing, reader, tile, 1 if client is None else 4 * workers.count)
+    side = _tile_size(renderer, reader, tile, 1 if client is None else 4 * workers.count)
     text, suffix = describe(grid.affine(), settings), output.suffix.lower()
     channels = reader.channels + alpha
     shape = (*grid.size[::-1], channels) if channels > 1 else grid.size[::-1]
     # Of all that the picture depends on: tiles of an earlier run are used if it is the same.
     key = fingerprint(
         file_identity(source.path), file_identity(source.dark), [source.page, str(source.dtype)], calibration.to_dict(),
-        [patch_size, grid.scale, drawing.blend, drawing.noise, *side, alpha, compress, suffix, text],
+        [patch_size, grid.scale, renderer.blend, renderer.noise, *side, alpha, compress, suffix, text],
         *([] if depth is None else [depth.patch_size, depth.surface.patch_size]),
     )  # fmt: skip
     checkpoint, direct = Checkpoint(output), FORMATS[suffix].tiles
@@ -129,7 +129,7 @@ def render_large(
     kept, parts = len(done), dict(enumerate(grid.tiles(side)))
     missing = {number: part for number, part in parts.items() if str(number) not in done}
     # A copy, without the tables that are cached in it: workers compute their own.
-    drawn = workers.map(_draw_tile, _Drawing(replace(drawing), reader), missing.values(), _Drawing.read)
+    drawn = workers.map(_draw_tile, _Drawing(replace(renderer), reader), missing.values(), _read_part)
 
     def store(tile: tuple[int, tuple[NDArray[Any], NDArray[np.bool_]]]) -> None:
         number, (pixels, valid) = tile
@@ -145,26 +145,24 @@ def render_large(
     if direct:
         writer.finish(output)
     else:
-        writer.finish(checkpoint.folder / "whole.tif")
-        _encode(checkpoint.folder, output, drawing, settings, source)
+        _encode(writer, checkpoint.folder, output, renderer, settings, source, alpha)
     checkpoint.remove()
     valid_share = sum(done.values()) / (shape[0] * shape[1])
     return LargePicture(output, grid.size, grid.affine(), grid.scale, valid_share, len(parts), kept)
 
 
-@dataclass(frozen=True)
-class _Drawing:
+class _Drawing(NamedTuple):
     """What workers need to draw a tile."""
 
     renderer: Renderer
     reader: TileReader
 
-    def read(self, tile: Part) -> NDArray[Any]:
-        return self.reader.read_raw(self.renderer.required_part(tile))
+
+def _read_part(drawing: _Drawing, tile: Part) -> NDArray[Any]:
+    return drawing.reader.read_raw(drawing.renderer.required_part(tile))
 
 
 def _draw_tile(drawing: _Drawing, tile: Part, raw: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """A tile of the picture from the part of the flat that it needs."""
     part = drawing.renderer.required_part(tile)
     return drawing.renderer.draw(drawing.reader.read(part, raw), part[:2], tile, drawing.reader.dtype)
 
@@ -179,21 +177,19 @@ def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ())
         raise PictureError(f"{output}: is an input of this command; give another output")
 
 
-def _tile_size(drawing: Renderer, reader: TileReader, tile: int | None, least: int) -> tuple[int, int]:
+def _tile_size(renderer: Renderer, reader: TileReader, tile: int | None, least: int) -> tuple[int, int]:
     """Columns and rows of the tiles: as given, or nearly square ones of a gigabyte, at least `least` of them."""
-    columns, rows = drawing.grid.size
+    columns, rows = renderer.grid.size
     if tile is not None:
         if tile < 1:
             raise ValueError(f"tile must be a positive number of pixels, got {tile}")
         return min(tile, columns), min(tile, rows)
-    item = reader.dtype.itemsize * reader.channels
+    item, spacing = reader.dtype.itemsize * reader.channels, renderer.grid.spacing
     # A pixel of the flat is in memory as read, for this tile and the next one, without vignetting, and prepared for
     # interpolation, and has an occlusion depth. A pixel of the picture is there as computed, and as stored twice.
-    flat_bytes, picture_bytes = 4 * item + 6, 4 * reader.channels + 4 + 2 * item
-    one = drawing.required_part((columns // 2, rows // 2, columns // 2 + 1, rows // 2 + 1))
-    halo, sides = max(one[2] - one[0], one[3] - one[1]), np.arange(64, 64 + max(columns, rows))
-    needed = (sides * drawing.grid.spacing + halo) ** 2 * flat_bytes + sides**2 * picture_bytes
-    side = int(sides[max(int(np.searchsorted(needed, 1 << 30)) - 1, 0)])
+    bytes_each = spacing**2 * (4 * item + 6) + 4 * reader.channels + 4 + 2 * item
+    one = renderer.required_part((columns // 2, rows // 2, columns // 2 + 1, rows // 2 + 1))
+    side = max(int((2**30 / bytes_each) ** 0.5 - (one[2] - one[0]) / spacing), 64)
     if least > 1:
         # Smaller tiles for a cluster would be mostly halo.
         side = min(side, max(int(np.sqrt(columns * rows / least)), 512))
@@ -202,18 +198,18 @@ def _tile_size(drawing: Renderer, reader: TileReader, tile: int | None, least: i
 
 
 def _encode(
-    folder: Path, output: Path, drawing: Renderer, settings: Mapping[str, Any] | None, source: FlatSource
-) -> None:
-    """Write the finished tiles in `whole.tif` as a picture of another format."""
+    writer: TileWriter, folder: Path, output: Path, renderer: Renderer, settings: Mapping[str, Any] | None,
+    source: FlatSource, alpha: bool,
+) -> None:  # fmt: skip
+    """Write the finished tiles as a picture of another format."""
     import tifffile
 
-    pixels = tifffile.imread(folder / "whole.tif")
-    channels = pixels.shape[2] if pixels.ndim == 3 else 1
-    alpha, valid = channels in (2, 4), np.ones(pixels.shape[:2], bool)
+    whole, encoded = folder / "whole.tif", folder / f"encoded{output.suffix}"
+    writer.finish(whole)
+    pixels, valid = tifffile.imread(whole), np.ones(renderer.grid.size[::-1], bool)
     if alpha:
-        pixels, valid = pixels[..., :3] if channels == 4 else pixels[..., 0], pixels[..., -1] > 0
-    picture = Rendering(pixels, drawing.grid.affine(), valid, drawing.scale)
+        valid, pixels = pixels[..., -1] > 0, pixels[..., :3] if pixels.shape[2] > 2 else pixels[..., 0]
+    picture = Rendering(pixels, renderer.grid.affine(), valid, renderer.scale)
     # Encoded into the hidden folder: if the process is killed, the next run removes the file.
-    encoded = folder / f"encoded{output.suffix}"
     write_picture(encoded, picture, alpha=alpha, settings=settings, embedded=read_metadata(source.path))
     move_into_place(encoded, output)

@@ -30,10 +30,7 @@ Rectangle = tuple[int, int, int, int]
 
 
 class TileReader:
-    """Reads parts of a flat: with a channel axis, and in colour where the camera has a colour mosaic.
-
-    A copy, such as that of a worker on another machine, opens the file itself, under the same path.
-    """
+    """Reads parts of a flat, in colour where the camera has a colour mosaic; copies open the file themselves."""
 
     def __init__(self, source: FlatSource, calibration: Calibration) -> None:
         check_type(source, FlatSource, "source", "lfcal.open_flat makes one")
@@ -87,10 +84,7 @@ class TileReader:
 
 @dataclass(frozen=True)
 class LensTile:
-    """A part of the flat that is analysed alone: its lattice, and the lenses whose results are taken from it.
-
-    Corner and core are in pixels of the flat as it is analysed, each the mean of `factor` x `factor` pixels as read.
-    """
+    """A part of the flat that is analysed alone; corner and core are in pixels of the flat as it is analysed."""
 
     factor: int
     corner: NDArray[np.int64]  # (2,) first pixel x, y
@@ -114,7 +108,7 @@ class LensTile:
 
     @property
     def rectangle(self) -> Rectangle:
-        """`left, top, right, bottom` of its pixels on the flat as read."""
+        """Its pixels on the flat as read."""
         x, y = (self.corner * self.factor).tolist()
         width, height = self.full.image_size
         return x, y, x + width, y + height
@@ -160,13 +154,12 @@ def lens_tiles(
 
 
 def _reduced_size(whole: Lattice, factor: int) -> tuple[int, int]:
-    """Columns and rows of the flat as it is analysed, with the incomplete pixels at its border."""
     width, height = whole.image_size
     return -(-width // factor), -(-height // factor)
 
 
 def _align(at: int, spacing: float, block: int) -> int:
-    """The pixel at or before `at` where a block begins and, of 40 cells, most nearly a cell of the surface's grid."""
+    """The pixel at or before `at` where a block begins and, of 40 cells, most nearly a cell of the surface."""
     last = int(at / spacing)
     starts = np.arange(max(0, last - 40), last + 1) * spacing
     pixels = np.rint(starts / block).astype(int) * block

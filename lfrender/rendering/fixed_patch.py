@@ -160,25 +160,11 @@ def shows_patches(calibration: Calibration, surface: Surface, scale: float, aper
 def render_patches(
     pixels: NDArray[Any], corner: tuple[int, int], calibration: Calibration, patch_size: float, part: Part
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Read each pixel of a picture of `|patch_size|` pixels per pitch from the nearest lens.
+    """Read each pixel of a `part` of a picture of `|patch_size|` pixels per pitch from the nearest lens, on a straight
+    lattice.
 
-    Parameters
-    ----------
-    pixels : (h, w, C) uint8, uint16 or float32
-        Part of the flat.
-    corner : (int, int) [px]
-        Flat coordinates x, y of its first pixel.
-    calibration : Calibration
-        With a straight lattice.
-    patch_size : float [px]
-    part : (int, int, int, int)
-        Columns and rows `left, top, right, bottom` of the picture.
-
-    Returns
-    -------
-    image : (rows, columns, C) array of the type of `pixels`
-    valid : (rows, columns) bool
-        Pixels that it shows; others, at the border of the flat, are not set.
+    `pixels` (h, w, C) are a part of the flat, `corner` x, y of its first one. Returns the image, and the pixels that it
+    shows; others, at the border of the flat, are not set.
     """
     lattice: Lattice = calibration.lattice
     spacing = lattice.pitch / abs(patch_size)

@@ -23,11 +23,8 @@ def find_changed_pixels(
     grid: PictureGrid, centres: NDArray[np.float64], reach: float, before: Surface, now: Surface,
     changed: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """(rows, columns) bool: pixels of the picture that may differ from those of an earlier frame.
-
-    They are in `reach` [px] of a lens that is `changed` (n,), or near which the surface differs from `before`: there,
-    what occludes what may have changed. All others would be drawn from the same depth and pixels.
-    """
+    """(rows, columns) bool: pixels of the picture that may differ from those of an earlier frame: those in `reach` [px]
+    of a lens that is `changed` (n,), or near which the surface differs from `before`."""
     columns, rows = grid.size
     if before.patch_size.shape != now.patch_size.shape or before.first != now.first or before.spacing != now.spacing:
         return np.ones((rows, columns), bool)
@@ -58,16 +55,7 @@ def redraw(
 ) -> tuple[NDArray, NDArray[np.bool_]]:  # fmt: skip
     """Draw the pixels (h, w, C) that may differ from the `picture` of an `earlier` flat with the depth map `before`.
 
-    Returns
-    -------
-    image : (rows, columns, C) array
-    valid : (rows, columns) bool
-        Pixels that some lens shows.
-
-    Raises
-    ------
-    ValueError
-        If the earlier flat or its picture is of another size, dtype or number of channels.
+    Returns the image and the pixels that some lens shows; ValueError if the earlier flat or picture is of another kind.
     """
     import cv2
 

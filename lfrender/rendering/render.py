@@ -150,10 +150,8 @@ def make_renderer(
     detail: Detail | None = None,
     noise: float | None = None,
 ) -> Renderer:
-    """What draws the picture of `render`; `look` gives the pixels (h, w, C) of a part of the flat.
-
-    Detail is restored against this `noise`, if it is given, else as `detail` says.
-    """
+    """What draws the picture of `render`, against this `noise` if it is given; `look` gives pixels (h, w, C) of the
+    flat."""
     lattice, reach = calibration.lattice, REACH
     if (depth is None) == (patch_size is None):
         raise ValueError(

@@ -51,46 +51,22 @@ _ALL = np.empty((0, 0), bool)
 
 @dataclass(frozen=True)
 class Renderer:
-    """Draws a picture.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    surface : Surface
-    scale : float
-        Output pixels per pitch.
-    full : float [px]
-        The scale of full resolution, the size of the largest patches.
-    blend : bool
-        The mean over all lenses that agree on a point, or the lens alone whose centre is nearest.
-    reach : float [pitch]
-        Lenses farther than this from a scene point are not read.
-    agreement : float [white]
-        Difference from the mean colour at which a lens counts a quarter.
-    aperture : float
-        Part of the radius of microimages that is read.
-    viewpoint : Viewpoint
-    lit : LitFlat, optional
-        Of the whole flat, if several pictures are drawn from it.
-    noise : float, optional [white]
-        Of the flat, as `measure_noise`: detail is restored against it.
-    """
+    """Draws a picture."""
 
     calibration: Calibration
     surface: Surface
-    scale: float
-    full: float
-    blend: bool
-    reach: float = REACH
+    scale: float  # output pixels per pitch
+    full: float  # [px] the scale of full resolution, the size of the largest patches
+    blend: bool  # the mean over all lenses that agree on a point, or the lens alone whose centre is nearest
+    reach: float = REACH  # [pitch] lenses farther than this from a scene point are not read
     agreement: float = AGREEMENT
-    aperture: float = 1.0
+    aperture: float = 1.0  # part of the radius of microimages that is read
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
-    lit: LitFlat | None = None
-    noise: float | None = None
+    lit: LitFlat | None = None  # of the whole flat, if several pictures are drawn from it
+    noise: float | None = None  # [white] of the flat, as `measure_noise`: detail is restored against it
 
     @property
     def grid(self) -> PictureGrid:
-        """Where the pixels of the picture lie."""
         lattice = self.calibration.lattice
         return PictureGrid(lattice.image_size, lattice.pitch, self.scale)
 
@@ -113,24 +89,11 @@ class Renderer:
         part: Part | None = None,
         dtype: DTypeLike = np.float32,
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Draw a part of the picture.
+        """Draw a part of the picture, by default all, from the part of the flat that is `required_part`, or more, in
+        colour.
 
-        Parameters
-        ----------
-        pixels : (h, w, C) array
-            The part of the flat that is `required_part`, or more, in colour.
-        corner : (int, int) [px]
-            Flat coordinates x, y of its first pixel.
-        part : (left, top, right, bottom), optional
-            Of the picture; by default all of it.
-        dtype : data type
-            float32, or that of `pixels`.
-
-        Returns
-        -------
-        image : (rows, columns, C) of this type, in the flat's units
-        valid : (rows, columns) bool
-            Pixels that some lens shows.
+        `corner` are flat coordinates x, y of its first pixel, `dtype` is float32 or that of `pixels`. Returns the image
+        (rows, columns, C) in the flat's units, and (rows, columns) bool: pixels that some lens shows.
         """
         part = part or self.grid.whole
         if self.noise is None:

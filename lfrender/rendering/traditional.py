@@ -48,11 +48,7 @@ def _lens_means(begin, end, flat, unlit, centres, radius, gains, step, out, lit)
 
 
 def find_depth_problem(depth: DepthMap) -> str | None:
-    """Why a depth map shows no scene: next to no lens has a depth, or few of those that have form surfaces.
-
-    On a surface are lenses with three neighbours of the same depth; single ones are chance. The traditional picture is
-    then all that a flat has to give.
-    """
+    """Why a depth map shows no scene: next to no lens has a depth, or few of those that have form surfaces."""
     analysed = np.asarray(depth.reason) != REASONS.index("not analysed")
     share = float((depth.mode[analysed] != 0).mean()) if analysed.any() else 0.0
     if share > 0.5:

@@ -35,8 +35,8 @@ class Viewpoint:
     def warp_surface(self, surface: Surface, lattice: Lattice, edge: float) -> tuple[Surface, NDArray[np.float64]]:
         """The surface as seen from here, and the shift (2,) [px], order `x, y`, of the picture's frame.
 
-        `surface` is that seen from the middle of the aperture, `edge` [px] is as `edge_step`. Where the surface
-        uncovers what the middle view hides, the farther of the surfaces beside it is continued.
+        Where it uncovers what the middle view hides, the farther of the surfaces beside it is continued; `edge` is as
+        `edge_step`.
         """
         moved = self.still * np.array(self.offset, dtype=float)
         if not any(self.offset):
@@ -56,11 +56,7 @@ class Viewpoint:
         return Surface(warped, first, surface.spacing), moved
 
     def _nearest_in_reach(self, depths: NDArray[np.float32], spacing: float) -> NDArray[np.float32]:
-        """(h, w) virtual depth before which the ray of each grid value meets nothing.
-
-        The range of depths is cut into slabs: in each, a ray passes over a few grid values, and meets none of them if
-        all are farther than the slab.
-        """
+        """(h, w) virtual depth before which the ray of each grid value meets nothing, found in slabs of depth."""
         import cv2
 
         slabs = np.linspace(depths.min(), depths.max(), 5)
@@ -96,8 +92,8 @@ def virtual_depth(patch_size: NDArray[np.float32], pitch: float) -> NDArray[np.f
 def _warp(begin, end, surface, grid, view, still, nearest, farthest, bounds, least, pitch, out):
     """Follow the ray of every grid value of `out` (h, w) from near to far until it meets the surface.
 
-    Nothing on its way is nearer than `bounds` (h, w). Positions are relative to the first grid value. At virtual depth
-    `t`, the ray of the pixel `Y` passes over `Y - q (t - still)`.
+    Nothing on its way is nearer than `bounds` (h, w). At virtual depth `t`, the ray of pixel `Y` passes over `Y - q (t
+    - still)`, relative to the first grid value.
     """
     columns = surface.shape[1]
     view_x, view_y, cell = view[0], view[1], grid.spacing

@@ -17,7 +17,7 @@ _entries: dict[int, dict[Hashable, Any]] = {}
 def cached(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
     """The result of `make`, called once for each frozen `owner` and `key`; the owner is not kept alive.
 
-    Values are shared and must not be written to. They must not refer to their owner, or neither would be freed.
+    Values must not be written to, nor refer to their owner, or neither would be freed.
     """
     at = id(owner)
     values = _entries.get(at)

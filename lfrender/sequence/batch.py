@@ -110,25 +110,23 @@ def render_frames(
     """
     check_type(frames, Iterable, "frames", "lfrender.open_frames finds them")
     known = frames if isinstance(frames, Frames) else Frames(())
-    place, maps = (
-        path if path is None else Path(path) if client is None else Path(path).absolute()
-        for path in (folder, depth_maps)
-    )  # fmt: skip
-    film = maps is not None and is_video(maps)
-    if maps is not None and film:
-        check_format(maps, "film", inputs=known.files)
-        if maps.exists() and not overwrite:
-            raise OutputError(f"{maps}: is there already; give another output, or render it again (--overwrite)")
-    assert place is not None
+    # Workers may have another working directory.
+    place = Path(folder) if client is None else Path(folder).absolute()
+    maps = None if depth_maps is None else Path(depth_maps).absolute()
+    film = maps if maps is not None and is_video(maps) else None
+    if film is not None:
+        check_format(film, "film", inputs=known.files)
+        if film.exists() and not overwrite:
+            raise OutputError(f"{film}: is there already; give another output, or render it again (--overwrite)")
     dark = None if known.dark is None else str(known.dark)
     job = Job(place, calibration, preset, scale, suffix, views, eight_bits, dark, known.encoded, maps)
     job.start(overwrite, known.names)
     results = _render(job, frames, known.names, overwrite, segment, group, announce, Workers(client, threads, 2))
-    if maps is None or not film:
+    if film is None:
         yield from results
         return
     speed, depth_of = Fraction(rate or known.rate or 25), job.depth_path_of
-    yield from film_results(results, maps, job.hidden, speed, lambda result: depth_of(result.name), rendering="depth")
+    yield from film_results(results, film, job.hidden, speed, lambda result: depth_of(result.name), rendering="depth")
     shutil.rmtree(depth_of("").parent)
 
 

@@ -13,10 +13,9 @@ __all__ = ["connect", "render_frames_on"]
 
 
 def render_frames_on(client: Any, *given: Any, **options: Any) -> Generator[FrameResult, None, None]:
-    """`render_frames` on a cluster with this `client` (distributed.Client); the pictures are the same bit for bit.
+    """`render_frames(..., client=client)`: on a cluster, with the same pictures bit for bit.
 
-    Workers read image files themselves and write the pictures: inputs and `folder` must lie on storage that all of
-    them see under the same path. Frames of videos are decoded here and sent. Work of a lost worker is done again.
+    Workers read image files and write pictures: inputs and `folder` must have the same path for all of them.
 
     Examples
     --------

@@ -52,10 +52,7 @@ def film_results(
     white: Callable[[], float | None] = lambda: None,
     **about: str,
 ) -> Generator[FrameResult, None, None]:
-    """Pass results on, and write their pictures into a film: in a folder, moved to its place after the last one.
-
-    In place of a frame that failed the picture before it is repeated; FlatError if there is none at all.
-    """
+    """Pass results on, and write their pictures into a film: in a folder, moved to its place after the last one."""
     partial, shown, times = folder / f"film{path.suffix.lower()}", None, 0
     # Closed in this order: threads must end before the film that they write into, and not in the garbage collector.
     with closing(results), FilmFile(partial, rate, **about) as film:
@@ -93,11 +90,7 @@ class FilmFile:
             self._file.metadata["comment"] = json.dumps({"software": "lfrender", **about})
 
     def add(self, pixels: NDArray[Any], white: float | None = None) -> None:
-        """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float, of the size and type of the first one.
-
-        Up to the `white` of integers if the film is not lossless. PictureError if it is of another kind, OutputError if
-        the film cannot be written.
-        """
+        """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float; PictureError if it is unlike the first one."""
         kind = f"{pixels.shape[1]} x {pixels.shape[0]} px of {pixels.dtype}{'' if pixels.ndim == 2 else ' in colour'}"
         self._first = self._first or kind
         if kind != self._first:
@@ -133,7 +126,6 @@ class FilmFile:
             context.colorspace = context.color_primaries = context.color_trc = context.color_range = 1
 
     def _frame(self, pixels: NDArray[Any], white: float | None) -> Any:
-        """The picture as it is encoded."""
         import av
 
         if self._kind == ".mkv":
@@ -150,7 +142,6 @@ class FilmFile:
 
     @contextmanager
     def _output_errors(self) -> Iterator[None]:
-        """Turn errors of the encoder into an OutputError."""
         import av
 
         try:

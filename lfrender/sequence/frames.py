@@ -6,6 +6,7 @@ import os
 import re
 import sys
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -15,7 +16,6 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import FlatError, count_pages, read_flat, subtract_dark
@@ -44,7 +44,6 @@ class _Part:
     layout: tuple[tuple[str, Any], ...] = ()  # `size` and `pixel_format` of `read_flat`
 
     def frames(self, chosen: range) -> Iterator[Frame]:
-        """Those of its frames whose numbers are chosen, one after the other."""
         if self.pages is None:
             yield from _video_frames(self.path, chosen)
             return
@@ -70,7 +69,6 @@ class _Part:
 
     @property
     def names(self) -> Sequence[str]:
-        """Names of its frames."""
         return self.pages or [_frame_name(self.path, number) for number in range(self.header[0])]
 
 
@@ -105,7 +103,6 @@ class Frames:
 
     @property
     def files(self) -> list[Path]:
-        """The files that the frames are read from."""
         return [part.path for part in self.parts]
 
     @property
@@ -173,23 +170,24 @@ def open_frames(
     (['f9', 'f10'], ['f10'])
     """
     check_type(inputs, Iterable, "inputs", "give a list of files and folders")
+    dark = None if dark is None else Path(dark).absolute()
     layout = {"size": size, "pixel_format": pixel_format}
     parts = [part for path in inputs for part in _parts(Path(path).absolute(), layout)]
     if not parts:
         raise FlatError("no frames: give image files, a folder of them, a TIFF of several pages or a video")
-    names = [name for part in parts for name in (part.pages or (part.path.stem,))]
-    twice = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
+    names = Counter(name for part in parts for name in (part.pages or (part.path.stem,)))
+    twice = sorted(name for name, count in names.items() if count > 1)
     if twice:
         raise FlatError(f"{len(twice)} frames would have the same name, such as '{twice[0]}'; give them one by one")
     if dark is not None:
         # Errors of this file are raised at once, not for every frame.
-        _read_dark(Path(dark).absolute())
+        _read_dark(dark)
     if start is not None or end is not None:
         if frames is not None:
             raise ValueError("give either frames, or start and end")
         frames = _slice_of_seconds(parts, start, end)
     chosen = None if frames is None else _choose(sum(part.header[0] for part in parts), frames)
-    return Frames(tuple(parts), None if dark is None else Path(dark).absolute(), chosen)
+    return Frames(tuple(parts), dark, chosen)
 
 
 def _slice_of_seconds(parts: list[_Part], start: float | None, end: float | None) -> slice:
@@ -205,7 +203,7 @@ def _slice_of_seconds(parts: list[_Part], start: float | None, end: float | None
 
 def _choose(count: int, frames: int | slice | str) -> range:
     """The numbers of the frames, out of `count`, that are asked for."""
-    asked = frames
+    text = frames
     if isinstance(frames, str):
         found = re.fullmatch(r"\s*(-?\d+)?(:(-?\d+)?(?::(-?\d+)?)?)?\s*", frames)
         if not found or not frames.strip():
@@ -218,8 +216,7 @@ def _choose(count: int, frames: int | slice | str) -> range:
         raise ValueError(f"frames must have a step of at least 1, got {frames.step}")
     chosen = range(*frames.indices(count))
     if not chosen:
-        what = f"{asked.start or 0}:{asked.stop or ''}" if isinstance(asked, slice) else asked
-        raise FlatError(f"no frames are left: there are {count}, numbered from 0, and {what} has none of them")
+        raise FlatError(f"no frames are left: there are {count}, numbered from 0, and {text} has none of them")
     return chosen
 
 
@@ -229,7 +226,6 @@ def _read_dark(path: Path) -> NDArray[Any]:
 
 
 def _read_less_dark(read: Callable[[], NDArray[Any]], dark: Path) -> NDArray[Any]:
-    """The pixels of a frame less the dark frame in a file."""
     pixels = read()
     try:
         return subtract_dark(pixels, _read_dark(dark))
@@ -271,7 +267,6 @@ def _numeric_order(path: Path) -> Any:
 
 
 def _open_video(path: Path) -> Any:
-    """Open a video, which must have pictures, for a `with` statement."""
     container = import_av(path).open(str(path), format=VIDEO_FORMATS[path.suffix.lower()])
     if not container.streams.video:
         container.close()
@@ -291,19 +286,18 @@ def _video_frames(path: Path, chosen: range) -> Iterator[Frame]:
             count = _least_length(container)
             for picture in _decode(container):
                 if number in chosen:
-                    yield Frame(_frame_name(path, number), _read_picture(path, number, picture))
+                    read = partial(_give, _pixels_or_message(f"{path}: frame {number}", picture))
+                    yield Frame(_frame_name(path, number), read)
                 number += 1
                 if number >= chosen.stop:
                     return
-        if number == 0:
-            raise FlatError(f"{path}: holds no frames")
-        if number < count:
-            raise FlatError(f"{path}: ends after {number} of {count} frames")
+        if number < max(count, 1):
+            raise FlatError(f"{path}: ends after {number} of {max(count, 1)} frames")
     # FFmpeg raises errors of many kinds on damaged videos.
     except Exception as error:
         message = f"{path}: cannot be read as a video from frame {number} on ({_one_line(error)})"
         message = str(error) if isinstance(error, FlatError) else message
-        yield Frame(_frame_name(path, number), partial(_raise, message))
+        yield Frame(_frame_name(path, number), partial(_give, message))
 
 
 def _least_length(container: Any) -> int:
@@ -339,23 +333,21 @@ def _decode(container: Any) -> Iterator[Any]:
         yield from [FlatError(wrong[0]) for _ in pictures] if wrong else pictures
 
 
-def _read_picture(path: Path, number: int, picture: Any) -> Callable[[], NDArray[Any]]:
-    """A function that returns the pixels of a decoded picture, or raises an error if it is damaged."""
+def _pixels_or_message(name: str, picture: Any) -> NDArray[Any] | str:
     try:
         if isinstance(picture, Exception):
             raise picture
         # Decoders fill in what is missing; such a flat must not be rendered.
-        if picture.is_corrupt:
-            return partial(_raise, f"{path}: frame {number} is damaged")
-        return partial(np.asarray, rgb_pixels(picture))
+        return f"{name} is damaged" if picture.is_corrupt else rgb_pixels(picture)
     except Exception as error:
-        return partial(_raise, f"{path}: frame {number}: {_one_line(error)}")
+        return f"{name}: {_one_line(error)}"
+
+
+def _give(found: NDArray[Any] | str) -> NDArray[Any]:
+    if isinstance(found, str):
+        raise FlatError(found)
+    return found
 
 
 def _one_line(error: BaseException) -> str:
-    """The message of an error in one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
-
-
-def _raise(message: str) -> NDArray[Any]:
-    raise FlatError(message)

@@ -19,14 +19,13 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
-from lfcal import Calibration, LightFieldError, OutputError, load
+from lfcal import Calibration, LightFieldError, OutputError, calibrate, load
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, make_folder
 
 from ..data.depth_map import DepthFileError, DepthMap, default_scale
 from ..data.rendering import PictureGrid, Rendering
 from ..depth.analyze import analyze
-from ..depth.incremental import load_reference_match, save_reference_match
 from ..flat.demosaicing import demosaic
 from ..output.depth_picture import depth_picture, magnification_limits
 from ..output.formats import EmbeddedMetadata, check_format, read_metadata
@@ -81,9 +80,6 @@ class _Reference:
     depth: DepthMap
     picture: Rendering | None = None
 
-    def previous(self) -> tuple[Any, ...]:
-        return self.flat, self.depth, self.picture
-
 
 def load_camera(folder: Path) -> Calibration:
     """The camera of the pictures in a folder, once there are some."""
@@ -111,7 +107,6 @@ class Job:
     _keys: dict[str, _Reference] = field(default_factory=dict)  # the last two, of neighbouring segments
 
     def __post_init__(self) -> None:
-        #: The hidden folder.
         self.hidden = self.folder / _HIDDEN
         self._settings_file = self.hidden / "settings.json"
 
@@ -144,7 +139,6 @@ class Job:
         return dict(json.loads(json.dumps(common)))
 
     def _resume(self) -> None:
-        """Take camera and scale from an earlier run."""
         camera = load_camera(self.folder)
         try:
             settings = json.loads(self._settings_file.read_text(encoding="utf-8"))
@@ -192,17 +186,14 @@ class Job:
         yield made
 
     def path_of(self, name: str) -> Path:
-        """Where the picture of a frame is."""
         return self.output.path_of(name) if self.output else self.folder / f"{name}{self.suffix}"
 
     def depth_path_of(self, name: str) -> Path:
-        """Where the depth map of a frame is, or its picture for the film of them."""
         assert self.depth_maps is not None
         film = is_video(self.depth_maps)
         return self.hidden / "depth" / f"{name}.png" if film else self.depth_maps / f"{name}.npz"
 
     def is_missing(self, name: str) -> bool:
-        """Whether a frame is still to be rendered."""
         missing = self.output.is_missing(name) if self.output else not self.path_of(name).exists()
         return missing or (self.depth_maps is not None and not self.depth_path_of(name).exists())
 
@@ -224,18 +215,14 @@ class Job:
         return PictureGrid(self.calibration.image_size, self.calibration.lattice.pitch, self.scale).size
 
     def failed(self, frame: Frame, error: LightFieldError) -> FrameResult:
-        """The outcome of a frame with an error."""
         return FrameResult(frame.name, self.path_of(frame.name), "failed", f"{frame.name}: {error}")
 
-    def _depth_file(self, name: str, kind: str = "depth") -> Path:
-        """The depth map of a frame that others are compared with; what key frames have as "comparison" beside it."""
-        return self.hidden / f"{kind}_{name}.npz"
+    def _depth_file(self, name: str) -> Path:
+        return self.hidden / f"depth_{name}.npz"
 
     def camera(self, pixels: NDArray[Any]) -> Calibration:
         """The camera of the run, calibrated from these pixels if there is none yet."""
         if self.calibration is None:
-            from lfcal import calibrate
-
             self.calibration = self._as_stored(calibrate(pixels))
         return self.calibration
 
@@ -251,17 +238,20 @@ class Job:
         """Write the depth map of a key frame, compared with that of an earlier segment, if any."""
         flat, file = self.read(frame), self._depth_file(frame.name)
         if not file.exists():
-            camera, previous = self.camera(flat), None
-            if earlier is not None:
-                # The depth as it was saved: the state of that in memory is that of its own segment.
-                match = load_reference_match(self._load_depth(earlier), self._depth_file(earlier.name, "comparison"))
-                previous = self._key(earlier).flat, match
-            depth = analyze(flat, camera, self.preset, previous=previous)
+            depth = self._analyze(flat, None if earlier is None else self._key(earlier))
             if not self._settings_file.exists():
-                self._save_settings(camera, depth)
-            save_reference_match(depth, self._depth_file(frame.name, "comparison"))
+                self._save_settings(self.camera(flat), depth)
             depth.save(file)
         self._remember(_Reference(frame.name, flat, self._load_depth(frame)))
+
+    def _analyze(self, flat: NDArray[Any], before: _Reference | None) -> DepthMap:
+        previous = None if before is None else (before.flat, before.depth)
+        return analyze(flat, self.camera(flat), self.preset, previous=previous)
+
+    def _draw(self, flat: NDArray[Any], depth: DepthMap, before: _Reference | None) -> Rendering:
+        if before is None or before.picture is None:
+            return render(flat, self.camera(flat), depth, scale=self.scale)
+        return render(flat, self.camera(flat), depth, previous=(before.flat, before.depth, before.picture))
 
     def _remember(self, key: _Reference) -> _Reference:
         with _LOCK:
@@ -269,7 +259,6 @@ class Job:
         return key
 
     def _key(self, frame: Frame) -> _Reference:
-        """A key frame with flat and depth."""
         with _LOCK:
             found = self._keys.get(frame.name)
             return found or self._remember(_Reference(frame.name, self.read(frame), self._load_depth(frame)))
@@ -300,35 +289,29 @@ class Job:
         before = self._key(key)
         with _LOCK:
             if before.picture is None and self.output is None:
-                before.picture = render(before.flat, self.camera(before.flat), before.depth, scale=self.scale)
+                before.picture = self._draw(before.flat, before.depth, None)
         if frame.name == before.name:
             return before
         flat = self.read(frame) if flat is None else flat
         if not self._depth_file(frame.name).exists():
-            self._analyze_after(before, flat).save(self._depth_file(frame.name))
-        first = _Reference(frame.name, flat, self._load_depth(frame))
-        if self.output is None:
-            first.picture = render(flat, self.camera(flat), first.depth, previous=before.previous())
-        return first
-
-    def _analyze_after(self, before: _Reference, flat: NDArray[Any]) -> DepthMap:
-        return analyze(flat, self.camera(flat), self.preset, previous=before.previous()[:2])
+            self._analyze(flat, before).save(self._depth_file(frame.name))
+        depth = self._load_depth(frame)
+        return _Reference(frame.name, flat, depth, None if self.output else self._draw(flat, depth, before))
 
     def render_frame(self, number: int, frame: Frame, flat: NDArray[Any], first: _Reference) -> FrameResult:
         """Analyse, draw and write one frame, with its pixels in colour, after the `first` of its group."""
         start, path, own = perf_counter(), self.path_of(frame.name), first.name == frame.name
-        camera = self.camera(flat)
-        depth = first.depth if own else self._analyze_after(first, flat)
+        depth = first.depth if own else self._analyze(flat, first)
         if self.depth_maps is not None and is_video(self.depth_maps):
             write_picture(self.depth_path_of(frame.name), depth_picture(depth, self.scale, self.colours))
         elif self.depth_maps is not None:
             depth.save(self.depth_path_of(frame.name))
         if self.output is not None:
             assert self.views is not None and self.still is not None
-            pictures = self.views.draw(flat, camera, depth, self.scale, self.still)
+            pictures = self.views.draw(flat, self.camera(flat), depth, self.scale, self.still)
             self.output.write(number, frame.name, map(eight_bits, pictures) if self.eight_bits else pictures)
         else:
-            picture = first.picture if own else render(flat, camera, depth, previous=first.previous())
+            picture = first.picture if own and first.picture else self._draw(flat, depth, first)
             settings = {"rendering": "all in focus", "preset": self.preset}
             embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
             shown = eight_bits(picture) if self.eight_bits else picture

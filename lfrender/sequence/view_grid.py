@@ -83,18 +83,13 @@ class ViewOutput:
             check_format(folder / f"image{suffix}", "picture")
 
     def path_of(self, name: str) -> Path:
-        """Where the views of a frame are."""
         return self.folder if self.raw else self.folder / name
 
     def is_missing(self, name: str) -> bool:
-        """Whether a frame is still to be rendered."""
         return not (self._mark(name) if self.raw else self.folder / name).exists()
 
     def start(self, overwrite: bool, names: list[str]) -> None:
-        """Make the hidden folder; finished files of raw video are opened again, to which frames may be added.
-
-        OutputError if they have others than the frames of these names at their places.
-        """
+        """Make the hidden folder; OutputError if files have others than the frames of these names at their places."""
         if overwrite:
             shutil.rmtree(self._parts, ignore_errors=True)
             for file in self.folder.glob(_VIDEOS) if self.raw else ():
@@ -109,7 +104,6 @@ class ViewOutput:
             )
 
     def write(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
-        """Write the views of frame `number`."""
         if self.raw:
             self._write_raw(number, name, pictures)
             return

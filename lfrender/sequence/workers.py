@@ -16,10 +16,7 @@ __all__ = ["Workers", "ahead", "connect"]
 
 
 class Workers:
-    """This process, or the workers of a cluster if there is a `client`, each with so many `threads`.
-
-    `at_once` parts are worked on at a time in this process.
-    """
+    """This process, `at_once` parts at a time, or the workers of the cluster of a `client`, with so many `threads`."""
 
     def __init__(self, client: Any = None, threads: int | None = None, at_once: int = 1) -> None:
         self._client, self._threads, self._at_once = client, threads, at_once
@@ -38,8 +35,7 @@ class Workers:
     ) -> Iterator[Any]:
         """The results of `task(shared, item, load(shared, item))` in the order of the items, taken as needed.
 
-        Here, the next part is loaded while one is worked on. `shared`, as it is when the first item has been taken, is
-        sent once to each worker of a cluster, which has a copy of its own.
+        `shared`, as it is when the first item has been taken, is sent once to each worker of a cluster.
         """
         if self._client is not None:
             yield from self._map_there(task, shared, items, load)
@@ -139,10 +135,7 @@ def _result(future: Any) -> Any:
 
 @contextmanager
 def connect(workers: int | None, scheduler: str | None, timeout: float = 15.0) -> Iterator[Any]:
-    """A client of a scheduler such as `"tcp://host:8786"`, or of so many worker processes on this machine.
-
-    OutputError if Dask is not installed or the scheduler cannot be reached within `timeout` seconds.
-    """
+    """A client of a scheduler such as `"tcp://host:8786"`, or of so many worker processes on this machine."""
     try:
         from distributed import Client, LocalCluster
     except ImportError as error:

@@ -95,7 +95,6 @@ def _is_settled(before, px, py, gap):
 
 @njit(error_model="numpy")
 def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lenses, work):
-    """Fill `work.value` and `work.present` of depth k."""
     first, spacing, pitch, gap = grid.first, grid.spacing, lenses.pitch, lenses.gap
     rows, columns = surface.shape
     expected, value, present, among = work.depths[k], work.value, work.present, work.among
@@ -141,7 +140,7 @@ def _keep_distinct(p, number, apart, work):
 def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, apart, shape, work):
     """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere.
 
-    Depths that are not `apart` [px] from that of the surface are none. Another depth than that costs 0.03 more.
+    Depths must be `apart` [px] from that of the surface; another depth than that costs 0.03 more.
     """
     widest = 0.0
     for k in range(number):

@@ -21,10 +21,8 @@ _VIEWS = 5
 
 @njit(error_model="numpy", fastmath=FAST)
 def allow_mismatch(light, stride, number, noise2, allowed):
-    """Fill `allowed` with the mismatch that noise, blur and resampling explain, of each pixel with the four beside it.
-
-    Noise explains `noise2`, blur and resampling twice the variance of these five.
-    """
+    """Fill `allowed` with the mismatch of each pixel with the four beside it that noise, blur and resampling
+    explain."""
     down, one, fifth, share = np.uint64(stride), np.uint64(1), np.float32(0.2), np.float32(0.4)
     for n in range(np.uint64(number - 2 * stride)):
         p = n + down
@@ -37,10 +35,8 @@ def allow_mismatch(light, stride, number, noise2, allowed):
 @njit(error_model="numpy", fastmath=FAST)
 def _square_differences(light, pixels, there, width, x, y, shift_x, fx, fy, radius, at, count, apart, seen):
     """Squared differences of `count` pixels from place `at` on from those `there`, a fraction of a pixel on, and which
-    of them lie in the microimage: `y` below its middle, and `shift_x` more than `x` beside it.
-
-    Where it ends, 2 px beyond its `radius`, there are no differences.
-    """
+    of them lie in the microimage, `y` below its middle and `shift_x` more than `x` beside it; none 2 px beyond its
+    `radius`."""
     w11 = fx * fy
     w01, w10 = fx - w11, fy - w11
     w00 = np.float32(1.0) - fx - w10
@@ -140,8 +136,8 @@ def _start_depth(k, size, stride, pitch, work):
 
 @njit(error_model="numpy")
 def _finish_depth(k, first, last, stride, leave_out, work):
-    """Add the mean of the mismatches of each pixel to its cost of depth k, without those of up to `leave_out` lenses,
-    the worse half at most; half of the largest mismatch where no lens shows it."""
+    """Add the mean mismatch of each pixel, but for up to `leave_out` lenses, to its cost; half of the largest if
+    unseen."""
     among, present, cost, number, total, worst = (
         work.among, work.present, work.cost, work.count, work.sum, work.worst
     )  # fmt: skip
@@ -161,8 +157,7 @@ def _finish_depth(k, first, last, stride, leave_out, work):
 def compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, before, work):
     """Add the mismatch with other lenses to the costs of depth k, for the pixels that may show it.
 
-    In the first round lenses that differ most may be occluded. If `before`, what it has found, is known, those that it
-    finds occluded are left out. `pixels` and `before` are pictures of this `shape` in one line.
+    In the first round lenses that differ most may be occluded; later those that it, `before`, finds occluded are.
     """
     rows, low, ring, centres = lenses.rows, lenses.low, lenses.ring, lenses.centres
     wanted = work.wanted

@@ -63,8 +63,8 @@ def _vote(pixels, centres, radius, pitch, gap, near, found, x, y, s):
 
 @njit(error_model="numpy")
 def _list_depths(surface, v, first, end, reach, gap, depths):
-    """Depths of the surface within `reach` [grid values] of points `first` to `end` of row v, their own first; returns
-    how many there are."""
+    """Depths of the surface within `reach` [grid values] of points `first` to `end` of row v, their own first; their
+    number."""
     rows, columns = surface.shape
     depths[0], number = surface[v, first], 1
     for line in range(max(0, v - reach) - 1, min(rows, v + reach + 1)):
@@ -82,12 +82,12 @@ def _list_depths(surface, v, first, end, reach, gap, depths):
 
 @kernel(error_model="numpy", share=lambda pixels, lenses, surface, *_: len(surface))
 def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, out):
-    """Fill `out` with the nearest depth that most of the central lenses show at each scene point.
+    """Fill `out` with the nearest depth that most of the central lenses show at each scene point, else the most
+    frequent.
 
-    If there is none, it is the one that more of them show than any other. `pixels` (H, W) [px] are the patch sizes that
-    the pixels of the microimages show, NaN where none was measured. Depths of a point are those of the `surface` (rows,
-    columns) within `reach` [grid values]; only points that have `several` are filled. Each value of the surface is the
-    middle of f x f points of `out` (f * rows, f * columns).
+    `pixels` (H, W) [px] are the patch sizes that the pixels of the microimages show, NaN where none was measured.
+    Depths of a point are those of the `surface` within `reach` [grid values]; only points that have `several` are
+    filled. Each value of the surface is the middle of f x f points of `out`.
     """
     fine = out.shape[0] // surface.shape[0]
     near, distance2, depths = np.empty(_VOTERS, np.int64), np.empty(_VOTERS), np.empty(_DEPTHS)

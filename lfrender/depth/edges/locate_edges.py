@@ -13,12 +13,12 @@ from lfcal import Lattice
 from ...data.depth_map import DepthMap
 from ...data.surface import Surface
 from ...flat.gray_flat import GrayFlat
+from ...flat.texture import estimate_noise, sample_statistics
 from ..same_surface import TOLERANCE
 from ..surface.scene_grid import LensArray, PointGrid, lens_array
 from .candidates import mark_levels
 from .fusion import fuse_pixel_depths
 from .pixel_depths import measure_pixel_depths
-from .pixel_noise import measure_noise
 
 __all__ = ["FINER", "locate_edges", "places_of_lenses", "refine_grid"]
 
@@ -27,10 +27,7 @@ FINER = 2
 
 
 def locate_edges(gray: GrayFlat, lattice: Lattice, depth: DepthMap, where: NDArray[np.bool_] | None = None) -> DepthMap:
-    """The depth map with the edges of its surface where the pixels have them, on a finer grid; as it is if it has none.
-
-    Edges are located about the places of the lenses `where` (n,), of all by default.
-    """
+    """The depth map with the edges of its surface where the pixels have them, about the lenses `where` (n,), or all."""
     surface, pitch = depth.surface, lattice.pitch
     values, spacing = surface.patch_size, surface.spacing
     # A pixel may show a depth that the surface has within a pitch of the place it would be at.
@@ -43,7 +40,8 @@ def locate_edges(gray: GrayFlat, lattice: Lattice, depth: DepthMap, where: NDArr
         several &= places_of_lenses(where, lattice, surface)
     if not several.any():
         return depth
-    noise2 = measure_noise(gray, lattice, depth, gap)
+    # Compression and uneven light add to the noise: up to four times that is no mismatch of two lenses.
+    noise2 = np.float32(16 * estimate_noise(sample_statistics(gray).roughness) ** 2)
     lenses = lens_array(lattice, gap, float(lattice.radius) - 1.0)
     grid = PointGrid(float(surface.first[0]), float(spacing))
     # The nine lenses nearest to a scene point lie within 1.3 pitches of it.
@@ -65,8 +63,8 @@ def locate_edges(gray: GrayFlat, lattice: Lattice, depth: DepthMap, where: NDArr
 
 
 def _share_of_pixels(shown: NDArray[np.float32], lenses: LensArray, sizes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n,) float32: share of some pixels of each lens, whose patch sizes are `shown` (H, W), NaN where not known, that
-    show the patch size that it has, `sizes` (n,) [px]; 1 where none is known."""
+    """(n,) share of the pixels of each lens, of patch sizes `shown` (H, W), that show the one it has; 1 where none is
+    known."""
     along = np.linspace(-0.6, 0.6, 9) * lenses.radius
     x, y = (np.rint(lenses.centres[:, k, None] + along).astype(int) for k in (0, 1))
     x, y = np.clip(x, 0, shown.shape[1] - 1), np.clip(y, 0, shown.shape[0] - 1)

@@ -24,10 +24,7 @@ __all__ = ["measure_pixel_depths"]
 
 @njit(error_model="numpy")
 def _is_blank(light, size, stride, pitch, noise2):
-    """Whether no patch in the middle of a microimage has contrast that is seen: half of what is no mismatch.
-
-    The middle, 0.3 pitches each way, is the part that its own place and no other lens shows.
-    """
+    """Whether no patch within 0.3 pitches of the middle of a microimage, which no other lens shows, has contrast."""
     half, reach, fifth, seen2 = size // 2, int(0.3 * pitch), np.float32(0.2), np.float32(0.25) * noise2
     for row in range(half - reach, half + reach + 1):
         for p in range(row * stride + half - reach, row * stride + half + reach + 1):
@@ -145,8 +142,8 @@ def measure_pixel_depths(begin, end, image, lenses: LensArray, surface, grid: Po
     share of the pixels of each lens that leave the surface.
 
     Of lenses that are not `wanted` (n,), and where the middle of a microimage is blank, `out` is left alone. `before`
-    (H, W) is the result of the first round, (1, 1) in that; `levels` are those of `mark_levels`, `noise2` is that of
-    `measure_noise`. Edges between patch sizes that are not `apart` [px] are left alone.
+    (H, W) is the result of the first round, (1, 1) in that; `levels` are those of `mark_levels`; a squared difference
+    of `noise2` is no mismatch. Edges between patch sizes that are not `apart` [px] are left alone.
     """
     size = 2 * (int(lenses.radius) + 2) + 1
     work = make_microimage(size)

@@ -74,12 +74,11 @@ def measure_ambiguity(
     wanted: NDArray[np.bool_],
     tolerance: int,
 ) -> NDArray[np.float32]:
-    """Compare the shift `best` (n,) of each lens with all other peaks of its correlation, whatever their overlap.
+    """Uniqueness (n,): the probability of the shift `best` (n,) among all peaks of the correlation, 1 for lenses not
+    matched.
 
     `cost` (n, k) is that before aggregation, `weight` (k,) that of the overlap, `rows` (n, m) the neighbours, and
-    `tolerance` the number of steps that belong to one peak. Lenses that are not `wanted` (n,) were not matched.
-
-    Returns the uniqueness (n,): the probability of the chosen shift among all peaks, 1 for lenses not matched.
+    `tolerance` the number of steps that belong to one peak; lenses that are not `wanted` (n,) were not matched.
     """
     uniqueness = np.empty(len(best), np.float32)
     _measure_ambiguity(cost, weight, rows, best, wanted, tolerance, uniqueness)

@@ -148,15 +148,11 @@ def compute_pair_costs(
     done: NDArray[np.bool_] | None = None,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """(n, d, k) float32 matching cost of each lens with its neighbours `rows` (n, d) at each of the `shifts` (k,) [px].
+    """(n, d, k) float32 `1 - rho` of each lens with its neighbours `rows` (n, d) at each of the `shifts` (k,) [px].
 
-    The cost is `1 - rho`, the correlation coefficient over the pixels that both microimages show at that shift. A
-    difference of their means counts by half; the `noise` of a pixel [white = 1], remaining shading and small overlaps
-    pull the cost toward 1. Pairs without an `active` lens (n,) cost 1. Shifts are from the `expected` ones (n,), 0 by
-    default.
-
-    The `strips` of `gray` hold the active lenses and their neighbours, `masks` their `overlap_masks`. Given an `out` of
-    an earlier call, only the shifts `which` (m,) of lenses that are not `done` (n,) are added.
+    A difference of means counts by half; the `noise` of a pixel [white], remaining shading and small overlaps pull the
+    cost toward 1; pairs without an `active` lens cost 1. Shifts are from the `expected` ones (n,), 0 by default. Given
+    an `out` of an earlier call, only the shifts `which` (m,) of lenses that are not `done` (n,) are added.
     """
     fresh = out is None
     if out is None:

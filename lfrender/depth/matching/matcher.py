@@ -44,10 +44,7 @@ class MatchResult:
 
 
 class Matcher:
-    """A flat reduced as the preset asks, and the shifts to try on it.
-
-    Only `lenses` (n,) will be matched, all by default.
-    """
+    """A flat reduced as the preset asks, and the shifts to try on it, for some of the `lenses` (n,)."""
 
     def __init__(
         self, texture: Texture, neighbours: Neighbours, preset: Preset, lenses: NDArray[np.bool_] | None = None
@@ -109,8 +106,8 @@ class Matcher:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Match the `active` lenses at `expected` patch sizes (n,) [px of the flat], and half a pixel to both sides.
 
-        Returns the cost (n,) there, mean over the pairs of each lens; the offset (n,) [px of the search] from there to
-        the minimum of a parabola, 0.75 at most; and its standard error (n,), infinite where it has none.
+        Returns the cost (n,) there, the offset (n,) [px of the search] from there to the minimum of a parabola, 0.75 at
+        most, and its standard error (n,), infinite where it has none.
         """
         at, strips = (expected / np.float32(self.factor)).astype(np.float32), self._strips(active)
         tried = np.arange(at.min() - 1, at.max() + 2, dtype=np.float32)
@@ -154,8 +151,7 @@ def fit_parabola(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray
 def _confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, tolerance: int) -> NDArray[np.float32]:
     """(n,) posterior probability that the true shift lies within `tolerance` steps of the `best` (n,).
 
-    A difference of 0.05 per path in the cost `total` (n, k), a sum over so many `paths`, makes one shift e times as
-    likely as another.
+    A difference of 0.05 per path in the cost `total` (n, k) makes one shift e times as likely as another.
     """
     mass = np.exp((total.min(1, keepdims=True) - total) / np.float32(0.05 * paths))
     inside = np.abs(np.arange(total.shape[1]) - best[:, None]) <= tolerance
@@ -165,10 +161,10 @@ def _confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int,
 def _find_second_minimum(
     cost: NDArray[np.float32], best: NDArray[np.int64], distance: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The lowest other local minimum of the `cost` (n, k) of each lens, before aggregation, and the cost there.
+    """The lowest other local minimum of the `cost` (n, k) of each lens, `distance` steps away, and the cost there, or
+    inf.
 
-    At least `distance` steps from the `best` (n,); inf where there is none. A lens across a depth edge matches at both
-    depths; aggregation would hide the second.
+    A lens across a depth edge matches at both depths; aggregation would hide the second.
     """
     lowest = np.full(cost.shape, np.float32(np.inf))
     inner = cost[:, 1:-1]
@@ -187,12 +183,11 @@ def match_lenses(
     known: NDArray[np.float32] | None = None,
     sizes: NDArray[np.float32] | None = None,
 ) -> MatchResult:
-    """Find the signed shift of every lens, by semi-global matching on the lattice.
+    """Find the signed shift of every `active` lens (n,), by semi-global matching on the lattice.
 
-    Matches the `active` lenses (n,), of which those that are `clear` have a sure texture. A `sample` (n,) of them is
-    matched at all shifts first, the others then only near the depths of these, unless they do not match there; without
-    it all shifts are tried. `sizes` (m,) [px of the flat] are depths that occur, as found elsewhere, instead of those
-    of a sample. `known` (n,) [px of the flat] are patch sizes that only take part in the aggregation; NaN elsewhere.
+    A `sample` (n,) is matched at all shifts first, the others then only near the depths of these, or `sizes` (m,) [px]
+    found elsewhere, unless `clear` ones do not match there; without either all shifts are tried. `known` (n,) [px]
+    patch sizes only take part in the aggregation; NaN elsewhere.
     """
     step, factor, neighbours = matcher.step, matcher.factor, matcher.neighbours
     pair, skipped = _match_pairs(matcher, active, clear, sample, sizes)
@@ -258,10 +253,7 @@ def _match_pairs(
 
 
 def sample_lenses(indices: NDArray[np.int64], candidates: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
-    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where they are few.
-
-    `indices` (n, 2) are those of all lenses on the lattice.
-    """
+    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where they are few."""
     spacing = candidates.sum() / count
     if spacing < 2:
         return candidates

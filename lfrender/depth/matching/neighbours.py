@@ -37,9 +37,8 @@ def _follow(following, before, order, starts):
 class Neighbours:
     """Rows of the neighbours of each lens, -1 where there is none.
 
-    `all` (n, 2 d) has those in all directions, `forward` and `backward` (n, d) those in half of them and in the
-    opposite ones; `steps` (d, 2) are the mean steps forward [pitch], order `x, y`; `indices` (n, 2) those of the lenses
-    on the lattice.
+    `all` (n, 2 d) has those in all directions, `forward` and `backward` (n, d) half of them each; `steps` (d, 2) are
+    the mean steps forward [pitch], order `x, y`; `indices` (n, 2) those of the lenses on the lattice.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -54,7 +53,7 @@ class Neighbours:
 
     @cached_property
     def two_directions(self) -> NDArray[np.int32]:
-        """(n, 2) the first directions forward: two show a shift of any detail, a third adds little."""
+        """(n, 2) the first directions forward: a third adds little."""
         return np.ascontiguousarray(self.forward[:, :2])
 
     @cached_property

@@ -20,9 +20,8 @@ __all__ = ["fill_mask", "match_cost", "strip_moments"]
 def match_cost(count, sa, sb, squares, srr, difference, pixels, floor, half_weight, doubt):
     """Cost of a pair, one less its weighted correlation, from sums over the `count` pixels that it shares.
 
-    Those of both microimages, of the squares of both, and of the squares of their difference; `difference` is what is
-    to be added to that of the means, `floor` the variance of noise and shading, `doubt` the share taken off the weight
-    of that many `pixels`.
+    Those of both, of the squares of both, and of the squares of their difference; `difference` is added to that of the
+    means, `floor` is the variance of noise and shading, `doubt` the share taken off the weight of that many `pixels`.
     """
     one = np.float32(1.0)
     inverse = one / count
@@ -79,8 +78,7 @@ def fill_mask(dx, dy, middle, other, discs, radius2, columns, lines, layout, siz
     """Fill `out` with a mask of the pixels of a strip that have a partner in another, `dx, dy` pixels away.
 
     Returns their number, the first position and the number of those to read, and how many values later in a strip
-    follow the partner and the pixel below it. `middle` and `other` are the pixels in the middle of both, `columns` and
-    `lines` the offsets of others, `size` that of the flat.
+    follow the partner and the pixel below it.
     """
     half, width, rows, step, bunch = layout
     none, count = np.int32(0), np.float32(0.0)

@@ -50,11 +50,8 @@ def average_pair_costs(
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _walk(cost, chain, slope, jump, total):
-    """One path along the lenses of `chain`, added to `total`.
-
-    The lower envelope of all messages is found in steps of 1, 2, 4, ... labels, for all labels at once: a scan along
-    the labels could not be vectorised.
-    """
+    """One path along the lenses of `chain`, added to `total`; the lower envelope of all messages by steps of 1, 2, 4
+    ..."""
     labels, first = cost.shape[1], np.uint64(_LANES)
     message = np.full(labels + 2 * _LANES, np.inf, np.float32)
     other = message.copy()
@@ -98,8 +95,7 @@ def aggregate_costs(
 ) -> NDArray[np.float32]:
     """(n, k) sum of the path costs from all lattice directions, for a `cost` (n, k) at evenly spaced shifts.
 
-    A step of one shift between neighbours costs `slope`, a depth edge at most `jump`. Sums of lenses that are not
-    `wanted` (n,) may lack paths.
+    A step of one shift costs `slope`, a depth edge at most `jump`; lenses that are not `wanted` (n,) may lack paths.
     """
     wanted = np.ones(len(cost), bool) if wanted is None else wanted
     total = np.zeros_like(cost)

@@ -74,8 +74,8 @@ def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
 def _fit_plane(count, s, v, x, y, z, gx, gy, known, rounds):
     """Plane through the pairs by IRLS with the weights of Geman and McClure, with a prior slant (gx, gy).
 
-    `known` is the inverse variance of that slant; all but the last two `rounds` do not know the slant. Returns the
-    plane, the variances of its height and its slant, chi square, and the sum of the weights.
+    `known` is the inverse variance of that slant, which the last two `rounds` know. Returns the plane, the variances of
+    its height and its slant, chi square, and the sum of the weights.
     """
     # Three standard deviations; what is twice as far off is another surface.
     outlier2 = np.float32(9.0)
@@ -196,11 +196,8 @@ def _standard_errors(begin, end, neighbours, pitch, gap, planes: _Planes, out, s
 def fit_lens_planes(gray: GrayFlat, neighbours: Neighbours, pairs: PairFits, start: NDArray[np.float32]) -> LensFits:
     """Patch size at the centre of each lens by a robust fit of a plane to what its pairs have measured.
 
-    Each pair measures the patch size where its texture lies, seldom at the centre of a lens. A first fit yields the
-    slants, a second has the mean slant of the neighbours on one surface as its prior. The scatter of the pairs about
-    the plane gives the standard error.
-
-    `pairs` are those with the neighbours forward, `start` (n,) [px] the start values, NaN for lenses to leave out.
+    A first fit yields the slants, a second has the mean slant of the neighbours on one surface as its prior. The
+    scatter of the pairs about the plane gives the standard error. `start` (n,) [px] is NaN for lenses to leave out.
     """
     n, pitch, float32 = len(start), np.float32(gray.pitch), np.float32
     planes = _Planes(np.empty(n, float32), np.empty((n, 2), float32), np.empty((n, 4), float32))

@@ -46,9 +46,8 @@ _LARGEST_DRIFT = np.float32(2.5)
 def _sums(light, slope_x, slope_y, laplacian, other, columns, rows, overlap, offset, scale2):
     """Sums over the pixels of a microimage that the other shows too, weighted after Geman and McClure.
 
-    Those of weights, residuals, slopes, their products, the moments of place, and the sums and products of brightness
-    that grows along the step from lens to lens; those of the Laplacian and of the squared slope over the brightness,
-    unless the Laplacian is None.
+    Of weights, residuals, slopes, their products, the moments of place, brightness that grows along the step from lens
+    to lens, and unless it is None the Laplacian, and the squared slope over the brightness.
     """
     start, count, ux, uy, ax, ay, qx, qy, mx, my, r2, low_x, high_x, low_y, high_y = overlap
     zero = np.float32(0.0)
@@ -166,12 +165,8 @@ def _fit_pair(
 
 @kernel(error_model="numpy", share=lambda image, centres, *_: len(centres))
 def _fit_pairs(begin, end, image, centres, radius, pitch, rows, start, scale2, limits, kinds, sizes, variances, places):
-    """Fit the pairs of each lens with its neighbours in `rows`; the last arguments are the arrays of `PairFits`.
-
-    `limits` are the variance of the noise, the most iterations and the last step.
-
-    All lenses blur alike if `kinds` is None.
-    """
+    """Fit the pairs of each lens with its neighbours in `rows`; lenses blur alike if `kinds` is None; last come
+    `PairFits`."""
     side, stride, size, columns, raster_rows = pixel_raster(radius)
     pixels, (height, width), (noise2, iterations, last_step) = image.reshape(-1), image.shape, limits
     # Vector loops read values that have not been set: these must be numbers.
@@ -224,12 +219,11 @@ def fit_pairs(
     iterations: int,
     last_step: float = 0.02,
 ) -> PairFits:
-    """Patch size of each pair of neighbours by Gauss-Newton steps.
+    """Patch size of each pair of neighbours, `rows` (n, d), by Gauss-Newton steps, `iterations` at most.
 
-    `rows` (n, d) hold one neighbour of each lens in `d` directions, -1 where there is none: every pair once. Pairs of
-    two lenses without a `start` value (n,) [px], NaN, are left out. Beyond a difference of brightness of `scale` (n,)
-    two pixels hardly show the same point. `noise` is the standard deviation of a pixel, at most: where residuals are
-    smaller, these count. A step below `last_step` [px] ends the `iterations`.
+    Pairs of two lenses without a `start` value (n,) [px], NaN, are left out. Beyond a difference of brightness of
+    `scale` (n,) two pixels hardly show the same point. `noise` is the standard deviation of a pixel, at most. A step
+    below `last_step` [px] ends the fit.
     """
     # Detail finer than a 25th of a pitch would show the difference of focus of two lenses instead of the depth.
     factor = max(1, round(gray.pitch / 25)) if gray.lens_type is not None else 1

@@ -38,11 +38,9 @@ Overlap = namedtuple("Overlap", "start number ux uy ax ay qx qy mx my r2 low_x h
 
 @njit(fastmath=FAST, inline="always")
 def _bspline_weights(f):
-    """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`.
+    """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`, which smooths equally at every fraction.
 
-    It smooths equally at every fraction; at 0 its weights are those of `cut_smoothed`. Compared with a picture smoothed
-    that way it shifts a detail of w radians per pixel by less than w^5 / 1000 px; linear interpolation and Keys's cubic
-    shift it by up to w^2 / 60 px, by the same amount over the whole flat.
+    Linear interpolation and Keys's cubic would shift detail of w radians per pixel by up to w^2 / 60 px.
     """
     one, sixth, half = np.float32(1.0), np.float32(1 / 6), np.float32(0.5)
     g = one - f
@@ -75,10 +73,7 @@ def first_pixel(centre, radius, side, size):
 # it is loaded.
 @njit(error_model="numpy", forceinline=True)
 def cut_smoothed(pixels, height, width, side, stride, left, top, box, smooth, light, slope_x, slope_y, laplacian):
-    """Cut out a microimage from pixel (left, top) on, smoothed by (1, 4, 1) / 6 in both directions, with slopes.
-
-    The Laplacian is computed unless it is None; `box` and `smooth` are work memory.
-    """
+    """Cut out a microimage from pixel (left, top) on, smoothed by (1, 4, 1) / 6 in both directions, with slopes."""
     across, half, one, two = side + 2 * _BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
     first = left - _BEYOND
     for row in range(across):
@@ -124,10 +119,9 @@ def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
 def resample_shifted(pixels, size, shape, corner, centres, radius, s, pitch, box, lines, shifted, step):
     """Fill `shifted` with the second of two microimages at the pixels of the first, and return the `Overlap`.
 
-    The lenses have their `centres` at (ax, ay, bx, by), and the scene between them has the patch size `s`; the first
-    microimage is cut out from pixel `corner` (left, top) on, with the `shape` (side, stride) of its raster. `pixels`
-    are those of the flat in one line, `size` its height and width. Work memory: the other microimage in a `box`, its
-    rows interpolated in `lines`, and the whole `step` (2,) for which the box was copied.
+    The lenses have their `centres` at (ax, ay, bx, by), and the scene between them has the patch size `s`; the first is
+    cut out from pixel `corner` on. Work memory: the other one in a `box`, its rows interpolated in `lines`, and the
+    whole `step` (2,) for which the box was copied.
     """
     (height, width), (side, stride), (left, top), (ax, ay, bx, by) = size, shape, corner, centres
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch

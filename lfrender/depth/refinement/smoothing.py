@@ -24,12 +24,8 @@ __all__ = ["smooth_fits"]
 # loops without sums: these become vector loops, except with Python's error model, which checks them.
 @njit(error_model="numpy")
 def _predict(count, near, slant_known):
-    """What `count` neighbours predict of a lens by a weighted plane: difference from its size, its variance, and mean
-    variance; difference of slant, and the variance of that.
-
-    Rows of `near`: differences of size, their variances and robust weights, how much they grow with a slant in x and y,
-    and work memory.
-    """
+    """What `count` neighbours predict of a lens by a weighted plane: difference from its size, its variance, mean
+    variance; difference of slant, and its variance. Rows of `near` are as `_smooth` fills them."""
     away, variance, share, along_x, along_y, weights = near[0], near[1], near[2], near[3], near[4], near[5]
     uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
     for turn in range(4):
@@ -121,13 +117,9 @@ def _smooth(begin, end, centres, pitch, rows, sizes, errors, slants, slant_error
 def smooth_fits(gray: GrayFlat, neighbours: NDArray[np.int32], fits: LensFits, wanted: NDArray[np.bool_]) -> LensFits:
     """Patch sizes, slants and their errors of lenses combined with others, near and far, so that planes become planes.
 
-    First with the lenses in two rings around each, then with those three and six times as far. Others are weighted
-    robustly: those that differ by several standard errors belong to another surface and do not count. Far off, lenses
-    count less if few of their own neighbours are inliers: beside depth edges they see a little of both sides, and all
-    err towards the other one.
-
-    `fits` are what each lens measures alone; those of infinite error are left out. Lenses that are not `wanted` (n,)
-    keep theirs. `neighbours` (n, k) are the rows of those in all directions, -1 where there is none.
+    First with the lenses in two rings around each, then with those three and six times as far. Far off, lenses count
+    less if few of their own neighbours are inliers: beside depth edges all err towards the other side. Lenses that are
+    not `wanted` (n,) keep their fits; `neighbours` (n, k) are rows, -1 where there is none.
     """
     trust = np.ones(len(wanted), np.float32)
     fits, inliers = _smoothed(gray, two_rings(neighbours), fits, wanted, trust)
@@ -145,8 +137,8 @@ def _smoothed(
     wanted: NDArray[np.bool_],
     trust: NDArray[np.float32],
 ) -> tuple[LensFits, NDArray[np.float32]]:
-    """Fits combined with the lenses `rows` (n, m) of each, weighted by their `trust` and its own (n,), and the mean
-    weight (n,) of these lenses, 0 to 1."""
+    """Fits combined with the lenses `rows` (n, m) of each, weighted by `trust` (n,), and the mean weight (n,) of
+    these."""
     sizes, errors, slants, slant_errors = (np.asarray(values, np.float32) for values in vars(fits).values())
     out = np.column_stack([sizes, errors, slants, slant_errors, np.ones_like(sizes)])
     _smooth(gray.centres, gray.pitch, rows, sizes, errors, slants, slant_errors, wanted, trust, out)

@@ -27,10 +27,8 @@ __all__ = ["densify"]
 
 @njit(fastmath=FAST, forceinline=True)
 def _aggregate(depths, costs, single, gap, jump, total):
-    """Add one path of semi-global matching along a line of scene points to `total`.
-
-    Where there is a `single` hypothesis it is chosen in any case, and passes on no more than its depth.
-    """
+    """Add one path of semi-global matching along a line of scene points to `total`; a `single` hypothesis is chosen
+    anyway."""
     most = len(depths)
     message = np.zeros(most, np.float32)
     previous = np.zeros(most, np.float32)
@@ -111,13 +109,12 @@ def densify(
     unchanged: NDArray[np.bool_] | None = None,
     before: Surface | None = None,
 ) -> Surface:
-    """Patch size of every scene point from the patch sizes of the lenses around it.
+    """Patch size of every scene point from the patch sizes of the lenses around it, on so many `cells` per pitch.
 
-    First on a grid of twice the spacing, then between its values where these differ; it has so many `cells` per pitch:
-    with 7, a depth edge is located to less than a traditional pixel. Given are the patch size (n,) [px] of each lens,
-    finite; two others (n, 2) that it may show as well, of the second-best match and of the second layer, NaN where
-    there is none; its weight `trust` (n,); and the `noise` of a pixel of `gray`. Lenses that are `unchanged` (n,) have
-    surroundings as in the surface `before`, if that is of the whole flat.
+    First on a grid of twice the spacing, then between its values where these differ. Given are the patch size (n,) [px]
+    of each lens; two others (n, 2) that it may show, of the second-best match and of the second layer, NaN where there
+    is none; its weight `trust` (n,); and the `noise` of a pixel. Lenses that are `unchanged` (n,) have surroundings as
+    in the surface `before`, if that is of the whole flat.
     """
     shape, start, spacing = grid_shape(lattice, cells)
     lenses = lens_array(lattice, TOLERANCE * lattice.pitch, gray.radius)

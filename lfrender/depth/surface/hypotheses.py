@@ -97,10 +97,7 @@ def _find_central(table, count, distance, near, near_x, near_y):
 
 @njit(error_model="numpy")
 def _sort_votes(table, count, voters, shares, sizes, weights):
-    """Depths of `count` voters sorted by patch size, and their weights; returns their number.
-
-    The second-best match, the second of three, is false in every fourth lens: it has a tenth of a vote.
-    """
+    """Depths of `count` voters sorted by patch size, and their weights; the second-best match has a tenth of a vote."""
     number = 0
     for n in range(count):
         for k in range(_SIZE, len(table)):
@@ -118,10 +115,7 @@ def _sort_votes(table, count, voters, shares, sizes, weights):
 
 @njit(error_model="numpy")
 def _cluster_votes(number, sizes, weights, gap, depths, shares):
-    """Means and weights of clusters of sorted votes, the weightiest first, as many as there is room for; their number.
-
-    The votes of a cluster differ by at most one `gap`.
-    """
+    """Means and weights of clusters of sorted votes, within one `gap`, the weightiest first; their number."""
     most = len(depths)
     found = start = 0
     while start < number:
@@ -192,13 +186,10 @@ def propose_hypotheses(
 ):
     """Depth hypotheses of each `wanted` scene point in `depths`, their cost in `costs`, both (most, rows, columns).
 
-    A point on whose depth all lenses around agree has one hypothesis; the place after the last one stays NaN; places
-    beyond, and the costs of single hypotheses, are left as they are. Of the `coarse` surface of twice the spacing, (0,
-    0) if there is none, only hypotheses that one of its values about a point has are kept.
-
-    `table` (n, 6) float32 holds the centre of each lens, its weight, its patch size, second-best one and that of the
-    second layer;
-    `around` (n, k) the rows of the lenses of the ring about each. Around the `agreeing` ones (n,) all have one depth. A
+    Where all lenses around agree there is one; the place after the last one stays NaN. Of the `coarse` surface of twice
+    the spacing, (0, 0) if there is none, only hypotheses that one of its values about a point has are kept. `table` (n,
+    6) float32 holds the centre of each lens, its weight, its patch size, second-best one and that of the second layer;
+    `around` (n, k) the rows of the lenses of the ring about each; around the `agreeing` ones (n,) all have one depth. A
     squared difference of views up to `floor` is noise.
     """
     most, _, columns = depths.shape

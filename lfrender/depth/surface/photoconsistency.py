@@ -50,12 +50,11 @@ def _compare(own, other, half, floor):
 
 @njit(error_model="numpy")
 def view_mismatch(image, near_x, near_y, count, x, y, slope, radius, floor, samples, costs):
-    """Mean mismatch of the better part of the views of scene point (x, y) with one of the most central, and how many
-    there are.
+    """Mean mismatch of the better part of the views of scene point (x, y) with one of the most central, and their
+    number.
 
     0 for equal views, about 1 for unrelated ones, `UNKNOWN` where there is one. The first `count` lenses have their
-    centres at `near_x`, `near_y`, the nearest first, and this `radius`; the depth is `slope` = s / D; a mismatch of
-    `floor` is noise. `samples` (views, 11) and `costs` (views,) are work memory.
+    centres at `near_x`, `near_y`, the nearest first; the depth is `slope` = s / D; a mismatch of `floor` is noise.
     """
     height, width = image.shape
     pixels, one, unknown = image.reshape(-1), np.float32(1.0), np.float32(UNKNOWN)

@@ -75,10 +75,8 @@ def _row_of(y, x, radius, low, high):
 @njit(fastmath=FAST, error_model="numpy")
 def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step, floor, xs, ys, places):
     """Gather columns, rows and places in the flat of those pixels of a lens that fewer than half of the neighbours that
-    show them confirm at patch size `s`; returns their number.
-
-    A window of 3 x 3 pixels confirms if it differs by less than its variance and a `floor`.
-    """
+    show them confirm at patch size `s`, by windows of 3 x 3 pixels that differ by less than their variance and a
+    `floor`; their number."""
     pixels, (height, width) = flat.reshape(-1), flat.shape
     stride, light, other, squares, limits, showing, confirming = box
     ax, ay, size, ninth = centres[lens, 0], centres[lens, 1], stride * stride, np.float32(1 / 9)
@@ -216,11 +214,9 @@ def find_second_layer(
 ) -> NDArray[np.float32]:
     """(n,) [px] patch size of the pixels of each lens that its first one does not explain; NaN if there are none.
 
-    Pixels that the better half of the neighbours does not confirm are correlated over all shifts, and semi-global
-    matching smooths the result: a branch runs through one lens after the other.
-
-    `correlation` (n,) is that of each lens with its neighbours at its `first` patch size (n,) [px]. Only shifts between
-    the patch sizes `occurring` (m,) [px], and a little beyond, are tried; all by default.
+    They are correlated over all shifts between the patch sizes `occurring` (m,) [px], if given, and semi-global
+    matching smooths the result: a branch runs through one lens after the other. `correlation` (n,) is that of each lens
+    at its `first` patch size (n,) [px].
     """
     second = np.full(len(first), np.nan, np.float32)
     # A lens that correlates more is explained by its first depth.

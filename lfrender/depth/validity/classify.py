@@ -10,16 +10,16 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flat.lens_graph import count_neighbours, count_similar
+from ...flat.lens_graph import count_similar
 from ...flat.shading import LARGEST_SHADING
 from ...flat.texture import Texture
 from ..matching.matcher import MatchResult
 from ..same_surface import TOLERANCE, same_surface
 
 __all__ = [
-    "LEAST_CORRELATION", "RESOLVABLE", "SHADING_REACH", "SURE", "classify_lenses", "correlates_poorly",
-    "inflate_errors", "looks_like_shading", "match_proves_texture", "match_suggests_texture", "occurs_among",
-    "shift_exceeds_shading", "signal_share",
+    "LEAST_CORRELATION", "RESOLVABLE", "SHADING_REACH", "SURE", "classify_lenses", "correlates_poorly", "inflate_errors",
+    "looks_like_shading", "match_proves_texture", "match_suggests_texture", "occurs_among", "shift_exceeds_shading",
+    "signal_share",
 ]  # fmt: skip
 
 #: [pitch] beyond this patch size neighbouring microimages share too little.
@@ -52,53 +52,31 @@ def classify_lenses(
     """Reason, standard error and confidence of every lens, as `DepthMap`.
 
     Of `textured` lenses (n,) by their match, their sub-pixel patch sizes `refined` with standard `error` (n,) [px],
-    their `signal_share` (n,), and the rows (n, k) of their neighbours, -1 where there is none.
+    their `signal_share` (n,), and the rows (n, k) of their neighbours.
     """
 
     def similar(among: NDArray[np.bool_], gap: float = _SAME) -> NDArray[np.int64]:
         return count_similar(among, refined, neighbours, gap * pitch)
 
-    correlation = match.normalised_correlation / signal
-    reason = _reasons_alone(textured, match, refined, error, neighbours, similar, pitch)
+    size, unsure = np.abs(refined), match.confidence < SURE
+    # Of large patch sizes and faint matches pairs, or two neighbours, must agree; at the border, where a lens has few
+    # pairs, one neighbour must confirm what they agree on.
+    agree = error <= 0.5 * TOLERANCE * pitch
+    confirmed = similar(agree, TOLERANCE) > np.where(agree, 0, 1)
+    agree = (agree & (neighbours >= 0).all(1)) | confirmed
+    hardly = (size > 0.6 * pitch) | (match.correlation < LEAST_CORRELATION)
+    unshared = (size > RESOLVABLE * pitch) | (unsure & (match.correlation < _SHARED)) | (hardly & ~agree)
+    reason = np.select([~textured, unshared, unsure], [1, 3, 2], 0).astype(np.int8)
     # Lenses that share too few pixels for a fit, and have no neighbour at their depth: the search alone prefers shifts
     # at which more pixels are shared.
     measured = np.isfinite(error)
     reason[(reason == 0) & ~measured & (similar(measured) == 0)] = 2
     reason[_may_match_by_chance(reason == 0, match, refined, signal, similar, pitch)] = 3
-    single = (reason == 0) & (match.uniqueness >= SURE)
-    occurring = occurs_among(refined, refined[single], 0.5 * _SAME * pitch)
-    ambiguous = (reason == 0) & ~single
-    reason[_repeats_with_neighbours(ambiguous, reason == 0, occurring, neighbours)] = 2
-    blank = np.zeros(len(reason), bool)
-    for _ in range(2):
-        blank |= _alone_and_weak(reason == 0, match, signal, similar)
-        reason[blank] = 1
-    error = inflate_errors(error, correlation)
-    sure = np.where(textured & ~blank, np.minimum(match.confidence, match.uniqueness), 0)
+    error = inflate_errors(error, match.normalised_correlation / signal)
+    sure = np.where(textured, np.minimum(match.confidence, match.uniqueness), 0)
     # Pairs of unrelated content have this standard error.
     unrelated = 0.035 * pitch
     return reason, error, sure / (1 + (np.where(np.isfinite(error), error, unrelated) / unrelated) ** 2)
-
-
-def _reasons_alone(
-    textured: NDArray[np.bool_],
-    match: MatchResult,
-    refined: NDArray,
-    error: NDArray,
-    neighbours: NDArray[np.int32],
-    similar: _Similar,
-    pitch: float,
-) -> NDArray[np.int8]:
-    """(n,) int8: as `DepthMap.reason`, 0 for resolved lenses, from each lens alone, but for large patch sizes and faint
-    matches: there pairs, or two neighbours, must agree."""
-    agree = error <= 0.5 * TOLERANCE * pitch
-    # At the border, where a lens has few pairs, one neighbour must confirm what they agree on.
-    confirmed = similar(agree, TOLERANCE) > np.where(agree, 0, 1)
-    agree = (agree & (neighbours >= 0).all(1)) | confirmed
-    size, unsure = np.abs(refined), match.confidence < SURE
-    hardly = (size > 0.6 * pitch) | (match.correlation < LEAST_CORRELATION)
-    unshared = (size > RESOLVABLE * pitch) | (unsure & (match.correlation < _SHARED)) | (hardly & ~agree)
-    return np.select([~textured, unshared, unsure], [1, 3, 2], 0).astype(np.int8)
 
 
 def _may_match_by_chance(
@@ -106,47 +84,13 @@ def _may_match_by_chance(
 ) -> NDArray[np.bool_]:
     """Lenses that match no better than unrelated content may, without two better neighbours at their depth.
 
-    If most lenses match better than that, depths that occur among those are accepted for the others.
+    Unless most lenses match better, and some of those at that depth.
     """
     sure = resolved & (match.correlation >= _BY_CHANCE)
     if 2 * sure.sum() > resolved.sum():
         resolved = resolved & ~occurs_among(refined, refined[sure], 0.5 * _SAME * pitch)
     better = resolved & (match.correlation >= _SHARED * signal)
     return resolved & (match.correlation < _BY_CHANCE) & (similar(better) <= 1)
-
-
-def _alone_and_weak(
-    resolved: NDArray[np.bool_], match: MatchResult, signal: NDArray, similar: _Similar
-) -> NDArray[np.bool_]:
-    """Lenses whose depth hardly any neighbour has, and whose texture is as weak as their match.
-
-    What stands alone in front of something has an outline. On blank walls noise and file coding match somewhere.
-    """
-    if not resolved.any():
-        return resolved
-    # Less than 0.6 of the contrast over the noise, as squares, of typical lenses.
-    share = np.float32(1) - signal
-    weak = 0.36 * share > np.median(share[resolved])
-    proven = (match.confidence >= _PROVEN) & (match.correlation >= _BY_CHANCE)
-    return resolved & (similar(resolved) <= 1) & weak & ~proven
-
-
-def _repeats_with_neighbours(
-    ambiguous: NDArray[np.bool_],
-    resolved: NDArray[np.bool_],
-    occurring: NDArray[np.bool_],
-    neighbours: NDArray[np.int32],
-) -> NDArray[np.bool_]:
-    """(n,) bool: `ambiguous` lenses, if half of the flat or of their neighbours are so too: their texture repeats.
-
-    A single ambiguous lens is more likely chance. The best match need not be the right one: at the right one neighbours
-    may share less, and differ by the shading of their rims. Unless most are ambiguous, depths `occurring` (n,) among
-    the others are accepted.
-    """
-    beside = count_neighbours(ambiguous, neighbours)
-    if 2 * ambiguous.sum() >= resolved.sum():
-        return ambiguous | (resolved & (2 * beside >= (neighbours >= 0).sum(1)))
-    return ambiguous & (2 * beside >= neighbours.shape[1]) & ~occurring
 
 
 def signal_share(texture: Texture) -> NDArray:
@@ -156,29 +100,23 @@ def signal_share(texture: Texture) -> NDArray:
 
 
 def inflate_errors(error: NDArray, correlation: NDArray) -> NDArray:
-    """(n,) standard errors [px], `error` from the scatter of pairs, and what all pairs of a lens have wrong in common.
-
-    That grows with the share of the texture that is not matched, by the normalised `correlation` (n,): measured on
-    ray-traced scenes. Infinite errors stay infinite, even if all texture is matched.
-    """
+    """(n,) standard errors [px], with what all pairs of a lens have wrong in common, by the normalised `correlation`
+    (n,)."""
     return np.hypot(0.95, 2.7 * (1 - np.clip(correlation, 0, 0.999))) * error
 
 
 def correlates_poorly(correlation: NDArray, signal: NDArray, resolved: NDArray[np.bool_]) -> bool:
     """Whether most `resolved` lenses (n,) of little noise match far worse than they could: depths are likely wrong.
 
-    If the `signal` (n,) is at least 0.8 of the variance, a correct map has a median normalised `correlation` (n,) above
-    0.55: 0.58 on captures, periodic textures 0.3 to 0.75.
+    Medians of the normalised `correlation` (n,) are 0.58 on captures, 0.3 to 0.75 on periodic textures.
     """
     clear = resolved & (signal >= 0.8)
     return bool(2 * clear.sum() >= max(resolved.sum(), 1) and np.median(correlation[clear]) < 0.55)
 
 
 def occurs_among(values: NDArray, known: NDArray, gap: float) -> NDArray[np.bool_]:
-    """Which `values` occur among the `known` ones, within `gap`; false matches of a periodic texture do not.
-
-    A depth occurs that a two-hundredth of the lenses has.
-    """
+    """Which `values` occur among the `known` ones, in a two-hundredth of the lenses, within `gap`; false matches do
+    not."""
     least = max(1, int(np.ceil(0.005 * len(known))))
     ordered = np.append(np.sort(known), np.full(least, np.inf, known.dtype))
     return np.asarray(ordered[np.searchsorted(ordered[:-least], values - gap) + least - 1] < values + gap)
@@ -207,8 +145,8 @@ def looks_like_shading(
 ) -> NDArray[np.bool_]:
     """Those of the `clear` lenses that show no more than shading may: little contrast (white = 1), near zero.
 
-    Toward the border of a flat the main lens cuts microimages, each a little differently, so that no average of others
-    removes it. A depth near zero that occurs among the other lenses is the scene's.
+    Toward its border the main lens cuts microimages, each a little differently, so that no average of others removes
+    it. A depth near zero that occurs among the other lenses is the scene's.
     """
     size = match.patch_size
     little = clear & (contrast <= LARGEST_SHADING) & (np.abs(size) < SHADING_REACH * pitch)

@@ -26,8 +26,7 @@ _LEAST_AREA = 3.0
 def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
     """(2 * reach + 1, 2 * reach + 1) correlation of a picture (n, n) with itself at lags up to `reach` px.
 
-    Only what is `seen` (n, n) in both counts; -1 where that is less than a fifth. Flat parts of it correlate with
-    nothing.
+    Only what is `seen` (n, n) in both counts; -1 where that is less than a fifth.
     """
     light = np.where(seen, picture - picture[seen].mean(), 0).astype(np.float32)
     # Padding keeps the wrapped part of the circular correlation beyond the longest lag.
@@ -45,10 +44,8 @@ def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int) -> ND
 
 
 def is_periodic(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
-    """Whether a texture repeats along two directions, and whether it may, by its `autocorrelation` (m, m).
-
-    The more is `seen` of the scene [microimages], the less repeats by chance.
-    """
+    """Whether a texture repeats along two directions, and whether it may, by its `autocorrelation`, of so much that is
+    `seen` of the scene [microimages]."""
     middle = len(correlation) // 2
     _, parts = cv2.connectedComponents((correlation > _DECAYED).astype(np.uint8), connectivity=4)
     y, x = np.mgrid[-middle : middle + 1, -middle : middle + 1]
@@ -65,10 +62,9 @@ def is_periodic(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bo
 def find_periodic_texture(
     gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, resolved: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], bool]:
-    """Lenses (n,) that see a part of the scene whose texture is periodic, and whether that of most parts may be.
+    """Lenses (n,) that see a periodic part of the scene, all if most parts are, and whether most may be.
 
-    If most of the parts are periodic for certain, all resolved lenses are returned. `indices` (n, 2) are those of the
-    lenses on the lattice, `sizes` (n,) [px of `gray`] the patch sizes, of which those of the `resolved` lenses count.
+    `indices` (n, 2) are those of the lenses on the lattice, `sizes` (n,) [px of `gray`] count for the `resolved` ones.
     """
     certain = np.zeros(len(sizes), bool)
     known = np.flatnonzero(resolved & (np.abs(sizes) > 0))

@@ -27,9 +27,8 @@ def find_textureless(
 ) -> NDArray[np.bool_] | None:
     """(n,) bool: lenses whose pixels are explained by noise; None if some of them match, so that all must be matched.
 
-    If every lens shows fine texture, the noise is overestimated from the least rough lenses, and faint texture passes
-    for it. So a sample of those lenses is matched. Shading matches as well, but near zero, over a wide range of shifts.
-    If none of the lenses that are `asked` (n,) is textureless, the others are not matched.
+    A sample of those lenses is matched, since faint texture all over passes for noise. If none of the lenses that are
+    `asked` (n,) is textureless, the others are not matched.
     """
     noise = estimate_noise(plain.roughness) if noise is None else noise
     blank = find_noise_only(plain, noise)

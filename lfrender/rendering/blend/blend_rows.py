@@ -235,11 +235,8 @@ def _add_agreeing(memory, number, t2, per_channel):
 
 @kernel(error_model="numpy", share=lambda *given: len(given[7].image))
 def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting, output, left):
-    """Draw the pixels of a `Grid` into an `Output`.
-
-    As `blend_pixels`, with packed pixels in `flat` (`prefilter_packed`). Pixels that need more than one sample are
-    marked in `left` (h, w) instead.
-    """
+    """Draw as `blend_pixels`, from packed pixels (`prefilter_packed`); those that need several samples are marked in
+    `left`."""
     image, valid, spacing, start = output.image, output.valid, grid.spacing, grid.start
     columns, channels = image.shape[1], image.shape[2]
     # A lens is read in pieces along a row; as many lie beside it as twice the reach, and a pitch, hold.

@@ -38,21 +38,11 @@ class LitFlat:
 def light_flat(
     calibration: Calibration, surface: Surface | None, pixels: NDArray[Any], corner: tuple[int, int], reach: float
 ) -> LitFlat:
-    """The pixels, the patch size that each shows, and the light of the lenses.
+    """The pixels (h, w, C) of a part of the flat from `corner` on, the patch size that each shows, and the light of the
+    lenses.
 
     If the gain differs from lens to lens, pixels are divided by it, and those that are unlit are infinitely far.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    surface : Surface or None
-        None if nothing can occlude anything.
-    pixels : (h, w, C) array
-        Part of the flat.
-    corner : (int, int) [px]
-        Flat coordinates x, y of its first pixel.
-    reach : float [px]
-        From lenses to scene points that are read from them.
+    Without a surface nothing occludes anything. `reach` [px] is from lenses to scene points that are read from them.
     """
     lattice = calibration.lattice
     shown, edged, uneven = np.empty((0, 0), np.float32), np.zeros(len(lattice), bool), has_uneven_lenses(calibration)

@@ -23,10 +23,7 @@ _SQUARE = 4
 
 @kernel(error_model="numpy", fastmath=FAST, share=lambda surface, pitch, lows, highs: len(lows))
 def _compute_ranges(begin, end, surface, pitch, lows, highs):
-    """Least and largest nearness in each square of the surface: `s` before the microlenses, `s + 2 D` behind them.
-
-    It grows toward the camera, as the image of nearer things lies farther back (docs/geometry.md).
-    """
+    """Least and largest nearness in each square of the surface: `s` before the microlenses, `s + 2 D` behind them."""
     rows, columns = surface.shape
     for v in range(begin, end):
         for u in range(lows.shape[1]):
@@ -124,28 +121,10 @@ def project_surface(
     part: tuple[int, int, int, int] | None = None,
     everywhere: bool = True,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Patch size of the surface that each flat pixel sees through its lens.
+    """Patch size (H, W) that each pixel of a part of the flat sees, and (n,) bool: lenses with a depth edge in reach.
 
-    Parameters
-    ----------
-    surface : Surface
-    lattice : Lattice
-    reach : float [px]
-        Scene points up to so far from a lens, and a few grid values farther, are projected into it.
-    edge : float [px]
-        Patch sizes that differ by less belong to one surface.
-    part : (left, top, right, bottom) [px], optional
-        Only these pixels of the flat.
-    everywhere : bool
-        Set the pixels of all lenses, not only of those that are edged.
-
-    Returns
-    -------
-    seen : (H, W) float32 [px]
-        NaN where that is unknown, or occludes nothing: around lenses with no depth edge in reach, and on the farthest
-        surface that a lens shows.
-    edged : (n,) bool
-        Lenses with a depth edge in reach.
+    NaN around lenses without one, set if `everywhere`, and on the farthest surface that a lens shows. Scene points up
+    to `reach` [px] from a lens are projected; patch sizes that differ by less than `edge` [px] belong to one surface.
     """
     left, top, right, bottom = part or (0, 0, *lattice.image_size)
     out = allocate_pooled((bottom - top, right - left), np.float32)

@@ -11,8 +11,7 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, simulate
-from lfcal import Calibration, FlatError, OutputError
-from lfrender.depth.incremental import load_reference_match
+from lfcal import Calibration, FlatError
 from lfrender.runtime.cache import cached
 
 # The part of the second flat that differs, order x0, y0, x1, y1.
@@ -170,14 +169,6 @@ def test_a_frame_of_another_kind_raises_an_error(house, first):
         lfrender.render(
             house.flat.astype(np.float32) / 255, house.truth.calibration, first[1], previous=first
         )  # fmt: skip
-
-
-@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 and no more"])
-def test_a_damaged_reference_file_raises_one_clear_error(first, tmp_path, content):
-    path = tmp_path / "comparison_000000.npz"
-    path.write_bytes(content)
-    with pytest.raises(OutputError, match=r"comparison_000000\.npz: damaged .*--overwrite"):
-        load_reference_match(first[1], path)
 
 
 def with_noise(flat, seed):
