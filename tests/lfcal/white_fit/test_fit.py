@@ -26,9 +26,8 @@ def test_error_of_whole_microimages_is_within_three_times_the_cramer_rao_bound(d
     assert _error(camera, truth) < 3 * truth.bound()
 
 
-@pytest.mark.parametrize("strength", [-0.3])
-def test_centres_of_cut_microimages_are_those_of_whole_discs_and_the_flat_passes_the_check(drawn, strength):
-    truth = drawn("hexagonal", 20.3, 5.0, 26.0, strength=strength, size=(1000, 800))
+def test_centres_of_cut_microimages_are_those_of_whole_discs_and_the_flat_passes_the_check(drawn):
+    truth = drawn("hexagonal", 20.3, 5.0, 26.0, strength=-0.3, size=(1000, 800))
     image = truth.image()
     camera = lfcal.calibrate(image)
     assert _error(camera, truth) < 0.02
@@ -79,7 +78,7 @@ def test_light_of_neighbours_that_is_shaded_the_other_way_does_not_move_centres(
 def test_stated_errors_of_centres_match_true_ones(drawn):
     ratios = []
     for seed in range(4):
-        truth = drawn("hexagonal", 14.3, 11.0, 26.0, size=(700, 500), seed=10 * seed)
+        truth = drawn("hexagonal", 14.3, 11.0, 26.0, size=(480, 360), seed=10 * seed)
         camera = lfcal.calibrate(truth.image())
         stated = np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
         ratios.append(_error(camera, truth) / stated)
@@ -104,11 +103,10 @@ def test_general_distortion_of_scanned_film_is_fitted(drawn):
     assert np.sqrt((miss**2).sum(1).mean()) < 0.05
 
 
-@pytest.mark.parametrize("exposure", [2.2])
-def test_clipped_middles_of_microimages_do_not_move_centres(drawn, exposure):
+def test_clipped_middles_of_microimages_do_not_move_centres(drawn):
     truth = drawn("square", 24.3, 31.0, 34.0, size=(700, 500), outer=0.6)
     light = truth.light() + truth.noise * np.random.default_rng(1).standard_normal((500, 700))
-    image = np.rint(np.clip(exposure * light, 0, 1) * 255).astype(np.uint8)
+    image = np.rint(np.clip(2.2 * light, 0, 1) * 255).astype(np.uint8)
     assert (image == 255).mean() > 0.15
     assert _error(lfcal.calibrate(image, "white"), truth) < 0.004
 
@@ -140,7 +138,7 @@ def test_values_beyond_single_precision_raise_a_flat_error():
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("pitch", [7.0, 20.0])
 def test_meshes_and_waves_give_a_calibration_or_a_light_field_error(pitch):
-    x, y = np.meshgrid(np.arange(400), np.arange(300))
+    x, y = np.meshgrid(np.arange(300), np.arange(220))
     waves = 128 + 50 * (np.sin(2 * np.pi * x / pitch) + np.sin(2 * np.pi * y / pitch))
     mesh = np.where((x % pitch < 3) | (y % pitch < 3), 190, 60)
     for image in (np.rint(waves).astype(np.uint8), mesh.astype(np.uint8)):
