@@ -341,9 +341,13 @@ def _find_dark_rest(picture: NDArray[np.float32], pitch: float) -> str | None:
     y, x = np.nonzero(mean > 0.2 * np.quantile(mean, 0.95))
     hull: Any = cv2.convexHull(np.column_stack([x, y]).astype(np.int32))
     share = cv2.contourArea(hull) / np.prod(np.maximum(np.array(mean.shape) - 1, 1))
-    return None if share >= CALIBRATION.lit_share else (
-        f"light lies on {share:.0%} of the flat, and the lattice of all the rest follows from there; "
-        "calibrate on a white image or on a scene that fills the flat"
+    return (
+        None
+        if share >= CALIBRATION.lit_share
+        else (
+            f"light lies on {share:.0%} of the flat, and the lattice of all the rest follows from there; "
+            "calibrate on a white image or on a scene that fills the flat"
+        )
     )
 
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..gain.gain_map import field_place
-from ..lattice.lattice import Lattice
 from ..lattice.orientation import describe_orientation
 
 __all__ = ["Alignment", "measure_alignment"]
@@ -42,67 +41,53 @@ class Alignment(NamedTuple):
 
 def measure_alignment(camera: Calibration) -> Alignment:
     """Rotation and pitch gradient of a calibrated camera."""
-    lattice, residuals = camera.lattice, camera.residuals
+    lattice, errors, white = camera.lattice, camera.errors, camera.source == "white"
     shape, rows, _ = describe_orientation(lattice)
-    reach = float(np.hypot(*lattice.image_size)) / 2
-    gradient, gradient_error = np.full(2, np.nan), float("inf")
-    if residuals is not None and camera.source == "white" and len(residuals.indices) >= 60:
-        basis, variance, gradient, gradient_error = _fit_centres(camera, lattice)
-        fault = _WHITE_FAULT
-    else:
-        basis, fault = lattice.basis, (_WHITE_FAULT if camera.source == "white" else _SCENE_FAULT * lattice.pitch)
-        variance = (
-            np.zeros(2) if camera.errors is None else np.diag(camera.errors.covariance)[2:6].reshape(2, 2).mean(1)
-        )
-        if camera.errors is None:
-            fault = float("inf")
+    variance = np.full(2, np.inf) if errors is None else np.diag(errors.covariance)[2:6].reshape(2, 2).mean(1)
+    centres = lattice.basis, variance, np.full(2, np.nan), float("inf")
+    if white and camera.residuals is not None and len(camera.residuals.indices) >= 60:
+        centres = _fit_centres(camera) or centres
+    basis, variance, gradient, gradient_error = centres
     vectors = basis @ [1, 1j]
     hexagonal = len(lattice.steps) == 6
     # Where the first vector would be, by each of both.
     own = vectors[1] * np.exp(-1j * np.pi / (3 if hexagonal else 2))
-    both = [vectors[0], own] if shape != "oblique" else [vectors[0]]
-    angle = float(np.degrees(np.angle(sum(one / abs(one) for one in both))))
+    both = np.array([vectors[0], own] if shape != "oblique" else [vectors[0]])
     period = 60.0 if hexagonal else 90.0
-    angle = (angle + period / 2) % period - period / 2
+    angle = (float(np.degrees(np.angle((both / np.abs(both)).sum()))) + period / 2) % period - period / 2
     if rows == "vertical":
         angle -= float(np.copysign(30.0, angle))
-    scatter = sum(float(v) / abs(one) ** 2 for v, one in zip(variance, both, strict=False)) / len(both) ** 2
-    error = float(np.degrees(np.hypot(np.sqrt(scatter), fault / reach)))
-    return Alignment(shape, rows, angle, error, gradient, gradient_error)
+    fault = (_WHITE_FAULT if white else _SCENE_FAULT * lattice.pitch) / (float(np.hypot(*lattice.image_size)) / 2)
+    scatter = float((variance[: len(both)] / np.abs(both) ** 2).sum()) / len(both) ** 2
+    return Alignment(shape, rows, angle, float(np.degrees(np.sqrt(scatter + fault**2))), gradient, gradient_error)
 
 
-def _fit_centres(camera: Calibration, lattice: Lattice) -> tuple[Array, Array, Array, float]:
+def _fit_centres(camera: Calibration) -> tuple[Array, Array, Array, float] | None:
     """Basis in the middle of the flat with variances (2,) of its vectors, pitch gradient (2,) [px] and its error.
 
-    Means over tiles of the flat are fitted, so that errors which neighbours share count as such.
+    Means over tiles of the flat are fitted, so that errors which neighbours share count as such; None of too few.
     """
     assert camera.residuals is not None
-    indices, offset = camera.residuals.indices, camera.residuals.offset.astype(np.float64)
+    lattice, indices, offset = camera.lattice, camera.residuals.indices, camera.residuals.offset.astype(np.float64)
     length = np.hypot(*offset.T)
     keep = length <= 4 * np.median(length) + 1e-9
-    indices, offset = indices[keep], offset[keep]
-    centres = lattice.points(indices) + offset
+    indices, centres = indices[keep], lattice.points(indices[keep]) + offset[keep]
     x, y = field_place(centres, lattice).T
-    table = np.column_stack([np.ones(len(x)), indices, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+    table = np.column_stack([np.ones(len(x)), indices, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3, centres])
     column, row = np.clip((centres / lattice.image_size * 8).astype(int), 0, 7).T
     _, tile, count = np.unique(8 * row + column, return_inverse=True, return_counts=True)
-    means = np.array([np.bincount(tile, values) / count for values in np.column_stack([table, centres]).T]).T
-    design, target = means[:, :10], means[:, 10:]
+    means = np.array([np.bincount(tile, values) / count for values in table.T]).T
     # Few tiles tell no third order.
-    design = design if len(count) >= 20 else design[:, :6]
-    scale = np.abs(design).max(0)
-    root = np.sqrt(count)[:, None]
-    inverse = np.linalg.pinv(root * design / scale) / scale[:, None]
-    factors = inverse @ (root * target)
-    left = root * (target - design @ factors)
+    design, target = means[:, : 10 if len(count) >= 20 else 6], means[:, 10:]
     free = len(count) - design.shape[1]
     if free < 4:
-        single = np.full(2, float((offset**2).sum() / 2 / len(offset) ** 2))
-        return lattice.basis, single, np.full(2, np.nan), float("inf")
-    covariance = inverse @ inverse.T * float((left**2).sum() / (2 * free))
-    quadratic = factors[3:6].T.ravel()
+        return None
+    scale, root = np.abs(design).max(0), np.sqrt(count)[:, None]
+    inverse = np.linalg.pinv(root * design / scale) / scale[:, None]
+    factors = inverse @ (root * target)
+    covariance = inverse @ inverse.T * float((count[:, None] * (target - design @ factors) ** 2).sum() / (2 * free))
     weight = np.kron(np.eye(2), np.linalg.pinv(covariance[3:6, 3:6]))
-    normal = np.linalg.inv(_TILT.T @ weight @ _TILT)
+    normal, quadratic = np.linalg.inv(_TILT.T @ weight @ _TILT), factors[3:6].T.ravel()
     found = normal @ _TILT.T @ weight @ quadratic
     miss = quadratic - _TILT @ found
     # What neither form explains, two numbers, is an error of both.

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..camera.plotting import TYPE_COLOURS
+from ..camera.plotting import TYPE_COLOURS, draw_circles
 from ..gain.gain_map import nearest_half
 from ..runtime.output_file import check_output
 from ..runtime.page import to_svg, write_page
@@ -22,30 +21,27 @@ __all__ = ["write_assessment"]
 
 def write_assessment(path: str | os.PathLike[str], found: Assessment, title: str) -> None:
     """See `Assessment.write_page`."""
-    check_output(path, {".html", ".htm"})
-    findings = [(name, finding, _draw(name, found)) for name, finding in found.findings.items()]
-    template = Path(__file__).with_name("assets") / "assessment.html"
-    write_page(path, template, title=title, camera=found.calibration, findings=findings)
-
-
-def _draw(name: str, found: Assessment) -> str:
-    """The drawing of a finding as SVG, empty where there is none."""
     from matplotlib.figure import Figure
 
-    if name not in _DRAWINGS or not found.findings[name].measured:
-        return ""
-    figure = Figure((4.4, 3.0), layout="constrained")
-    _DRAWINGS[name](figure.subplots(), found)
-    return to_svg(figure)
+    check_output(path, {".html", ".htm"})
+    findings = []
+    for name, finding in found.findings.items():
+        drawing = ""
+        if name in _DRAWINGS and finding.measured:
+            figure = Figure((4.4, 3.0), layout="constrained")
+            _DRAWINGS[name](figure.subplots(), found)
+            drawing = to_svg(figure)
+        findings.append((name, finding, drawing))
+    template = Path(__file__).with_name("assets") / "assessment.html"
+    write_page(path, template, title=title, camera=found.calibration, findings=findings)
 
 
 def _draw_rotation(axes: Any, found: Assessment) -> None:
     """Rows of the sensor, dashed, and of lenses, turned by a multiple of their angle that can be seen."""
     value = found.rotation.value
-    times = next((t for t in (1, 3, 10, 30, 100) if abs(value) * t >= 3), 100)
-    angle = np.radians(np.clip(value * times, -30, 30))
+    times = next((t for t in (1, 3, 10, 30) if abs(value) * t >= 3), 100)
+    angle, along = np.radians(np.clip(value * times, -30, 30)), np.linspace(-1, 1, 13)
     for offset in (-0.5, 0.0, 0.5):
-        along = np.linspace(-1, 1, 13)
         x, y = along * np.cos(angle) - offset * np.sin(angle), along * np.sin(angle) + offset * np.cos(angle)
         axes.axhline(offset, color="0.6", linestyle="--", linewidth=0.8)
         axes.plot(x, y, "o-", color=TYPE_COLOURS[0], markersize=6, markerfacecolor="none")
@@ -54,21 +50,17 @@ def _draw_rotation(axes: Any, found: Assessment) -> None:
 
 def _draw_tilt(axes: Any, found: Assessment) -> None:
     """Radii of the microimages over the flat, and where the sensor is farther away."""
-    field = found.microimages
-    assert field is not None
-    middle = np.array(found.calibration.image_size) / 2
-    half = float(np.hypot(*middle))
+    field, middle = found.microimages, np.array(found.calibration.image_size) / 2
+    half, slope = float(np.hypot(*middle)), field.radius.slope
     _map(axes, found, field.place * half + middle, field.radii.mean(1), "radius of the microimages [px]", 150)
-    if np.isfinite(field.radius.slope).all():
-        way = field.radius.slope / max(float(np.hypot(*field.radius.slope)), 1e-12) * half / 3
+    if np.isfinite(slope).all():
+        way = slope / max(float(np.hypot(*slope)), 1e-12) * half / 3
         axes.annotate("", middle + way, middle - way, arrowprops={"arrowstyle": "->", "color": "firebrick"})
 
 
 def _draw_distance(axes: Any, found: Assessment) -> None:
     """Light in the mean microimage of the middle over the distance from its centre."""
-    field = found.microimages
-    assert field is not None
-    far, light, model = field.profile
+    far, light, model = found.microimages.profile
     axes.plot(far, light, ".", color=TYPE_COLOURS[0], markersize=3, label="measured")
     axes.plot(far, model, ".", color=TYPE_COLOURS[1], markersize=1.5, label="blurred discs")
     axes.legend(loc="lower left")
@@ -77,21 +69,18 @@ def _draw_distance(axes: Any, found: Assessment) -> None:
 
 def _draw_apertures(axes: Any, found: Assessment) -> None:
     """Some neighbouring microimages in true proportion."""
-    from matplotlib.patches import Circle
-
-    lattice, field = found.calibration.lattice, found.microimages
-    assert field is not None
+    lattice, radius = found.calibration.lattice, found.microimages.radius.value
     index = np.stack(np.meshgrid(np.arange(-3, 4), np.arange(-3, 4)), -1).reshape(-1, 2)
-    for place in index @ lattice.basis:
-        axes.add_patch(Circle(place, field.radius.value, color=TYPE_COLOURS[0], alpha=0.4, linewidth=0))
+    draw_circles(axes, index @ lattice.basis, radius, TYPE_COLOURS[0])
     reach = 1.7 * lattice.pitch
     axes.set(xlim=(-reach, reach), ylim=(reach, -reach), aspect="equal", xticks=[], yticks=[])
-    axes.set_title(f"neighbours {2 * nearest_half(lattice):.2f} px apart, {2 * field.radius.value:.2f} px wide")
+    axes.set_title(f"neighbours {2 * nearest_half(lattice):.2f} px apart, {2 * radius:.2f} px wide")
 
 
 def _draw_vignetting(axes: Any, found: Assessment) -> None:
-    centres, radii = found.calibration.lattice.centres(), found.calibration.usable_radius()
-    _map(axes, found, centres, radii, "radius with half the light on all sides [px]")
+    camera = found.calibration
+    title = "radius with half the light on all sides [px]"
+    _map(axes, found, camera.lattice.centres(), camera.usable_radius(), title)
 
 
 def _draw_exposure(axes: Any, found: Assessment) -> None:
@@ -100,17 +89,16 @@ def _draw_exposure(axes: Any, found: Assessment) -> None:
 
 
 def _draw_evenness(axes: Any, found: Assessment) -> None:
-    camera = found.calibration
-    centres = camera.lattice.centres()
-    light = np.ones(len(centres)) if camera.gain_map is None else camera.gain_map.light(centres, camera.lattice)
+    gain, lattice = found.calibration.gain_map, found.calibration.lattice
+    centres = lattice.centres()
+    light = np.ones(len(centres)) if gain is None else gain.light(centres, lattice)
     _map(axes, found, centres, light, "light of the lenses")
 
 
 def _draw_dirt(axes: Any, found: Assessment) -> None:
-    camera = found.calibration
-    pixels = camera.defects.pixels[:: max(1, len(camera.defects.pixels) // 5000)]
-    axes.plot(*pixels.T, ".", color="firebrick", markersize=2)
-    axes.plot(*camera.lattice.points(camera.defects.lenses).T, "x", color=TYPE_COLOURS[0], markersize=4)
+    defects = found.calibration.defects
+    axes.plot(*defects.pixels[:: max(1, len(defects.pixels) // 5000)].T, ".", color="firebrick", markersize=2)
+    axes.plot(*found.calibration.lattice.points(defects.lenses).T, "x", color=TYPE_COLOURS[0], markersize=4)
     _frame(axes, found, "defective pixels (dots), unlit lenses (crosses)")
 
 
@@ -125,7 +113,7 @@ def _frame(axes: Any, found: Assessment, title: str) -> None:
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xticks=[], yticks=[], title=title)
 
 
-_DRAWINGS: dict[str, Callable[[Any, Assessment], None]] = {
+_DRAWINGS = {
     "rotation": _draw_rotation, "tilt": _draw_tilt, "distance": _draw_distance, "apertures": _draw_apertures,
     "vignetting": _draw_vignetting, "exposure": _draw_exposure, "evenness": _draw_evenness, "dirt": _draw_dirt,
 }  # fmt: skip

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
-from .microimages import MicroimageField
 
 __all__ = ["Assessment", "Finding"]
 
@@ -57,9 +56,8 @@ class Finding:
         return f"{self.value:.{digits}f} +- {self.error:.{digits}f} {self.unit}"
 
     def __str__(self) -> str:
-        return (
-            (f"{self.measured}: " if self.measured else "") + self.verdict + (f"; {self.advice}" if self.advice else "")
-        )
+        advice = f"; {self.advice}" if self.advice else ""
+        return (f"{self.measured}: " if self.measured else "") + self.verdict + advice
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +104,10 @@ class Assessment:
     exposure: Finding
     evenness: Finding
     dirt: Finding
-    scene: Mapping[str, Finding]
     calibration: Calibration
-    microimages: MicroimageField | None = field(default=None, repr=False)
+    scene: Mapping[str, Finding] = field(default_factory=dict)
+    #: `MicroimageField`, None where they cannot be measured.
+    microimages: Any = field(default=None, repr=False)
     #: (256,) pixels of the white image over 256 levels up to the largest value.
     histogram: NDArray[np.int64] = field(default_factory=lambda: np.zeros(256, np.int64), repr=False)
 
@@ -124,10 +123,7 @@ class Assessment:
 
     def to_dict(self) -> dict[str, Any]:
         """All findings as plain numbers and strings, NaN where not measured."""
-        return {
-            name: {key.name: getattr(finding, key.name) for key in fields(finding)}
-            for name, finding in self.findings.items()
-        }
+        return {name: vars(finding) for name, finding in self.findings.items()}
 
     def write_page(self, path: str | os.PathLike[str], title: str = "Microlens array") -> None:
         """Write verdicts and a drawing of each finding as one HTML page that needs no network."""

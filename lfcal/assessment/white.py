@@ -13,8 +13,8 @@ from ..camera.calibration import Calibration
 from ..images.stack import check_flats
 from ..pipeline import SURE_CONFIDENCE, calibrate
 from ..runtime.errors import FlatError
-from . import findings
 from .alignment import measure_alignment
+from .findings import FINDINGS, Seen, find_rotation, unmeasured
 from .microimages import measure_microimages
 from .result import Assessment, Finding
 
@@ -66,50 +66,37 @@ def assess(
     for name, value in (("f_number", f_number), ("pupil", pupil), ("pixel", pixel)):
         if value is not None and not 0 < value < np.inf:
             raise ValueError(f"{name} must be a positive number, got {value!r}")
-    flats = check_flats(white)
-    if len(flats) > 1:
+    flat, *others = check_flats(white)
+    if others:
         raise FlatError("several white images are given; give one")
-    (flat,) = flats
     shown = None if scene is None else check_flats(scene)[0]
     camera = calibrate(flat) if calibration is None else calibration
     for name, one in (("the white image", flat), ("the scene", shown)):
         if one is not None and one.shape[1::-1] != camera.image_size:
             given, own = ("{} x {} px".format(*size) for size in (one.shape[1::-1], camera.image_size))
             raise FlatError(f"{name} is {given}, the camera is for {own}; give flats of one camera")
-    known = camera.optics
-    if known is not None:
-        pixel, pupil = pixel or known.pixel, pupil or known.mla_distance
-    optics = findings.Optics(f_number, pupil / pixel if pupil and pixel else None, pixel)
-    told = _assess_white(flat, camera, optics)
+    if camera.optics is not None:
+        pixel, pupil = pixel or camera.optics.pixel, pupil or camera.optics.mla_distance
+    alignment, field = measure_alignment(camera), None
+    found = {"rotation": find_rotation(alignment, camera)}
+    if camera.source == "white":
+        field = measure_microimages(flat, camera)
+    for name, (find, unit, takes_rims) in FINDINGS.items():
+        if camera.source != "white":
+            found[name] = unmeasured(unit, "this takes a white image, and a calibration made from it")
+        elif field is None and takes_rims:
+            found[name] = unmeasured(unit, "the microimages show no rims")
+        else:
+            distance = pupil / pixel if pupil and pixel else None
+            found[name] = find(Seen(flat, camera, alignment, field, f_number, distance, pixel))
+    told: dict[str, Any] = {name: _without_advice(one, camera) for name, one in found.items()}
+    top = camera.white_level or (float(np.iinfo(flat.dtype).max) if flat.dtype.kind == "u" else float(flat.max()))
+    told["histogram"] = np.histogram(flat[:: max(1, len(flat) // 1000)], 256, (0, max(top, 1e-9)))[0]
     if shown is not None:
         from .scene import assess_scene
 
-        told = replace(told, scene=assess_scene(shown, camera))
-    return told
-
-
-def _assess_white(flat: Any, camera: Calibration, optics: findings.Optics) -> Assessment:
-    lattice, alignment, field = camera.lattice, measure_alignment(camera), None
-    units = {
-        "tilt": "degrees", "distance": "px", "apertures": "px", "vignetting": "px", "exposure": "%", "evenness": "%",
-        "dirt": "places",
-    }  # fmt: skip
-    why = "this takes a white image, and a calibration made from it"
-    told: dict[str, Any] = {name: findings.unmeasured(unit, why) for name, unit in units.items()}
-    told["rotation"] = findings.find_rotation(alignment, lattice)
-    if camera.source == "white":
-        field = measure_microimages(flat, camera)
-        told["tilt"] = findings.find_tilt(alignment, field, lattice, optics)
-        told["distance"] = findings.find_distance(field, camera, optics)
-        told["apertures"] = findings.find_apertures(field, lattice, optics)
-        told["vignetting"] = findings.find_vignetting(field, camera)
-        told["exposure"] = findings.find_exposure(flat, camera)
-        told["evenness"] = findings.find_evenness(field, lattice)
-        told["dirt"] = findings.find_dirt(flat, camera)
-    top = camera.white_level or (float(np.iinfo(flat.dtype).max) if flat.dtype.kind == "u" else float(flat.max()))
-    histogram = np.histogram(flat[:: max(1, len(flat) // 1000)], 256, (0, max(top, 1e-9)))[0]
-    told = {name: _without_advice(one, camera) for name, one in told.items()}
-    return Assessment(**told, scene={}, calibration=camera, microimages=field, histogram=histogram)
+        told["scene"] = assess_scene(shown, camera)
+    return Assessment(**told, calibration=camera, microimages=field)
 
 
 def _without_advice(finding: Finding, camera: Calibration) -> Finding:

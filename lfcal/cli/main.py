@@ -64,6 +64,11 @@ def _output(metavar: str, text: str) -> Any:
     return cl.option("-o --output", cl.OutputPath(), text, metavar, required=True)
 
 
+def _write(report: cl.Report, camera: Calibration, output: Path, *lines: str) -> None:
+    camera.save(output)
+    report.finish({"camera": str(output), **describe(camera)}, *lines)
+
+
 @cl.command(
     "lfcal calibrate white.png -o camera.json",
     "lfcal calibrate white1.png white2.png -o camera.json",
@@ -97,8 +102,7 @@ def calibrate(report: cl.Report, given: Any) -> None:
     with report.stage("calibrate"), cl.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
         camera = run(flats if len(flats) > 1 else flats[0], given.kind, given.mosaic, given.pitch, given.rotation)
         camera = camera if given.linear is None else replace(camera, encoded=not given.linear)
-    camera.save(output)
-    report.finish({"camera": str(output), **describe(camera)}, *summarise(camera), f"{output} in {report.took}.")
+    _write(report, camera, output, *summarise(camera), f"{output} in {report.took}.")
 
 
 @cl.command(
@@ -117,16 +121,13 @@ def lattice(report: cl.Report, given: Any) -> None:
     from ..camera.calibration import Calibration
     from ..lattice.stated import state_lattice
 
-    figures = given.size, given.pitch, given.arrangement, given.rotation, given.centre, given.radius
     try:
-        stated = state_lattice(*figures)
+        stated = state_lattice(given.size, given.pitch, given.arrangement, given.rotation, given.centre, given.radius)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     warning = "the lattice was stated, not measured"
     camera = Calibration(stated, source="published", confidence=1.0, warnings=(warning,))
-    camera.save(output)
-    closing = f"{output} is written; check it with 'lfcal show'."
-    report.finish({"camera": str(output), **describe(camera)}, summarise(camera)[0], closing)
+    _write(report, camera, output, summarise(camera)[0], f"{output} is written; check it with 'lfcal show'.")
 
 
 @cl.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
@@ -220,19 +221,17 @@ def compare(report: cl.Report, given: Any) -> None:
         # A published file has none.
         with suppress(CameraFileError):
             size = size or load(path).image_size
-    first, second = cameras = [_read(path, size) for path in paths]
-    found = run(first, second)
+    cameras = [_read(path, size) for path in paths]
+    found = run(*cameras)
+    field = dict(zip(REGIONS, found.field.reshape(-1, 2).round(6), strict=True))
+    warnings = [f"{path}: {text}" for path, camera in zip(paths, cameras, strict=True) for text in camera.warnings]
     report.finish(
         {
-            **{name: str(path) for name, path in zip("ab", paths, strict=True)},
-            **{name: round(getattr(found, name), 6) for name in ("rms", "max")},
-            "mean_shift": found.mean_shift.round(6),
-            "scale": round(found.scale, 9),
-            "rotation_degrees": round(found.rotation_degrees, 7),
-            "field": dict(zip(REGIONS, found.field.reshape(-1, 2).round(6), strict=True)),
-            "warnings": [f"{path}: {w}" for path, c in zip(paths, cameras, strict=True) for w in c.warnings],
+            "a": str(given.a), "b": str(given.b), "rms": round(found.rms, 6), "max": round(found.max, 6),
+            "mean_shift": found.mean_shift.round(6), "scale": round(found.scale, 9),
+            "rotation_degrees": round(found.rotation_degrees, 7), "field": field, "warnings": warnings,
         }
-    )
+    )  # fmt: skip
 
 
 @cl.command(

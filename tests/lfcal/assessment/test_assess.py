@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import lfcal
 from data_synth import Camera, tracing
 from lfcal.assessment.alignment import measure_alignment
-from lfcal.assessment.findings import Optics, find_tilt
+from lfcal.assessment.findings import Seen, find_tilt
 from lfcal.cli.main import main
 
 
@@ -53,10 +53,10 @@ def test_advice_tells_which_way_to_turn(assessed):
 
 
 def test_a_tilt_is_advised_on_only_where_pitches_or_rims_confirm_it(assessed):
-    lattice, alignment = assessed.calibration.lattice, measure_alignment(assessed.calibration)
+    camera, alignment = assessed.calibration, measure_alignment(assessed.calibration)
     for error, advised in ((0.01, True), (1.0, False)):
-        seen = alignment._replace(gradient_error=error)
-        found = find_tilt(seen, assessed.microimages, lattice, Optics(f_number=4))
+        seen = Seen(None, camera, alignment._replace(gradient_error=error), assessed.microimages, f_number=4)
+        found = find_tilt(seen)
         assert "farther from the array at the right of the flat" in found.verdict
         assert bool(found.advice) == advised
 
@@ -107,15 +107,7 @@ def test_the_command_writes_a_page_without_network_and_all_figures(overlapping, 
     white, camera = overlapping
     tifffile.imwrite(tmp_path / "white.tif", white)
     camera.save(tmp_path / "camera.json")
-    words = [
-        "assess",
-        f"{tmp_path}/white.tif",
-        "-c",
-        f"{tmp_path}/camera.json",
-        "-o",
-        f"{tmp_path}/page.html",
-        "--json",
-    ]
+    words = f"assess {tmp_path}/white.tif -c {tmp_path}/camera.json -o {tmp_path}/page.html --json".split()
     result = CliRunner().invoke(main, words, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)["findings"]
