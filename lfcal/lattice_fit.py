@@ -92,20 +92,9 @@ def _count_lit_pixels(picture: NDArray[np.float32], lattice: Lattice) -> float:
 def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) -> LatticeFit:
     """Fit a lattice to the centroids of the light of spots of few pixels, as unfocused cameras make with a small pupil.
 
-    So few pixels have no edge that a profile could follow, and the root of their light has its centre elsewhere.
-
-    Parameters
-    ----------
-    picture : (h, w) float32
-        Root of the light.
-    start : Lattice [px]
-    passes : int
-        Times that the windows, as wide as cells, are put about the fitted centres.
-
-    Raises
-    ------
-    CalibrationError
-        If there are too few whole lenses with light.
+    So few pixels have no edge that a profile could follow, and the root of their light, `picture` (h, w), has its
+    centre elsewhere. In each of the `passes`, windows as wide as cells are put about the fitted centres.
+    CalibrationError if there are too few whole lenses with light.
     """
     lattice, reach = start, int(np.hypot(*(start.steps @ start.basis).T).min() / 2)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)

@@ -21,19 +21,11 @@ RIM_START = 7
 
 
 class Shape(NamedTuple):
-    """What the microimages of a flat have in common.
+    """What the microimages of a flat have in common."""
 
-    Parameters
-    ----------
-    profile : (k,) float64
-    step : float [px]
-    cut : (6,) float64
-        The five of `GainMap.cut`, 0 if there is no cutting disc, and `GainMap.stray_light`.
-    """
-
-    profile: NDArray[np.float64]
-    step: float
-    cut: NDArray[np.float64]
+    profile: NDArray[np.float64]  # (k,)
+    step: float  # [px]
+    cut: NDArray[np.float64]  # (6,) `GainMap.cut`, 0 if there is no cutting disc, and `GainMap.stray_light`
 
 
 @njit(error_model="numpy", inline="always")

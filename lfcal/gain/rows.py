@@ -69,30 +69,14 @@ class RegionGain:
 
 
 class _RowTables(NamedTuple):
-    """Tables for going from lens to lens along the rows of a flat.
+    """Tables for going from lens to lens along the rows of a flat."""
 
-    Parameters
-    ----------
-    centres : (b, a, 2) float64 [px]
-        Of all lenses on the flat and some around it, by lattice index.
-    light : (b, a) float64
-        Of each lens.
-    lenses : (b, a, s) float32
-        Their descriptions.
-    types : (b, a) int8
-        Types of the lenses, 0 where they do not differ.
-    starts : (h, 2) int64
-        Column and row, in these tables, of a lens near the first pixel of each row of the flat.
-    ahead : (k, 2) int64
-        Steps in these tables to the neighbours of a lens that may follow it in a row.
-    """
-
-    centres: NDArray[np.float64]
-    light: NDArray[np.float64]
-    lenses: NDArray[np.float32]
-    types: NDArray[np.int8]
-    starts: NDArray[np.int64]
-    ahead: NDArray[np.int64]
+    centres: NDArray[np.float64]  # (b, a, 2) [px] of all lenses on the flat and some around it, by lattice index
+    light: NDArray[np.float64]  # (b, a) of each lens
+    lenses: NDArray[np.float32]  # (b, a, s) their descriptions
+    types: NDArray[np.int8]  # (b, a) 0 where they do not differ
+    starts: NDArray[np.int64]  # (h, 2) column and row, here, of a lens near the first pixel of each row of the flat
+    ahead: NDArray[np.int64]  # (k, 2) steps, here, to the neighbours of a lens that may follow it in a row
 
 
 def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:

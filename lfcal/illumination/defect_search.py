@@ -26,21 +26,9 @@ _SIGNIFICANT = 6.0
 
 
 def find_defects(picture: NDArray[np.float32], lattice: Lattice, lights: LensLights) -> tuple[Defects, float]:
-    """Defects of a white image.
+    """Defects of a white image, and the share of the pixels of lit lenses that differ from the gain map of `lights`.
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-        Square root of the luminance (`images.preprocessing`).
-    lattice : Lattice [px]
-    lights : LensLights
-        Gain map with the light of all lenses.
-
-    Returns
-    -------
-    defects : Defects
-    share : float
-        Of the pixels of lit lenses that differ from the map.
+    `picture` (h, w) is the square root of the luminance.
     """
     import cv2
 

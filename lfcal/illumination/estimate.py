@@ -39,15 +39,8 @@ def estimate_gain(
 ) -> GainMap:
     """Estimate the shape of the microimages of a flat, without the light of single lenses.
 
-    Parameters
-    ----------
-    picture : (h, w) float32, or crops of such a white image
-        Square root of the luminance (`images.preprocessing`).
-    lattice : Lattice [px]
-    scene : bool
-        Whether the flat is a scene capture, not a white image.
-    cat_eye : CatEye or None
-        The cutting disc if known.
+    `picture` (h, w), or crops of a white image, is the square root of the luminance; `cat_eye` the cutting disc if
+    known.
     """
     sample = draw_sample(lattice, picture, 1.5e5, scene)
     # [px] between samples of the profile; a rim is about one pixel soft.

@@ -29,20 +29,11 @@ _TO_SIGMA = 1.4826
 
 @dataclass(frozen=True)
 class LensLights:
-    """Gain map of a white image with the light of all lenses.
-
-    Parameters
-    ----------
-    gain : GainMap
-    brightest : float
-        Luminance where the map is 1.
-    unlit : (m,) int64
-        Rows of `lattice.centres()`: lenses without light, or places without a microimage.
-    """
+    """Gain map of a white image with the light of all lenses."""
 
     gain: GainMap
-    brightest: float
-    unlit: NDArray[np.int64]
+    brightest: float  # luminance where the map is 1
+    unlit: NDArray[np.int64]  # (m,) rows of `lattice.centres()`: lenses without light, or places without a microimage
 
 
 class _LensMeasurements(NamedTuple):
@@ -141,12 +132,7 @@ def _types_of(gain: GainMap, lattice: Lattice) -> NDArray[np.int8]:
 def measure_lens_lights(picture: NDArray[np.float32] | ReadCrop, lattice: Lattice, gain: GainMap) -> LensLights:
     """Light of all lenses of a white image, given the shape of its microimages.
 
-    Parameters
-    ----------
-    picture : (h, w) float32, or a function that reads crops of it
-        Square root of the luminance (`images.preprocessing`).
-    lattice : Lattice [px]
-    gain : GainMap
+    `picture` (h, w), or a function that reads crops of it, is the square root of the luminance.
     """
     centres = lattice.centres()
     found = _measure(picture, lattice, gain, centres)

@@ -30,30 +30,15 @@ MOST_OFF_GAIN = 0.03
 
 @dataclass(frozen=True)
 class Illumination:
-    """Illumination of the microimages of a flat.
-
-    Parameters
-    ----------
-    gain_map : GainMap
-    vignetting : Vignetting
-        Of the average microimage.
-    radius : float [px]
-        Where that falls below half, at most half the distance to the nearest microimage.
-    defects : Defects
-    warnings : tuple of str
-    outlier_share : float
-        Share of the pixels of a white image that differ from the gain map; 0 if not measured.
-    lens_types : LensTypes or None
-        What `find_types` found; on white images in the order of their rims.
-    """
+    """Illumination of the microimages of a flat."""
 
     gain_map: GainMap
-    vignetting: Vignetting
-    radius: float
+    vignetting: Vignetting  # of the average microimage
+    radius: float  # [px] where that falls below half, at most half the distance to the nearest microimage
     defects: Defects
     warnings: tuple[str, ...]
-    outlier_share: float = 0.0
-    lens_types: LensTypes | None = None
+    outlier_share: float = 0.0  # of the pixels of a white image that differ from the gain map; 0 if not measured
+    lens_types: LensTypes | None = None  # on white images in the order of their rims
 
 
 def measure_illumination(
@@ -66,20 +51,10 @@ def measure_illumination(
 ) -> Illumination:
     """Gain map, vignetting and defects from a flat.
 
-    Parameters
-    ----------
-    picture : (h, w) float32, or crops of such a white image
-        Square root of the luminance (`images.preprocessing`).
-    lattice : Lattice [px]
-    white : bool
-        Whether the flat is a white image. From a scene capture follow only the common shape of its microimages, and of
-        defects only unlit lenses with lit neighbours.
-    cat_eye : CatEye or None
-        The disc that cuts microimages, if known.
-    read_crop : ReadCrop or None
-        Needed if `picture` are crops: reads others. Of defects only unlit lenses are found then.
-    find_types : function of a Lattice, optional
-        Finds the types of its lenses, which may differ in their light, given the usable radius.
+    `picture` (h, w), or crops of a white image, is the square root of the luminance. From a scene follow only the
+    common shape of its microimages, and of defects only unlit lenses with lit neighbours. `cat_eye` is the disc that
+    cuts microimages, if known; `read_crop` reads further crops, of which only unlit lenses are found. `find_types`
+    finds the types of the lenses of a lattice with a usable radius.
     """
     gain = estimate_gain(picture, lattice, not white, cat_eye)
     vignetting, radius = _average(gain, lattice)

@@ -69,15 +69,9 @@ def _shrunk_mean(values: Array, weight: Array) -> Array:
 
 
 def fit_scene_profile(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, gain: GainMap) -> Array:
-    """(k,) profile of a gain map with known rims, from a scene capture; 1 wherever that cannot be excluded.
+    """(k,) profile of a gain map with known rims, from a scene; 1 wherever that cannot be excluded.
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-        Square root of the luminance (`images.preprocessing`).
-    lattice : Lattice [px]
-    gain : GainMap
-        Its profile is returned if the capture is too dark.
+    `picture` (h, w) is the square root of the luminance; where it is too dark, the profile of `gain` is returned.
     """
     sample = draw_sample(lattice, picture, 1e6, True)
     types = np.zeros(len(sample.centres), np.int8)
@@ -97,16 +91,8 @@ def fit_type_profiles(
 ) -> GainMap:
     """The gain map with the light of each type of lens, or as it is if types do not differ significantly.
 
-    Parameters
-    ----------
-    picture : (h, w) float32, or crops of a white image
-        Square root of the luminance (`images.preprocessing`).
-    lattice : Lattice [px]
-        With the usable radius of the microimages.
-    gain : GainMap
-    types : LensTypes or None
-    scene : bool
-        Whether the flat is a scene capture; on a white image, the light of each lens is in the map.
+    `picture` (h, w), or crops of a white image, is the square root of the luminance; on a white image the light of each
+    lens is in the map.
     """
     if types is None or types.count == 1:
         return gain

@@ -22,31 +22,19 @@ Array = NDArray[Any]
 
 
 class Residuals(NamedTuple):
-    """Of those pixels (q,) whose residuals are not outliers.
+    """Of those pixels (q,) whose residuals are not outliers."""
 
-    Parameters
-    ----------
-    sample : Sample
-        Those pixels.
-    error, weight : (q,) float64
-        Residual, and weight of the lens.
-    light, through, plane : (q,) float64
-        Relative light of the map, share that is not cut off, plane of the scene.
-    ring, part : (q,) int64, (q,) float64
-        Sample of the profile before the pixel, and how far it lies towards the next one.
-    stray : float
-        Mean residual outside the cutting disc, where there is stray light alone; NaN where there is no such place.
-    """
-
-    sample: Sample
-    error: Array
-    weight: Array
-    light: Array
-    through: Array
-    plane: Array
-    ring: NDArray[np.int64]
-    part: Array
-    stray: float
+    sample: Sample  # those pixels
+    error: Array  # (q,)
+    weight: Array  # (q,) of the lens
+    light: Array  # (q,) relative light of the map
+    through: Array  # (q,) share that is not cut off
+    plane: Array  # (q,) of the scene
+    ring: NDArray[np.int64]  # (q,) sample of the profile before the pixel
+    part: Array  # (q,) how far it lies towards the next one
+    stray: (
+        float  # mean error outside the cutting disc, where there is stray light alone; NaN where there is no such place
+    )
 
     def spread(self, values: Array, rings: int) -> Array:
         """(rings,) sums of values (q,) over the profile, shared out among the two samples about each pixel."""
@@ -60,16 +48,9 @@ def clipping_luminance(value: Array, scene: bool) -> float:
 
 
 def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array) -> Residuals:
-    """Compare a sample of lenses with a gain map.
+    """Compare a sample of lenses with a gain map; in a scene the light of a lens is a plane.
 
-    Parameters
-    ----------
-    sample : Sample
-    gain : GainMap
-    scene : bool
-        Whether the flat is a scene capture; the light of a lens is then a plane.
-    largest : (k,) float64
-        Largest residual, by distance, of pixels that are not left out.
+    Pixels whose residual is above the `largest` (k,) at their distance are left out.
     """
     light, stretched, through = sample.evaluate(gain)
     level, slope, share = _fit_lens_lights(sample, light, (0.6 if scene else 0.5) * gain.radius, scene)

@@ -19,29 +19,15 @@ Array = NDArray[Any]
 
 
 class Sample(NamedTuple):
-    """Pixels (p,) of lenses (n,).
-
-    Parameters
-    ----------
-    lattice : Lattice [px]
-    centres : (n, 2) float64 [px]
-    window : (n,) int64
-        Window of the field that each lens lies in.
-    lens : (p,) int64
-        Which lens a pixel belongs to.
-    x, y : (p,) float64 [px]
-        Offset from its centre.
-    value : (p,) float64
-        Luminance.
-    """
+    """Pixels (p,) of lenses (n,)."""
 
     lattice: Lattice
-    centres: Array
-    window: NDArray[np.int64]
-    lens: NDArray[np.int64]
-    x: Array
-    y: Array
-    value: Array
+    centres: Array  # (n, 2) [px]
+    window: NDArray[np.int64]  # (n,) of the field that each lens lies in
+    lens: NDArray[np.int64]  # (p,) which a pixel belongs to
+    x: Array  # (p,) [px] from its centre
+    y: Array  # (p,) [px]
+    value: Array  # (p,) luminance
 
     @property
     def windows(self) -> int:

@@ -21,18 +21,10 @@ __all__ = ["Lattice", "reduce_basis"]
 
 
 def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
-    """Shortest basis of the lattice that `basis` spans (Lagrange-Gauss reduction), in a canonical form.
+    """(2, 2) shortest basis of the lattice that two vectors [px] span (Lagrange-Gauss reduction), in a canonical form.
 
-    Parameters
-    ----------
-    basis : (2, 2) array_like [px]
-        Rows are two independent lattice vectors.
-
-    Returns
-    -------
-    (2, 2) float64 [px]
-        Rows `a1, a2`: `a1` points within 45 degrees of +x where a shortest vector does, `a2`
-        follows it clockwise on the screen (y down) at 60 to 90 degrees.
+    `a1` points within 45 degrees of +x where a shortest vector does, `a2` follows it clockwise on the screen (y down)
+    at 60 to 90 degrees.
     """
     a, b = np.array(basis, dtype=np.float64)
     if not np.isfinite([a, b]).all() or abs(a[0] * b[1] - a[1] * b[0]) <= 1e-12 * (a @ a + b @ b):

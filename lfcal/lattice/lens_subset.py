@@ -46,20 +46,11 @@ def sample_mask(number: int, share: float) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class StackedCrops:
-    """Crops of a flat, all of one size and without overlap, stacked in one picture.
+    """Crops of a flat, all of one size and without overlap, stacked in one picture."""
 
-    Parameters
-    ----------
-    picture : (m * height, width) float32
-    corners : (m, 2) int64 [px]
-        Flat coordinates x, y of the first pixel of each crop.
-    size : (int, int) [px]
-        Width and height of a crop.
-    """
-
-    picture: NDArray[np.float32]
-    corners: NDArray[np.int64]
-    size: tuple[int, int]
+    picture: NDArray[np.float32]  # (m * height, width)
+    corners: NDArray[np.int64]  # (m, 2) [px] x, y of the first pixel of each crop on the flat
+    size: tuple[int, int]  # [px] width and height of a crop
 
     @classmethod
     def of(cls, picture: NDArray[np.float32] | StackedCrops) -> StackedCrops:

@@ -52,13 +52,8 @@ class Residuals(Frozen):
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Mean residuals in a grid of rectangles of the flat, without outliers.
 
-        Returns
-        -------
-        positions : (m, 2) float64 [px]
-            Mean centres of the microimages in each rectangle that has at least two.
-        mean : (m, 2) float64 [px]
-        error : (m,) float64 [px]
-            Standard error of the length of `mean`.
+        Of each rectangle with two microimages or more: their mean centre (m, 2), mean residual (m, 2) and the standard
+        error of its length (m,), all in px.
         """
         centres = lattice.points(self.indices)
         share = (centres + 0.5) / np.array(lattice.image_size) * [across, down]

@@ -34,24 +34,11 @@ _VECTORS = np.array([(p / period, q / period) for period, p, q in _MOSAICS])
 
 
 def find_lens_types(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, white: bool) -> LensTypes | None:
-    """Classify the lenses of an array by type, where there are several.
+    """Classify the lenses of an array by type; None where the flat shows no difference: one type, or too little to see.
 
     Mosaics with a period of three lenses (three types, as in hexagonal multi-focus arrays) and of two lenses (two or
-    four types) are known, on any lattice.
-
-    Parameters
-    ----------
-    picture : (h, w) float32, or crops of a white image
-        As made by `images.preprocessing.sqrt_luminance`.
-    lattice : Lattice [px]
-        With the usable radius of the microimages.
-    white : bool
-        The flat is a white image, so that brightness is a property of the lens too.
-
-    Returns
-    -------
-    LensTypes or None
-        None where the flat shows no difference between lenses: one type, or too little to see.
+    four types) are known, on any lattice. `picture` (h, w), or crops of a white image, is as made by
+    `images.preprocessing.sqrt_luminance`; on a `white` image brightness is a property of the lens too.
     """
     others = _other_patterns(lattice)
     if lattice.radius < MIN_RADIUS or len(others) < 24:

@@ -54,18 +54,9 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
 
 
 def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) -> NDArray[np.float64]:
-    """Signed patch size over the pitch of the inner lenses of a sample.
+    """(n,) `s / D` of the inner lenses of a sample in steps of 0.05; NaN where the maximum is low, ambiguous or an end.
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-        As made by `images.preprocessing.sqrt_luminance`.
-    sample : LensSample
-
-    Returns
-    -------
-    (n,) float64
-        In the order of `sample.inner`, in steps of 0.05; NaN where the maximum is low, ambiguous or at an end.
+    `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`.
     """
     lattice = sample.lattice
     radius = 0.88 * lattice.radius
@@ -92,18 +83,9 @@ def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) 
 
 
 def find_scene_mode(flat: NDArray, lattice: Lattice) -> Literal["telescopic", "binocular"] | None:
-    """The mode in which the lenses of a sample see a scene: the sign of their coarse disparity.
+    """The mode of a scene, the sign of its coarse disparity; None where too few lenses have any, or a part the other.
 
-    Parameters
-    ----------
-    flat : (h, w) or (h, w, 3) array
-    lattice : Lattice
-        Of the same image size.
-
-    Returns
-    -------
-    str or None
-        None where too few lenses show a disparity, or a part of them the other mode.
+    `flat` is (h, w) or (h, w, 3).
     """
     ratio = estimate_coarse_disparity(sqrt_luminance(flat), sample_lenses(lattice))
     known = ratio[np.isfinite(ratio) & (ratio != 0)]

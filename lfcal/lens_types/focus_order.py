@@ -35,17 +35,8 @@ def find_focus_order(
 ) -> FocusOrder:  # fmt: skip
     """Sort provisional lens types by their focus.
 
-    Parameters
-    ----------
-    sample : LensSample
-    cell : (m, m) int64
-        Provisional types.
-    sharpness, outer_light, inner_loss : (n,) float64
-        `LensFeatures` of the inner lenses less those of their neighbours; NaN where not known.
-    disparity : (n,) float64
-        `s / D` of the lenses, NaN where not known.
-    rim_ratio : float
-        `LensFeatures.rim_ratio`.
+    `cell` (m, m) holds them, `sharpness`, `outer_light` and `inner_loss` (n,) are `LensFeatures` of the inner lenses
+    less those of their neighbours, `disparity` (n,) is their `s / D`; all NaN where not known.
     """
     count = int(cell.max()) + 1
     types = TypeMeans.from_sample(sample, cell)

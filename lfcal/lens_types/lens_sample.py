@@ -123,14 +123,7 @@ def _accumulate(begin, end, picture, centres, radius, inside, lag, energy, gradi
 
 
 def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> LensFeatures:
-    """Measure the lenses of a sample.
-
-    Parameters
-    ----------
-    picture : (h, w) float32
-        As made by `images.preprocessing.sqrt_luminance`.
-    sample : LensSample
-    """
+    """Measure the lenses of a sample on a picture (h, w) as made by `images.preprocessing.sqrt_luminance`."""
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
     centres, rings = sample.place.reshape(-1, 2)[chosen], 40

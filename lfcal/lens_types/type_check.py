@@ -24,17 +24,10 @@ __all__ = ["find_rim_conflict", "find_type_conflict"]
 def find_type_conflict(
     picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, rims_known: bool = False
 ) -> str | None:
-    """What contradicts the lens types of a camera, None where nothing does.
+    """What contradicts the lens types of a camera on a scene, None where nothing does.
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-        A scene, as made by `images.preprocessing.sqrt_luminance`.
-    lattice : Lattice [px]
-        Of the camera.
-    types : LensTypes
-    rims_known : bool
-        The gain map of the camera has the light at the rims of each type: those of a scene tell less.
+    `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`. With `rims_known`, the gain map has the light
+    at the rims of each type: those of a scene tell less.
     """
     found = find_lens_types(picture, lattice, False)
     if found is not None and found.count == types.count:

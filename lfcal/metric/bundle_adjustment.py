@@ -43,27 +43,13 @@ _GROUPS: dict[tuple[str, ...], tuple[str, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class Observations(Frozen):
-    """Corners seen in microimages, sorted by pose.
+    """Corners seen in microimages, sorted by pose."""
 
-    Parameters
-    ----------
-    pose : (n,) int64
-        Which flat.
-    corner : (n,) int64
-        Which point of the board.
-    centre : (n, 2) float64 [px]
-        Of the microimage.
-    position : (n, 2) float64 [px]
-        Where on the flat the corner is seen.
-    error : (n,) float64 [px]
-        Standard error of `position` along each axis; 1 where only ratios are known.
-    """
-
-    pose: NDArray[np.int64]
-    corner: NDArray[np.int64]
-    centre: NDArray[np.float64]
-    position: NDArray[np.float64]
-    error: NDArray[np.float64]
+    pose: NDArray[np.int64]  # (n,) which flat
+    corner: NDArray[np.int64]  # (n,) which point of the board
+    centre: NDArray[np.float64]  # (n, 2) [px] of the microimage
+    position: NDArray[np.float64]  # (n, 2) [px] where on the flat the corner is seen
+    error: NDArray[np.float64]  # (n,) [px] standard error of that along each axis; 1 where only ratios are known
 
     def __post_init__(self) -> None:
         order = np.argsort(self.pose, kind="stable")

@@ -38,19 +38,10 @@ _TOO_LITTLE = "the microimages show too little; give a brighter flat or a white 
 def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e6) -> LatticeFit:
     """Fit origin and basis of a lattice, and a radial distortion if the lenses clearly show one.
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-        A feature that looks alike in most microimages, such as locally normalised edges.
-    lattice : Lattice [px]
-        Start, right to a fraction of the pitch over the whole flat.
-    pixels : float
-        Use only as many lenses, evenly spread, as have so many pixels in all.
-
-    Raises
-    ------
-    CalibrationError
-        If fewer than a dozen whole microimages are on the flat, or they keep to no lattice.
+    `picture` (h, w) is a feature that looks alike in most microimages, such as locally normalised edges; `lattice` the
+    start, right to a fraction of the pitch over the whole flat. Used are at most as many lenses, evenly spread, as
+    have so many `pixels` in all. CalibrationError if fewer than a dozen whole microimages are on the flat, or they
+    keep to no lattice.
     """
     # Of larger microimages fewer pixels are used, as many as of these.
     stride = max(1, round(lattice.pitch / 24))

@@ -240,21 +240,11 @@ class WhiteFit:
 
 
 def fit_white(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixels: float = 3.2e6) -> WhiteFit:
-    """Fit a white image.
+    """Fit a white image; CalibrationError if it has fewer than a dozen whole microimages, or they keep to no lattice.
 
-    Parameters
-    ----------
-    tones : (h, w) float32, or parts of such
-        Square root of the light (`images.preprocessing.sqrt_luminance`).
-    lattice : Lattice [px]
-        Start, right to a fraction of the pitch over the whole flat. The orders of its distortion, if any, are kept.
-    pixels : float
-        Use at most as many lenses, evenly spread, as have so many pixels in all.
-
-    Raises
-    ------
-    CalibrationError
-        If fewer than a dozen whole microimages are on the flat, or they keep to no lattice.
+    `tones` (h, w), or parts of such, is as made by `images.preprocessing.sqrt_luminance`; `lattice` the start, right to
+    a fraction of the pitch over the whole flat, whose orders of distortion are kept. Used are at most as many lenses,
+    evenly spread, as have so many `pixels` in all.
     """
     tones, known = StackedCrops.of(tones), distortion_orders(lattice)
     lenses, lit = cut_out(tones, lattice, *_SEARCH, None, None)

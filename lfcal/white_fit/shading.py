@@ -50,15 +50,8 @@ def fit_shade(
 ) -> NDArray[np.float64]:
     """Slope of the own light of lenses over the field: (3, 2) of a constant and of the position in px, or zeros.
 
-    Parameters
-    ----------
-    slopes : (n, 2) float64 [1/px]
-        Slope of the light within single microimages beyond that of the gains.
-    weight : (n,) float64
-    centres : (n, 2) float64 [px]
-
-    It grows linearly with the distance from an axis, which may lie beside the middle; zeros where that is not
-    significant.
+    `slopes` (n, 2) [1/px] are those of the light within single microimages beyond that of the gains. The slope grows
+    linearly with the distance from an axis, which may lie beside the middle; zeros where that is not significant.
     """
     far = centres - (np.array(lattice.image_size) - 1) / 2
     root = np.sqrt(weight)[:, None]
