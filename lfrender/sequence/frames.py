@@ -103,6 +103,7 @@ class Frames:
 
     @property
     def files(self) -> list[Path]:
+        """The files that the frames come from."""
         return [part.path for part in self.parts]
 
     @property
