@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .rendering.render import render
     from .rendering.traditional import traditional
     from .rendering.viewpoints import views
-    from .sequence.batch import render_frames
+    from .sequence.film import render_frames
     from .sequence.frames import open_frames
 
 __all__ = [
@@ -47,7 +47,7 @@ _HOMES = {
     "open_frames": "sequence.frames",
     "refocus": "rendering.refocus",
     "render": "rendering.render",
-    "render_frames": "sequence.batch",
+    "render_frames": "sequence.film",
     "render_large": "large.render",
     "traditional": "rendering.traditional",
     "views": "rendering.viewpoints",

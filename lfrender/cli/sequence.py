@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from lfcal import Calibration
 
-    from ..sequence.batch import Plan
+    from ..sequence.film import Plan
     from ..sequence.frames import Frames
     from ..sequence.job import FrameResult
 

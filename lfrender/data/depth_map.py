@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import weakref
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,16 +18,45 @@ from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 from lfcal.runtime.notebook import html_card
 from lfcal.runtime.output_file import atomic_write
 
-from ..runtime.quantiles import quantile
 from .flat_samples import is_same_flat, sample_flat
-from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes
 from .surface import Surface
 
 __all__ = [
     "BINOCULAR", "DEPTH_ADVICE", "MODES", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap",
-    "check_depth", "default_scale",
+    "FrameState", "LocalMatch", "check_depth", "default_scale",
 ]  # fmt: skip
+
+
+class LocalMatch(NamedTuple):
+    """How lenses match at and about the depth they had."""
+
+    cost: NDArray[np.float32]  # (n,) at that depth
+    offset: NDArray[np.float32]  # (n,) [px of the search] from there to the minimum
+    error: NDArray[np.float32]  # (n,) [px of the search] standard error of the offset for one pair
+    clear: NDArray[np.bool_]  # (n,) lenses with texture, and with any that a match may distinguish from noise
+    textured: NDArray[np.bool_]
+
+    def where(self, mask: NDArray[np.bool_], other: LocalMatch) -> LocalMatch:
+        """This one, with the lenses of `mask` (n,) taken from another."""
+        return LocalMatch(*(np.where(mask, theirs, own) for theirs, own in zip(other, self, strict=True)))
+
+
+@dataclass
+class FrameState:
+    """State of a depth map in a sequence: not compared."""
+
+    # What the `kept` lenses are compared with: their match in the frame in which their depth was estimated. A
+    # comparison with the last frame only would let many small changes pass.
+    reference: LocalMatch | None = None
+    kept: NDArray[np.bool_] | None = None  # (n,) lenses that have kept their depth from an earlier frame
+    complete: LocalMatch | None = None  # the reference of all lenses; made when the first next frame needs it
+    changed: NDArray[np.bool_] | None = None  # (n,) lenses that show something else than in the frame of `previous`
+    previous: weakref.ref[Any] | None = None  # of a DepthMap
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        return FrameState, (self.reference, self.kept)  # the others can be made again
+
 
 #: Codes of `DepthMap.mode`.
 TELESCOPIC, BINOCULAR, UNRESOLVED = 1, -1, 0
@@ -312,4 +342,4 @@ def default_scale(depth: DepthMap) -> float:
     """
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
-    return max(1.0, quantile(sizes, 0.98)) if sizes.size else 1.0
+    return max(1.0, float(np.quantile(sizes.astype(float), 0.98))) if sizes.size else 1.0

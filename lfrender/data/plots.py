@@ -17,11 +17,9 @@ __all__ = ["napari_layers"]
 
 
 def napari_layers(
-    flat: ArrayLike | None = None,
-    calibration: Calibration | None = None,
-    depth: DepthMap | None = None,
+    flat: ArrayLike | None = None, calibration: Calibration | None = None, depth: DepthMap | None = None,
     rendering: Rendering | None = None,
-) -> list[tuple[Any, dict[str, Any], str]]:
+) -> list[tuple[Any, dict[str, Any], str]]:  # fmt: skip
     """Layers of napari, one for each argument that is given, all in the coordinates of the flat, order `y, x`.
 
     Add them by `for layer in napari_layers(...): viewer.add_layer(napari.layers.Layer.create(*layer))`.

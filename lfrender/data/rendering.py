@@ -237,13 +237,9 @@ def show_on_axes(ax: Any, image: NDArray, first: NDArray, last: NDArray, title: 
 
 
 def finish_picture(
-    image: NDArray,
-    valid: NDArray[np.bool_],
-    affine: NDArray[np.float64],
-    scale: float,
-    flat: NDArray,
+    image: NDArray, valid: NDArray[np.bool_], affine: NDArray[np.float64], scale: float, flat: NDArray,
     calibration: Calibration,
-) -> Rendering:
+) -> Rendering:  # fmt: skip
     """A picture (h, w, C) as a `Rendering` with the dtype and the number of dimensions of the flat."""
     if np.ndim(flat) == 2 and image.shape[2] == 1:
         image = image[:, :, 0]

@@ -150,14 +150,9 @@ def _refine(lenses: LensSet, preset: Preset, first: NDArray[np.float32]) -> Lens
 
 
 def _classify(
-    lenses: LensSet,
-    match: MatchResult,
-    textured: NDArray[np.bool_],
-    own: LensFits,
-    refined: NDArray,
-    error: NDArray,
+    lenses: LensSet, match: MatchResult, textured: NDArray[np.bool_], own: LensFits, refined: NDArray, error: NDArray,
     before: DepthMap | None,
-) -> LensEstimates:
+) -> LensEstimates:  # fmt: skip
     """Decide which lenses are resolved, with errors and confidence, from their match and refined patch sizes (n,)."""
     texture, pitch, neighbours = lenses.texture, lenses.pitch, lenses.neighbours
     signal = signal_share(texture)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, Lattice
 
-from ..data.depth_map import DepthMap
-from ..data.frame_state import FrameState, LocalMatch
+from ..data.depth_map import DepthMap, FrameState, LocalMatch
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_connected, dilate_mask, neighbour_rows
@@ -38,14 +37,9 @@ __all__ = ["changed_since", "find_moved", "update_depth"]
 
 
 def update_depth(
-    flat: NDArray,
-    calibration: Calibration,
-    preset: str,
-    shortcuts: Shortcuts,
-    edges: bool,
-    earlier: NDArray,
+    flat: NDArray, calibration: Calibration, preset: str, shortcuts: Shortcuts, edges: bool, earlier: NDArray,
     before: DepthMap,
-) -> DepthMap:
+) -> DepthMap:  # fmt: skip
     """Estimate the depth of a frame from the `earlier` frame and its depth, `before`; arguments and errors as
     `analyze`."""
     lattice = calibration.lattice
@@ -163,13 +157,9 @@ def _complete_reference(
 
 
 def _match_at_depth(
-    gray: GrayFlat,
-    lattice: Lattice,
-    statistics: LensStatistics,
-    depth: DepthMap,
-    factor: int,
+    gray: GrayFlat, lattice: Lattice, statistics: LensStatistics, depth: DepthMap, factor: int,
     known: NDArray[np.bool_] | None,
-) -> LocalMatch:
+) -> LocalMatch:  # fmt: skip
     """Match every lens at its `depth`, on pixels `factor` times as large; `known` ones (n,) only as neighbours."""
     texture = classify_texture(gray, statistics)
     matcher = Matcher(texture, neighbours_of(lattice), PRESETS[depth.preset])
@@ -180,12 +170,9 @@ def _match_at_depth(
 
 
 def find_moved(
-    reference: LocalMatch,
-    match: LocalMatch,
-    estimated: NDArray[np.bool_],
-    reason: NDArray[np.int8],
+    reference: LocalMatch, match: LocalMatch, estimated: NDArray[np.bool_], reason: NDArray[np.int8],
     neighbours: NDArray[np.int32],
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # fmt: skip
     """Lenses whose depth may have changed, and those in doubt if one of their neighbours has.
 
     An `estimated` lens (n,) keeps its depth if from `reference` to `match` its cost rose by at most 0.15 and its

@@ -54,16 +54,10 @@ def estimate_depth_map(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts:
 
 
 def estimate_lens_by_lens(
-    gray: GrayFlat,
-    lattice: Lattice,
-    preset: str,
-    shortcuts: Shortcuts,
-    statistics: LensStatistics,
-    blank: NDArray[np.bool_] | None,
-    kept: NDArray[np.bool_] | None = None,
-    before: DepthMap | None = None,
+    gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts, statistics: LensStatistics,
+    blank: NDArray[np.bool_] | None, kept: NDArray[np.bool_] | None = None, before: DepthMap | None = None,
     overview: SceneStatistics | None = None,
-) -> DepthMap:
+) -> DepthMap:  # fmt: skip
     """Depth of every lens, but for the `blank` ones (n,) and those `kept` (n,), which have that of `before`."""
     options, neighbours = PRESETS[preset], neighbours_of(lattice)
     # Lenses that keep their depth support their neighbours with it.
@@ -120,13 +114,9 @@ def _sample_depths(
 
 
 def _find_second_depths(
-    lenses: LensSet,
-    estimates: LensEstimates,
-    filled: NDArray[np.float32],
-    occurring: NDArray[np.float32],
-    preset: Preset,
-    shortcuts: Shortcuts,
-) -> NDArray[np.float32]:
+    lenses: LensSet, estimates: LensEstimates, filled: NDArray[np.float32], occurring: NDArray[np.float32],
+    preset: Preset, shortcuts: Shortcuts,
+) -> NDArray[np.float32]:  # fmt: skip
     """(n, 2) [px] other patch sizes that lenses may show beside the `filled` (n,), as for `densify`."""
     gap = TOLERANCE * lenses.pitch
     others = np.full((len(filled), 2), np.nan, np.float32)

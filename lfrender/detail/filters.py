@@ -51,13 +51,8 @@ class DetailFilters:
 
 
 def make_filters(
-    calibration: Calibration,
-    noise: float,
-    scale: float,
-    reach: float,
-    blur: float,
-    depths: tuple[float, float],
-) -> DetailFilters:
+    calibration: Calibration, noise: float, scale: float, reach: float, blur: float, depths: tuple[float, float],
+) -> DetailFilters:  # fmt: skip
     """The filters for a blended picture of `scale` pixels per pitch whose patch sizes lie between `depths` [px].
 
     `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged; microlenses average over the

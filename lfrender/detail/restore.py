@@ -77,15 +77,9 @@ def find_places(kinds: NDArray[np.uint16], surface: Surface, grid: PictureGrid, 
 
 
 def restore_detail(
-    image: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    places: Places,
-    filters: DetailFilters,
-    white: float,
-    encoded: bool,
-    dtype: DTypeLike = np.float32,
-    overshoot: float = 0.25,
-) -> NDArray[Any]:
+    image: NDArray[np.float32], valid: NDArray[np.bool_], places: Places, filters: DetailFilters, white: float,
+    encoded: bool, dtype: DTypeLike = np.float32, overshoot: float = 0.25,
+) -> NDArray[Any]:  # fmt: skip
     """A picture (h, w, C) as sharp as noise allows, and less noisy. A part with `HALO` gets the whole's bits.
 
     Beside pixels that are not `valid` nothing is restored. Values are about the square root of light if they are

@@ -85,13 +85,9 @@ def _steps_to_same_type(lattice: Lattice) -> NDArray[np.int64]:
 
 
 def remove_shading(
-    gray: GrayFlat,
-    lattice: Lattice,
-    means: NDArray[np.float32],
-    contrast: NDArray[np.float32],
-    wanted: NDArray[np.bool_],
-    others: GrayFlat | None = None,
-) -> GrayFlat:
+    gray: GrayFlat, lattice: Lattice, means: NDArray[np.float32], contrast: NDArray[np.float32],
+    wanted: NDArray[np.bool_], others: GrayFlat | None = None,
+) -> GrayFlat:  # fmt: skip
     """`gray` without the pattern that the lenses of its type around each `wanted` lens (n,) have in common.
 
     `means` and `contrast` (n,) are of each microimage; `others` is `gray` without the shading of other lenses: it is

@@ -16,7 +16,6 @@ from lfcal import Lattice
 from lfcal.runtime.kernels import FAST, kernel
 
 from ..runtime.cache import cached
-from ..runtime.quantiles import quantile
 from .gray_flat import GrayFlat
 from .lens_graph import dilate_mask, neighbour_rows
 from .shading import remove_shading
@@ -104,11 +103,8 @@ def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
 
 
 def measure_statistics(
-    gray: GrayFlat,
-    known: LensStatistics | None = None,
-    wanted: NDArray[np.bool_] | None = None,
-    row_step: int = 1,
-) -> LensStatistics:
+    gray: GrayFlat, known: LensStatistics | None = None, wanted: NDArray[np.bool_] | None = None, row_step: int = 1,
+) -> LensStatistics:  # fmt: skip
     """Brightness inside each microimage, from every `row_step`-th row; lenses not `wanted` (n,) keep what is
     `known`."""
     out = np.zeros((4, len(gray.centres)), np.float32)
@@ -136,13 +132,9 @@ def find_noise_only(plain: LensStatistics, noise: float) -> NDArray[np.bool_]:
 
 
 def find_texture(
-    gray: GrayFlat,
-    lattice: Lattice,
-    plain: LensStatistics,
-    blank: NDArray[np.bool_] | None = None,
-    wanted: NDArray[np.bool_] | None = None,
-    known_noise: float | None = None,
-) -> Texture:
+    gray: GrayFlat, lattice: Lattice, plain: LensStatistics, blank: NDArray[np.bool_] | None = None,
+    wanted: NDArray[np.bool_] | None = None, known_noise: float | None = None,
+) -> Texture:  # fmt: skip
     """Remove the common shading of microimages, of the `wanted` lenses (n,), and classify the texture that is left.
 
     `plain` are the statistics of `gray`; of lenses known to be `blank` (n,), only the shading beside lenses with
@@ -174,7 +166,7 @@ def classify_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None 
 def estimate_noise(roughness: NDArray[np.float32]) -> float:
     """Noise of a flat [white] from the roughness (n,) of its lenses: that of the smoothest fiftieth, a grey level of 8
     bits at least, for rounding and compression."""
-    return cached(roughness, "noise", lambda: max(quantile(roughness, 0.02), 1 / 255))
+    return cached(roughness, "noise", lambda: max(float(np.quantile(roughness, 0.02)), 1 / 255))
 
 
 def _has_any(found: LensStatistics, noise: float) -> NDArray[np.bool_]:

@@ -50,8 +50,8 @@ def find_changed_pixels(
 
 
 def redraw(
-    renderer: Renderer, pixels: NDArray, calibration: Calibration, depth: DepthMap, earlier: NDArray,
-    before: DepthMap, picture: Rendering,
+    renderer: Renderer, pixels: NDArray, calibration: Calibration, depth: DepthMap, earlier: NDArray, before: DepthMap,
+    picture: Rendering,
 ) -> tuple[NDArray, NDArray[np.bool_]]:  # fmt: skip
     """Draw the pixels (h, w, C) that may differ from the `picture` of an `earlier` flat with the depth map `before`.
 

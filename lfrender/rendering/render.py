@@ -141,15 +141,9 @@ def expand_roi(roi: tuple[float, float, float, float], calibration: Calibration)
 
 
 def make_renderer(
-    look: Callable[[Part], NDArray],
-    calibration: Calibration,
-    depth: DepthMap | None,
-    patch_size: float | None,
-    scale: float | None,
-    blend: bool | None,
-    detail: Detail | None = None,
-    noise: float | None = None,
-) -> Renderer:
+    look: Callable[[Part], NDArray], calibration: Calibration, depth: DepthMap | None, patch_size: float | None,
+    scale: float | None, blend: bool | None, detail: Detail | None = None, noise: float | None = None,
+) -> Renderer:  # fmt: skip
     """What draws the picture of `render`, against this `noise` if it is given; `look` gives pixels (h, w, C) of the
     flat."""
     lattice, reach = calibration.lattice, REACH

@@ -25,9 +25,8 @@ from ..flat.prefilter import prefilter_flat
 from ..runtime.buffers import allocate_pooled
 from .blend.blend_pixels import blend_pixels
 from .blend.blend_rows import blend_rows
-from .blend.lens_table import tabulate_lenses
 from .blend.lit_flat import LitFlat, light_flat
-from .blend.records import ONE_SAMPLE, Flat, Grid, Lenses, Output, Weighting
+from .blend.records import ONE_SAMPLE, Flat, Grid, Lenses, Output, Weighting, tabulate_lenses
 from .fixed_patch import render_patches, shows_patches
 from .warped_surface import Viewpoint
 
@@ -83,12 +82,9 @@ class Renderer:
         return self.grid.flat_part(self.grid.expand(part, self.halo), int(np.ceil(beside + self.grid.spacing)) + 4)
 
     def draw(
-        self,
-        pixels: NDArray[Any],
-        corner: tuple[int, int] = (0, 0),
-        part: Part | None = None,
+        self, pixels: NDArray[Any], corner: tuple[int, int] = (0, 0), part: Part | None = None,
         dtype: DTypeLike = np.float32,
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
         """Draw a part of the picture, by default all, from the part of the flat that is `required_part`, or more, in
         colour.
 

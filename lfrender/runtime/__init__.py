@@ -1,1 +1,1 @@
-"""Tools below the mathematics: caches, buffers, quantiles."""
+"""Tools below the mathematics: caches, buffers, words of options."""

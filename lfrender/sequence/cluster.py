@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import Any
 
-from .batch import render_frames
+from .film import render_frames
 from .job import FrameResult
 from .workers import connect
 

@@ -44,14 +44,9 @@ def write_moving(path: Path, pictures: Iterable[Rendering]) -> None:
 
 
 def film_results(
-    results: Generator[FrameResult, None, None],
-    path: Path,
-    folder: Path,
-    rate: Fraction,
-    picture: Callable[[FrameResult], Path],
-    white: Callable[[], float | None] = lambda: None,
-    **about: str,
-) -> Generator[FrameResult, None, None]:
+    results: Generator[FrameResult, None, None], path: Path, folder: Path, rate: Fraction,
+    picture: Callable[[FrameResult], Path], white: Callable[[], float | None] = lambda: None, **about: str,
+) -> Generator[FrameResult, None, None]:  # fmt: skip
     """Pass results on, and write their pictures into a film: in a folder, moved to its place after the last one."""
     partial, shown, times = folder / f"film{path.suffix.lower()}", None, 0
     # Closed in this order: threads must end before the film that they write into, and not in the garbage collector.

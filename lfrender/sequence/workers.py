@@ -27,12 +27,9 @@ class Workers:
         return self._at_once if self._client is None else max(1, sum(self._client.nthreads().values()))
 
     def map(
-        self,
-        task: Callable[[Any, Any, Any], Any],
-        shared: Any,
-        items: Iterable[Any],
+        self, task: Callable[[Any, Any, Any], Any], shared: Any, items: Iterable[Any],
         load: Callable[[Any, Any], Any] = lambda *_: None,
-    ) -> Iterator[Any]:
+    ) -> Iterator[Any]:  # fmt: skip
         """The results of `task(shared, item, load(shared, item))` in the order of the items, taken as needed.
 
         `shared`, as it is when the first item has been taken, is sent once to each worker of a cluster.

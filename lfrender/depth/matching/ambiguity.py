@@ -67,13 +67,9 @@ def _measure_ambiguity(begin, end, cost, weight, rows, best, wanted, tolerance, 
 
 
 def measure_ambiguity(
-    cost: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    rows: NDArray[np.int32],
-    best: NDArray[np.int64],
-    wanted: NDArray[np.bool_],
-    tolerance: int,
-) -> NDArray[np.float32]:
+    cost: NDArray[np.float32], weight: NDArray[np.float32], rows: NDArray[np.int32], best: NDArray[np.int64],
+    wanted: NDArray[np.bool_], tolerance: int,
+) -> NDArray[np.float32]:  # fmt: skip
     """Uniqueness (n,): the probability of the shift `best` (n,) among all peaks of the correlation, 1 for lenses not
     matched.
 

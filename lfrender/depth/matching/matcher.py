@@ -85,12 +85,9 @@ class Matcher:
         return overlap_masks(strips, self.gray, self.neighbours.steps, self.shifts)
 
     def pair_costs(
-        self,
-        active: NDArray[np.bool_],
-        which: NDArray[np.int64] | None = None,
-        done: NDArray[np.bool_] | None = None,
+        self, active: NDArray[np.bool_], which: NDArray[np.int64] | None = None, done: NDArray[np.bool_] | None = None,
         out: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:
+    ) -> NDArray[np.float32]:  # fmt: skip
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `compute_pair_costs`."""
         return compute_pair_costs(
             self.gray, self.neighbours.forward, self.statistics, active, self.shifts, self._noise,
@@ -176,13 +173,9 @@ def _find_second_minimum(
 
 
 def match_lenses(
-    matcher: Matcher,
-    active: NDArray[np.bool_],
-    clear: NDArray[np.bool_],
-    sample: NDArray[np.bool_] | None,
-    known: NDArray[np.float32] | None = None,
-    sizes: NDArray[np.float32] | None = None,
-) -> MatchResult:
+    matcher: Matcher, active: NDArray[np.bool_], clear: NDArray[np.bool_], sample: NDArray[np.bool_] | None,
+    known: NDArray[np.float32] | None = None, sizes: NDArray[np.float32] | None = None,
+) -> MatchResult:  # fmt: skip
     """Find the signed shift of every `active` lens (n,), by semi-global matching on the lattice.
 
     A `sample` (n,) is matched at all shifts first, the others then only near the depths of these, or `sizes` (m,) [px]
@@ -218,12 +211,9 @@ def match_lenses(
 
 
 def _match_pairs(
-    matcher: Matcher,
-    active: NDArray[np.bool_],
-    clear: NDArray[np.bool_],
-    sample: NDArray[np.bool_] | None,
+    matcher: Matcher, active: NDArray[np.bool_], clear: NDArray[np.bool_], sample: NDArray[np.bool_] | None,
     sizes: NDArray[np.float32] | None,
-) -> tuple[NDArray[np.float32], float]:
+) -> tuple[NDArray[np.float32], float]:  # fmt: skip
     """Pair costs of all active lenses at the shifts that may matter, and the share of them that was not tried."""
     if sizes is not None:
         sample = np.zeros_like(active)

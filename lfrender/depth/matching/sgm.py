@@ -87,12 +87,9 @@ def _walk_all(begin, end, cost, chains, starts, slope, jump, wanted, total):
 
 
 def aggregate_costs(
-    cost: NDArray[np.float32],
-    neighbours: Neighbours,
-    slope: float,
-    jump: float,
+    cost: NDArray[np.float32], neighbours: Neighbours, slope: float, jump: float,
     wanted: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float32]:
+) -> NDArray[np.float32]:  # fmt: skip
     """(n, k) sum of the path costs from all lattice directions, for a `cost` (n, k) at evenly spaced shifts.
 
     A step of one shift costs `slope`, a depth edge at most `jump`; lenses that are not `wanted` (n,) may lack paths.

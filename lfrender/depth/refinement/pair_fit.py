@@ -211,14 +211,9 @@ def _fit_pairs(begin, end, image, centres, radius, pitch, rows, start, scale2, l
 
 
 def fit_pairs(
-    gray: GrayFlat,
-    rows: NDArray[np.int32],
-    start: NDArray[np.float32],
-    scale: NDArray[np.float32],
-    noise: float,
-    iterations: int,
-    last_step: float = 0.02,
-) -> PairFits:
+    gray: GrayFlat, rows: NDArray[np.int32], start: NDArray[np.float32], scale: NDArray[np.float32], noise: float,
+    iterations: int, last_step: float = 0.02,
+) -> PairFits:  # fmt: skip
     """Patch size of each pair of neighbours, `rows` (n, d), by Gauss-Newton steps, `iterations` at most.
 
     Pairs of two lenses without a `start` value (n,) [px], NaN, are left out. Beyond a difference of brightness of

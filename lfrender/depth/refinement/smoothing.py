@@ -131,12 +131,8 @@ def smooth_fits(gray: GrayFlat, neighbours: NDArray[np.int32], fits: LensFits, w
 
 
 def _smoothed(
-    gray: GrayFlat,
-    rows: NDArray[np.int32],
-    fits: LensFits,
-    wanted: NDArray[np.bool_],
-    trust: NDArray[np.float32],
-) -> tuple[LensFits, NDArray[np.float32]]:
+    gray: GrayFlat, rows: NDArray[np.int32], fits: LensFits, wanted: NDArray[np.bool_], trust: NDArray[np.float32],
+) -> tuple[LensFits, NDArray[np.float32]]:  # fmt: skip
     """Fits combined with the lenses `rows` (n, m) of each, weighted by `trust` (n,), and the mean weight (n,) of
     these."""
     sizes, errors, slants, slant_errors = (np.asarray(values, np.float32) for values in vars(fits).values())

@@ -99,16 +99,10 @@ def _choose(
 
 
 def densify(
-    gray: GrayFlat,
-    lattice: Lattice,
-    values: NDArray[np.float32],
-    seconds: NDArray[np.float32],
-    trust: NDArray[np.float32],
-    noise: float,
-    cells: int,
-    unchanged: NDArray[np.bool_] | None = None,
+    gray: GrayFlat, lattice: Lattice, values: NDArray[np.float32], seconds: NDArray[np.float32],
+    trust: NDArray[np.float32], noise: float, cells: int, unchanged: NDArray[np.bool_] | None = None,
     before: Surface | None = None,
-) -> Surface:
+) -> Surface:  # fmt: skip
     """Patch size of every scene point from the patch sizes of the lenses around it, on so many `cells` per pitch.
 
     First on a grid of twice the spacing, then between its values where these differ. Given are the patch size (n,) [px]

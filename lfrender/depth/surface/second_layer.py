@@ -17,8 +17,8 @@ from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...flat.microimages import copy_box
 from ...flat.texture import Texture
+from ..matching.cost_volume import match_cost
 from ..matching.matcher import Matcher, Neighbours, fit_parabola
-from ..matching.pair_moments import match_cost
 from ..matching.sgm import aggregate_costs
 from ..presets import Preset
 from ..same_surface import TOLERANCE, same_surface
@@ -205,13 +205,9 @@ def _match_unexplained(
 
 
 def find_second_layer(
-    texture: Texture,
-    neighbours: Neighbours,
-    first: NDArray[np.float32],
-    correlation: NDArray[np.float32],
-    preset: Preset,
-    occurring: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:
+    texture: Texture, neighbours: Neighbours, first: NDArray[np.float32], correlation: NDArray[np.float32],
+    preset: Preset, occurring: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:  # fmt: skip
     """(n,) [px] patch size of the pixels of each lens that its first one does not explain; NaN if there are none.
 
     They are correlated over all shifts between the patch sizes `occurring` (m,) [px], if given, and semi-global

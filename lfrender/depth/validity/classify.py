@@ -17,9 +17,9 @@ from ..matching.matcher import MatchResult
 from ..same_surface import TOLERANCE, same_surface
 
 __all__ = [
-    "LEAST_CORRELATION", "RESOLVABLE", "SHADING_REACH", "SURE", "classify_lenses", "correlates_poorly", "inflate_errors",
-    "looks_like_shading", "match_proves_texture", "match_suggests_texture", "occurs_among", "shift_exceeds_shading",
-    "signal_share",
+    "LEAST_CORRELATION", "RESOLVABLE", "SHADING_REACH", "SURE", "classify_lenses", "correlates_poorly",
+    "inflate_errors", "looks_like_shading", "match_proves_texture", "match_suggests_texture", "occurs_among",
+    "shift_exceeds_shading", "signal_share",
 ]  # fmt: skip
 
 #: [pitch] beyond this patch size neighbouring microimages share too little.
@@ -41,14 +41,9 @@ _Similar = Callable[..., NDArray[np.int64]]
 
 
 def classify_lenses(
-    textured: NDArray[np.bool_],
-    match: MatchResult,
-    refined: NDArray,
-    error: NDArray,
-    signal: NDArray[np.float32],
-    neighbours: NDArray[np.int32],
-    pitch: float,
-) -> tuple[NDArray[np.int8], NDArray, NDArray]:
+    textured: NDArray[np.bool_], match: MatchResult, refined: NDArray, error: NDArray, signal: NDArray[np.float32],
+    neighbours: NDArray[np.int32], pitch: float,
+) -> tuple[NDArray[np.int8], NDArray, NDArray]:  # fmt: skip
     """Reason, standard error and confidence of every lens, as `DepthMap`.
 
     Of `textured` lenses (n,) by their match, their sub-pixel patch sizes `refined` with standard `error` (n,) [px],

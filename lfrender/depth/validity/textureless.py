@@ -18,13 +18,9 @@ __all__ = ["find_textureless"]
 
 
 def find_textureless(
-    gray: GrayFlat,
-    lattice: Lattice,
-    plain: LensStatistics,
-    preset: Preset,
-    noise: float | None = None,
+    gray: GrayFlat, lattice: Lattice, plain: LensStatistics, preset: Preset, noise: float | None = None,
     asked: NDArray[np.bool_] | None = None,
-) -> NDArray[np.bool_] | None:
+) -> NDArray[np.bool_] | None:  # fmt: skip
     """(n,) bool: lenses whose pixels are explained by noise; None if some of them match, so that all must be matched.
 
     A sample of those lenses is matched, since faint texture all over passes for noise. If none of the lenses that are

@@ -114,13 +114,9 @@ def _project(begin, end, surface, lows, highs, place, centres, radius, pitch, re
 
 
 def project_surface(
-    surface: Surface,
-    lattice: Lattice,
-    reach: float,
-    edge: float,
-    part: tuple[int, int, int, int] | None = None,
+    surface: Surface, lattice: Lattice, reach: float, edge: float, part: tuple[int, int, int, int] | None = None,
     everywhere: bool = True,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:  # fmt: skip
     """Patch size (H, W) that each pixel of a part of the flat sees, and (n,) bool: lenses with a depth edge in reach.
 
     NaN around lenses without one, set if `everywhere`, and on the farthest surface that a lens shows. Scene points up
