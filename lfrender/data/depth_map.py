@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import weakref
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,44 +17,33 @@ from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 from lfcal.runtime.notebook import html_card
 from lfcal.runtime.output_file import atomic_write
 
-from .flat_samples import is_same_flat, sample_flat
+from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes
 from .surface import Surface
 
 __all__ = [
     "BINOCULAR", "DEPTH_ADVICE", "MODES", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap",
-    "FrameState", "LocalMatch", "check_depth", "default_scale",
+    "check_depth", "default_scale", "is_same_flat", "sample_flat",
 ]  # fmt: skip
 
 
-class LocalMatch(NamedTuple):
-    """How lenses match at and about the depth they had."""
+def sample_flat(flat: NDArray | FlatSource) -> NDArray[np.float32]:
+    """Gray values (n,) float32 of a flat (H, W) or (H, W, C), in memory or not, on a grid, over their mean."""
+    height, width = flat.shape[:2]
+    at = [np.unique((np.arange(n) + 0.5) / n * length).astype(int) for n, length in ((16, height), (64, width))]
+    if isinstance(flat, FlatSource):
+        rows = np.concatenate([flat.read(0, row, width, row + 1) for row in at[0].tolist()])
+    else:
+        rows = np.asarray(flat[at[0]])
+    few = rows[:, at[1]].astype(np.float64)
+    gray = (few if few.ndim == 2 else few.mean(-1)).ravel()
+    return (gray / max(float(gray.mean()), 1e-12)).astype(np.float32)
 
-    cost: NDArray[np.float32]  # (n,) at that depth
-    offset: NDArray[np.float32]  # (n,) [px of the search] from there to the minimum
-    error: NDArray[np.float32]  # (n,) [px of the search] standard error of the offset for one pair
-    clear: NDArray[np.bool_]  # (n,) lenses with texture, and with any that a match may distinguish from noise
-    textured: NDArray[np.bool_]
 
-    def where(self, mask: NDArray[np.bool_], other: LocalMatch) -> LocalMatch:
-        """This one, with the lenses of `mask` (n,) taken from another."""
-        return LocalMatch(*(np.where(mask, theirs, own) for theirs, own in zip(other, self, strict=True)))
-
-
-@dataclass
-class FrameState:
-    """State of a depth map in a sequence: not compared."""
-
-    # What the `kept` lenses are compared with: their match in the frame in which their depth was estimated. A
-    # comparison with the last frame only would let many small changes pass.
-    reference: LocalMatch | None = None
-    kept: NDArray[np.bool_] | None = None  # (n,) lenses that have kept their depth from an earlier frame
-    complete: LocalMatch | None = None  # the reference of all lenses; made when the first next frame needs it
-    changed: NDArray[np.bool_] | None = None  # (n,) lenses that show something else than in the frame of `previous`
-    previous: weakref.ref[Any] | None = None  # of a DepthMap
-
-    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
-        return FrameState, (self.reference, self.kept)  # the others can be made again
+def is_same_flat(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
+    """Whether the samples of two flats are the same but for rounding; also of another type, bit depth or exposure."""
+    # Rounding to 8 bits differs by 0.01 of the standard deviation.
+    return one.shape == other.shape and bool(np.sqrt(np.mean((one - other) ** 2)) <= 0.02 * one.std() + 1e-6)
 
 
 #: Codes of `DepthMap.mode`.

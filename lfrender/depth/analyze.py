@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-from ..data.depth_map import DepthMap
-from ..data.flat_samples import sample_flat
+from ..data.depth_map import DepthMap, sample_flat
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from ..runtime.choices import Preset, Shortcut, check_choice
 from .edges.locate_edges import locate_edges

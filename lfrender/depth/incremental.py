@@ -14,15 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, Lattice
+from lfcal.runtime.kernels import FAST, kernel
 
-from ..data.depth_map import DepthMap, FrameState, LocalMatch
+from ..data.depth_map import DepthMap
+from ..data.frame_state import FrameState, LocalMatch
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_connected, dilate_mask, neighbour_rows
 from ..flat.texture import LensStatistics, classify_texture, sample_statistics
 from ..flat.validation import check_flat
 from ..runtime.cache import cached
-from .changed_lenses import find_changed_lenses
 from .edges.locate_edges import locate_edges, places_of_lenses, refine_grid
 from .matching.matcher import Matcher
 from .matching.neighbours import neighbours_of
@@ -33,7 +34,63 @@ from .same_surface import TOLERANCE
 from .surface.scene_grid import grid_shape
 from .validity.textureless import find_textureless
 
-__all__ = ["changed_since", "find_moved", "update_depth"]
+__all__ = ["changed_since", "find_changed_lenses", "find_moved", "update_depth"]
+
+
+@kernel(fastmath=FAST, error_model="numpy", share=lambda before, now, centres, *_: len(centres))
+def _compare(begin, end, before, now, centres, radius, side, out):
+    """Per lens: mean square of the differences of pixels, and of sums over blocks of `side` x `side` pixels over the
+    root of their number; number of blocks."""
+    height, width = now.shape
+    for lens in range(begin, end):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        energy, sums, count = np.float32(0.0), np.float32(0.0), 0
+        for top in range(max(0, int(cy - radius)), min(height - side, int(cy + radius) + 1 - side) + 1, side):
+            y = np.float32(top + 0.5 * (side - 1)) - cy
+            half = np.sqrt(max(radius * radius - y * y, np.float32(0.0)))
+            for left in range(max(0, int(cx - half)), min(width - side, int(cx + half) + 1 - side) + 1, side):
+                total = np.float32(0.0)
+                for row in range(top, top + side):
+                    for column in range(left, left + side):
+                        d = now[row, column] - before[row, column]
+                        energy += d * d
+                        total += d
+                sums += total * total
+                count += 1
+        pixels = np.float32(max(count, 1) * side * side)
+        out[0, lens], out[1, lens], out[2, lens] = energy / pixels, sums / pixels, max(count, 1)
+
+
+def find_changed_lenses(before: GrayFlat, statistics: LensStatistics, now: GrayFlat) -> NDArray[np.bool_]:
+    """(n,) bool: lenses whose pixels differ visibly, and by more than noise, from those of a frame `before`.
+
+    The noise of a difference is estimated on its smoothest lenses of like brightness, or on those that differ least
+    between the frames, whichever is less. Motion below the noise of a pixel shows in sums over blocks.
+    """
+    side = 4 if now.radius >= 6 else 2
+    out = np.empty((3, len(now.centres)), np.float32)
+    _compare(before.image, now.image, now.centres, np.float32(now.radius), side, out)
+    pixel, block, count = out
+    # Noise grows with brightness: that of the tenth of lenses with the least, in eight groups, and in those beside.
+    noise = np.minimum(2 * statistics.roughness**2, pixel)
+    edges = np.quantile(statistics.mean, np.arange(1, 8) / 8)
+    group = np.searchsorted(edges, statistics.mean)
+    least = 2 * now.rounding**2
+    level = [np.quantile(noise[group == k], 0.1) if (group == k).any() else least for k in range(8)]
+    level = np.maximum(np.pad(level, 1, "edge"), least)
+    allowed = np.maximum(np.maximum(level[:-2], level[2:]), level[1:-1])[group]
+    # A pixel changes by 2 / 255 in video coding, which is invisible; motion by a quarter of a pixel changes more than
+    # 0.7 % of the variance.
+    invisible, unseen = (2 / 255) ** 2, 0.007 * statistics.contrast**2
+    area = side * side
+    most = np.maximum(allowed * _limit(count * area), np.maximum(invisible, unseen))
+    most_block = np.maximum(allowed * _limit(count), np.maximum(invisible, area * unseen))
+    return np.asarray((pixel > most) | (block > most_block))
+
+
+def _limit(count: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mean of so many squares of unit noise that noise hardly ever exceeds."""
+    return np.asarray(1 + 6 * np.sqrt(2 / count), np.float32)
 
 
 def update_depth(

@@ -17,7 +17,7 @@ from lfcal import Calibration, Lattice
 from lfcal.runtime.kernels import FAST, kernel
 
 from ..runtime.cache import cached_latest
-from .distorted_lookup import displacement_at, lens_displacements, nearest_index
+from .lens_graph import displacement_at, lens_displacements, nearest_index
 
 __all__ = ["SUPPORT", "demosaic"]
 

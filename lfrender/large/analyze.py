@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatSource, Lattice
 
-from ..data.depth_map import DepthMap
-from ..data.flat_samples import sample_flat
+from ..data.depth_map import DepthMap, sample_flat
 from ..data.surface import Surface
 from ..depth.edges.locate_edges import FINER, locate_edges, refine_grid
 from ..depth.pipeline import SceneStatistics, estimate_lens_by_lens

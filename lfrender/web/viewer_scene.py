@@ -15,9 +15,8 @@ from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
-from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
-from ..flat.lens_graph import lens_offsets, nearest_lens
+from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
 from ..output.depth_picture import colour_scale, magnification_limits

@@ -7,7 +7,7 @@ from numba import njit
 
 from lfcal.runtime.kernels import FAST, kernel
 
-from ...flat.distorted_lookup import nearest_index
+from ...flat.lens_graph import nearest_index
 from ..same_surface import depth_order, same_surface
 from .scene_grid import LensArray, PointGrid, lens_at
 

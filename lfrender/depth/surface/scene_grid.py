@@ -9,8 +9,7 @@ from numba import njit
 
 from lfcal import Lattice
 
-from ...flat.distorted_lookup import lens_displacements
-from ...flat.lens_graph import lens_grid
+from ...flat.lens_graph import lens_displacements, lens_grid
 
 __all__ = ["LensArray", "PointGrid", "grid_shape", "lens_array", "lens_at"]
 

@@ -12,7 +12,7 @@ from numba import njit
 from lfcal.runtime.kernels import kernel
 
 from ...data.surface import patch_size_at
-from ...flat.distorted_lookup import nearest_index
+from ...flat.lens_graph import nearest_index
 from .records import OCCLUDED, ONE_SAMPLE, RIM
 
 __all__ = ["blend_pixels", "count_samples"]

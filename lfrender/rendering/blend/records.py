@@ -8,9 +8,8 @@ import numpy as np
 
 from lfcal import Calibration
 
-from ...flat.distorted_lookup import lens_displacements
 from ...flat.gray_flat import correction_cell
-from ...flat.lens_graph import lens_offsets
+from ...flat.lens_graph import lens_displacements, lens_offsets
 from ...flat.lens_type_weights import focus_weights
 
 __all__ = [
