@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from .lattice.lattice import Lattice
 from .lattice.lens_subset import select_whole_lenses
-from .lattice.residuals import Residuals
 from .lattice.robust_fit import LatticeFit, field_rms, fit_affine
-from .lattice.standard_errors import LatticeErrors, equal_weight_errors
+from .lattice.standard_errors import LatticeErrors, Residuals, equal_weight_errors
 from .runtime.errors import CalibrationError
 from .settings import CALIBRATION
 
@@ -130,15 +129,11 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
     The first lattice is straight and goes through the middles of the visible microimages; those of cut ones lie off
     the centre by up to half of the cut.
     """
-    from .white_fit.vignetting import field_position
+    from .gain.gain_map import field_place
 
     lattice = white.lattice
     centres = lattice.points(np.rint(lattice.to_index(places)))
-    cut = (
-        np.zeros(places.shape)
-        if white.cat_eye is None
-        else white.cat_eye.displacement(field_position(centres, lattice))
-    )
+    cut = np.zeros(places.shape) if white.cat_eye is None else white.cat_eye.displacement(field_place(centres, lattice))
     middle = places - places.mean(0)
     base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
     distance, cut = base.T @ (centres - places), base.T @ cut

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from .detection.capture_kind import choose_white_or_scene
 from .detection.first_lattice import (
     NO_MICROIMAGES,
+    REPEATABILITY,
     FirstLattice,
     find_first_lattices,
     find_stated_lattices,
-)
-from .detection.settings import DETECTION
+)  # fmt: skip
 from .images.mosaic import remove_mosaic
 from .images.preprocessing import sqrt_luminance
 from .images.stack import average_scenes, combine_whites, select_contrasted
@@ -180,6 +180,6 @@ def _find_starts_on(picture: NDArray[np.float32], hint: LatticeHint | None) -> I
         yield from find_stated_lattices(picture, hint)
         return
     for start in find_first_lattices(picture):
-        if start.repeatability < DETECTION.repeatability and not start.confirmed:
+        if start.repeatability < REPEATABILITY and not start.confirmed:
             raise CalibrationError(NO_MICROIMAGES)
         yield start

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..gain.gain_map import field_place
-from ..lattice.orientation import describe_orientation
+from ..lattice.lattice import describe_orientation
 
 __all__ = ["Alignment", "measure_alignment"]
 

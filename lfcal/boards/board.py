@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Floats
 from ..runtime.errors import BoardError, check_number
 from ..runtime.output_file import atomic_write, check_output
 
@@ -67,14 +67,14 @@ class Board:
         object.__setattr__(self, "marker", marker)
 
     @property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Floats:
         """(k, 3) corners or centres [mm], row by row: x along the rows, y down, z away from the camera."""
         column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         x = 2 * column + row % 2 if self.pattern == "circles" else column
         return np.column_stack([x.ravel(), row.ravel(), np.zeros(x.size)]) * self.square
 
     @property
-    def middle(self) -> NDArray[np.float64]:
+    def middle(self) -> Floats:
         """(3,) mean of the points [mm]."""
         return self.points.mean(0)
 

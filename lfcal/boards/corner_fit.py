@@ -10,17 +10,16 @@ lines.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Array, Booleans, Singles
 from ..runtime.kernels import kernel
 from .board import Board
 
 __all__ = ["CornerFits", "fit_corners"]
 
-Array = NDArray[Any]
 _UNKNOWNS = 5  # shift x and y, mean grey, half contrast, blur
 
 
@@ -31,7 +30,7 @@ class CornerFits(NamedTuple):
     error: Array  # (n,) [px] standard error along each axis, from the residuals
     contrast: Array  # (n,) half the difference of the grey values; its sign tells which squares are dark
     blur: Array  # (n,) [px] standard deviation of the blur
-    good: NDArray[np.bool_]  # (n,) whether the fit can be used
+    good: Booleans  # (n,) whether the fit can be used
 
 
 class _Sums(NamedTuple):
@@ -108,7 +107,7 @@ def _add_pixels(begin, end, flat, centres, radius, predicted, inverse, reach, di
 
 
 def fit_corners(
-    flat: NDArray[np.float32], centres: Array, radius: float, predicted: Array, shape: Array, board: Board
+    flat: Singles, centres: Array, radius: float, predicted: Array, shape: Array, board: Board
 ) -> CornerFits:
     """Fit corners predicted at (n, 2) [px] in the microimages with centres (n, 2) [px].
 

@@ -16,18 +16,17 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..lattice.lattice import Lattice
+from ..runtime.arrays import Array, Floats, Integers, Singles
 from .board import Board
 
 __all__ = ["DetectedBoard", "FocusSweep", "FocusedPicture", "detect", "other_size"]
-
-Picture = NDArray[Any]
 
 
 class FocusedPicture(NamedTuple):
     """An all-in-focus picture with the patch size it was drawn with."""
 
-    image: Picture  # (h, w) float32 in the unit of the flat
-    ratio: Picture  # (h, w) float32 `s / D` of every pixel
+    image: Array  # (h, w) float32 in the unit of the flat
+    ratio: Array  # (h, w) float32 `s / D` of every pixel
     step: float  # [px] scene coordinates `X = step * (u, v)` of the pixel in column `u` and row `v`
 
 
@@ -38,7 +37,7 @@ class FocusSweep:
         # Candidates are compared at points a fifth of a pitch apart.
         self._coarse, self._fine = (_Views(lattice, share * lattice.pitch) for share in (0.2, 0.075))
 
-    def draw(self, flat: Picture) -> FocusedPicture:
+    def draw(self, flat: Array) -> FocusedPicture:
         """Draw a grey flat (h, w), divided by its gain, with the patch size that makes the lenses agree best."""
         # Nearer to 0, or beyond 0.75, neighbours share too little of the scene; steps are half a pixel at D = 23 px.
         half = np.arange(0.05, 0.75, 0.025)
@@ -70,7 +69,7 @@ class _Views:
         self.offsets = self.centres - points
         self.distances = np.moveaxis(far.astype(np.float32).reshape(*self.shape, -1), 2, 0)
 
-    def draw(self, flat: Picture, ratio: float | Picture) -> tuple[Picture, Picture, Picture]:
+    def draw(self, flat: Array, ratio: float | Array) -> tuple[Array, Array, Array]:
         """Mean, unbiased variance and number of the lenses that see each point, whose patch size is `ratio` D."""
         total, square, count = (np.zeros(self.shape, np.float32) for _ in range(3))
         no_map: Any = None  # positions are in one map
@@ -83,17 +82,17 @@ class _Views:
             total += value
             square += value * value
             count += seen
-        mean: Picture = total / np.maximum(count, 1)
-        variance: Picture = np.maximum(square - count * mean * mean, 0) / np.maximum(count - 1, 1)
+        mean: Array = total / np.maximum(count, 1)
+        variance: Array = np.maximum(square - count * mean * mean, 0) / np.maximum(count - 1, 1)
         return mean, variance, count
 
 
 class DetectedBoard(NamedTuple):
     """Points of a board as an all-in-focus picture shows them."""
 
-    corner: NDArray[np.int64]  # (k,) which points of the board
-    scene: NDArray[np.float64]  # (k, 2) [px] scene coordinates
-    inverse_ratio: NDArray[np.float64]  # (k,) `D / s` of a plane through all of them
+    corner: Integers  # (k,) which points of the board
+    scene: Floats  # (k, 2) [px] scene coordinates
+    inverse_ratio: Floats  # (k,) `D / s` of a plane through all of them
 
 
 def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
@@ -119,7 +118,7 @@ def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
     return best
 
 
-def other_size(image: NDArray[np.float32], board: Board, larger: bool) -> str:
+def other_size(image: Singles, board: Board, larger: bool) -> str:
     """The number of corners of another checkerboard, where there is one; or only of a `larger` one."""
     if board.pattern != "checkerboard":
         return ""
@@ -133,7 +132,7 @@ def other_size(image: NDArray[np.float32], board: Board, larger: bool) -> str:
     return f"{seen[1]} x {seen[0]}" if board.columns >= board.rows else f"{seen[0]} x {seen[1]}"
 
 
-_Points = tuple[NDArray[Any], NDArray[Any]]
+_Points = tuple[Array, Array]
 _NONE: _Points = np.zeros(0, np.int64), np.zeros((0, 2))
 
 
@@ -160,13 +159,13 @@ def _circles(image: NDArray[np.uint8], board: Board) -> _Points:
 _FINDERS = {"checkerboard": _checkerboard, "charuco": _charuco, "circles": _circles}
 
 
-def _is_mirrored(points: NDArray[np.float64], pixels: NDArray[np.float64]) -> bool:
+def _is_mirrored(points: Floats, pixels: Floats) -> bool:
     """Whether the picture shows the points in the other sense of rotation: another board, or a wrong detection."""
     affine = np.linalg.lstsq(np.column_stack([points, np.ones(len(points))]), pixels, rcond=None)[0]
     return bool(np.linalg.det(affine[:2]) <= 0)
 
 
-def _ordered(image: NDArray[np.float32], board: Board, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def _ordered(image: Singles, board: Board, pixels: Floats) -> Floats:
     """Corners of a checkerboard, the first one at the end where the square up-left of it is dark.
 
     Boards that look the same turned by 180 degrees begin at the end that is farther up and left.
@@ -182,7 +181,7 @@ def _ordered(image: NDArray[np.float32], board: Board, pixels: NDArray[np.float6
     return pixels if light[even].mean() < light[~even].mean() else pixels[::-1]
 
 
-def _plane(picture: FocusedPicture, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def _plane(picture: FocusedPicture, pixels: Floats) -> Floats:
     """`D / s` at the pixels, of the plane that fits their patch sizes: `1 / s` of a plane is linear in `X`."""
     x, y = np.rint(pixels).astype(int).T
     height, width = picture.ratio.shape

@@ -18,8 +18,7 @@ from ..gain.rows import RegionGain
 from ..gain.vignetting import Vignetting
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.residuals import Residuals
-from ..lattice.standard_errors import LatticeErrors
+from ..lattice.standard_errors import LatticeErrors, Residuals
 from ..runtime.arrays import Frozen
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError, check_number, check_type
 from ..runtime.image_formats import MOSAICS, Mosaic

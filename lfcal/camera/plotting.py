@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..lattice.orientation import describe_orientation
+from ..lattice.lattice import describe_orientation
 from ..runtime.notebook import html_card
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ __all__ = ["describe", "describe_optics", "summarise"]
 
 def describe(camera: Calibration) -> dict[str, Any]:
     """The figures of a calibration that commands print."""
-    from ..lattice.orientation import describe_orientation
+    from ..lattice.lattice import describe_orientation
 
     lattice, types, defects = camera.lattice, camera.lens_types, camera.defects
     shape, rows, rotation = describe_orientation(lattice)
@@ -50,7 +50,7 @@ def describe_optics(optics: Optics) -> dict[str, Any]:
 
 def summarise(camera: Calibration) -> list[str]:
     """What a camera file holds, in sentences."""
-    from ..lattice.orientation import describe_orientation
+    from ..lattice.lattice import describe_orientation
 
     shape, _, rotation = describe_orientation(camera.lattice)
     sources = {"white": "Measured on a white image", "scene": "Measured on a capture", "published": "As published"}

@@ -9,21 +9,21 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..images.preprocessing import normalise_locally, sqrt_luminance
-from ..lattice.cell import cell_normals
+from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, find_lit_lenses
+from ..runtime.arrays import Singles
 from .first_lattice import FirstLattice
-from .settings import DETECTION
 
 __all__ = ["choose_white_or_scene", "is_evenly_lit"]
 
+_SCATTER_INSIDE = 0.15  # most scatter inside microimages of a white image, over the depth of the gaps
+_SCATTER_OF_LIT = 0.09  # the same without dark lenses: scenes have 0.11, white images of dots 0.08
 
-def choose_white_or_scene(
-    lights: list[NDArray[np.float32]], start: FirstLattice, kind: str
-) -> tuple[bool, list[NDArray[np.float32]]]:
+
+def choose_white_or_scene(lights: list[Singles], start: FirstLattice, kind: str) -> tuple[bool, list[Singles]]:
     """Whether to calibrate on white images, and the luminance pictures (h, w) to use: with `kind` "auto" white ones."""
     if kind != "auto":
         return kind == "white", lights
@@ -40,35 +40,33 @@ def choose_white_or_scene(
     return (True, whites) if whites else (False, lights)
 
 
-def is_evenly_lit(brightness: NDArray[np.float32] | StackedCrops, light: NDArray[np.float32], lattice: Lattice) -> bool:
+def is_evenly_lit(brightness: Singles | StackedCrops, light: Singles, lattice: Lattice) -> bool:
     """Whether the insides of lit microimages vary by little against the depth of the gaps between them.
 
     `brightness` (h, w), or crops, is locally normalised (`images.preprocessing.normalise_locally`), `light` (h, w) the
     luminance of the flat, or of these crops.
     """
     return (
-        _scatter_inside(brightness, lattice, None) < DETECTION.scatter_inside
-        or _scatter_inside(brightness, lattice, light) < DETECTION.scatter_of_lit
+        _scatter_inside(brightness, lattice, None) < _SCATTER_INSIDE
+        or _scatter_inside(brightness, lattice, light) < _SCATTER_OF_LIT
     )
 
 
-def _scatter_inside(
-    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, light: NDArray[np.float32] | None
-) -> float:
+def _scatter_inside(picture: Singles | StackedCrops, lattice: Lattice, light: Singles | None) -> float:
     """Scatter about the mean at a distance inside microimages, over the depth of the gaps.
 
     Lenses that are dark on the `light` (h, w), if that is given, are left out.
     """
     crops = StackedCrops.of(picture)
-    normals, circumradius = cell_normals(lattice)
-    reach = int(np.ceil(circumradius))
+    cell = Cell.of(lattice)
+    reach = int(np.ceil(cell.circumradius))
     indices, centres, crop = crops.lenses(lattice, reach + 1)
     places = centres - crops.offsets[crop]
     if light is not None:
         places = places[find_lit_lenses(light, lattice, indices, places, 0.1)]
     places = places[:: max(1, len(places) // 600)]
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
-    own = (np.column_stack([x, y]) @ normals.T <= 0.5).all(1)
+    own = (np.column_stack([x, y]) @ cell.normals.T <= 0.5).all(1)
     x, y = x[own], y[own]
     corner = np.rint(places).astype(np.int64)
     values = crops.picture[corner[:, 1, None] + y, corner[:, 0, None] + x].ravel()

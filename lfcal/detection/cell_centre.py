@@ -8,27 +8,25 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..lattice.cell import bin_offsets
 from ..lattice.lattice import reduce_basis
-from .settings import DETECTION
+from ..runtime.arrays import Floats
 
 __all__ = ["CentreGuess", "choose_lens_centre", "find_primitive_cell", "find_round_centres", "is_checkerboard"]
+
+_OTHER_ENERGY = 0.3  # energy not repeated in a smaller cell: lens types leave 0.2, lenses and gaps 0.5
+_GAP_LIGHT = 0.85  # most of a gap over that of a lens, unless the picture has been flattened
 
 
 class CentreGuess(NamedTuple):
     """A possible microimage centre."""
 
-    position: NDArray[np.float64]  # (2,) fractional lattice coordinates, 0..1
+    position: Floats  # (2,) fractional lattice coordinates, 0..1
     roundness: float  # share of the variance of the average cell explained by the distance to this point, 0..1
 
 
-def find_primitive_cell(
-    cells: list[NDArray[np.float64]],
-    basis: NDArray[np.float64],
-    again: list[NDArray[np.float64]] | None = None,
-) -> NDArray[np.float64]:
+def find_primitive_cell(cells: list[Floats], basis: Floats, again: list[Floats] | None = None) -> Floats:
     """Smallest lattice on which the average cells repeat, `basis` (2, 2) [px] itself or a finer one.
 
     Arrays with several lens types repeat exactly only with a cell two, three or four times as large, and their blur
@@ -45,12 +43,12 @@ def find_primitive_cell(
     generators = [(6, 0), (0, 6)]
     for index, shifts in ((2, [(1, 0), (0, 1), (1, 1)]), (3, [(1, 0), (0, 1), (1, 1), (1, 2)])):
         for shift in shifts:
-            if _unrepeated_share(power, shift, index, 0.001) < DETECTION.other_energy:
+            if _unrepeated_share(power, shift, index, 0.001) < _OTHER_ENERGY:
                 generators.append((shift[0] * 6 // index, shift[1] * 6 // index))
     return reduce_basis(_span(generators) / 6 @ basis) if len(generators) > 2 else basis
 
 
-def _unrepeated_share(power: NDArray[np.float64], shift: tuple[int, int], index: int, min_energy: float) -> float:
+def _unrepeated_share(power: Floats, shift: tuple[int, int], index: int, min_energy: float) -> float:
     """Share of the energy that varies along `shift` without repeating after one `index`-th of it, 0..1.
 
     Energy that does not vary along the shift is left out: it repeats with any period in this direction.
@@ -61,7 +59,7 @@ def _unrepeated_share(power: NDArray[np.float64], shift: tuple[int, int], index:
     return float(power[phase % index != 0].sum()) / varying if varying > min_energy else 1.0
 
 
-def is_checkerboard(brightness: NDArray[np.float64], edges: NDArray[np.float64]) -> bool:
+def is_checkerboard(brightness: Floats, edges: Floats) -> bool:
     """Whether average cells (bins, bins) are their own negative half a cell further, with the same edges.
 
     Gaps between round microimages are never round microimages themselves.
@@ -74,13 +72,13 @@ def is_checkerboard(brightness: NDArray[np.float64], edges: NDArray[np.float64])
     )
 
 
-def _likeness(cell: NDArray[np.float64], shift: tuple[int, int]) -> float:
+def _likeness(cell: Floats, shift: tuple[int, int]) -> float:
     """Correlation of a periodic picture with itself, shifted by (rows, columns)."""
     rest = cell - cell.mean()
     return float((rest * np.roll(rest, shift, (0, 1))).sum() / max(float((rest * rest).sum()), 1e-30))
 
 
-def _span(generators: list[tuple[int, int]]) -> NDArray[np.float64]:
+def _span(generators: list[tuple[int, int]]) -> Floats:
     """Basis (2, 2) of all integer combinations of `generators`, by Euclid's algorithm on the columns."""
     x, y, rest = 0, 0, 0
     for gx, gy in generators:
@@ -90,9 +88,7 @@ def _span(generators: list[tuple[int, int]]) -> NDArray[np.float64]:
     return np.array([(x, y % rest), (0, rest)], dtype=np.float64)
 
 
-def choose_lens_centre(
-    guesses: list[CentreGuess], light: NDArray[np.float64], basis: NDArray[np.float64]
-) -> CentreGuess:
+def choose_lens_centre(guesses: list[CentreGuess], light: Floats, basis: Floats) -> CentreGuess:
     """The guess that is a lens and no gap: the roundest, unless one nearly as round is clearly brighter.
 
     Gaps of a square array are as round as the lenses, but no lens is darker than the gaps around it. `guesses` are
@@ -107,10 +103,10 @@ def choose_lens_centre(
 
     round_ones = [g for g in guesses if g.roundness > 0.5 * guesses[0].roundness]
     brightest = max(round_ones, key=brightness)
-    return brightest if brightness(guesses[0]) < DETECTION.gap_light * brightness(brightest) else guesses[0]
+    return brightest if brightness(guesses[0]) < _GAP_LIGHT * brightness(brightest) else guesses[0]
 
 
-def find_round_centres(cells: list[NDArray[np.float64]], basis: NDArray[np.float64]) -> list[CentreGuess]:
+def find_round_centres(cells: list[Floats], basis: Floats) -> list[CentreGuess]:
     """Up to four points about which the average cells (bins, bins) are round, roundest first, 0.3 pitch apart."""
     bins = cells[0].shape[0]
     distance = _distance_to_corner(basis, bins)
@@ -139,6 +135,6 @@ def find_round_centres(cells: list[NDArray[np.float64]], basis: NDArray[np.float
     return guesses
 
 
-def _distance_to_corner(basis: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
+def _distance_to_corner(basis: Floats, bins: int) -> Floats:
     """(bins, bins) distance [px] from each bin to the lattice point nearest to it, if one is the middle of bin 0, 0."""
     return np.linalg.norm(bin_offsets(basis, bins, np.array([0.5, 0.5]) / bins), axis=2)

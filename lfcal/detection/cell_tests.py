@@ -11,26 +11,28 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..images.preprocessing import interpolate_linear
 from ..lattice.cell import bin_offsets, cell_distances, nearest_offsets
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses
+from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError
-from .settings import DETECTION
 
 __all__ = ["AverageCell", "check_cell", "find_shape_doubt", "measure_average_cell"]
 
-_Distances = tuple[NDArray[np.float64], NDArray[np.float64]]
+_RADIAL_SHARE = 0.8  # least share of a cell that distances to centre and border explain
+_RADIAL_SHARE_SCENE = 0.65  # the same where a scene may be left in the average of a thousand lenses
+_PATTERN_REPEATABILITY = 0.99  # and where two halves are so alike: scenes reach 0.98, bricks 1
+_UNEXPLAINED = 0.06  # most share that the two distances leave: white images up to 0.05, mostly 0.01
+_HALF_SHIFT = -0.95  # correlation with itself half a cell further: boards -1, blurred lenses -0.92
+_EDGE_ENERGY = 5e-3  # least beyond the first harmonics: waves 0, discs 0.05
+
+_Distances = tuple[Floats, Floats]
 
 
 def check_cell(
-    cells: list[NDArray[np.float64]],
-    light: NDArray[np.float64],
-    basis: NDArray[np.float64],
-    centre: NDArray[np.float64],
-    repeatability: float,
+    cells: list[Floats], light: Floats, basis: Floats, centre: Floats, repeatability: float
 ) -> CalibrationError | None:
     """Why the average cell is no microimage, unless parallax proves one; None if it may be one.
 
@@ -46,38 +48,32 @@ def check_cell(
     # Correlation of two halves limits what any model can explain of their mean.
     possible = 2 * repeatability / (1 + repeatability)
     distances = cell_distances(basis, bin_offsets(basis, len(light), centre).reshape(-1, 2))
-    explained = float(np.mean([_explained_share(_smooth(cell), distances) for cell in cells]))
-    if explained >= DETECTION.radial_share * possible:
+    shares = []
+    for cell in cells:
+        # Smoothed: the edge of a hard disc is narrower than what its centre is off.
+        for axis in (0, 1):
+            cell = (np.roll(cell, 1, axis) + 2 * cell + np.roll(cell, -1, axis)) / 4
+        values = cell.ravel() - cell.mean()
+        left = values - _fit_distances(values, distances)
+        shares.append(1 - float(left @ left) / max(float(values @ values), 1e-30))
+    explained = float(np.mean(shares))
+    if explained >= _RADIAL_SHARE * possible:
         return None
     pitch = float(np.sqrt(abs(np.linalg.det(basis))))
     error = CalibrationError(f"a pattern repeats every {pitch:.1f} px that has no microimages; {RAW_FLAT_ADVICE}")
-    if explained < DETECTION.radial_share_scene * possible or repeatability > DETECTION.pattern_repeatability:
+    if explained < _RADIAL_SHARE_SCENE * possible or repeatability > _PATTERN_REPEATABILITY:
         raise error
     return error
 
 
-def _smooth(cell: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A cell (bins, bins) averaged over neighbours: the edge of a hard disc is narrower than what its centre is off."""
-    for axis in (0, 1):
-        cell = (np.roll(cell, 1, axis) + 2 * cell + np.roll(cell, -1, axis)) / 4
-    return cell
-
-
-def _explained_share(cell: NDArray[np.float64], distances: _Distances) -> float:
-    """Share of the variance of a cell that a sum of a function of each distance explains, 0..1."""
-    values = cell.ravel() - cell.mean()
-    left = values - _fit_distances(values, distances)
-    return 1 - float(left @ left) / max(float(values @ values), 1e-30)
-
-
-def _fit_distances(values: NDArray[np.float64], distances: _Distances) -> NDArray[np.float64]:
+def _fit_distances(values: Floats, distances: _Distances) -> Floats:
     """Least-squares sum of a piecewise linear function of each distance (n,), to `values` (n,) or columns (n, m)."""
     columns, nodes = [], 16
     for distance in distances:
         place = (distance - distance.min()) / max(float(np.ptp(distance)), 1e-12) * (nodes - 1)
         columns.append(np.clip(1 - np.abs(place[:, None] - np.arange(nodes)), 0, None))
     design = np.hstack(columns)
-    fitted: NDArray[np.float64] = design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    fitted: Floats = design @ np.linalg.lstsq(design, values, rcond=None)[0]
     return fitted
 
 
@@ -90,9 +86,7 @@ class AverageCell(NamedTuple):
     edges: float  # share of the energy beyond the first harmonics
 
 
-def find_shape_doubt(
-    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, clear_gaps: bool = False
-) -> str | None:
+def find_shape_doubt(picture: Singles | StackedCrops, lattice: Lattice, clear_gaps: bool = False) -> str | None:
     """Why the average cell may be no microimage, None where its shape proves it.
 
     `picture` (h, w), or crops, is as made by `images.preprocessing.sqrt_luminance`; `clear_gaps` tells that there are
@@ -104,20 +98,20 @@ def find_shape_doubt(
         return "there are too few of them to measure their shape"
     margin = 2 * cell.error
     # Below 10 px, the blur of a sensor can leave no edges.
-    waves = lattice.pitch > 10 and cell.edges < DETECTION.edge_energy
-    if waves or cell.half_shift + margin < DETECTION.half_shift:
+    waves = lattice.pitch > 10 and cell.edges < _EDGE_ENERGY
+    if waves or cell.half_shift + margin < _HALF_SHIFT:
         raise CalibrationError(
             f"light and dark places of one shape repeat every {lattice.pitch:.1f} px, as on a checkerboard or in "
             f"crossed waves, not microimages; {RAW_FLAT_ADVICE}"
         )
-    if cell.half_shift - margin < DETECTION.half_shift:
+    if cell.half_shift - margin < _HALF_SHIFT:
         return "a checkerboard or crossed waves could look like them"
-    if not clear_gaps and cell.unexplained + margin > DETECTION.unexplained:
+    if not clear_gaps and cell.unexplained + margin > _UNEXPLAINED:
         return "the light in them does not have the shape of that behind a lens"
     return None
 
 
-def measure_average_cell(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice) -> AverageCell | None:
+def measure_average_cell(picture: Singles | StackedCrops, lattice: Lattice) -> AverageCell | None:
     """Measure the average cell as for `find_shape_doubt`; None where there are too few lenses."""
     samples, lenses = 18, 200  # along a cell, an even number; evenly spread over the flat
     share = (np.arange(samples) + 0.5) / samples - 0.5

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..gain.defects import Defects
 from ..gain.gain_map import GainMap
 from ..gain.vignetting import Vignetting
 from ..lattice.lattice import Lattice
+from ..runtime.arrays import Array, Singles
 from ..runtime.errors import CalibrationError
 
 __all__ = ["LARGE", "PIECES", "average_blocks", "choose_block_size", "upscale_calibration"]
@@ -23,7 +22,7 @@ LARGE = 4.8e7
 PIECES = 6e6
 
 
-def choose_block_size(flat: NDArray[Any]) -> int:
+def choose_block_size(flat: Array) -> int:
     """Side [px] of the blocks that a flat (h, w) or (h, w, 3) is to be averaged in: 1 where it is not large.
 
     Raises `CalibrationError` if a large flat shows no lattice in its middle, nor beside it.
@@ -39,7 +38,7 @@ def choose_block_size(flat: NDArray[Any]) -> int:
     return block - block % 2 if block > 1 and find_mosaic(flat) else block
 
 
-def _find_pitch(flat: NDArray[Any]) -> float:
+def _find_pitch(flat: Array) -> float:
     """Pitch [px] in the first part of a flat that shows one; the array need not fill the sensor."""
     from ..images.preprocessing import luminance, sqrt_luminance
     from .first_lattice import find_first_lattice
@@ -63,7 +62,7 @@ def _find_pitch(flat: NDArray[Any]) -> float:
     raise error
 
 
-def average_blocks(flat: NDArray[Any], block: int, rows: int = 32) -> NDArray[np.float32]:
+def average_blocks(flat: Array, block: int, rows: int = 32) -> Singles:
     """(h // block, w // block) mean luminance of the blocks of a flat; `rows` of them at a time, to save memory."""
     import cv2
 

@@ -15,22 +15,28 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..hough.circle_vote import find_circles, propose_basis
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
+from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
 from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres, is_checkerboard
 from .cell_tests import check_cell
 from .folding import BINS, CELL_TILES, fold_lit_tiles, fold_tiles, measure_repeatability
 from .gaps import Gaps, gap_tone, measure_gaps, window_likelihood
-from .settings import DETECTION
 from .spectrum import find_bases, is_same_lattice
 from .tile_lattice import finer_bases, fit_harmonics, has_run_away, refine_basis, similar_bases
 
-__all__ = ["NO_MICROIMAGES", "FirstLattice", "find_first_lattice", "find_first_lattices", "find_stated_lattices"]
+__all__ = [
+    "NO_MICROIMAGES", "REPEATABILITY", "FirstLattice", "find_first_lattice", "find_first_lattices",
+    "find_stated_lattices",
+]  # fmt: skip
+
+REPEATABILITY = 0.8  # least correlation of the average microimages of two halves of the flat
+_HALF_DIFFERENCE = 0.03  # [pitch] between lattices of two halves: scenes 0.01, detail of a plane 0.05
+_GAP_TONE = 0.65  # light of dark gaps over that of cells: arrays up to 0.6, bars from 0.7
 
 NO_MICROIMAGES = (
     "no microimages found: something repeats on the image, but not alike in all of it; "
@@ -44,7 +50,7 @@ class FirstLattice:
 
     lattice: Lattice  # [px] its radius is half the distance to the nearest neighbour
     # (h, w) root of the luminance, locally normalised; of half the size where the lattice was found at that
-    brightness: NDArray[np.float32]
+    brightness: Singles
     roundness: float  # share of the variance of the average microimage explained by the distance to its centre, 0..1
     half_difference: float  # [px] RMS distance over the flat of the lattices of two halves of the tiles
     repeatability: float  # correlation of the average microimages of two halves of the tiles
@@ -52,13 +58,19 @@ class FirstLattice:
     clear_gaps: bool = False  # dark gaps at every border of cells of different content
     confirmed: bool = False  # circles found by Hough vote lie on it, where halves of the flat hardly repeat
 
-    def explains(self, basis: NDArray[np.float64]) -> float:
+    @property
+    def is_certain(self) -> bool:
+        """Whether two halves of the flat agree about the lattice and about its average microimage."""
+        most = _HALF_DIFFERENCE * self.lattice.pitch
+        return self.repeatability >= REPEATABILITY and self.half_difference <= most
+
+    def explains(self, basis: Floats) -> float:
         """`window_likelihood` of a basis (2, 2) [px of the flat] on the picture."""
         scale = self.brightness.shape[0] / self.lattice.image_size[1]
         return window_likelihood(self.brightness, scale * basis, int(8 * scale * self.lattice.pitch))
 
 
-def find_first_lattice(picture: NDArray[np.float32], basis: NDArray[np.float64] | None = None) -> FirstLattice:
+def find_first_lattice(picture: Singles, basis: Floats | None = None) -> FirstLattice:
     """Lattice of a picture (h, w), as made by `images.preprocessing.sqrt_luminance`.
 
     Its basis is the best supported one of the spectrum, or `basis` (2, 2) [px] where that is known to some percent.
@@ -67,7 +79,7 @@ def find_first_lattice(picture: NDArray[np.float32], basis: NDArray[np.float64] 
     return _build_lattice(next(find_bases(picture)) if basis is None else basis, picture, edge_strength(picture))
 
 
-def find_first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
+def find_first_lattices(picture: Singles) -> Iterator[FirstLattice]:
     """`find_first_lattice` and, where that is doubtful or turns out to be wrong, certain others, the roundest first.
 
     At half the size of a picture (h, w) of many pixels, where that leaves no doubt: `FirstLattice.brightness` is then
@@ -94,12 +106,12 @@ def find_first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
         yield replace(found, lattice=lattice, half_difference=2 * found.half_difference)
 
 
-def find_stated_lattices(picture: NDArray[np.float32], hint: LatticeHint) -> list[FirstLattice]:
+def find_stated_lattices(picture: Singles, hint: LatticeHint) -> list[FirstLattice]:
     """Lattices of a picture (h, w) as stated, the roundest first.
 
     Raises `CalibrationError` if nothing repeats on the picture as stated, or in more than one way.
     """
-    bases: list[NDArray[np.float64]] = []
+    bases: list[Floats] = []
     with suppress(CalibrationError):
         bases += find_bases(picture)
     edges = edge_strength(picture)
@@ -109,7 +121,7 @@ def find_stated_lattices(picture: NDArray[np.float32], hint: LatticeHint) -> lis
             break
         with suppress(CalibrationError, np.linalg.LinAlgError):
             one = _build_lattice(basis, picture, edges)
-            if hint.allows(one.lattice) and one.repeatability >= DETECTION.repeatability / 2:
+            if hint.allows(one.lattice) and one.repeatability >= REPEATABILITY / 2:
                 found.append(replace(one, doubt=None))
     if not found:
         turned = "" if hint.rotation is None else f", turned by about {hint.rotation:g} degrees"
@@ -128,7 +140,7 @@ def find_stated_lattices(picture: NDArray[np.float32], hint: LatticeHint) -> lis
     return sorted(found, key=lambda one: -one.roundness)
 
 
-def _build_lattices(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
+def _build_lattices(bases: Iterator[Floats], picture: Singles) -> Iterator[FirstLattice]:
     """Lattices from bases of the spectrum: the first if it is certain, certain others, else the best of the rest."""
     edges = edge_strength(picture)
     error: CalibrationError | None = None
@@ -143,7 +155,7 @@ def _build_lattices(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.fl
         except CalibrationError as failure:
             error = failure if len(tried) == 1 else error
             continue
-        if not _is_certain(found):
+        if not found.is_certain:
             uncertain.append(found)
         elif len(tried) == 1:
             given.append(found)
@@ -158,7 +170,7 @@ def _build_lattices(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.fl
     if given:
         return
     # Two halves that repeat need no circles, though few lit lenses may not agree about the lattice.
-    if error is None and uncertain and uncertain[0].repeatability >= DETECTION.repeatability:
+    if error is None and uncertain and uncertain[0].repeatability >= REPEATABILITY:
         yield uncertain[0]
         return
     confirmed = _confirm_by_circles(uncertain, tried, picture, edges)
@@ -171,10 +183,7 @@ def _build_lattices(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.fl
 
 
 def _confirm_by_circles(
-    uncertain: list[FirstLattice],
-    tried: list[NDArray[np.float64]],
-    picture: NDArray[np.float32],
-    edges: NDArray[np.float32],
+    uncertain: list[FirstLattice], tried: list[Floats], picture: Singles, edges: Singles
 ) -> list[FirstLattice]:
     """Those of the uncertain lattices, and of others that circles propose, on which circles lie, the best one first.
 
@@ -196,23 +205,13 @@ def _confirm_by_circles(
             uncertain = [*uncertain, _build_lattice(proposed, picture, edges)]
     ranked = [
         (find_circles(picture, one.lattice.pitch).agreement(one.lattice), one) for one in uncertain
-        if one.repeatability >= DETECTION.repeatability / 2 and np.isfinite(one.half_difference)
+        if one.repeatability >= REPEATABILITY / 2 and np.isfinite(one.half_difference)
     ]  # fmt: skip
     ranked = [pair for pair in ranked if pair[0] >= 0.2]
     return [replace(one, confirmed=True) for _, one in sorted(ranked, key=lambda pair: -pair[0])]
 
 
-def _is_certain(found: FirstLattice) -> bool:
-    """Whether two halves of the flat agree about a lattice and about its average microimage."""
-    return (
-        found.repeatability >= DETECTION.repeatability
-        and found.half_difference <= DETECTION.half_difference * found.lattice.pitch
-    )
-
-
-def _build_lattice(
-    basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32]
-) -> FirstLattice:
+def _build_lattice(basis: Floats, picture: Singles, edges: Singles) -> FirstLattice:
     """`find_first_lattice` from a basis of the spectrum; CalibrationError where that is none of microimages."""
     height, width = picture.shape
     start = basis
@@ -234,7 +233,7 @@ def _build_lattice(
     centre = choose_lens_centre(find_round_centres(cells, basis), light, basis)
     repeatability = measure_repeatability(folds)
     doubt, place = None, gaps.centre @ gaps.basis
-    proved = gaps.prove_lattice() and gap_tone(light, gaps) < DETECTION.gap_tone
+    proved = gaps.prove_lattice() and gap_tone(light, gaps) < _GAP_TONE
     if not proved:
         place = centre.position @ basis
         doubt = check_cell(cells, light, basis, centre.position, repeatability)
@@ -247,9 +246,7 @@ def _build_lattice(
     return FirstLattice(lattice, features[0], centre.roundness, fit.half_difference, repeatability, doubt, proved)
 
 
-def _choose_by_gaps(
-    brightness: NDArray[np.float32], choices: list[NDArray[np.float64]], side: int
-) -> tuple[NDArray[np.float64], Gaps]:
+def _choose_by_gaps(brightness: Singles, choices: list[Floats], side: int) -> tuple[Floats, Gaps]:
     """The likeliest of several bases (2, 2) [px], where gaps prove it, else the first; and the gaps of its cells.
 
     Scene detail that moves from lens to lens draws the period after it, but then gaps do not lie over gaps.
@@ -269,9 +266,7 @@ def _choose_by_gaps(
     return choices[0], gaps
 
 
-def _refine_cell(
-    basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], int, list[NDArray[np.float32]]]:
+def _refine_cell(basis: Floats, picture: Singles, edges: Singles) -> tuple[Floats, int, list[Singles]]:
     """Refined basis of the cell of one microimage, side of the tiles [px], and normalised features."""
     window = 0.0
     for _ in range(3):
@@ -290,9 +285,7 @@ def _refine_cell(
     return basis, side, features
 
 
-def _single_cell(
-    features: list[NDArray[np.float32]], basis: NDArray[np.float64], side: int
-) -> tuple[NDArray[np.float64], bool]:
+def _single_cell(features: list[Singles], basis: Floats, side: int) -> tuple[Floats, bool]:
     """The cell that holds one microimage, and whether that is another than the one of `basis`.
 
     Folded on two and three cells each way, the average picture must repeat from cell to cell (else there are gaps
@@ -308,13 +301,11 @@ def _single_cell(
     return basis, False
 
 
-def _nearest_point(
-    place: NDArray[np.float64], origin: NDArray[np.float64], basis: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _nearest_point(place: Floats, origin: Floats, basis: Floats) -> Floats:
     """The lattice point next to `place`."""
     return origin + np.rint((place - origin) @ np.linalg.inv(basis)) @ basis
 
 
-def _inradius(basis: NDArray[np.float64]) -> float:
+def _inradius(basis: Floats) -> float:
     """Half of the shortest lattice vector [px]."""
     return float(np.hypot(*reduce_basis(basis).T).min() / 2)

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ..runtime.arrays import Booleans, Floats, Singles
 from ..runtime.kernels import kernel
 
 __all__ = [
@@ -80,10 +81,10 @@ class TileFolds:
     """Average cell of a lattice in each tile of a flat."""
 
     # (t, bins, bins) sum of pixels by fractional lattice coordinate: column along a1, row along a2, from (0, 0)
-    total: NDArray[np.float32]
-    count: NDArray[np.float32]  # (t, bins, bins) number of pixels
-    centre: NDArray[np.float64]  # (t, 2) [px] middle of each tile, order x, y
-    basis: NDArray[np.float64]  # (2, 2) [px]
+    total: Singles
+    count: Singles  # (t, bins, bins) number of pixels
+    centre: Floats  # (t, 2) [px] middle of each tile, order x, y
+    basis: Floats  # (2, 2) [px]
     grid: tuple[int, int]  # rows and columns of tiles
     side: int  # [px] of the square tiles; those at the right and lower edges may be smaller
 
@@ -92,18 +93,18 @@ class TileFolds:
         """Bins along each lattice vector."""
         return self.total.shape[1]
 
-    def mask(self, chosen: NDArray[np.bool_]) -> TileFolds:
+    def mask(self, chosen: Booleans) -> TileFolds:
         """The same tiles, emptied where not `chosen` (t,)."""
         share = chosen[:, None, None].astype(np.float32)
         return replace(self, total=self.total * share, count=self.count * share)
 
-    def lattice_power(self) -> NDArray[np.float32]:
+    def lattice_power(self) -> Singles:
         """(t,) squared amplitude of the strongest low harmonic of each tile."""
         near = self.harmonics[:, np.arange(-2, 3)[:, None], np.arange(3)]
         power = near.real**2 + near.imag**2
         power[:, 2, 0] = 0
         area = np.maximum(self.count.sum((1, 2)), 1)
-        strongest: NDArray[np.float32] = power.max((1, 2)) / area**2
+        strongest: Singles = power.max((1, 2)) / area**2
         return strongest
 
     @cached_property
@@ -121,7 +122,7 @@ class TileFolds:
         rows = (values.reshape(-1, self.bins) @ waves).view(np.complex64).reshape(len(values), self.bins, -1)
         return np.fft.fft(rows, axis=1).astype(np.complex64)
 
-    def half_means(self) -> list[NDArray[np.float64]]:
+    def half_means(self) -> list[Floats]:
         """Average cells (bins, bins) of two halves of the tiles, like the colours of a checkerboard."""
         place = np.rint((self.centre - self.centre[0]) / self.side).astype(int)
         colour = place.sum(1) % 2
@@ -129,7 +130,7 @@ class TileFolds:
             return [self.mean()] * 2
         return [self.mean(colour == side) for side in (0, 1)]
 
-    def mean(self, chosen: Any = slice(None)) -> NDArray[np.float64]:
+    def mean(self, chosen: Any = slice(None)) -> Floats:
         """(bins, bins) average cell over the `chosen` tiles, at the resolution of the pixels."""
         total, count = self.total[chosen].sum(0, dtype=np.float64), self.count[chosen].sum(0, dtype=np.float64)
         level = total.sum() / max(count.sum(), 1)
@@ -141,11 +142,7 @@ class TileFolds:
 
 
 def fold_tiles(
-    pictures: Sequence[NDArray[np.float32]],
-    basis: NDArray[np.float64],
-    side: int,
-    bins: int = BINS,
-    most: int | None = None,
+    pictures: Sequence[Singles], basis: Floats, side: int, bins: int = BINS, most: int | None = None
 ) -> list[TileFolds]:
     """Average one or two pictures (h, w) over the cells of a lattice with its origin at (0, 0), tile by tile.
 
@@ -169,9 +166,7 @@ def fold_tiles(
     return [TileFolds(total, count, centre, basis, (rows, columns), side) for total in totals[: len(pictures)]]
 
 
-def fold_lit_tiles(
-    picture: NDArray[np.float32], features: list[NDArray[np.float32]], basis: NDArray[np.float64], side: int
-) -> list[TileFolds]:
+def fold_lit_tiles(picture: Singles, features: list[Singles], basis: Floats, side: int) -> list[TileFolds]:
     """Folds of the features, without tiles beside the array: dark ones in which next to nothing repeats."""
     folds = fold_tiles(features, basis, side)
     power = np.sum([fold.lattice_power() for fold in folds], axis=0)

@@ -11,21 +11,25 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..lattice.cell import bin_offsets, cell_distances
 from ..lattice.lattice import reduce_basis
+from ..runtime.arrays import Floats, Singles
 from .folding import BINS, CELL_TILES, fold_tiles
-from .settings import DETECTION
 
 __all__ = ["Gaps", "gap_tone", "measure_gaps", "window_likelihood"]
+
+# Contrasts were measured on captures, white images and cameras drawn at random.
+_CLEAR_GAP = 0.25  # weakest gap from which on it proves a lattice; lattices too fine have up to 0.02
+_DARK_GAP = 0.58  # contrast that dark gaps have [standard deviations]: bricks 0.5, arrays 0.6 to 2.4
+_CONTENT = 0.15  # least content of cells over the contrast: weaves 0.13, scenes 0.17
 
 
 class Gaps(NamedTuple):
     """Gaps at the borders of the cells of a lattice."""
 
-    basis: NDArray[np.float64]  # (2, 2) [px] reduced
-    centre: NDArray[np.float64]  # (2,) middle of a cell, in fractional coordinates of `basis`
+    basis: Floats  # (2, 2) [px] reduced
+    centre: Floats  # (2,) middle of a cell, in fractional coordinates of `basis`
     contrast: float  # of the middle of cells over their borders, in standard deviations of the flat
     weakest: float  # 1 - RMS at a border over that in the cells beside it; 1 is a black gap, 0 none
     strongest: float
@@ -33,18 +37,14 @@ class Gaps(NamedTuple):
 
     def lack_some(self) -> bool:
         """Whether some borders have clear gaps and others none: the cells are not those of one lens each."""
-        return self.strongest > DETECTION.clear_gap and self.weakest < 0.1 * self.strongest
+        return self.strongest > _CLEAR_GAP and self.weakest < 0.1 * self.strongest
 
     def prove_lattice(self) -> bool:
         """Whether gaps part all cells from each other, and these have content of their own: an array of lenses."""
-        return (
-            self.weakest >= DETECTION.clear_gap
-            and self.contrast >= DETECTION.dark_gap
-            and self.content >= DETECTION.content
-        )
+        return self.weakest >= _CLEAR_GAP and self.contrast >= _DARK_GAP and self.content >= _CONTENT
 
 
-def window_likelihood(brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int) -> float:
+def window_likelihood(brightness: Singles, basis: Floats, side: int) -> float:
     """Gain in log likelihood [nats per pixel] if each place of a cell has a mean and a variance of its own.
 
     The same window everywhere with content of its own inside: greatest where gaps lie over gaps in all of the flat.
@@ -57,7 +57,7 @@ def window_likelihood(brightness: NDArray[np.float32], basis: NDArray[np.float64
     return float(0.5 * (np.log(whole) - np.log(variance + 0.001 * whole).mean()))
 
 
-def measure_gaps(brightness: NDArray[np.float32], basis: NDArray[np.float64], side: int) -> Gaps:
+def measure_gaps(brightness: Singles, basis: Floats, side: int) -> Gaps:
     """Gaps of a lattice, of which only the `basis` (2, 2) [px] is known.
 
     `brightness` (h, w) is locally normalised; `side` [px] is that of the tiles that are averaged.
@@ -89,14 +89,14 @@ def measure_gaps(brightness: NDArray[np.float32], basis: NDArray[np.float64], si
     return Gaps(basis, centre, contrast, weakest, strongest, content)
 
 
-def gap_tone(light: NDArray[np.float64], gaps: Gaps) -> float:
+def gap_tone(light: Floats, gaps: Gaps) -> float:
     """Light at the borders of the average cell (bins, bins) over that in its middle."""
     shift = np.floor(gaps.centre * BINS).astype(int)[::-1]
     inside, between = (float((light * np.roll(part, shift, (0, 1))).sum()) for part in _cell_parts(gaps.basis))
     return between / max(inside, 1e-30)
 
 
-def _cell_parts(basis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _cell_parts(basis: Floats) -> tuple[Floats, Floats]:
     """Weights (bins, bins) of the middle and of the border of a cell about bin (0, 0), each of sum 1."""
     far, to_border = cell_distances(basis, bin_offsets(basis, BINS, np.array([0.5, 0.5]) / BINS).reshape(-1, 2))
     inradius = to_border.max()
@@ -105,9 +105,7 @@ def _cell_parts(basis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
     return middle, border
 
 
-def _most_symmetric(
-    rms: NDArray[np.float64], near: NDArray[np.float64], basis: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _most_symmetric(rms: Floats, near: Floats, basis: Floats) -> Floats:
     """(2,) fractional coordinates of the centre of a half turn that changes a cell (bins, bins) least, near a bin."""
     bins = len(rms)
     correlation = np.fft.ifft2(np.fft.fft2(rms - rms.mean()) ** 2).real
@@ -117,13 +115,11 @@ def _most_symmetric(
     tried = near + tried[np.hypot(*(tried / bins @ basis).T) < reach]
     # Bins k and m turn into each other about (k + m + 1) / 2.
     turn = np.rint(2 * tried - 1).astype(int) % bins
-    centre: NDArray[np.float64] = tried[correlation[turn[:, 1], turn[:, 0]].argmax()] / bins
+    centre: Floats = tried[correlation[turn[:, 1], turn[:, 0]].argmax()] / bins
     return centre
 
 
-def _border_contrasts(
-    rms: NDArray[np.float64], cells: int, centre: NDArray[np.float64], basis: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _border_contrasts(rms: Floats, cells: int, centre: Floats, basis: Floats) -> Floats:
     """Contrast of every border between neighbours among `cells` x `cells`, as `Gaps.weakest`."""
     first, second = basis
     shorter = np.array([1, -1]) if first @ second > 0 else np.array([1, 1])
@@ -136,7 +132,7 @@ def _border_contrasts(
     inside = grid[np.hypot(*grid.T) <= 1] * reach @ inverse
     places = np.stack(np.meshgrid(*[np.arange(cells)] * 2), -1).reshape(-1, 1, 2) + centre
 
-    def sample(offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sample(offsets: Floats) -> Floats:
         """RMS over points at `offsets` (m, 2) from each centre."""
         bins = np.floor((places + offsets) / cells % 1 * len(rms)).astype(int) % len(rms)
         return np.sqrt((rms[bins[..., 1], bins[..., 0]] ** 2).mean(1))

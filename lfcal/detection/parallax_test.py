@@ -11,15 +11,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..images.preprocessing import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
+from ..runtime.arrays import Floats, Integers, Singles
 from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError
-from .settings import DETECTION
 
 __all__ = ["NeighbourComparison", "check_parallax", "compare_neighbours", "shows_scene"]
+
+_BRIGHT_GAP = 1.25  # most tone of a gap over that of a lens: sheets with holes 2, flattened scenes 1.17
+_TEXTURE_WHITE = 0.03  # contrast inside microimages from which on a white image is a scene
+_TEXTURE_SCENE = 0.012  # and from which on a scene shows something
+_GAIN = 1.3  # least factor by which the right disparity reduces differences: scenes 1.7, patterns 1.2
+# Captures of light-field microscopes and quarters of them have 1.5 to 12; pictures behind meshes and tiles up to 1.3.
+_UNMOVED_GAIN = 1.4  # least factor by which places across a lens differ more than neighbours alike unmoved
 
 
 @dataclass(frozen=True)
@@ -42,12 +48,12 @@ class NeighbourComparison:
         """Whether microimages show more than noise."""
         noise = self.typical_noise if white else self.noise
         # The mean distance of two standard normal values is 1.128.
-        return self.texture > max(_least_texture(white), 2 * noise / 1.128)
+        return self.texture > max((_TEXTURE_WHITE if white else _TEXTURE_SCENE), 2 * noise / 1.128)
 
     def matches(self) -> bool:
         """Whether the disparity reduces differences, without those of noise, by enough."""
         matched = max(self.matched**2 - self.noise**2, 0)
-        return max(min(self.unshifted, self.distant) ** 2 - self.noise**2, 0) >= DETECTION.gain**2 * matched
+        return max(min(self.unshifted, self.distant) ** 2 - self.noise**2, 0) >= _GAIN**2 * matched
 
     def is_alike_unmoved(self) -> bool:
         """Whether neighbours show nearly the same at the same place, as in unfocused cameras, whose `s` is near zero.
@@ -57,10 +63,10 @@ class NeighbourComparison:
         where neighbours do differ, are not typical.
         """
         unmoved = max(self.typical_unshifted**2 - self.noise**2, 0)
-        return self.typical_across**2 - self.noise**2 >= DETECTION.unmoved_gain**2 * unmoved
+        return self.typical_across**2 - self.noise**2 >= _UNMOVED_GAIN**2 * unmoved
 
 
-def check_parallax(picture: NDArray[np.float32], lattice: Lattice, white: bool, single: bool = True) -> bool:
+def check_parallax(picture: Singles, lattice: Lattice, white: bool, single: bool = True) -> bool:
     """Whether neighbours are seen to show the same, shifted, which proves them to be microimages.
 
     False where lenses show next to nothing, noise hides it, or neighbours show nearly the same unmoved, as those of an
@@ -70,15 +76,15 @@ def check_parallax(picture: NDArray[np.float32], lattice: Lattice, white: bool, 
     the lattice is that of the usable part of the microimages. A mean of several scenes, not a `single` one, has more
     than one disparity in one place.
     """
-    found = compare_neighbours(picture, lattice, _least_texture(white))
+    found = compare_neighbours(picture, lattice, (_TEXTURE_WHITE if white else _TEXTURE_SCENE))
     if found is None:
         return False
     every = f"every {lattice.pitch:.1f} px"
-    if found.gap_tone > DETECTION.bright_gap:
+    if found.gap_tone > _BRIGHT_GAP:
         raise CalibrationError(
             f"a pattern with bright lines or dark dots repeats {every}, not microimages; {RAW_FLAT_ADVICE}"
         )
-    if found.tone_spread > max(_least_texture(True), found.texture):
+    if found.tone_spread > max(_TEXTURE_WHITE, found.texture):
         raise CalibrationError(f"tiles of single tones repeat {every}, not microimages; {RAW_FLAT_ADVICE}")
     if not (single and found.has_texture(white)):
         return False
@@ -91,25 +97,19 @@ def check_parallax(picture: NDArray[np.float32], lattice: Lattice, white: bool, 
     )
 
 
-def shows_scene(picture: NDArray[np.float32], lattice: Lattice) -> bool:
+def shows_scene(picture: Singles, lattice: Lattice) -> bool:
     """Whether a flat taken for a white image shows a scene: neighbours are seen to show the same, shifted or unmoved.
 
     `picture` and `lattice` are those of `check_parallax`.
     """
-    found = compare_neighbours(picture, lattice, _least_texture(True))
-    if found is None or not found.texture > _least_texture(True):
+    found = compare_neighbours(picture, lattice, _TEXTURE_WHITE)
+    if found is None or not found.texture > _TEXTURE_WHITE:
         return False
     # Fine texture looks like noise, but noise does not match in neighbours.
     return found.matches() or (found.has_texture(True) and found.is_alike_unmoved())
 
 
-def _least_texture(white: bool) -> float:
-    return DETECTION.texture_white if white else DETECTION.texture_scene
-
-
-def compare_neighbours(
-    picture: NDArray[np.float32], lattice: Lattice, min_texture: float = 0.0
-) -> NeighbourComparison | None:
+def compare_neighbours(picture: Singles, lattice: Lattice, min_texture: float = 0.0) -> NeighbourComparison | None:
     """Compare lenses with their neighbours, as for `check_parallax`; None where there are too few.
 
     Shifts are tried only where microimages have more than `min_texture`, else their figures are NaN.
@@ -149,7 +149,7 @@ def compare_neighbours(
     return NeighbourComparison(tone_spread, texture, gap_tone, *_compare_shifted(picture, centres, near, radius))
 
 
-def _spread(second_difference: NDArray[np.float64], types: NDArray[np.int64]) -> float:
+def _spread(second_difference: Floats, types: Integers) -> float:
     """Robust standard deviation of single values from their second differences (n,), lens types left out.
 
     A second difference does not see a slope of the light.
@@ -161,9 +161,7 @@ def _spread(second_difference: NDArray[np.float64], types: NDArray[np.int64]) ->
     return float(np.sqrt(np.median(left**2) / 0.4549 / 6))
 
 
-def _compare_shifted(
-    picture: NDArray[np.float32], centres: NDArray[np.float64], steps: list[NDArray[np.float64]], radius: float
-) -> tuple[float, ...]:
+def _compare_shifted(picture: Singles, centres: Floats, steps: list[Floats], radius: float) -> tuple[float, ...]:
     """The last seven figures of `NeighbourComparison`, on lines along each of the `steps` to neighbours."""
     samples = 33
     along = np.linspace(-radius, radius, samples)
@@ -201,7 +199,7 @@ def _compare_shifted(
     return tuple(map(float, figures))
 
 
-def _difference(own: NDArray[np.float64], other: NDArray[np.float64], shift: int) -> NDArray[np.float64]:
+def _difference(own: Floats, other: Floats, shift: int) -> Floats:
     """(n,) mean difference of lines of a lens and those of its neighbour, `shift` samples further."""
     samples = own.shape[1]
     shift = int(np.clip(shift, 1 - samples, samples - 1))

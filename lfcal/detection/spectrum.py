@@ -16,20 +16,24 @@ from numpy.typing import NDArray
 
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import reduce_basis
+from ..runtime.arrays import Booleans, Floats, Singles
 from ..runtime.errors import CalibrationError
-from .settings import DETECTION
 
 __all__ = ["Candidate", "find_bases", "is_same_lattice"]
+
+_PROMINENCE = 4.0  # [standard deviations] of the whitened log power from which on there is a peak
+_CLEAR_SUPPORT = 0.3  # of a basis by the spectrum, above which longer periods are not looked for
+_MIN_SUPPORT = 0.1  # below which no pattern repeats
 
 
 class Candidate(NamedTuple):
     """A lattice basis [px of the flat] and how well the spectrum supports it, 0..1."""
 
-    basis: NDArray[np.float64]
+    basis: Floats
     support: float
 
 
-def find_bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
+def find_bases(picture: Singles) -> Iterator[Floats]:
     """Bases to try: the best supported over short and long periods, then others; CalibrationError where there is none.
 
     Detail of a flat scene repeats at another period than that of the lenses, and may have stronger peaks. `picture`
@@ -43,10 +47,10 @@ def find_bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
             break
         spectra.append((log_power, reduction))
         wide.append(_find_candidates(_whiten(log_power, 21), reduction))
-        if wide[-1] and wide[-1][0].support > DETECTION.clear_support:
+        if wide[-1] and wide[-1][0].support > _CLEAR_SUPPORT:
             break
     best = max((found[0] for found in wide if found), key=lambda one: one.support, default=None)
-    if best is None or best.support < DETECTION.min_support:
+    if best is None or best.support < _MIN_SUPPORT:
         raise CalibrationError(
             "no pattern repeats in two directions all over the image; "
             "give a raw flat from the sensor, not a rendered or scaled picture"
@@ -73,14 +77,14 @@ def find_bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
             yield candidate.basis
 
 
-def is_same_lattice(one: NDArray[np.float64], other: NDArray[np.float64], tolerance: float = 0.04) -> bool:
+def is_same_lattice(one: Floats, other: Floats, tolerance: float = 0.04) -> bool:
     """Whether two bases span the same points, to a share of their steps."""
     steps = one @ np.linalg.inv(other)
     whole = np.rint(steps)
     return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < tolerance)
 
 
-def _log_power(picture: NDArray[np.float32], reduction: int) -> NDArray[np.float32] | None:
+def _log_power(picture: Singles, reduction: int) -> Singles | None:
     """(n, n // 2 + 1) mean log power of brightness and edges over a few windows; row n // 2 is zero frequency.
 
     None where the picture, downscaled by the factor `reduction`, which brings long periods into the windows, is too
@@ -104,7 +108,7 @@ def _log_power(picture: NDArray[np.float32], reduction: int) -> NDArray[np.float
     return np.fft.fftshift(log_power / np.float32(2 * len(windows)), axes=0)
 
 
-def _whiten(log_power: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+def _whiten(log_power: Singles, side: int) -> Singles:
     """Log power less its mean in a box of `side` bins, over its spread: its prominence in standard deviations."""
     # Mirror the half plane across zero frequency before averaging: there is no edge at fx = 0.
     margin = min(side, len(log_power) // 4)
@@ -118,11 +122,11 @@ def _whiten(log_power: NDArray[np.float32], side: int) -> NDArray[np.float32]:
     return np.asarray((prominence - middle) / np.float32(spread))
 
 
-def _find_peaks(p: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _find_peaks(p: Singles) -> tuple[Floats, Floats]:
     """Strongest narrow peaks: frequencies (k, 2) [cycles per px], refined within the bin, and prominences (k,)."""
     n = len(p)
     highest = cv2.dilate(p, np.ones((5, 5), np.uint8))
-    y, x = np.nonzero((p >= highest) & (p > DETECTION.prominence))
+    y, x = np.nonzero((p >= highest) & (p > _PROMINENCE))
     fy = y - n // 2
     period = n / np.maximum(np.hypot(x, fy), 1e-9)
     keep = (period >= 2.2) & (period <= n / 4) & ((x > 0) | (fy > 0))
@@ -142,7 +146,7 @@ def _find_peaks(p: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np
     return np.column_stack([x + dx, y - n // 2 + dy]) / n, strength
 
 
-def _reduce_bases(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reduce_bases(pairs: Floats) -> Floats:
     """(m, 2, 2) shortest bases of the lattices that pairs span, shorter vector first (Lagrange-Gauss reduction)."""
     a, b = pairs[:, 0], pairs[:, 1]
     while True:
@@ -154,9 +158,7 @@ def _reduce_bases(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
         b = b - times[:, None] * a
 
 
-def _fit_to_peaks(
-    reciprocal: NDArray[np.float64], peaks: NDArray[np.float64], strength: NDArray[np.float64], size: int
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _fit_to_peaks(reciprocal: Floats, peaks: Floats, strength: Floats, size: int) -> tuple[Floats, Booleans]:
     """Least-squares reciprocal bases (m, 2, 2) through all peaks near their nodes, and a mask (m, k) of those.
 
     Without those whose peaks all lie on one line.
@@ -176,7 +178,7 @@ def _fit_to_peaks(
     return reciprocal, on
 
 
-def _lowest_nodes(reciprocal: NDArray[np.float64], count: int = 12) -> NDArray[np.float64]:
+def _lowest_nodes(reciprocal: Floats, count: int = 12) -> Floats:
     """(m, count, 2) nodes nearest to zero frequency, one of each opposite pair, of reciprocal bases (m, 2, 2)."""
     span = np.arange(-5, 6)
     h, k = (v.ravel() for v in np.meshgrid(span, span))
@@ -186,7 +188,7 @@ def _lowest_nodes(reciprocal: NDArray[np.float64], count: int = 12) -> NDArray[n
     return np.take_along_axis(nodes, order[..., None], axis=1)
 
 
-def _find_candidates(prominence: NDArray[np.float32], reduction: int) -> list[Candidate]:
+def _find_candidates(prominence: Singles, reduction: int) -> list[Candidate]:
     """Lattices whose harmonics explain the peaks, six at most, best supported first.
 
     Support is the share of peaks on the nodes of the candidate (a fraction of the true period misses most) times
@@ -196,7 +198,12 @@ def _find_candidates(prominence: NDArray[np.float32], reduction: int) -> list[Ca
     if len(peaks) < 3:
         return []
     n = len(prominence)
-    reciprocal = _reduce_bases(_peak_pairs(peaks))
+    # Pairs of peaks, not nearly parallel, of the strongest ones and those of the lowest frequencies.
+    by_period = np.argsort(np.hypot(*peaks.T), kind="stable")[:10].tolist()
+    chosen = dict.fromkeys([*range(min(10, len(peaks))), *by_period])
+    pairs = peaks[np.array(list(combinations(chosen, 2)))]
+    lengths = np.hypot(pairs[..., 0], pairs[..., 1])
+    reciprocal = _reduce_bases(pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]])
     lengths = np.hypot(reciprocal[..., 0], reciprocal[..., 1])
     # Periods of four pixels to a quarter of the window: shorter ones leave nothing to see in a microimage.
     possible = (lengths.min(1) * n >= 4 * 0.9) & (lengths.max(1) <= 1 / (4 * np.sqrt(0.75)))
@@ -209,7 +216,10 @@ def _find_candidates(prominence: NDArray[np.float32], reduction: int) -> list[Ca
     covered = np.maximum(0.0, (on_node @ strength**2 / (strength**2).sum() - chance) / (1 - chance))
     nodes = _lowest_nodes(reciprocal)
     near = np.abs(nodes).max(2) < 0.45
-    occupied = _is_peak(prominence, nodes) & near
+    highest = cv2.dilate(prominence, np.ones((3, 3), np.uint8))
+    x, y = np.moveaxis(np.rint(nodes * np.where(nodes[..., :1] < 0, -1, 1) * n).astype(int), -1, 0)
+    peak = highest[(y + n // 2) % n, x.clip(0, highest.shape[1] - 1)] > _PROMINENCE
+    occupied = peak & near
     support = np.where(near.sum(1) >= 3, covered * occupied.sum(1) / np.maximum(near.sum(1), 1), 0.0)
     distinct: list[Candidate] = []
     for best in np.argsort(-support, kind="stable").tolist():
@@ -219,20 +229,3 @@ def _find_candidates(prominence: NDArray[np.float32], reduction: int) -> list[Ca
         if len(distinct) == 6:
             break
     return distinct
-
-
-def _is_peak(prominence: NDArray[np.float32], nodes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(m, k) whether there is a peak within a bin of each of the `nodes` (m, k, 2) [cycles per px]."""
-    size, columns = prominence.shape
-    highest = cv2.dilate(prominence, np.ones((3, 3), np.uint8))
-    x, y = np.moveaxis(np.rint(nodes * np.where(nodes[..., :1] < 0, -1, 1) * size).astype(int), -1, 0)
-    return np.asarray(highest[(y + size // 2) % size, x.clip(0, columns - 1)] > DETECTION.prominence)
-
-
-def _peak_pairs(peaks: NDArray[np.float64], seeds: int = 10) -> NDArray[np.float64]:
-    """(m, 2, 2) pairs of peaks, not nearly parallel, of the strongest ones and those of the lowest frequencies."""
-    by_period = np.argsort(np.hypot(*peaks.T), kind="stable")[:seeds]
-    chosen = list(dict.fromkeys([*range(min(seeds, len(peaks))), *by_period.tolist()]))
-    pairs = peaks[np.array(list(combinations(chosen, 2)))]
-    lengths = np.hypot(pairs[..., 0], pairs[..., 1])
-    return pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]]

@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 
 from ..lattice.lattice import reduce_basis
 from ..lattice.robust_fit import field_rms, fit_affine
+from ..runtime.arrays import Floats, Integers
 from .folding import TileFolds
 
 __all__ = ["HarmonicFit", "finer_bases", "fit_harmonics", "has_run_away", "refine_basis", "similar_bases"]
 
 
-def has_run_away(refined: NDArray[np.float64], basis: NDArray[np.float64]) -> bool:
+def has_run_away(refined: Floats, basis: Floats) -> bool:
     """Whether a refinement has changed a basis (2, 2) by more than a twentieth; right ones move by a thousandth."""
     return not np.abs(refined @ np.linalg.inv(basis) - np.eye(2)).max() < 0.05
 
 
-def refine_basis(folds: list[TileFolds]) -> NDArray[np.float64]:
+def refine_basis(folds: list[TileFolds]) -> Floats:
     """Basis (2, 2) [px] that makes the tiles of all features, on the same tiles and basis, coherent."""
     first = folds[0]
     rows, columns = first.grid
@@ -36,7 +37,20 @@ def refine_basis(folds: list[TileFolds]) -> NDArray[np.float64]:
     beside, below = centre[min(1, columns - 1), 0], centre[min(columns, len(centre) - 1), 1]
     spacing = np.array([beside - centre[0, 0] or 1.0, below - centre[0, 1] or 1.0])
     spectra = [fold.harmonics for fold in folds]
-    chosen = _strongest(spectra)
+    # The eight strongest low harmonics, one of each opposite pair.
+    limit = min(4, first.bins // 4)
+    energies = [(np.abs(spectrum) ** 2).sum(0) for spectrum in spectra]
+    ranked = sorted(
+        (
+            (float(energy[k, h] / (energy.sum() + 1e-30)), feature, h, k)
+            for feature, energy in enumerate(energies)
+            for h in range(limit + 1)
+            for k in range(-limit, limit + 1)
+            if h > 0 or k > 0
+        ),
+        reverse=True,
+    )
+    chosen = [place for _, *place in ranked[:8]]
     index = np.array([(h, k) for _, h, k in chosen], dtype=np.float64)
     # Nearly unit amplitude: the scene decides how strong a tile is, the lattice only its phase.
     fields = []
@@ -51,7 +65,7 @@ def refine_basis(folds: list[TileFolds]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.inv(np.linalg.inv(first.basis).T + change).T)
 
 
-def finer_bases(basis: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def finer_bases(basis: Floats) -> list[Floats]:
     """Bases (2, 2) [px] of all lattices of which each cell of `basis` holds two or three cells."""
     a, b = basis
     halves = [np.array(pair) for pair in ((a / 2, b), (a, b / 2), ((a + b) / 2, b))]
@@ -59,7 +73,7 @@ def finer_bases(basis: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return [reduce_basis(one) for one in (*thirds, *halves)]
 
 
-def similar_bases(refined: NDArray[np.float64], start: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def similar_bases(refined: Floats, start: Floats) -> list[Floats]:
     """Bases near a refined one: of the cells of `start`, and regular ones."""
     a, b = refined = reduce_basis(refined)
     found = [np.rint(6 * refined @ np.linalg.inv(start)) / 6 @ start]
@@ -70,23 +84,7 @@ def similar_bases(refined: NDArray[np.float64], start: NDArray[np.float64]) -> l
     return [one for one in found if not has_run_away(one, refined)]
 
 
-def _strongest(spectra: list[NDArray[np.complex64]], count: int = 8) -> list[tuple[int, int, int]]:
-    """Feature and harmonic `(feature, h, k)` of the strongest coefficients, one of each opposite pair."""
-    bins = spectra[0].shape[1]
-    limit = min(4, bins // 4)
-    found = []
-    for feature, spectrum in enumerate(spectra):
-        energy = (np.abs(spectrum) ** 2).sum(0)
-        scale = energy.sum() + 1e-30
-        for h in range(limit + 1):
-            for k in range(-limit, limit + 1):
-                if h > 0 or k > 0:
-                    found.append((float(energy[k, h] / scale), feature, h, k))
-    found.sort(reverse=True)
-    return [(feature, h, k) for _, feature, h, k in found[:count]]
-
-
-def _fringe(field: NDArray[np.complex64], spacing: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def _fringe(field: NDArray[np.complex64], spacing: Floats) -> tuple[Floats, float]:
     """Frequency (2,) [cycles per px] of the strongest fringe on the tile grid, and its share of the energy."""
     # A quarter of a fringe is enough for the local search.
     shape = tuple(max(8, 4 * n) for n in field.shape)
@@ -96,16 +94,14 @@ def _fringe(field: NDArray[np.complex64], spacing: NDArray[np.float64]) -> tuple
     return frequency, float(power[y, x] / max((np.abs(field) ** 2).sum() * field.size, 1e-30))
 
 
-def _maximise_coherence(
-    stack: NDArray[np.complex64], index: NDArray[np.float64], offset: NDArray[np.float64], start: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _maximise_coherence(stack: NDArray[np.complex64], index: Floats, offset: Floats, start: Floats) -> Floats:
     """Change (2, 2) of the reciprocal basis at which the fields (m, t) of tiles at `offset` (t, 2) agree best."""
     import nlopt
 
     reach = np.abs(offset).max() + 1.0
     norm = max(float((np.abs(stack) ** 2).sum() * stack.shape[1]), 1e-30)
 
-    def energy(parameters: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+    def energy(parameters: Floats, gradient: Floats) -> float:
         phase = (index @ (parameters.reshape(2, 2) / reach)) @ offset.T
         sums = (stack * np.exp(-2j * np.pi * phase)).sum(1)
         return float((np.abs(sums) ** 2).sum() / norm)
@@ -124,13 +120,13 @@ def _maximise_coherence(
 class HarmonicFit:
     """Lattice through all tiles."""
 
-    origin: NDArray[np.float64]  # (2,) [px]
-    basis: NDArray[np.float64]  # (2, 2) [px]
+    origin: Floats  # (2,) [px]
+    basis: Floats  # (2, 2) [px]
     # [px] RMS distance over the flat of lattices of two halves of the tiles; infinite if these are too few
     half_difference: float
 
 
-def fit_harmonics(folds: list[TileFolds], origin: NDArray[np.float64]) -> HarmonicFit:
+def fit_harmonics(folds: list[TileFolds], origin: Floats) -> HarmonicFit:
     """Refine a basis, right to a fraction of the pitch, and a microimage centre `origin` (2,) [px] by folded tiles."""
     first = folds[0]
     basis, centre = first.basis, first.centre
@@ -161,9 +157,7 @@ def fit_harmonics(folds: list[TileFolds], origin: NDArray[np.float64]) -> Harmon
     return HarmonicFit(origin + total[0], basis + basis @ (total[1:] / reach), half_difference)
 
 
-def _coefficients(
-    folds: list[TileFolds], origin: NDArray[np.float64]
-) -> tuple[NDArray[np.complex128], NDArray[np.int64]]:
+def _coefficients(folds: list[TileFolds], origin: Floats) -> tuple[NDArray[np.complex128], Integers]:
     """Coefficients (t, m) relative to `origin`, bounded in size, and their harmonics (m, 2)."""
     # Finer harmonics are aliases of coarser ones, or the colour mosaic.
     highest = max(1, min(folds[0].harmonics.shape[2] - 1, int(np.hypot(*folds[0].basis.T).min() / 2.2)))
@@ -182,9 +176,7 @@ def _coefficients(
     return np.concatenate(parts, axis=1).astype(np.complex128), np.concatenate([index] * len(folds))
 
 
-def _tile_shifts(
-    field: NDArray[np.complex128], index: NDArray[np.int64], weight: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
+def _tile_shifts(field: NDArray[np.complex128], index: Integers, weight: Floats) -> Floats | None:
     """(t, 2) shift of each tile against the mean of all [cells]; None where no two directions are significant."""
     share = weight[:, None] / max(weight.sum(), 1e-12)
     mean = (share * field.real).sum(0)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
-from ..runtime.arrays import Frozen
+from ..runtime.arrays import Floats, Frozen
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, check_type
 
 __all__ = ["REGIONS", "LatticeDifference", "compare"]
@@ -46,11 +45,11 @@ class LatticeDifference(Frozen):
 
     rms: float
     max: float
-    mean_shift: NDArray[np.float64]
+    mean_shift: Floats
     scale: float
     rotation_degrees: float
-    positions: NDArray[np.float64]
-    field: NDArray[np.float64]
+    positions: Floats
+    field: Floats
 
 
 def compare(a: Calibration, b: Calibration) -> LatticeDifference:
@@ -83,7 +82,7 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     centres = first.centres()
     anchor = np.rint(np.median(second.to_index(centres) - first.indices() @ same, axis=0))
 
-    def difference(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def difference(places: Floats) -> Floats:
         return (first.to_index(places) @ same + anchor - second.to_index(places)) @ second.basis
 
     offset = difference(centres)

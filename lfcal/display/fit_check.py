@@ -11,15 +11,14 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..camera.calibration import Calibration
-from ..lattice.lattice import Lattice
-from ..lattice.orientation import describe_orientation
-from ..runtime.arrays import Frozen
+from ..lattice.lattice import Lattice, describe_orientation
+from ..runtime.arrays import Array, Floats, Frozen, Singles
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, CameraFileError, FlatError, check_type
 from .compare import REGIONS
 
@@ -50,8 +49,8 @@ class FitCheck(Frozen):
     0.0
     """
 
-    positions: NDArray[np.float64]
-    offset: NDArray[np.float64]
+    positions: Floats
+    offset: Floats
     pitch: float
 
     @property
@@ -209,7 +208,7 @@ def _describe_other(given: Lattice, found: Lattice, factor: int) -> str:
     )
 
 
-def _find_type_conflict(calibration: Calibration, flat: NDArray[Any]) -> str | None:
+def _find_type_conflict(calibration: Calibration, flat: Array) -> str | None:
     """Why the lens types of a camera are not those of a flat: by the light at their rims, and by their sharpness."""
     from ..images.preprocessing import sqrt_luminance
     from ..lens_types.type_check import find_rim_conflict, find_type_conflict
@@ -227,9 +226,9 @@ def _find_type_conflict(calibration: Calibration, flat: NDArray[Any]) -> str | N
 
 
 class _Reduced(NamedTuple):
-    flat: NDArray[Any]  # without its mosaic
+    flat: Array  # without its mosaic
     factor: int  # side of the blocks that it is reduced by
-    picture: NDArray[np.float32]  # root of its luminance then
+    picture: Singles  # root of its luminance then
 
 
 def _prepare(calibration: Calibration, image: ArrayLike) -> _Reduced:
@@ -250,7 +249,7 @@ def _prepare(calibration: Calibration, image: ArrayLike) -> _Reduced:
     return _Reduced(flat, factor, _reduce(flat, factor))
 
 
-def _reduce(flat: NDArray[Any], factor: int) -> NDArray[np.float32]:
+def _reduce(flat: Array, factor: int) -> Singles:
     """Root of the luminance (h, w) of a flat, of blocks of `factor` x `factor` pixels."""
     from ..images.preprocessing import sqrt_luminance
 
@@ -267,8 +266,8 @@ def _reduce(flat: NDArray[Any], factor: int) -> NDArray[np.float32]:
 class _Misfit(NamedTuple):
     """A found lattice against the given one: at `p`, centres are `shift + (p - middle) @ linear` [px] further."""
 
-    shift: NDArray[np.float64]  # (2,) [px] in the middle of the flat, to the nearest
-    linear: NDArray[np.float64]  # (2, 2)
+    shift: Floats  # (2,) [px] in the middle of the flat, to the nearest
+    linear: Floats  # (2, 2)
     given: Lattice
 
     @classmethod
@@ -305,7 +304,7 @@ def _compare(reduced: _Reduced, given: Lattice) -> tuple[Lattice | None, _Misfit
     if given.distortion is not None:
         index = given.indices()[:: max(1, len(given) // 4000)]
         design = np.column_stack([np.ones(len(index)), index])
-        line: NDArray[Any] = np.linalg.lstsq(design, given.points(index), rcond=None)[0]
+        line: Array = np.linalg.lstsq(design, given.points(index), rcond=None)[0]
         given = Lattice(line[0], line[1:], given.image_size, given.radius)
     small, first = given.downscaled(reduced.factor), None
     with suppress(CalibrationError, np.linalg.LinAlgError):
@@ -317,7 +316,7 @@ def _compare(reduced: _Reduced, given: Lattice) -> tuple[Lattice | None, _Misfit
     return first, None
 
 
-def _find_lattices(picture: NDArray[np.float32], given: Lattice) -> Iterator[Lattice]:
+def _find_lattices(picture: Singles, given: Lattice) -> Iterator[Lattice]:
     """Lattices on a picture: at the basis of the given one, and where that is not there, of the spectrum."""
     from ..detection.first_lattice import find_first_lattice, find_first_lattices
 
@@ -350,9 +349,7 @@ def _fit_offsets(
     return FitCheck(positions, offset, lattice.pitch)
 
 
-def _measure(
-    picture: NDArray[np.float32], given: Lattice, start: Lattice, positions: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _measure(picture: Singles, given: Lattice, start: Lattice, positions: Floats) -> Floats:
     """(3, 3, 2) offsets [px] of the lattice on a picture from the given one; NaN where its halves do not agree."""
     from ..images.preprocessing import edge_strength, normalise_locally
     from ..scene_fit.fit import fit_scene

@@ -11,7 +11,8 @@ from ..camera.calibration import Calibration
 from ..camera.plotting import draw_circles, draw_lenses, plot_falloff, plot_gain, plot_residuals
 from ..hough.circle_vote import find_circles
 from ..images.preprocessing import sqrt_luminance
-from ..lattice.orientation import describe_orientation
+from ..lattice.lattice import describe_orientation
+from ..runtime.arrays import Array, Floats
 from .fit_check import FitCheck, check_fit
 
 __all__ = ["PlaceToCheck", "find_places_to_check", "show"]
@@ -20,9 +21,9 @@ __all__ = ["PlaceToCheck", "find_places_to_check", "show"]
 class PlaceToCheck(NamedTuple):
     """A place on a flat, and what to look at there."""
 
-    position: NDArray[np.float64]  # (2,) [px]
+    position: Floats  # (2,) [px]
     sentence: str
-    circles: NDArray[np.float64]  # (n, 3) x, y and radius [px] of circles found without the lattice; none if (0, 3)
+    circles: Floats  # (n, 3) x, y and radius [px] of circles found without the lattice; none if (0, 3)
 
 
 def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
@@ -73,7 +74,7 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     return np.array(canvas.buffer_rgba())[..., :3]
 
 
-def find_places_to_check(calibration: Calibration, flat: NDArray[Any]) -> list[PlaceToCheck]:
+def find_places_to_check(calibration: Calibration, flat: Array) -> list[PlaceToCheck]:
     """Places on a flat (h, w) or (h, w, 3) of the size of the calibration, the most telling one first.
 
     The circle by Hough vote, and the lens measured alone, that lies farthest from the lattice.
@@ -119,12 +120,7 @@ def _describe(calibration: Calibration, fit: FitCheck) -> str:
 
 
 def _draw_crop(
-    axes: Any,
-    calibration: Calibration,
-    flat: NDArray[Any],
-    middle: NDArray[Any],
-    reach: float,
-    places: list[PlaceToCheck],
+    axes: Any, calibration: Calibration, flat: Array, middle: Array, reach: float, places: list[PlaceToCheck]
 ) -> None:
     """Crop of the flat, `reach` [px] wide around `middle` (2,), with centres, usable circles and defects."""
     from matplotlib.patheffects import withStroke
@@ -136,7 +132,7 @@ def _draw_crop(
     axes.imshow(crop, extent=extent, interpolation="bicubic")
     axes.set(xlim=(left, right), ylim=(bottom, top))
 
-    def near(positions: NDArray[Any]) -> Any:
+    def near(positions: Array) -> Any:
         return (np.abs(positions - middle) < reach / 2 + calibration.lattice.pitch).all(1)
 
     # A dark line below a light one is visible on any background.
@@ -164,7 +160,7 @@ def _draw_misfit(axes: Any, calibration: Calibration, fit: FitCheck) -> None:
     axes.margins(0.1)
 
 
-def _stretch_contrast(crop: NDArray[Any]) -> NDArray[np.uint8]:
+def _stretch_contrast(crop: Array) -> NDArray[np.uint8]:
     """A crop of a flat as RGB (h, w, 3), its darkest and brightest percent black and white."""
     values = np.nan_to_num(crop.astype(np.float32)).reshape(*crop.shape[:2], -1)
     low, high = np.percentile(values, (1, 99))

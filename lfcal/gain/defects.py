@@ -39,8 +39,7 @@ class Defects(Frozen):
             values = np.array(getattr(self, name), dtype=np.int32)
             if values.ndim != 2 or values.shape[1] != 2:
                 raise ValueError(f"{name} of defects must be of shape (k, 2), got {values.shape}")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+            self._set(**{name: values})
 
     def to_dict(self) -> dict[str, Any]:
         """Two encoded arrays."""

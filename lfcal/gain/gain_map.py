@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from ..runtime.arrays import Frozen, decode_array, encode_array
+from ..runtime.arrays import Array, Floats, Frozen, Integers, Singles, decode_array, encode_array
 from .kernel import RIM_START, Shape, evaluate_light
 
 __all__ = ["GainMap", "count_terms", "field_monomials", "field_place", "nearest_half"]
@@ -64,16 +64,16 @@ class GainMap(Frozen):
     ((300, 400), 0.25)
     """
 
-    profile: NDArray[np.float64]
+    profile: Floats
     step: float
     radius: float
-    level: NDArray[np.float64]
-    lens_gain: NDArray[np.float32]
-    shading: NDArray[np.float64]
-    rim: NDArray[np.float64]
-    cut: NDArray[np.float64]
+    level: Floats
+    lens_gain: Singles
+    shading: Floats
+    rim: Floats
+    cut: Floats
     stray_light: float = 0.0
-    type_light: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    type_light: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     type_cell: NDArray[np.int8] = field(default_factory=lambda: np.zeros((0, 0), np.int8))
 
     def __post_init__(self) -> None:
@@ -82,10 +82,12 @@ class GainMap(Frozen):
             ("shading", np.float64, 2), ("rim", np.float64, 2), ("cut", np.float64, 1),
             ("type_light", np.float64, 2), ("type_cell", np.int8, 2),
         ):  # fmt: skip
-            object.__setattr__(self, name, _readonly(getattr(self, name), kind, dimensions, name))
+            values: Array = np.array(getattr(self, name), dtype=kind)
+            if values.ndim != dimensions or not np.isfinite(values).all():
+                raise ValueError(f"{name} must be a finite array of {dimensions} dimension(s)")
+            self._set(**{name: values})
         numbers = {name: float(getattr(self, name)) for name in ("step", "radius", "stray_light")}
-        for name, value in numbers.items():
-            object.__setattr__(self, name, value)
+        self._set(**numbers)
         if not (np.isfinite(list(numbers.values())).all() and self.step > 0 and self.radius > 0):
             raise ValueError("step and radius of a gain map must be positive numbers of px, stray_light finite")
         sizes = {count_terms(degree) for degree in range(9)}
@@ -105,11 +107,11 @@ class GainMap(Frozen):
         none = np.zeros(0, np.float32)
         return cls(profile, step, radius, np.zeros(1), none, np.zeros((5, 1)), np.zeros((1, 1)), np.array(cut))
 
-    def light(self, centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+    def light(self, centres: Floats, lattice: Lattice) -> Floats:
         """(n,) light of lenses at centres (n, 2) [px] by the polynomial of the field."""
         return np.exp(field_monomials(centres, lattice, len(self.level)) @ self.level)
 
-    def describe(self, centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+    def describe(self, centres: Floats, lattice: Lattice) -> Floats:
         """(n, s) lenses at centres (n, 2) [px] as kernels take them: see `kernel`."""
         lenses = np.zeros((len(centres), RIM_START + len(self.rim)))
         unit = np.array([1.0, 1, 2, 2, 2])
@@ -127,7 +129,7 @@ class GainMap(Frozen):
         cut[5] = self.stray_light
         return Shape(self.profile, self.step, cut)
 
-    def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
+    def usable_radius(self, lattice: Lattice) -> Floats:
         """(n,) largest distance [px] within which a lens has half its light in every direction; 0 if it is unlit."""
         limit = nearest_half(lattice)
         lenses, least = self.describe(lattice.centres(), lattice), np.full(len(lattice), limit)
@@ -141,7 +143,7 @@ class GainMap(Frozen):
             least[part] = np.clip(np.where(light[..., 0] < 0.5, 0, crossed).min(1), 0, limit)
         return np.where(self.lens_gain == 0, 0, least) if len(self.lens_gain) else least
 
-    def evaluate(self, lenses: NDArray[np.float64], lens: NDArray[np.int64], x: Any, y: Any) -> NDArray[np.float64]:
+    def evaluate(self, lenses: Floats, lens: Integers, x: Any, y: Any) -> Floats:
         """(3, p) at places `x, y` (p,) [px] from the centres of described lenses, in rows `lens` (p,).
 
         Relative light, distance on the profile [px], share that the cutting disc leaves.
@@ -150,7 +152,7 @@ class GainMap(Frozen):
         evaluate_light(lens, x, y, lenses, self.shape, out)
         return out
 
-    def sample(self, lenses: NDArray[np.float64], rings: int) -> NDArray[np.float64]:
+    def sample(self, lenses: Floats, rings: int) -> Floats:
         """(n, 32, rings) light of described lenses in 32 directions at distances `0, step, ...`."""
         lens, direction, ring = np.indices((len(lenses), 32, rings)).reshape(3, -1)
         angle = direction * (2 * np.pi / 32)
@@ -158,34 +160,27 @@ class GainMap(Frozen):
         return self.evaluate(lenses, lens, x, y)[0].reshape(-1, 32, rings)
 
     @property
-    def profiles(self) -> NDArray[np.float64]:
+    def profiles(self) -> Floats:
         """(t, k) profile of each type of lens; (1, k) where they do not differ."""
         profiles = self.profile * self.type_light if self.type_light.size else self.profile[None]
         # As the profile itself: for writable arrays, kernels are compiled anew.
         profiles.flags.writeable = False
         return profiles
 
-    def type_rims(self, radius: float) -> NDArray[np.float64]:
+    def type_rims(self, radius: float) -> Floats:
         """(t, k) `type_light` at those rings within `radius` [px] that lie before the middle of the rim."""
         inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > 0.75)
         return self.type_light[:, inside]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings; `profile` and `lens_gain` as encoded arrays."""
+        light, cell = encode_array(self.type_light.astype("<f4")), self.type_cell.tolist()
         return {
-            "profile": encode_array(self.profile.astype("<f4")),
-            "step": self.step,
-            "radius": self.radius,
-            "level": self.level.tolist(),
-            "own": encode_array(self.lens_gain.astype("<f2")),
-            "shade": self.shading.tolist(),
-            "rim": self.rim.tolist(),
-            "cut": self.cut.tolist(),
-            "dark": self.stray_light,
-            "types": {"cell": self.type_cell.tolist(), "light": encode_array(self.type_light.astype("<f4"))}
-            if self.type_light.size
-            else None,
-        }
+            "profile": encode_array(self.profile.astype("<f4")), "step": self.step, "radius": self.radius,
+            "level": self.level.tolist(), "own": encode_array(self.lens_gain.astype("<f2")),
+            "shade": self.shading.tolist(), "rim": self.rim.tolist(), "cut": self.cut.tolist(),
+            "dark": self.stray_light, "types": {"cell": cell, "light": light} if self.type_light.size else None,
+        }  # fmt: skip
 
     @classmethod
     def from_dict(cls, data: Any) -> GainMap:
@@ -210,22 +205,14 @@ def nearest_half(lattice: Lattice) -> float:
     return float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
 
 
-def field_place(points: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+def field_place(points: Floats, lattice: Lattice) -> Floats:
     """(n, 2) flat positions [px] from the middle of the flat, in half diagonals."""
     size = np.array(lattice.image_size)
     return np.asarray((points - (size - 1) / 2) / (np.hypot(*size) / 2))
 
 
-def field_monomials(points: NDArray[np.float64], lattice: Lattice, terms: int) -> NDArray[np.float64]:
+def field_monomials(points: Floats, lattice: Lattice, terms: int) -> Floats:
     """(n, terms) `1, X, Y, X^2, X*Y, Y^2, ...` at flat positions (n, 2) [px]."""
     degree = next(degree for degree in range(99) if count_terms(degree) >= terms)
     xs, ys = (np.vander(v, degree + 1, increasing=True) for v in field_place(points, lattice).T)
     return np.column_stack([xs[:, d - b] * ys[:, b] for d in range(degree + 1) for b in range(d + 1)])
-
-
-def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[Any]:
-    array: NDArray[Any] = np.array(values, dtype=kind)
-    if array.ndim != dimensions or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be a finite array of {dimensions} dimension(s)")
-    array.flags.writeable = False
-    return array

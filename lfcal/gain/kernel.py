@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Floats
 from ..runtime.kernels import kernel
 
 __all__ = ["RIM_START", "Shape", "evaluate_light", "flatten_rows", "relative_light"]
@@ -23,9 +22,9 @@ RIM_START = 7
 class Shape(NamedTuple):
     """What the microimages of a flat have in common."""
 
-    profile: NDArray[np.float64]  # (k,)
+    profile: Floats  # (k,)
     step: float  # [px]
-    cut: NDArray[np.float64]  # (6,) `GainMap.cut`, 0 if there is no cutting disc, and `GainMap.stray_light`
+    cut: Floats  # (6,) `GainMap.cut`, 0 if there is no cutting disc, and `GainMap.stray_light`
 
 
 @njit(error_model="numpy", inline="always")

@@ -7,13 +7,14 @@ to search for its lens.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
+from ..runtime.arrays import Array, Booleans, Floats, Integers, Singles
 from ..runtime.kernels import kernel
 from .gain_map import GainMap
 from .kernel import flatten_rows, relative_light
@@ -33,14 +34,14 @@ class RegionGain:
     def __init__(self, gain_map: GainMap, lattice: Lattice) -> None:
         self._model = _make_row_tables(lattice, gain_map), gain_map.shape, gain_map.profiles
 
-    def at(self, left: int, top: int, width: int, height: int, least_light: float = 0.25) -> NDArray[np.float32]:
+    def at(self, left: int, top: int, width: int, height: int, least_light: float = 0.25) -> Singles:
         """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is below `least_light` of
         the light of the lens: mostly noise and stray light."""
         out = np.empty((height, width), np.float32)
         _fill_gain(out, top, left, least_light, *self._model)
         return out
 
-    def flatten(self, pixels: NDArray[Any], left: int = 0, top: int = 0) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    def flatten(self, pixels: Array, left: int = 0, top: int = 0) -> tuple[Array, Booleans]:
         """Divide a region of a flat by its gain.
 
         Parameters
@@ -71,12 +72,12 @@ class RegionGain:
 class _RowTables(NamedTuple):
     """Tables for going from lens to lens along the rows of a flat."""
 
-    centres: NDArray[np.float64]  # (b, a, 2) [px] of all lenses on the flat and some around it, by lattice index
-    light: NDArray[np.float64]  # (b, a) of each lens
-    lenses: NDArray[np.float32]  # (b, a, s) their descriptions
+    centres: Floats  # (b, a, 2) [px] of all lenses on the flat and some around it, by lattice index
+    light: Floats  # (b, a) of each lens
+    lenses: Singles  # (b, a, s) their descriptions
     types: NDArray[np.int8]  # (b, a) 0 where they do not differ
-    starts: NDArray[np.int64]  # (h, 2) column and row, here, of a lens near the first pixel of each row of the flat
-    ahead: NDArray[np.int64]  # (k, 2) steps, here, to the neighbours of a lens that may follow it in a row
+    starts: Integers  # (h, 2) column and row, here, of a lens near the first pixel of each row of the flat
+    ahead: Integers  # (k, 2) steps, here, to the neighbours of a lens that may follow it in a row
 
 
 def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..runtime.arrays import Frozen
+from ..runtime.arrays import Floats, Frozen
 
 __all__ = ["Vignetting"]
 
@@ -29,7 +29,7 @@ class Vignetting(Frozen):
     array([0.95, 0.7 ])
     """
 
-    profile: NDArray[np.float64]
+    profile: Floats
     step: float
 
     def __post_init__(self) -> None:
@@ -38,10 +38,8 @@ class Vignetting(Frozen):
             raise ValueError("profile must be a finite 1D array with at least two samples")
         if not (np.isfinite(self.step) and self.step > 0):
             raise ValueError(f"step must be a positive number of px, got {self.step!r}")
-        profile.flags.writeable = False
-        object.__setattr__(self, "profile", profile)
-        object.__setattr__(self, "step", float(self.step))
+        self._set(profile=profile, step=float(self.step))
 
-    def at(self, radius: ArrayLike) -> NDArray[np.float64]:
+    def at(self, radius: ArrayLike) -> Floats:
         """Relative illumination at distances `radius` [px] from the microimage centre."""
         return np.interp(np.asarray(radius, dtype=np.float64), np.arange(len(self.profile)) * self.step, self.profile)

@@ -11,10 +11,10 @@ from itertools import combinations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..images.preprocessing import normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
+from ..runtime.arrays import Floats, Singles
 
 __all__ = ["Circles", "find_circles", "find_shifted", "propose_basis"]
 
@@ -23,8 +23,8 @@ __all__ = ["Circles", "find_circles", "find_shifted", "propose_basis"]
 class Circles:
     """Circles found."""
 
-    centres: NDArray[np.float64]  # (n, 2) [px]
-    radii: NDArray[np.float64]  # (n,) [px]
+    centres: Floats  # (n, 2) [px]
+    radii: Floats  # (n,) [px]
 
     def agreement(self, lattice: Lattice) -> float:
         """Share of the circles that lie on the lattice, 0..1, beyond what chance puts there; NaN for too few circles.
@@ -41,7 +41,7 @@ class Circles:
         return (share - chance) / (1 - chance)
 
 
-def find_circles(picture: NDArray[np.float32], pitch: float) -> Circles:
+def find_circles(picture: Singles, pitch: float) -> Circles:
     """Circles as large as microimages of a `pitch` [px], about, in the middle of a picture (h, w)."""
     height, width = picture.shape
     side = min(max(int(30 * pitch), 64), height, width)
@@ -70,7 +70,7 @@ def find_shifted(circles: Circles, lattice: Lattice) -> float:
     return max(Circles(circles.centres - shift @ lattice.basis, circles.radii).agreement(lattice) for shift in shifts)
 
 
-def propose_basis(picture: NDArray[np.float32], pitch: float) -> NDArray[np.float64] | None:
+def propose_basis(picture: Singles, pitch: float) -> Floats | None:
     """Basis (2, 2) [px] of the two most frequent steps between circles of about this pitch; None if none stand out."""
     centres = find_circles(picture, pitch).centres
     if len(centres) < 20:
@@ -99,7 +99,7 @@ def propose_basis(picture: NDArray[np.float32], pitch: float) -> NDArray[np.floa
     return None
 
 
-def _refine(basis: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _refine(basis: Floats, steps: Floats) -> Floats:
     """A basis (2, 2) [px] fitted to longer and longer ones of the `steps` (n, 2) [px] between circles."""
     for reach in (1, 2, 3, 4):
         index = np.rint(steps @ np.linalg.inv(basis))

@@ -8,11 +8,11 @@ defect also differs from the residuals at the same place of the nearest lenses b
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..gain.defects import Defects
 from ..gain.rows import RegionGain
 from ..lattice.lattice import Lattice
+from ..runtime.arrays import Booleans, Integers, Singles
 from .lens_light import LensLights
 
 __all__ = ["find_defects"]
@@ -25,7 +25,7 @@ _LEVELS = 32
 _SIGNIFICANT = 6.0
 
 
-def find_defects(picture: NDArray[np.float32], lattice: Lattice, lights: LensLights) -> tuple[Defects, float]:
+def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tuple[Defects, float]:
     """Defects of a white image, and the share of the pixels of lit lenses that differ from the gain map of `lights`.
 
     `picture` (h, w) is the square root of the luminance.
@@ -60,9 +60,7 @@ def find_defects(picture: NDArray[np.float32], lattice: Lattice, lights: LensLig
     return Defects(pixels, unlit), float(outside.sum() / max(np.isfinite(residual).sum(), 1))
 
 
-def _compute_residuals(
-    picture: NDArray[np.float32], lattice: Lattice, lights: LensLights
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _compute_residuals(picture: Singles, lattice: Lattice, lights: LensLights) -> tuple[Singles, Singles]:
     """(h, w) pixels less the map, in standard deviations of those that should be as bright; and clipped, of mean 0.
 
     Clipped ones are for means over squares: one bright pixel does not make a square of them a defect.
@@ -98,9 +96,7 @@ def _compute_residuals(
     return residual, np.nan_to_num(clipped, copy=False)
 
 
-def _differs_from_pixels(
-    picture: NDArray[np.float32], rows: NDArray[np.int64], columns: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _differs_from_pixels(picture: Singles, rows: Integers, columns: Integers) -> Booleans:
     """Which pixels are lighter or darker than seven of the eight beside them: not those of rims."""
     steps = np.array([(y, x) for y in (0, 1, 2) for x in (0, 1, 2) if (x, y) != (1, 1)])
     beside = np.pad(picture, 1, "edge")[rows[:, None] + steps[:, 0], columns[:, None] + steps[:, 1]]
@@ -109,7 +105,7 @@ def _differs_from_pixels(
     return (own < beside[:, 1]) | (own > beside[:, 6])
 
 
-def _differs_from_lenses(values: NDArray[np.float32], places: NDArray[np.int64], lattice: Lattice) -> NDArray[np.bool_]:
+def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) -> Booleans:
     """Which `places` (n, 2) [px] have values that differ from those at the same place in 36 lenses around.
 
     Every third lens each way, as dust may cover some beside each other.

@@ -14,28 +14,24 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap, count_terms, field_monomials, field_place, nearest_half
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF
+from ..runtime.arrays import Array, Booleans, Floats, Singles
 from ..white_fit.vignetting import CatEye
 from .profiles import fit_scene_profile
-from .residuals import Residuals, collect_residuals
-from .sample import draw_sample
+from .residuals import Residuals, collect_residuals, draw_sample
 
 __all__ = ["estimate_gain"]
 
-Array = NDArray[Any]
-
 
 def estimate_gain(
-    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, scene: bool, cat_eye: CatEye | None = None
+    picture: Singles | StackedCrops, lattice: Lattice, scene: bool, cat_eye: CatEye | None = None
 ) -> GainMap:
     """Estimate the shape of the microimages of a flat, without the light of single lenses.
 
@@ -89,9 +85,7 @@ def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
     return replace(gain, profile=profile / brightest, stray_light=stray / brightest)
 
 
-def _fit_significant(
-    blocks: list[NDArray[np.float64]], target: NDArray[np.float64], weight: NDArray[np.float64]
-) -> list[NDArray[np.float64]]:
+def _fit_significant(blocks: list[Floats], target: Floats, weight: Floats) -> list[Floats]:
     """Weighted least-squares factors of the columns of each block, zero for those that hardly move the rim.
 
     By 0.02 px RMS, and four standard errors.
@@ -119,7 +113,7 @@ def _fit_significant(
     return [factors[a:b] * keep[a:b] for a, b in pairwise(ends)]
 
 
-def _select_rims(residuals: Residuals, gain: GainMap) -> tuple[NDArray[np.bool_], Array]:
+def _select_rims(residuals: Residuals, gain: GainMap) -> tuple[Booleans, Array]:
     """Pixels (q,) of rims, and how their light falls towards the outside there, over the radius."""
     r, slope = residuals, np.gradient(gain.profile, gain.step)
     far = np.hypot(r.sample.x, r.sample.y) / gain.radius
@@ -127,7 +121,7 @@ def _select_rims(residuals: Residuals, gain: GainMap) -> tuple[NDArray[np.bool_]
     return np.abs(steep) > 0.02, steep
 
 
-def _fit_rim(residuals: Residuals, gain: GainMap, rims: NDArray[np.bool_], steep: Array, scene: bool) -> Array:
+def _fit_rim(residuals: Residuals, gain: GainMap, rims: Booleans, steep: Array, scene: bool) -> Array:
     """New polynomials of the rim: harmonics of the direction times monomials of the field, the significant ones.
 
     Only the mean and the first three harmonics may change over the field, and the mean rim of the whole field is in
@@ -185,7 +179,7 @@ def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
     return cut
 
 
-def _fit_shading(residuals: Residuals, gain: GainMap, rims: NDArray[np.bool_]) -> Array:
+def _fit_shading(residuals: Residuals, gain: GainMap, rims: Booleans) -> Array:
     """New polynomials of the shading: least squares on the normal equations of all windows."""
     inside = np.flatnonzero(~rims & (residuals.light > 0.7) & (residuals.through > 0.95))
     sample, light, error, weight = (

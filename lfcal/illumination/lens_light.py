@@ -13,12 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera.lens_types import LensTypes
 from ..gain.gain_map import GainMap, count_terms, field_monomials
 from ..gain.kernel import relative_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
 from ..lattice.robust_fit import TUKEY_CUTOFF
+from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from ..runtime.kernels import kernel
 
 __all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]
@@ -33,20 +35,20 @@ class LensLights:
 
     gain: GainMap
     brightest: float  # luminance where the map is 1
-    unlit: NDArray[np.int64]  # (m,) rows of `lattice.centres()`: lenses without light, or places without a microimage
+    unlit: Integers  # (m,) rows of `lattice.centres()`: lenses without light, or places without a microimage
 
 
 class _LensMeasurements(NamedTuple):
     """Of every lens (n,): light, number of pixels it comes from, their standard deviation, mean and maximum of all; how
     they correlate with the shape of microimages, and the contrast of that shape."""
 
-    light: NDArray[np.float32]
-    number: NDArray[np.float32]
-    scatter: NDArray[np.float32]
-    mean: NDArray[np.float32]
-    largest: NDArray[np.float32]
-    correlation: NDArray[np.float32]
-    contrast: NDArray[np.float32]
+    light: Singles
+    number: Singles
+    scatter: Singles
+    mean: Singles
+    largest: Singles
+    correlation: Singles
+    contrast: Singles
 
 
 @kernel(error_model="numpy", share=lambda picture, top, chosen, *_: len(chosen))
@@ -93,15 +95,15 @@ def _measure_lenses(begin, end, picture, top, chosen, centres, lenses, cell, str
             out[0, n], out[1, n], out[2, n] = mean, inside, math.sqrt(max(squares / inside - mean * mean, 0.0))
 
 
-def _measure(
-    picture: NDArray[np.float32] | ReadCrop, lattice: Lattice, gain: GainMap, centres: NDArray[np.float64]
-) -> _LensMeasurements:
+def _measure(picture: Singles | ReadCrop, lattice: Lattice, gain: GainMap, centres: Floats) -> _LensMeasurements:
     """Measure all lenses in about 48 pixels of each, or 12 where there are very many."""
     cell, out = Cell.of(lattice), np.zeros((7, len(centres)), np.float32)
     stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / (48 if len(centres) < 1e6 else 12))))
-    lenses, kinds = gain.describe(centres, lattice), _types_of(gain, lattice)
+    lenses, kinds = gain.describe(centres, lattice), np.zeros(len(centres), np.int8)
+    if gain.type_cell.size:
+        kinds = LensTypes(gain.type_cell).of(lattice.indices())
 
-    def measure(part: NDArray[np.float32], top: int, chosen: NDArray[np.int64]) -> None:
+    def measure(part: Singles, top: int, chosen: Integers) -> None:
         for kind, profile in enumerate(gain.profiles):
             own = chosen[kinds[chosen] == kind] if len(gain.profiles) > 1 else chosen
             _measure_lenses(part, top, own, centres, lenses, cell, stride, gain.shape, profile, out)
@@ -121,15 +123,7 @@ def _measure(
     return _LensMeasurements(*out)
 
 
-def _types_of(gain: GainMap, lattice: Lattice) -> NDArray[np.int8]:
-    """(n,) row of `gain.profiles` of each lens."""
-    if not gain.type_cell.size:
-        return np.zeros(len(lattice), np.int8)
-    i, j = lattice.indices().T % len(gain.type_cell)
-    return gain.type_cell[i, j]
-
-
-def measure_lens_lights(picture: NDArray[np.float32] | ReadCrop, lattice: Lattice, gain: GainMap) -> LensLights:
+def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: GainMap) -> LensLights:
     """Light of all lenses of a white image, given the shape of its microimages.
 
     `picture` (h, w), or a function that reads crops of it, is the square root of the luminance.
@@ -167,16 +161,14 @@ def measure_lens_lights(picture: NDArray[np.float32] | ReadCrop, lattice: Lattic
     return LensLights(replace(gain, level=level, lens_gain=own), brightest, np.flatnonzero(seen & ~lit))
 
 
-def _fit_level(
-    lights: NDArray[np.float32], use: NDArray[np.bool_], centres: NDArray[np.float64], lattice: Lattice
-) -> NDArray[np.float64]:
+def _fit_level(lights: Singles, use: Booleans, centres: Floats, lattice: Lattice) -> Floats:
     """Robust polynomial through the logarithms of the lights of lenses, of the fourth degree if there are enough."""
     rows = np.flatnonzero(use)
     rows = rows[:: max(1, len(rows) // 4000)]
     log = np.log(np.maximum(lights[rows], 1e-12))
     degree = next((d for d in (4, 2) if len(rows) >= 12 * count_terms(d)), 0)
     table, weight = field_monomials(centres[rows], lattice, count_terms(degree)), np.ones(len(rows))
-    level: NDArray[np.float64] = np.zeros(table.shape[1])
+    level: Floats = np.zeros(table.shape[1])
     for _ in range(5):
         weighted = weight[:, None] * table
         level[:] = np.linalg.solve(weighted.T @ table + 1e-9 * max(len(rows), 1) * np.eye(len(level)), weighted.T @ log)
@@ -186,9 +178,7 @@ def _fit_level(
     return level
 
 
-def _shrink_lens_gain(
-    ratio: NDArray[np.floating], error: NDArray[np.floating], lit: NDArray[np.bool_], few: slice
-) -> NDArray[np.float32]:
+def _shrink_lens_gain(ratio: NDArray[np.floating], error: NDArray[np.floating], lit: Booleans, few: slice) -> Singles:
     """Light of lenses over the polynomial: 1 if not significantly different, 0 if unlit.
 
     If the lenses scatter by more than their errors, differences are shrunk by their errors (James and Stein 1961).
@@ -204,7 +194,7 @@ def _shrink_lens_gain(
     return np.where(lit, np.maximum(1 + kept * miss, np.float32(0.01)), np.float32(0)).astype(np.float32)
 
 
-def find_unlit_in_scene(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap) -> NDArray[np.int64]:
+def find_unlit_in_scene(picture: Singles, lattice: Lattice, gain: GainMap) -> Integers:
     """(m,) rows of the lenses of a scene capture that have no light while all their neighbours have some.
 
     Their brightest pixel has less than a twentieth of the mean of the darkest neighbour.

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
 from ..gain.defects import Defects
@@ -14,6 +13,7 @@ from ..gain.gain_map import GainMap, nearest_half
 from ..gain.vignetting import Vignetting
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
+from ..runtime.arrays import Singles
 from ..runtime.errors import CalibrationError
 from ..white_fit.vignetting import CatEye
 from .defect_search import find_defects
@@ -42,7 +42,7 @@ class Illumination:
 
 
 def measure_illumination(
-    picture: NDArray[np.float32] | StackedCrops,
+    picture: Singles | StackedCrops,
     lattice: Lattice,
     white: bool,
     cat_eye: CatEye | None = None,

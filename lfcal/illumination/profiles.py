@@ -13,23 +13,22 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
 from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from .residuals import clipping_luminance
-from .sample import Sample, draw_sample
+from ..runtime.arrays import Floats, Singles
+from .residuals import Sample, clipping_luminance, draw_sample
 
 __all__ = ["fit_scene_profile", "fit_type_profiles", "order_by_rims"]
-
-Array = NDArray[np.float64]
 
 
 def _sum_windows(
     sample: Sample, gain: GainMap, scene: bool, types: NDArray[np.int8], core: float
-) -> tuple[Array, Array, Array]:
+) -> tuple[Floats, Floats, Floats]:
     """Light over that of the core (w, t, k), its weight, and the level of the core (w, t), of windows that have some.
 
     `core` [px] is its radius; `types` (n,) are those of the lenses.
@@ -59,7 +58,7 @@ def _sum_windows(
     return light[bright] / level[bright][..., None], weight[bright], level[bright]
 
 
-def _shrunk_mean(values: Array, weight: Array) -> Array:
+def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
     """(...) means of values (w, ...) over windows of the field, shrunk by their errors (James and Stein 1961)."""
     total = np.maximum(weight.sum(0), 1e-12)
     mean = (values * weight).sum(0) / total
@@ -68,7 +67,7 @@ def _shrunk_mean(values: Array, weight: Array) -> Array:
     return np.asarray(mean * np.maximum(1 - (2 * error / np.maximum(np.abs(mean), 1e-12)) ** 2, 0))
 
 
-def fit_scene_profile(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, gain: GainMap) -> Array:
+def fit_scene_profile(picture: Singles | StackedCrops, lattice: Lattice, gain: GainMap) -> Floats:
     """(k,) profile of a gain map with known rims, from a scene; 1 wherever that cannot be excluded.
 
     `picture` (h, w) is the square root of the luminance; where it is too dark, the profile of `gain` is returned.
@@ -87,7 +86,7 @@ def fit_scene_profile(picture: NDArray[np.float32] | StackedCrops, lattice: Latt
 
 
 def fit_type_profiles(
-    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, gain: GainMap, types: LensTypes | None, scene: bool
+    picture: Singles | StackedCrops, lattice: Lattice, gain: GainMap, types: LensTypes | None, scene: bool
 ) -> GainMap:
     """The gain map with the light of each type of lens, or as it is if types do not differ significantly.
 
@@ -102,8 +101,9 @@ def fit_type_profiles(
     if level.shape[1] != types.count or len(level) < 4:
         return gain
     # Over 1.25 px.
-    wide = np.ones(2 * (round(1.25 / gain.step) // 2) + 1)
-    light, weight = (np.apply_along_axis(_smooth, -1, sums, wide) for sums in (light, weight))
+    wide = 2 * (round(1.25 / gain.step) // 2) + 1
+    edge = ((0, 0), (0, 0), (wide // 2, wide // 2))
+    light, weight = (sliding_window_view(np.pad(sums, edge, "edge"), wide, -1).mean(-1) for sums in (light, weight))
     radii, least = np.arange(len(gain.profile)) * gain.step, weight.min(1, keepdims=True)
     ratio = light / np.maximum(weight, 1e-12)
     factor = 1 + _shrunk_mean(ratio / np.maximum(ratio.mean(1, keepdims=True), 1e-12) - 1, least)
@@ -117,11 +117,6 @@ def fit_type_profiles(
     if np.abs(factor[:, radii < lattice.radius] - 1).max() < 0.005:
         return gain
     return replace(gain, type_light=factor, type_cell=types.cell)
-
-
-def _smooth(values: Array, window: Array) -> Array:
-    """Mean over neighbouring rings."""
-    return np.convolve(np.pad(values, len(window) // 2, "edge"), window / len(window), "valid")
 
 
 def order_by_rims(types: LensTypes | None, gain: GainMap, radius: float) -> tuple[LensTypes | None, GainMap]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..runtime.arrays import Frozen
+from ..runtime.arrays import Floats, Frozen
 
 __all__ = ["Distortion"]
 
@@ -50,12 +50,12 @@ class Distortion(Frozen):
     [[400.28, 150.0]]
     """
 
-    centre: NDArray[np.float64]
+    centre: Floats
     k1: float
     k2: float
     reach: float
-    general: NDArray[np.float64] | None = None
-    middle: NDArray[np.float64] | None = None
+    general: Floats | None = None
+    middle: Floats | None = None
 
     def __post_init__(self) -> None:
         centre = np.array(self.centre, dtype=np.float64)
@@ -79,12 +79,13 @@ class Distortion(Frozen):
         """A distortion of zero strength about the middle of a flat of this width and height [px]."""
         return cls((np.array(image_size) - 1) / 2, 0.0, 0.0, float(np.hypot(*image_size) / 2))
 
-    def apply(self, points: ArrayLike) -> NDArray[np.float64]:
+    def apply(self, points: ArrayLike) -> Floats:
         """(n, 2) distorted positions of straight lattice points (n, 2) [px]."""
         straight = np.asarray(points, dtype=np.float64)
-        return straight + self._displacement(straight)
+        offset = straight - self.centre
+        return straight + offset * self._radial_scale(offset) + self._general(straight)
 
-    def remove(self, points: ArrayLike) -> NDArray[np.float64]:
+    def remove(self, points: ArrayLike) -> Floats:
         """(n, 2) straight positions of `points` (n, 2) on the flat [px]."""
         bent = np.asarray(points, dtype=np.float64)
         straight = bent
@@ -101,7 +102,7 @@ class Distortion(Frozen):
         middle = None if self.middle is None else (self.middle + 0.5) * scale - 0.5
         return Distortion((self.centre + 0.5) * scale - 0.5, self.k1, self.k2, self.reach * scale, general, middle)
 
-    def derivatives(self, straight: NDArray[np.float64]) -> list[tuple[str, NDArray[np.float64]]]:
+    def derivatives(self, straight: Floats) -> list[tuple[str, Floats]]:
         """Names of the parameters, and derivative (n, 2) of the displacement of points (n, 2) by each of them.
 
         `"centre"` comes twice, for x and y; `"general"` fourteen times, all of x first.
@@ -118,7 +119,7 @@ class Distortion(Frozen):
             columns += [("general", powers[:, [k]] * unit[axis]) for axis in range(2) for k in range(len(_POWERS))]
         return columns
 
-    def updated(self, change: Mapping[str, NDArray[np.float64]]) -> Distortion:
+    def updated(self, change: Mapping[str, Floats]) -> Distortion:
         """The distortion after a least-squares step `change` of `"k1"` or `"general"`, as in `derivatives`."""
         general = self.general
         if general is not None and "general" in change:
@@ -126,20 +127,16 @@ class Distortion(Frozen):
         k1 = self.k1 + float(change["k1"][0]) if "k1" in change else self.k1
         return Distortion(self.centre, k1, self.k2, self.reach, general, self.middle)
 
-    def _displacement(self, straight: NDArray[np.float64]) -> NDArray[np.float64]:
-        offset = straight - self.centre
-        return offset * self._radial_scale(offset) + self._general(straight)
-
-    def _general(self, straight: NDArray[np.float64]) -> NDArray[np.float64] | float:
+    def _general(self, straight: Floats) -> Floats | float:
         return 0.0 if self.general is None else self._powers(straight) @ self.general.T
 
-    def _powers(self, straight: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _powers(self, straight: Floats) -> Floats:
         """(n, 7) monomials of the position in the field."""
         assert self.middle is not None
         x, y = np.moveaxis((straight - self.middle) / self.reach, -1, 0)
         return np.stack([x**p * y**q for p, q in _POWERS], axis=-1)
 
-    def _radial_scale(self, offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _radial_scale(self, offset: Floats) -> Floats:
         """(n, 1) relative displacement of points at `offset` (n, 2) [px] from the centre."""
         square = (offset**2).sum(-1, keepdims=True) / self.reach**2
         return self.k1 * (square - 0.5) + self.k2 * (square**2 - 0.25)

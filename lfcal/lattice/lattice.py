@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..runtime.arrays import Frozen
+from ..runtime.arrays import Array, Floats, Frozen, Integers
 from ..runtime.errors import check_number, check_numbers
 from .distortion import Distortion
 
@@ -16,11 +17,13 @@ from .distortion import Distortion
 _EQUAL = 5e-3
 # [lenses] handled at once, so that hardly more memory is needed than for the result, and centres kept at most.
 _CHUNK = 1 << 20
+# Share of a side, and cosine, up to which a cell counts as square.
+_TOLERANCE = 0.03
 
-__all__ = ["Lattice", "reduce_basis"]
+__all__ = ["Lattice", "describe_orientation", "reduce_basis"]
 
 
-def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
+def reduce_basis(basis: ArrayLike) -> Floats:
     """(2, 2) shortest basis of the lattice that two vectors [px] span (Lagrange-Gauss reduction), in a canonical form.
 
     `a1` points within 45 degrees of +x where a shortest vector does, `a2` follows it clockwise on the screen (y down)
@@ -37,20 +40,19 @@ def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
             break
     candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + _EQUAL)]
     candidates += [-v for v in candidates]
-    best: tuple[tuple[float, ...], NDArray[np.float64], NDArray[np.float64]] | None = None
-    for first in candidates:
-        for second in candidates:
-            cross, dot = first[0] * second[1] - first[1] * second[0], first @ second
-            if cross <= 1e-9 * (b @ b) or dot < -1e-6 * (b @ b):
-                continue
-            # Lengths decide before directions, and directions only where they differ by more than rounding.
-            size = (first @ first + second @ second) / (b @ b)
-            rank = (-round(size / _EQUAL), round(first[0] / np.hypot(*first), 6), first[1], dot)
-            if best is None or rank > best[0]:
-                best = (rank, first, second)
-    assert best is not None
-    first, second = best[1:]
-    return np.array([first, second])
+    least = b @ b
+    pairs = [
+        (one, two) for one in candidates for two in candidates
+        if one[0] * two[1] - one[1] * two[0] > 1e-9 * least and one @ two >= -1e-6 * least
+    ]  # fmt: skip
+
+    def rank(pair: tuple[Floats, Floats]) -> tuple[float, ...]:
+        # Lengths decide before directions, and directions only where they differ by more than rounding.
+        one, two = pair
+        size = (one @ one + two @ two) / least
+        return -round(size / _EQUAL), round(one[0] / np.hypot(*one), 6), one[1], one @ two
+
+    return np.array(max(pairs, key=rank))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -79,8 +81,8 @@ class Lattice(Frozen):
     array([[35., 25.]])
     """
 
-    origin: NDArray[np.float64]
-    basis: NDArray[np.float64]
+    origin: Floats
+    basis: Floats
     image_size: tuple[int, int]
     radius: float
     distortion: Distortion | None = None
@@ -111,7 +113,7 @@ class Lattice(Frozen):
         return f"Lattice({len(self)} microimages, {self.pitch:.4g} px apart, on {width} x {height} px)"
 
     @cached_property
-    def steps(self) -> NDArray[np.int64]:
+    def steps(self) -> Integers:
         """(k, 2) index steps to the nearest neighbours, opposite steps `k/2` apart: k = 6 (hexagonal) or 4."""
         a1, a2 = self.basis
         half = [(1, 0), (0, 1)]
@@ -128,13 +130,13 @@ class Lattice(Frozen):
         return float(np.linalg.norm(self.steps @ self.basis, axis=1).mean())
 
     @property
-    def middle(self) -> NDArray[np.int64]:
+    def middle(self) -> Integers:
         """(2,) index of the lens nearest to the middle of the flat."""
         middle = (np.array(self.image_size) - 1) / 2
         return np.rint(self.to_index(middle[None])[0]).astype(np.int64)
 
     @cached_property
-    def _indices(self) -> NDArray[np.int64]:
+    def _indices(self) -> Integers:
         width, height = self.image_size
         # Edges of the flat are curved lines on a distorted lattice.
         along, ends = np.linspace(-0.5, 0.5, 33), np.array([-0.5, 0.5])
@@ -156,7 +158,7 @@ class Lattice(Frozen):
         indices = np.concatenate(found)
         return indices[np.argsort(np.concatenate(order))] if steep else indices
 
-    def indices(self) -> NDArray[np.int64]:
+    def indices(self) -> Integers:
         """(n, 2) lattice indices `i, j` of all microimages whose centre lies on the flat.
 
         In rows of `j`, or, where those run down the flat, in rows of pixels half a pitch high, from top to bottom:
@@ -164,7 +166,7 @@ class Lattice(Frozen):
         """
         return self._indices.copy()
 
-    def centres(self) -> NDArray[np.float64]:
+    def centres(self) -> Floats:
         """(n, 2) float64 centres `x, y` [px], in the order of `indices()`."""
         if len(self) <= _CHUNK:
             return self._centres.copy()
@@ -174,7 +176,7 @@ class Lattice(Frozen):
         return centres
 
     @cached_property
-    def _centres(self) -> NDArray[np.float64]:
+    def _centres(self) -> Floats:
         return self.points(self._indices)
 
     def with_radius(self, radius: float) -> Lattice:
@@ -199,7 +201,7 @@ class Lattice(Frozen):
         origin = (self.origin + 0.5) * scale - 0.5
         return Lattice(origin, self.basis * scale, image_size, self.radius * scale, distortion)
 
-    def points(self, index: ArrayLike) -> NDArray[np.float64]:
+    def points(self, index: ArrayLike) -> Floats:
         """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which may be fractions and beyond the flat."""
         index = np.asarray(index)
         # Column by column: three times as fast as a product with a 2 x 2 matrix.
@@ -210,9 +212,38 @@ class Lattice(Frozen):
             np.add(column, self.origin[axis], out=straight[..., axis])
         return straight if self.distortion is None else self.distortion.apply(straight)
 
-    def to_index(self, points: ArrayLike) -> NDArray[np.float64]:
+    def derivatives(self, index: Array, orders: Collection[str]) -> tuple[list[str], Floats]:
+        """Names of origin, basis and the parameters `orders` of the distortion; derivatives (n, 2, p) of centres."""
+        factors = np.column_stack([np.ones(len(index)), index])
+        columns = [factors[:, [k]] * np.eye(2)[axis] for k in range(3) for axis in range(2)]
+        names = ["origin", "origin", "a1", "a1", "a2", "a2"]
+        if self.distortion is not None:
+            found = self.distortion.derivatives(self.origin + index @ self.basis)
+            names += [name for name, _ in found if name in orders]
+            columns += [values for name, values in found if name in orders]
+        return names, np.stack(columns, axis=2)
+
+    def to_index(self, points: ArrayLike) -> Floats:
         """(n, 2) real-valued lattice indices of flat positions `points` (n, 2) [px]."""
         straight = np.asarray(points, dtype=np.float64)
         if self.distortion is not None:
             straight = self.distortion.remove(straight)
         return (straight - self.origin) @ np.linalg.inv(self.basis)
+
+
+def describe_orientation(lattice: Lattice) -> tuple[str, str, float]:
+    """Shape, direction of the rows of nearest neighbours, and rotation from that direction [degrees]."""
+    a1, a2 = lattice.basis
+    lengths = np.hypot(*a1), np.hypot(*a2)
+    hexagonal = len(lattice.steps) == 6
+    if hexagonal:
+        shape = "hexagonal"
+    elif abs(a1 @ a2) > _TOLERANCE * lengths[0] * lengths[1]:
+        shape = "oblique"
+    else:
+        shape = "square" if min(lengths) > (1 - _TOLERANCE) * max(lengths) else "rectangular"
+    period = 60.0 if hexagonal else 90.0
+    turned = (float(np.degrees(np.arctan2(a1[1], a1[0]))) + period / 2) % period - period / 2
+    if hexagonal and abs(turned) > 15:
+        return shape, "vertical", turned - np.copysign(30.0, turned)
+    return shape, "horizontal" if hexagonal else "both ways", turned

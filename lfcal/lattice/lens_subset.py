@@ -6,19 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from .lattice import Lattice, reduce_basis
 
-__all__ = [
-    "LitLenses", "ReadCrop", "StackedCrops", "find_lit_lenses", "sample_lenses", "sample_mask", "select_whole_lenses",
-]  # fmt: skip
+__all__ = ["ReadCrop", "StackedCrops", "find_lit_lenses", "sample_lenses", "sample_mask", "select_whole_lenses"]
 
 #: Reads a rectangle of a flat, (height, width) float32, given its x, y, width and height [px].
-ReadCrop = Callable[[int, int, int, int], NDArray[np.float32]]
+ReadCrop = Callable[[int, int, int, int], Singles]
 
 
-def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[Integers, Floats]:
     """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat."""
     centres, indices = lattice.centres(), lattice.indices()
     width, height = lattice.image_size
@@ -28,14 +26,14 @@ def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int
     return indices.take(keep, 0), centres.take(keep, 0)
 
 
-def sample_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def sample_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[Integers, Floats]:
     """About `wanted` of `select_whole_lenses`, evenly spread."""
     indices, centres = select_whole_lenses(lattice, margin)
     rows = np.flatnonzero(sample_mask(len(indices), wanted / max(len(indices), 1)))
     return indices.take(rows, 0), centres.take(rows, 0)
 
 
-def sample_mask(number: int, share: float) -> NDArray[np.bool_]:
+def sample_mask(number: int, share: float) -> Booleans:
     """(number,) mask that is True for this share of its entries, evenly spread."""
     # Steps of the golden ratio sample evenly, whatever the period of the lenses.
     fraction = np.arange(number) * 0.6180339887498949
@@ -48,12 +46,12 @@ def sample_mask(number: int, share: float) -> NDArray[np.bool_]:
 class StackedCrops:
     """Crops of a flat, all of one size and without overlap, stacked in one picture."""
 
-    picture: NDArray[np.float32]  # (m * height, width)
-    corners: NDArray[np.int64]  # (m, 2) [px] x, y of the first pixel of each crop on the flat
+    picture: Singles  # (m * height, width)
+    corners: Integers  # (m, 2) [px] x, y of the first pixel of each crop on the flat
     size: tuple[int, int]  # [px] width and height of a crop
 
     @classmethod
-    def of(cls, picture: NDArray[np.float32] | StackedCrops) -> StackedCrops:
+    def of(cls, picture: Singles | StackedCrops) -> StackedCrops:
         """Crops as they are, or a whole flat as its only crop."""
         if isinstance(picture, StackedCrops):
             return picture
@@ -63,18 +61,16 @@ class StackedCrops:
         return len(self.corners)
 
     @property
-    def offsets(self) -> NDArray[np.int64]:
+    def offsets(self) -> Integers:
         """(m, 2) flat coordinates minus picture coordinates in each crop [px]."""
         down = np.arange(len(self)) * self.size[1]
         return self.corners - np.column_stack([np.zeros_like(down), down])
 
-    def crop(self, number: int) -> NDArray[np.float32]:
+    def crop(self, number: int) -> Singles:
         """(height, width) view of one crop."""
         return self.picture[number * self.size[1] : (number + 1) * self.size[1]]
 
-    def lenses(
-        self, lattice: Lattice, margin: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    def lenses(self, lattice: Lattice, margin: float) -> tuple[Integers, Floats, Integers]:
         """Lenses at least `margin` px inside a crop: indices (n, 2), centres on the flat (n, 2) [px], crop number (n,).
 
         Their centres in the picture are `centres - offsets[crop]`.
@@ -91,7 +87,7 @@ class StackedCrops:
         return indices, lattice.points(indices), crop
 
 
-def _lenses_in_rectangle(lattice: Lattice, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int64]:
+def _lenses_in_rectangle(lattice: Lattice, low: Floats, high: Floats) -> Integers:
     """(n, 2) indices of the lenses with centres in a rectangle."""
     # A grid of positions, as a distorted lattice has no straight borders.
     share = np.linspace(0, 1, 5)
@@ -104,35 +100,7 @@ def _lenses_in_rectangle(lattice: Lattice, low: NDArray[np.float64], high: NDArr
     return index[((centres >= low) & (centres <= high)).all(1)]
 
 
-@dataclass(frozen=True)
-class LitLenses:
-    """Lenses `indices` (n, 2) of a flat, or of crops of it, that are lit, each in the crop with number `crop` (n,)."""
-
-    indices: NDArray[np.int64]
-    crop: NDArray[np.int64]
-
-    @classmethod
-    def find(cls, tones: StackedCrops, lattice: Lattice, margin: float, dark: float) -> LitLenses:
-        """Lit lenses at least `margin` px inside a crop; `dark` is as in `find_lit_lenses`."""
-        indices, centres, crop = tones.lenses(lattice, margin)
-        lit = find_lit_lenses(tones.picture, lattice, indices, centres - tones.offsets[crop], dark)
-        return cls(indices[lit], crop[lit])
-
-    def select(self, tones: StackedCrops, lattice: Lattice, margin: float, chosen: NDArray[np.bool_]) -> LitLenses:
-        """The lenses chosen by a mask (n,) that are at least `margin` px inside their crop."""
-        indices, crop = self.indices[chosen], self.crop[chosen]
-        position = lattice.points(indices) - tones.corners[crop]
-        inside = ((position >= margin) & (position <= np.array(tones.size) - 1 - margin)).all(1)
-        return LitLenses(indices[inside], crop[inside])
-
-
-def find_lit_lenses(
-    picture: NDArray[np.float32],
-    lattice: Lattice,
-    indices: NDArray[np.int64],
-    centres: NDArray[np.float64],
-    dark: float,
-) -> NDArray[np.bool_]:
+def find_lit_lenses(picture: Singles, lattice: Lattice, indices: Integers, centres: Floats, dark: float) -> Booleans:
     """(n,) whether lenses are lit and not next to a dark one, as the border of the array cuts some.
 
     Stray light also reaches pixels without a lens, so lenses are found by the step to the gaps around them where
@@ -144,7 +112,7 @@ def find_lit_lenses(
     if len(centres) == 0:
         return np.zeros(0, dtype=bool)
 
-    def mean_at(offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mean_at(offsets: Floats) -> Floats:
         total = np.zeros(len(centres))
         for offset in offsets:
             x, y = np.rint(centres + offset).astype(np.int64).T
@@ -169,7 +137,7 @@ def find_lit_lenses(
     return ~beside
 
 
-def _cell_corners(lattice: Lattice) -> NDArray[np.float64]:
+def _cell_corners(lattice: Lattice) -> Floats:
     """(6, 2) from a lens to the corners of its cell, where three or four lenses meet [px]."""
     a, b = reduce_basis(lattice.basis)
     corner = np.linalg.solve(np.array([a, b]), [a @ a / 2, b @ b / 2])

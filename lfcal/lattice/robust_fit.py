@@ -8,11 +8,10 @@ Scenes, where most lenses may be off, need the other scale estimate of `scene_fi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Array, Floats
 from .distortion import Distortion
 
 __all__ = ["TUKEY_CUTOFF", "LatticeFit", "field_rms", "fit_affine", "tukey_weights"]
@@ -25,8 +24,8 @@ TUKEY_CUTOFF = 4.685
 class LatticeFit:
     """A fitted lattice and how its microimages agree with it."""
 
-    origin: NDArray[np.float64]  # (2,) [px]
-    basis: NDArray[np.float64]  # (2, 2) [px]
+    origin: Floats  # (2,) [px]
+    basis: Floats  # (2, 2) [px]
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     uncertainty: float  # [px] standard error of a centre, RMS over the flat, from the scatter of the microimages
     lenses_used: int  # microimages of positive weight
@@ -34,22 +33,20 @@ class LatticeFit:
     distortion: Distortion | None = None
 
 
-def tukey_weights(squares: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def tukey_weights(squares: Floats) -> tuple[Floats, float]:
     """Weights (n,) of residuals in the plane, of squared length `squares` (n,), and the variance of their median."""
     # 2 ln 2 is the median of the squared length of a standard normal vector in the plane.
     variance = float(np.median(squares)) / 1.386 + 1e-30
     return np.clip(1 - squares / (variance * TUKEY_CUTOFF**2), 0, None) ** 2, variance
 
 
-def fit_affine(
-    design: NDArray[np.float64], shifts: NDArray[np.float64], prior: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def fit_affine(design: Floats, shifts: Floats, prior: Floats) -> tuple[Floats, Floats]:
     """Robust affine function (3, 2) through shifts (n, 2) [px], and their weights (n,).
 
     `design` (n, 3) holds a 1 and two coordinates of each; `prior` (n,) weights known beforehand, one over the variance:
     0 leaves a shift out.
     """
-    change: NDArray[Any] = np.zeros((3, 2))
+    change: Array = np.zeros((3, 2))
     weight = prior
     for _ in range(6):
         root = np.sqrt(weight)[:, None]
@@ -60,6 +57,6 @@ def fit_affine(
     return change, weight
 
 
-def field_rms(design: NDArray[np.float64], change: NDArray[np.float64]) -> float:
+def field_rms(design: Floats, change: Floats) -> float:
     """RMS over the lenses of the shift that a change (3, 2) of the lattice makes [px]."""
     return float(np.sqrt(((design @ change) ** 2).sum(1).mean()))

@@ -1,4 +1,4 @@
-"""Standard errors of a fitted lattice: of its parameters, and of each centre."""
+"""How well a lattice is known: standard errors of its parameters and centres, and residuals of single microimages."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.arrays import Frozen
+from ..runtime.arrays import Floats, Frozen, Singles, decode_array, encode_array
 from .lattice import Lattice
 
-__all__ = ["LatticeErrors", "equal_weight_errors"]
+__all__ = ["LatticeErrors", "Residuals", "equal_weight_errors"]
 
 _STRAIGHT_NAMES = ("origin", "origin", "a1", "a1", "a2", "a2")
 _DISTORTION_NAMES = ("k1", "k2", "centre", "general")
+# Unit of residuals in camera files [px]: finer than the noise of a single microimage.
+_FILE_UNIT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class LatticeErrors(Frozen):
     """
 
     names: tuple[str, ...]
-    covariance: NDArray[np.float64]
+    covariance: Floats
 
     def __post_init__(self) -> None:
         covariance = np.array(self.covariance, dtype=np.float64)
@@ -49,7 +51,7 @@ class LatticeErrors(Frozen):
         self._set(covariance=covariance)
 
     @property
-    def standard_errors(self) -> NDArray[np.float64]:
+    def standard_errors(self) -> Floats:
         """(p,) standard errors of the parameters."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0))
 
@@ -69,20 +71,14 @@ class LatticeErrors(Frozen):
         values = np.linalg.eigvalsh(information / np.outer(scale, scale))
         return float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else float("inf")
 
-    def of_centres(self, lattice: Lattice) -> NDArray[np.float64]:
+    def of_centres(self, lattice: Lattice) -> Floats:
         """(n,) standard errors [px] of the centres, in the order of `lattice.centres()`.
 
         Expected RMS distance of a centre from its true position, propagated from the covariance.
         """
-        index = lattice.indices()
-        straight = lattice.origin + index @ lattice.basis
-        factors = np.column_stack([np.ones(len(index)), index])
-        columns = [factors[:, [k]] * np.eye(2)[axis] for k in range(3) for axis in (0, 1)]
-        if lattice.distortion is not None:
-            columns += [values for name, values in lattice.distortion.derivatives(straight) if name in self.names]
-        design = np.stack(columns, axis=2)
+        _, design = lattice.derivatives(lattice.indices(), self.names)
         spread = (design.reshape(-1, len(self.names)) @ self.covariance).reshape(design.shape)
-        errors: NDArray[np.float64] = np.sqrt(np.maximum((design * spread).sum((1, 2)), 0))
+        errors: Floats = np.sqrt(np.maximum((design * spread).sum((1, 2)), 0))
         return errors
 
     def scaled(self, block: float) -> LatticeErrors:
@@ -107,5 +103,73 @@ def equal_weight_errors(lattice: Lattice, uncertainty: float) -> LatticeErrors:
     """
     index = lattice.indices()
     table = np.column_stack([np.ones(len(index)), index])
-    per_axis: NDArray[np.float64] = uncertainty**2 * len(index) / 6 * np.linalg.inv(table.T @ table)
+    per_axis: Floats = uncertainty**2 * len(index) / 6 * np.linalg.inv(table.T @ table)
     return LatticeErrors(_STRAIGHT_NAMES, np.asarray(np.kron(per_axis, np.eye(2)), dtype=np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals(Frozen):
+    """Centres measured on single microimages minus those of the fitted lattice.
+
+    Parameters
+    ----------
+    indices : (n, 2) int32
+        Lattice indices `i, j` of the microimages of the fit: those that lie entirely on the flat, or an even sample of
+        them where they are very many.
+    offset : (n, 2) float32 [px]
+        From the lattice centre to the centre measured on this microimage alone, order `x, y`.
+
+    Examples
+    --------
+    >>> import lfcal, lfrender
+    >>> sample = lfrender.data.house(size=(400, 300), samples=2)
+    >>> residuals = lfcal.calibrate(sample.white, kind="white").residuals
+    >>> residuals.indices.shape == residuals.offset.shape
+    True
+    """
+
+    indices: NDArray[np.int32]
+    offset: Singles
+
+    def __post_init__(self) -> None:
+        indices, offset = np.array(self.indices, dtype=np.int32), np.array(self.offset, dtype=np.float32)
+        if indices.ndim != 2 or indices.shape[1] != 2 or offset.shape != indices.shape:
+            raise ValueError(f"residuals need two arrays (n, 2), got {indices.shape} and {offset.shape}")
+        self._set(indices=indices, offset=offset)
+
+    def mean_over_grid(self, lattice: Lattice, across: int = 12, down: int = 9) -> tuple[Floats, Floats, Floats]:
+        """Mean residuals in a grid of rectangles of the flat, without outliers.
+
+        Of each rectangle with two microimages or more: their mean centre (m, 2), mean residual (m, 2) and the standard
+        error of its length (m,), all in px.
+        """
+        centres = lattice.points(self.indices)
+        share = (centres + 0.5) / np.array(lattice.image_size) * [across, down]
+        column, row = np.clip(share.astype(int), 0, [across - 1, down - 1]).T
+        length = np.hypot(*self.offset.T)
+        inlier = length <= 4 * np.median(length) if len(length) else np.zeros(0, dtype=bool)
+        rows = []
+        for cell in range(across * down):
+            inside = inlier & (row * across + column == cell)
+            count = int(inside.sum())
+            if count > 1:
+                offset = self.offset[inside].astype(np.float64)
+                error = np.sqrt(offset.var(0, ddof=1).sum() / count)
+                rows.append((*centres[inside].mean(0), *offset.mean(0), error))
+        table = np.array(rows).reshape(-1, 5)
+        return table[:, :2], table[:, 2:4], table[:, 4]
+
+    def scaled(self, block: float) -> Residuals:
+        """The residuals in units of pixels smaller by the factor `block`."""
+        return Residuals(self.indices, self.offset * np.float32(block))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Two packed blocks; offsets to a thousandth of a pixel."""
+        steps = np.clip(np.rint(self.offset / _FILE_UNIT), -32767, 32767)
+        return {"indices": encode_array(self.indices.T.astype("<i2")), "offset": encode_array(steps.T.astype("<i2"))}
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Residuals:
+        """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
+        indices, steps = (decode_array(data[name], "<i2").reshape(2, -1).T for name in ("indices", "offset"))
+        return cls(indices.astype(np.int32), steps.astype(np.float32) * np.float32(_FILE_UNIT))

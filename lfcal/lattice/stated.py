@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Floats
 from ..runtime.errors import check_number, check_numbers
-from .lattice import Lattice, reduce_basis
+from .lattice import Lattice, describe_orientation, reduce_basis
 
 __all__ = ["ARRANGEMENTS", "LatticeHint", "state_lattice"]
 
@@ -36,8 +36,6 @@ class LatticeHint:
 
     pitch: float
     rotation: float | None = None
-    tolerance: float = 0.1  # of the pitch
-    angle: float = 2.0  # [degrees] by which the rotation may be off
 
     def __post_init__(self) -> None:
         if not 0 < check_number(self.pitch, "pitch") < np.inf:
@@ -45,36 +43,33 @@ class LatticeHint:
         if self.rotation is not None and not np.isfinite(check_number(self.rotation, "rotation")):
             raise ValueError(f"rotation must be a number of degrees, got {self.rotation!r}")
 
-    def bases(self) -> list[NDArray[np.float64]]:
+    def bases(self) -> list[Floats]:
         """Bases (2, 2) [px] of the usual arrangements, those of the pitch as stated first."""
-        steps = sorted(np.arange(-2, 3) * self.tolerance / 4, key=abs)
-        return [
-            turned_basis(name, self.pitch * (1 + step), self.rotation or 0.0) for step in steps for name in ARRANGEMENTS
-        ]
+        steps = sorted(np.arange(-2, 3) * 0.025, key=abs)
+        turned = self.rotation or 0.0
+        return [turned_basis(name, self.pitch * (1 + step), turned) for step in steps for name in ARRANGEMENTS]
 
     def allows(self, lattice: Lattice) -> bool:
         """Whether a lattice is as stated."""
-        from .orientation import describe_orientation
-
-        if abs(lattice.pitch / self.pitch - 1) > self.tolerance:
+        if abs(lattice.pitch / self.pitch - 1) > 0.1:
             return False
         if self.rotation is None:
             return True
         period = 60.0 if len(lattice.steps) == 6 else 90.0
         off = (describe_orientation(lattice)[2] - self.rotation + period / 2) % period - period / 2
         # Of a hexagonal array, rows along one axis are 30 degrees from those along the other.
-        return min(abs(off), abs(abs(off) - 30.0) if period == 60.0 else abs(off)) <= self.angle
+        return min(abs(off), abs(abs(off) - 30.0) if period == 60.0 else abs(off)) <= 2
 
     def scaled(self, factor: float) -> LatticeHint:
         """For a flat of which `factor` x `factor` pixels were averaged."""
-        return LatticeHint(self.pitch / factor, self.rotation, self.tolerance, self.angle)
+        return LatticeHint(self.pitch / factor, self.rotation)
 
 
-def turned_basis(arrangement: str, pitch: float, rotation: float) -> NDArray[np.float64]:
+def turned_basis(arrangement: str, pitch: float, rotation: float) -> Floats:
     """Basis (2, 2) [px] of an arrangement, turned clockwise on the screen by `rotation` [degrees]."""
     angle = np.radians(rotation)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    basis: NDArray[np.float64] = pitch * np.array(ARRANGEMENTS[arrangement]) @ turn
+    basis: Floats = pitch * np.array(ARRANGEMENTS[arrangement]) @ turn
     return basis
 
 

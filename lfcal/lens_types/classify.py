@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
+from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from .coarse_disparity import estimate_coarse_disparity
 from .focus_order import MIN_SPREAD, find_focus_order
 from .lens_sample import LensFeatures, LensSample, measure_lens_features, outlier_limit, sample_lenses
@@ -33,7 +34,7 @@ _MOSAICS = [(3, 1, 2), *((n, p, q) for n in (3, 2) for p, q in product(range(2),
 _VECTORS = np.array([(p / period, q / period) for period, p, q in _MOSAICS])
 
 
-def find_lens_types(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, white: bool) -> LensTypes | None:
+def find_lens_types(picture: Singles | StackedCrops, lattice: Lattice, white: bool) -> LensTypes | None:
     """Classify the lenses of an array by type; None where the flat shows no difference: one type, or too little to see.
 
     Mosaics with a period of three lenses (three types, as in hexagonal multi-focus arrays) and of two lenses (two or
@@ -70,15 +71,15 @@ def find_lens_types(picture: NDArray[np.float32] | StackedCrops, lattice: Lattic
 class _Feature(NamedTuple):
     """A feature that patterns are searched in."""
 
-    values: NDArray[np.float64]  # (n,) less that of the neighbours, 0 where it is not known
-    least: NDArray[np.float64]  # (mosaics,) difference between types below which it does not count
-    usable: NDArray[np.bool_]  # (mosaics,) whether it can show a mosaic
+    values: Floats  # (n,) less that of the neighbours, 0 where it is not known
+    least: Floats  # (mosaics,) difference between types below which it does not count
+    usable: Booleans  # (mosaics,) whether it can show a mosaic
 
 
 def _strengths(
-    sample: LensSample, features: LensFeatures, disparity: NDArray[np.float64], white: bool,
-    others: NDArray[np.float64],
-) -> NDArray[np.float64]:  # fmt: skip
+    sample: LensSample, features: LensFeatures, disparity: Floats, white: bool,
+    others: Floats,
+) -> Floats:  # fmt: skip
     """(mosaics,) power of each over that of the strongest other pattern, 0 where it is not significant."""
     vectors = np.vstack([_VECTORS, others])
     waves = _waves(sample.inner, vectors) / _gain(vectors, sample.lattice)
@@ -109,9 +110,7 @@ def _strengths(
     return strength
 
 
-def _list_features(
-    sample: LensSample, features: LensFeatures, disparity: NDArray[np.float64], white: bool
-) -> list[_Feature]:
+def _list_features(sample: LensSample, features: LensFeatures, disparity: Floats, white: bool) -> list[_Feature]:
     beats = _beats(_VECTORS, sample.lattice)
     # Two colours of a mosaic, or pixels that fall on edges in two ways, look like two types.
     regular = np.any([_beats(_VECTORS, sample.lattice, step, 2.0) for step in (1.0, 0.5)], axis=0)
@@ -134,7 +133,7 @@ def _list_features(
     return found
 
 
-def _repeats(values: NDArray[np.float64], wave: NDArray[np.complex128], least: float) -> bool:
+def _repeats(values: Floats, wave: NDArray[np.complex128], least: float) -> bool:
     """Whether a mosaic is strong enough in a feature to matter, and the same in two halves of the sample."""
     half = np.arange(len(values)) * 16 // len(values) % 2 == 0
     first, second = complex(values[half] @ wave[half]), complex(values[~half] @ wave[~half])
@@ -143,19 +142,19 @@ def _repeats(values: NDArray[np.float64], wave: NDArray[np.complex128], least: f
     return strong and (first * second.conjugate()).real > 0.7 * abs(first) * abs(second)
 
 
-def _differences(sample: LensSample, feature: NDArray[np.float64]) -> NDArray[np.float64]:
+def _differences(sample: LensSample, feature: Floats) -> Floats:
     """(n,) a feature of lenses less that of their neighbours, within `outlier_limit`, and 0 where it is not known."""
     values = sample.subtract_neighbours(feature)
     limit = outlier_limit(values[np.isfinite(values)])
     return np.clip(np.nan_to_num(values), -limit, limit)
 
 
-def _power(values: NDArray[np.float64], waves: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _power(values: Floats, waves: NDArray[np.complex128]) -> Floats:
     """(f, v) power of patterns in values (f, n) over that of noise of the same size."""
     return np.abs(values @ waves) ** 2 / (np.square(values).sum(1, keepdims=True) + 1e-12)
 
 
-def _waves(indices: NDArray[np.int64], vectors: NDArray[np.float64]) -> NDArray[np.complex128]:
+def _waves(indices: Integers, vectors: Floats) -> NDArray[np.complex128]:
     """(n, v) `exp(-2 pi i * index @ vector)`, from a table along each axis, which has far fewer indices than lenses."""
     waves: NDArray[np.complex128] = np.ones((len(indices), len(vectors)), np.complex128)
     for axis in range(2):
@@ -164,12 +163,12 @@ def _waves(indices: NDArray[np.int64], vectors: NDArray[np.float64]) -> NDArray[
     return waves
 
 
-def _gain(vectors: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+def _gain(vectors: Floats, lattice: Lattice) -> Floats:
     """(v,) factor by which the difference from the neighbours enlarges a pattern."""
     return 1 - np.cos(2 * np.pi * vectors @ lattice.steps.T).mean(1)
 
 
-def _other_patterns(lattice: Lattice) -> NDArray[np.float64]:
+def _other_patterns(lattice: Lattice) -> Floats:
     """(v, 2) wave vectors [periods per lens], as fine as those of mosaics but far from them and from beats."""
     # Multiples of powers of the plastic number are evenly spread over the square.
     drawn = (np.arange(1, 500)[:, None] * [0.7548776662466927, 0.5698402909980532]) % 1
@@ -178,7 +177,7 @@ def _other_patterns(lattice: Lattice) -> NDArray[np.float64]:
     return drawn[far & fine & ~_beats(drawn, lattice)][:64]
 
 
-def _beats(vectors: NDArray[np.float64], lattice: Lattice, step: float = 1.0, cycles: float = 1.2) -> NDArray[np.bool_]:
+def _beats(vectors: Floats, lattice: Lattice, step: float = 1.0, cycles: float = 1.2) -> Booleans:
     """(v,) whether a pattern (v, 2) is a beat of the lattice with the pixels.
 
     `step` is 1 period per pixel, or 1/2 for a 2 x 2 colour mosaic; `cycles` is how many times
@@ -202,6 +201,6 @@ def is_in_step(cell: NDArray[np.int8], lattice: Lattice) -> bool:
     return bool(_beats(_VECTORS[alike], lattice).any())
 
 
-def _apart(difference: NDArray[np.float64]) -> NDArray[np.float64]:
+def _apart(difference: Floats) -> Floats:
     """Distance of wave vectors along each axis, modulo whole periods."""
     return np.abs((difference + 0.5) % 1 - 0.5)

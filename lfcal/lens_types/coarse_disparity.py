@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..images.preprocessing import sqrt_luminance
 from ..lattice.lattice import Lattice
+from ..runtime.arrays import Floats, Singles
 from ..runtime.kernels import FAST, kernel
 from .lens_sample import LensSample, sample_lenses
 
@@ -53,7 +54,7 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
                     variance[lens, k] += 0.5 * (aa + bb - (a * a + b * b) / count) / count
 
 
-def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) -> NDArray[np.float64]:
+def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:
     """(n,) `s / D` of the inner lenses of a sample in steps of 0.05; NaN where the maximum is low, ambiguous or an end.
 
     `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`.
@@ -72,7 +73,7 @@ def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) 
     padded = np.pad(full, ((0, 0), (0, 0), (1, 1), (1, 1), (0, 0)))
     height, width = full.shape[2:4]
     # Over 3 x 3 lenses.
-    covariance, variance = sum(padded[:, :, y : y + height, x : x + width] for y in range(3) for x in range(3))
+    covariance, variance = np.sum([padded[:, :, y : y + height, x : x + width] for y in range(3) for x in range(3)], 0)
     correlation = covariance / (variance + 1e-5)
     best, highest = correlation.argmax(-1), correlation.max(-1)
     apart = np.abs(np.arange(len(ratios)) - best[..., None]) > 2

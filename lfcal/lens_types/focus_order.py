@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Floats, Integers
 from .lens_sample import LensSample, outlier_limit
 
 # Lenses of a type, at least.
@@ -18,20 +18,18 @@ MIN_SPREAD = 0.02
 
 __all__ = ["FLATTENED", "MIN_SPREAD", "FocusOrder", "TypeMeans", "find_focus_order"]
 
-Array = NDArray[np.float64]
-
 
 class FocusOrder(NamedTuple):
     """Lens types in the order of their focus."""
 
-    sequence: NDArray[np.int64]  # (count,) provisional types, from focus at the largest `|s|` to the smallest
+    sequence: Integers  # (count,) provisional types, from focus at the largest `|s|` to the smallest
     known: bool  # the sequence is measured, not just the provisional one
-    focus: Array  # (count,) `s / D` at which each provisional type is sharpest, NaN where not known
+    focus: Floats  # (count,) `s / D` at which each provisional type is sharpest, NaN where not known
 
 
 def find_focus_order(
-    sample: LensSample, cell: NDArray[np.int64], sharpness: Array, disparity: Array, outer_light: Array,
-    inner_loss: Array, rim_ratio: float,
+    sample: LensSample, cell: Integers, sharpness: Floats, disparity: Floats, outer_light: Floats,
+    inner_loss: Floats, rim_ratio: float,
 ) -> FocusOrder:  # fmt: skip
     """Sort provisional lens types by their focus.
 
@@ -56,11 +54,11 @@ def find_focus_order(
 class TypeMeans(NamedTuple):
     """Type (n,) of the inner lenses, and what turns differences from neighbours into values of types, of mean zero."""
 
-    of: NDArray[np.int64]
-    unmixing: Array
+    of: Integers
+    unmixing: Floats
 
     @classmethod
-    def from_sample(cls, sample: LensSample, cell: NDArray[np.int64]) -> TypeMeans:
+    def from_sample(cls, sample: LensSample, cell: Integers) -> TypeMeans:
         """For the lenses of a sample whose types repeat after a `cell` (m, m)."""
         m, steps = len(cell), sample.lattice.steps
         matrix = np.eye(int(cell.max()) + 1)
@@ -70,7 +68,7 @@ class TypeMeans(NamedTuple):
                 matrix[kind, cell[(i + a) % m, (j + b) % m]] -= 1 / len(steps)
         return cls(cell[tuple((sample.inner % m).T)], np.asarray(np.linalg.pinv(matrix), np.float64))
 
-    def fit_lines(self, values: Array, places: Array) -> tuple[Array, Array] | None:
+    def fit_lines(self, values: Floats, places: Floats) -> tuple[Floats, Floats] | None:
         """Line through the values of each type: (count, 2) height and slope, and (2,) errors of differences.
 
         None where a type has too few known values.
@@ -91,13 +89,13 @@ class TypeMeans(NamedTuple):
             errors[kind] = scatter, scatter / np.sqrt(variance) if variance > 0 else np.inf
         return self.unmixing @ lines, np.sqrt(2) * float(np.linalg.norm(self.unmixing, 2)) * errors.max(0)
 
-    def fit_means(self, values: Array) -> tuple[Array, float] | None:
+    def fit_means(self, values: Floats) -> tuple[Floats, float] | None:
         """Robust mean of each type, and the standard error of their differences; None where a type has too few."""
         fit = self.fit_lines(values, np.where(np.isfinite(values), 0.0, np.nan))
         return fit and (fit[0][:, 0], fit[1][0])
 
 
-def _rim_softness(outer_light: Array, inner_loss: Array, types: TypeMeans) -> Array | None:
+def _rim_softness(outer_light: Floats, inner_loss: Floats, types: TypeMeans) -> Floats | None:
     """(count,) softness of the rims of each type, mean 0; None where that is not clear."""
     beyond, before = types.fit_means(outer_light), types.fit_means(inner_loss)
     if beyond is None or before is None:
@@ -112,7 +110,7 @@ def _rim_softness(outer_light: Array, inner_loss: Array, types: TypeMeans) -> Ar
     return soft if loss + 2 * before[1] / float(np.linalg.norm(soft)) > 0.1 else None
 
 
-def _order_over_depth(sharpness: Array, disparity: Array, types: TypeMeans) -> tuple[Array, Array, float] | None:
+def _order_over_depth(sharpness: Floats, disparity: Floats, types: TypeMeans) -> tuple[Floats, Floats, float] | None:
     """Slope of the sharpness of each type over `s / D`, focus of each, and the sign of `s` at which they are focused.
 
     None where the slopes are not clearly different.
@@ -143,7 +141,7 @@ def _order_over_depth(sharpness: Array, disparity: Array, types: TypeMeans) -> t
     return slope, focus, float(np.sign(middle))
 
 
-def _find_foci(sharpness: Array, disparity: Array, types: TypeMeans) -> Array:
+def _find_foci(sharpness: Floats, disparity: Floats, types: TypeMeans) -> Floats:
     """(count,) `s / D` where each of three types is sharpest, NaN where that is not seen.
 
     Two types are equally sharp half-way between their foci, whatever the law by which sharpness falls with defocus.

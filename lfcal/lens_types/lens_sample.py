@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
+from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from ..runtime.kernels import kernel
 
 __all__ = ["LensFeatures", "LensSample", "measure_lens_features", "outlier_limit", "sample_lenses"]
@@ -29,18 +29,18 @@ class LensSample:
     """Blocks of lenses with a border of one lens on each side."""
 
     lattice: Lattice
-    index: NDArray[np.int64]  # (m, side + 2, side + 2, 2) lattice indices
-    centre: NDArray[np.float64]  # (m, side + 2, side + 2, 2) [px]
-    whole: NDArray[np.bool_]  # (m, side + 2, side + 2) the microimage lies on the flat as a whole
+    index: Integers  # (m, side + 2, side + 2, 2) lattice indices
+    centre: Floats  # (m, side + 2, side + 2, 2) [px]
+    whole: Booleans  # (m, side + 2, side + 2) the microimage lies on the flat as a whole
     # (m, side + 2, side + 2, 2) [px] centre in the picture that is read, the flat or crops of it
-    place: NDArray[np.float64]
+    place: Floats
 
     @property
-    def inner(self) -> NDArray[np.int64]:
+    def inner(self) -> Integers:
         """(m * side**2, 2) lattice indices of the lenses without the borders."""
         return self.index[:, 1:-1, 1:-1].reshape(-1, 2)
 
-    def subtract_neighbours(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def subtract_neighbours(self, values: Floats) -> Floats:
         """(m * side**2,) values (m, side + 2, side + 2) of lenses less the mean of their neighbours; NaN if one is."""
         stop = values.shape[1] - 1
         near = [values[:, 1 + i : stop + i, 1 + j : stop + j] for i, j in self.lattice.steps]
@@ -51,18 +51,18 @@ class LensSample:
 class LensFeatures:
     """Features of the lenses of a sample, arrays (m, side + 2, side + 2), NaN off the flat."""
 
-    sharpness: NDArray[np.float64]  # logarithm of the mean squared difference of near pixels
+    sharpness: Floats  # logarithm of the mean squared difference of near pixels
     # light just beyond the rim over that just before it, less the mean profile: larger at softer edges
-    outer_light: NDArray[np.float64]
+    outer_light: Floats
     # the same of light missing just before the rim, which depends less on how pixels fall on the edge
-    inner_loss: NDArray[np.float64]
-    level: NDArray[np.float64]  # logarithm of the mean tone of the core
+    inner_loss: Floats
+    level: Floats  # logarithm of the mean tone of the core
     # (2, ...) mean difference of near pixels to the right and down; it averages to zero whatever the focus
-    gradient: NDArray[np.float64]
+    gradient: Floats
     rim_ratio: float  # light just beyond the rim over that just before it, of all lenses together
 
 
-def outlier_limit(values: NDArray[np.float64]) -> float:
+def outlier_limit(values: Floats) -> float:
     """Three standard deviations of values (n,), from the median of their sizes; 0 where there are none."""
     return 3.0 * 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
@@ -122,7 +122,7 @@ def _accumulate(begin, end, picture, centres, radius, inside, lag, energy, gradi
         gradient[0, lens], gradient[1, lens] = across / max(pairs, 1), down / max(pairs, 1)
 
 
-def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> LensFeatures:
+def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
     """Measure the lenses of a sample on a picture (h, w) as made by `images.preprocessing.sqrt_luminance`."""
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
@@ -138,10 +138,10 @@ def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> L
     def zone(low: float, high: float) -> slice:
         return slice(round(low / _REACH * rings), round(high / _REACH * rings))
 
-    def mean(own: slice) -> NDArray[np.float64]:
+    def mean(own: slice) -> Floats:
         return light[:, own].sum(1) / np.maximum(count[:, own].sum(1), 1) + noise
 
-    def ratio(own: slice, other: slice) -> tuple[NDArray[np.float64], float]:
+    def ratio(own: slice, other: slice) -> tuple[Floats, float]:
         """Light in a zone over that in another, less that of the mean profile, and its mean over all lenses."""
         relative, pixels = light[:, own] / mean(other)[:, None], count[:, own]
         # Which pixels fall on a ring differs from lens to lens; the mean profile allows for that.
@@ -157,7 +157,7 @@ def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> L
     outer, rim_ratio = ratio(zone(1.03, _REACH), zone(0.75, 0.95))
     inner, _ = ratio(zone(0.8, 0.97), zone(0.5, 0.75))
 
-    def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def spread(values: Floats) -> Floats:
         full = np.full((*values.shape[:-1], sample.whole.size), np.nan)
         full[..., chosen] = values
         return full.reshape(values.shape[:-1] + sample.whole.shape)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..camera.lens_types import LensTypes
 from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
+from ..runtime.arrays import Singles
 from .classify import MIN_RADIUS, find_lens_types, is_in_step
 from .focus_order import FLATTENED, TypeMeans
 from .lens_sample import measure_lens_features, sample_lenses
@@ -21,9 +22,7 @@ from .lens_sample import measure_lens_features, sample_lenses
 __all__ = ["find_rim_conflict", "find_type_conflict"]
 
 
-def find_type_conflict(
-    picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, rims_known: bool = False
-) -> str | None:
+def find_type_conflict(picture: Singles, lattice: Lattice, types: LensTypes, rims_known: bool = False) -> str | None:
     """What contradicts the lens types of a camera on a scene, None where nothing does.
 
     `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`. With `rims_known`, the gain map has the light
@@ -47,8 +46,6 @@ def find_type_conflict(
 
 def find_rim_conflict(types: LensTypes, gain: GainMap, radius: float) -> str | None:
     """What in the gain map (`radius` [px]: usable) contradicts the lens types of a camera, None where nothing does."""
-    if not (types.ordered and gain.type_light.size):
-        return None
     cells = LensTypes(gain.type_cell)
     own, other = _numbers(types, cells).ravel(), _numbers(cells, types).ravel()
     light = gain.type_rims(radius)
@@ -67,7 +64,7 @@ def _numbers(types: LensTypes, other: LensTypes) -> NDArray[np.int8]:
     return types.of(np.stack(np.meshgrid(np.arange(period), np.arange(period), indexing="ij"), axis=-1))
 
 
-def _is_refuted(picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, rims_known: bool) -> bool:
+def _is_refuted(picture: Singles, lattice: Lattice, types: LensTypes, rims_known: bool) -> bool:
     """Whether rims or sharpness of three types contradict their order."""
     sample = sample_lenses(lattice)
     features = measure_lens_features(picture, sample)

@@ -18,9 +18,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ..runtime.arrays import Frozen
+from ..runtime.arrays import Array, Floats, Frozen, Integers
 from .camera_model import INTERNAL, SHAPE, project, project_derivatives, shape_derivatives
 
 __all__ = [
@@ -28,7 +27,6 @@ __all__ = [
     "pose_unknowns", "select_order", "unknowns",
 ]  # fmt: skip
 
-Array = NDArray[Any]
 _OWN, _LAST = len(INTERNAL), len(SHAPE)
 #: Places of the six of the pose among the 25 unknowns of an observation: turn [rad], shift [mm].
 POSE = np.arange(_OWN, _OWN + 6)
@@ -45,11 +43,11 @@ _GROUPS: dict[tuple[str, ...], tuple[str, ...]] = {
 class Observations(Frozen):
     """Corners seen in microimages, sorted by pose."""
 
-    pose: NDArray[np.int64]  # (n,) which flat
-    corner: NDArray[np.int64]  # (n,) which point of the board
-    centre: NDArray[np.float64]  # (n, 2) [px] of the microimage
-    position: NDArray[np.float64]  # (n, 2) [px] where on the flat the corner is seen
-    error: NDArray[np.float64]  # (n,) [px] standard error of that along each axis; 1 where only ratios are known
+    pose: Integers  # (n,) which flat
+    corner: Integers  # (n,) which point of the board
+    centre: Floats  # (n, 2) [px] of the microimage
+    position: Floats  # (n, 2) [px] where on the flat the corner is seen
+    error: Floats  # (n,) [px] standard error of that along each axis; 1 where only ratios are known
 
     def __post_init__(self) -> None:
         order = np.argsort(self.pose, kind="stable")
@@ -68,7 +66,7 @@ class Poses:
     rotation: Array
     translation: Array
 
-    def of_board(self, points: Array, pose: NDArray[np.int64]) -> Array:
+    def of_board(self, points: Array, pose: Integers) -> Array:
         """(n, 3) points of the board, in poses (n,), in the frame of the camera."""
         return np.einsum("nij,nj->ni", self.rotation[pose], points) + self.translation[pose]
 
@@ -96,7 +94,7 @@ class Adjusted:
     right: Array  # (m, 25)
 
 
-def unknowns(free: Sequence[str], poses: int) -> NDArray[np.int64]:
+def unknowns(free: Sequence[str], poses: int) -> Integers:
     """Places of the parameters `free`, and of those of all poses, among the unknowns."""
     last = _OWN + 6 * poses
     places = {name: k for k, name in enumerate(INTERNAL)} | {name: last + k for k, name in enumerate(SHAPE)}
@@ -172,7 +170,7 @@ class _Problem:
     pixel: float
     board: Array
     observations: Observations
-    chosen: NDArray[np.int64]
+    chosen: Integers
 
     def state(self, values: Array) -> tuple[Array, Poses, Array]:
         """Camera, poses and board."""
@@ -234,9 +232,7 @@ class _Problem:
         return full(found.x)
 
 
-def _normal_equations(
-    rows: Array, residual: Array, weight: Array, pose: NDArray[np.int64], count: int
-) -> tuple[Array, Array]:
+def _normal_equations(rows: Array, residual: Array, weight: Array, pose: Integers, count: int) -> tuple[Array, Array]:
     """(m, 25, 25) and (m, 25): weighted normal equations of the observations of each pose, which are sorted by it."""
     size = rows.shape[2]
     normal, right = np.zeros((count, size, size)), np.zeros((count, size))
@@ -259,13 +255,13 @@ def gather(normal: Array, right: Array) -> tuple[Array, Array]:
     return whole, total
 
 
-def pose_unknowns(m: int, count: int) -> NDArray[np.int64]:
+def pose_unknowns(m: int, count: int) -> Integers:
     """Places among the unknowns of the 25 that pose `m` of `count` depends on."""
     first, last = _OWN + 6 * m, _OWN + 6 * count
     return np.r_[:_OWN, first : first + 6, last : last + _LAST]
 
 
-def eliminate(normal: Array, right: Array, kept: NDArray[np.int64], gone: NDArray[np.int64]) -> tuple[Array, Array]:
+def eliminate(normal: Array, right: Array, kept: Integers, gone: Integers) -> tuple[Array, Array]:
     """Normal equations of the unknowns `kept`, without what those that are `gone` take up (Schur complement)."""
     taken = normal[np.ix_(kept, gone)] @ inverse(normal[np.ix_(gone, gone)])
     return normal[np.ix_(kept, kept)] - taken @ normal[np.ix_(gone, kept)], right[kept] - taken @ right[gone]

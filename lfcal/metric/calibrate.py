@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..boards.board import Board
 from ..boards.detection import DetectedBoard, FocusSweep
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
+from ..runtime.arrays import Array
 from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_number, check_type
 from .bundle_adjustment import BASE, POSE, Adjusted, Observations, Poses, adjust, inverse, select_order
 from .camera_model import INTERNAL
@@ -27,7 +27,6 @@ from .uncertainty import describe_degeneracies, internal_camera, optics_of, pose
 
 __all__ = ["DEFAULT_PIXEL", "calibrate_metric", "locate_board"]
 
-Array = NDArray[Any]
 
 #: Side of a pixel [mm] where none is given; distances do not depend on it.
 DEFAULT_PIXEL = 0.0055

@@ -18,16 +18,13 @@ change their size. A bend of a twohundredth of the width looks like a focal leng
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.optics import object_slopes, turn_to_array
+from ..runtime.arrays import Array
 
 __all__ = ["INTERNAL", "SHAPE", "from_internal", "project", "project_derivatives", "shape_derivatives", "to_internal"]
 
-Array = NDArray[Any]
 
 # Order of the parameters that are fitted. The first three take the place of F, L and b, which a fit hardly tells
 # apart: f = (L + b) / pixel, and D / s = at_infinity + per_depth / Z.

@@ -15,17 +15,15 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics, object_slopes, turn_to_array
+from ..runtime.arrays import Array
 from ..runtime.errors import CameraFileError
 from ..runtime.output_file import atomic_write
 from .result import MetricCalibration
 
 __all__ = ["Pinhole", "equivalent_pinhole", "read_libpleno", "write_libpleno", "write_pinhole"]
-
-Array = NDArray[Any]
 
 
 class Pinhole(NamedTuple):

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..boards.board import Board
@@ -15,19 +14,18 @@ from ..boards.detection import DetectedBoard, FocusSweep, detect, other_size
 from ..camera.calibration import Calibration
 from ..images.mosaic import equalise_mosaic, find_mosaic
 from ..images.preprocessing import luminance
+from ..runtime.arrays import Array, Singles
 from .bundle_adjustment import Observations, Poses
 from .camera_model import project
 
 __all__ = ["BoardFlat", "measure", "prepare"]
-
-Array = NDArray[Any]
 
 
 class BoardFlat(NamedTuple):
     """A flat of a board, with the light of its camera divided out, and the board as first detected."""
 
     name: str
-    light: NDArray[np.float32]  # (h, w)
+    light: Singles  # (h, w)
     detected: DetectedBoard | None
     reason: str = ""  # why no board was found
     other: str = ""  # number of corners of the larger checkerboard that the flat shows

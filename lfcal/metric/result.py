@@ -8,19 +8,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..boards.board import Board
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
-from ..runtime.arrays import Frozen
+from ..runtime.arrays import Array, Booleans, Frozen
 from ..runtime.output_file import atomic_write
 from .bundle_adjustment import Adjusted, Observations
 from .camera_model import INTERNAL, SHAPE
 
 __all__ = ["BoardPose", "MetricCalibration", "pose_of"]
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +119,7 @@ class MetricCalibration(Frozen):
     fitted: tuple[str, ...]
     observations: Observations
     residual: Array
-    used: NDArray[np.bool_]
+    used: Booleans
     noise: float
     widening: float
     degeneracies: tuple[str, ...]

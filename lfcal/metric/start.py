@@ -8,19 +8,16 @@ start of the bundle adjustment. No start has to be given, and no pose can end mi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..boards.detection import DetectedBoard
+from ..runtime.arrays import Array
 from .bundle_adjustment import Poses
 from .camera_model import INTERNAL
 
 __all__ = ["first_camera", "planar_poses"]
-
-Array = NDArray[Any]
 
 
 def planar_poses(scene: Array, board: Array, focal: float, principal: Array) -> list[tuple[Array, Array]]:

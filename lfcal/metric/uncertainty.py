@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.optics import OPTICS_PARAMETERS, Optics
+from ..runtime.arrays import Array
 from .bundle_adjustment import POSE, Adjusted, Observations, eliminate, linearise, pose_unknowns, unknowns
 from .camera_model import INTERNAL, from_internal, to_internal
 
 __all__ = ["describe_degeneracies", "internal_camera", "optics_of", "pose_factor", "rim_covariance"]
-
-Array = NDArray[Any]
 
 
 def pose_factor(found: Adjusted) -> float:

@@ -10,19 +10,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..metric.bundle_adjustment import POSE, Observations, Poses, eliminate, inverse, linearise
 from ..metric.result import MetricCalibration
 from ..metric.uncertainty import internal_camera
+from ..runtime.arrays import Array
 
 __all__ = ["suggest_poses"]
 
-Array = NDArray[Any]
 _PLACES = {
     "in the middle": (0.5, 0.5), "at the top left": (0.25, 0.25), "at the top right": (0.75, 0.25),
     "at the bottom left": (0.25, 0.75), "at the bottom right": (0.75, 0.75),

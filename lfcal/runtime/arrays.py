@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Frozen", "decode_array", "encode_array", "to_eight_bits"]
+__all__ = [
+    "Array", "Booleans", "Floats", "Frozen", "Integers", "Singles", "decode_array", "encode_array", "to_eight_bits",
+]  # fmt: skip
+
+Array = NDArray[Any]
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
 
 class Frozen:

@@ -10,15 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..lattice.cell import cell_normals
+from ..lattice.cell import Cell
+from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_mask, select_whole_lenses
 from ..lattice.robust_fit import LatticeFit, field_rms
+from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from ..runtime.errors import CalibrationError
 from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
-from .radial_distortion import RadialEstimate, estimate_radial
 from .template import build_lens_equations
 
 __all__ = ["fit_scene", "measure_shifts", "select_lenses", "standard_error"]
@@ -35,7 +35,7 @@ _NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat o
 _TOO_LITTLE = "the microimages show too little; give a brighter flat or a white image"
 
 
-def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e6) -> LatticeFit:
+def fit_scene(picture: Singles, lattice: Lattice, pixels: float = 4e6) -> LatticeFit:
     """Fit origin and basis of a lattice, and a radial distortion if the lenses clearly show one.
 
     `picture` (h, w) is a feature that looks alike in most microimages, such as locally normalised edges; `lattice` the
@@ -88,9 +88,9 @@ class _Measured:
     """Shifts of the lenses that show something, and the variance (n,) [px^2] of all, infinite for the others."""
 
     shifts: LensShifts
-    variance: NDArray[np.float64]
+    variance: Floats
 
-    def select(self, chosen: NDArray[np.bool_]) -> _Measured:
+    def select(self, chosen: Booleans) -> _Measured:
         """The `chosen` (n,) of all lenses."""
         return _Measured(self.shifts.select(chosen[np.isfinite(self.variance)]), self.variance[chosen])
 
@@ -105,8 +105,8 @@ class _Converged:
     lattice: Lattice
     before: Lattice
     measured: _Measured
-    change: NDArray[np.float64]
-    weight: NDArray[np.float64]
+    change: Floats
+    weight: Floats
     remaining: float
 
     @property
@@ -118,8 +118,8 @@ class _Converged:
 class _Fitter:
     """Fits a lattice to lenses `indices` (n, 2) of a picture, every `stride`-th pixel; `regular` as of `LensShifts`."""
 
-    picture: NDArray[np.float32]
-    indices: NDArray[np.int64]
+    picture: Singles
+    indices: Integers
     stride: int
     regular: complex | None = None
 
@@ -131,7 +131,7 @@ class _Fitter:
         start, path = lattice.basis, Acceleration([], [])
         # The lenses that agree best are selected at first, and once more when the fit has converged on them: selected
         # at every step, they would alternate between parts of the flat that do not agree.
-        weights: NDArray[np.float64] | None = None
+        weights: Floats | None = None
         restarts = 1
         for turn in range(passes):
             if measured is None or turn > 0:
@@ -175,20 +175,14 @@ class _Fitter:
         return fit
 
 
-def _estimate_radial(fit: _Converged, tilted: bool) -> RadialEstimate:
-    """The distortion that the lenses of a fit show beyond the one it has."""
-    tile = _tiles(fit.shifts, _TILES)[0]
-    return estimate_radial(fit.before, fit.shifts.design, fit.shifts.shift, fit.weight, tile, tilted)
-
-
 @dataclass
 class Acceleration:
     """Anderson's acceleration (J. ACM 12, 1965): lattices (6,) that a fit has passed, and the changes it made there."""
 
-    lattices: list[NDArray[np.float64]]
-    changes: list[NDArray[np.float64]]
+    lattices: list[Floats]
+    changes: list[Floats]
 
-    def leap(self, lattice: Lattice, change: NDArray[np.float64], design: NDArray[np.float64]) -> NDArray[np.float64]:
+    def leap(self, lattice: Lattice, change: Floats, design: Floats) -> Floats:
         """Change (3, 2) after which no more should be needed, if changes are linear in the lattice."""
         self.lattices.append(np.vstack([lattice.origin, lattice.basis]).ravel())
         self.changes.append(change.ravel())
@@ -204,15 +198,14 @@ class Acceleration:
         return (further * min(1.0, 10 * plain / max(length, 1e-300))).reshape(3, 2)
 
 
-def move_lattice(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
+def move_lattice(lattice: Lattice, change: Floats) -> Lattice:
     """The lattice after a change (3, 2) of origin and basis."""
     return replace(lattice, origin=lattice.origin + change[0], basis=lattice.basis + change[1:])
 
 
-def select_lenses(lattice: Lattice, most: int) -> NDArray[np.int64]:
+def select_lenses(lattice: Lattice, most: int) -> Integers:
     """Indices of about `most` whole lenses, evenly spread."""
-    _, reach = cell_normals(lattice)
-    indices, _ = select_whole_lenses(lattice, reach + 1)
+    indices, _ = select_whole_lenses(lattice, Cell.of(lattice).circumradius + 1)
     indices = indices[sample_mask(len(indices), most / max(len(indices), 1))]
     if len(indices) < _FEWEST_LENSES:
         raise CalibrationError(
@@ -222,30 +215,28 @@ def select_lenses(lattice: Lattice, most: int) -> NDArray[np.int64]:
     return indices
 
 
-def _select_certain(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _select_certain(variance: Floats) -> Booleans:
     """(n,) lenses whose variance (n,) is not so large that they have next to no weight: the rest only takes time."""
     enough = np.sort(variance)[min(2000, len(variance)) - 1]
     return np.asarray(variance <= max(4 * np.quantile(variance, 0.02), enough))
 
 
-def measure_shifts(
-    picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int
-) -> _Measured:
+def measure_shifts(picture: Singles, lattice: Lattice, indices: Integers, stride: int) -> _Measured:
     """Shifts of the lenses at `indices` (n, 2) from the lattice, each by itself."""
-    normals, reach = cell_normals(lattice)
-    centres = lattice.points(indices)
+    cell, centres = Cell.of(lattice), lattice.points(indices)
     # A lattice that has moved may have moved lenses over the edge of the flat.
-    whole = ((centres >= reach) & (centres <= np.array(picture.shape[::-1]) - 1 - reach)).all(1)
+    beyond = np.array(picture.shape[::-1]) - 1 - cell.circumradius
+    whole = ((centres >= cell.circumradius) & (centres <= beyond)).all(1)
     if whole.sum() < _FEWEST_LENSES:
         raise CalibrationError(_NO_LATTICE)
-    found = build_lens_equations(picture, lattice, np.ascontiguousarray(centres[whole]), normals, stride)
+    normal, right, noise = build_lens_equations(picture, lattice, np.ascontiguousarray(centres[whole]), cell, stride)
     # Dark and blank lenses fit any lattice.
-    information = np.trace(found.normal, axis1=1, axis2=2)
+    information = np.trace(normal, axis1=1, axis2=2)
     clear = information > 0.001 * np.quantile(information, 0.9)
     if clear.sum() < _FEWEST_LENSES:
         raise CalibrationError(_TOO_LITTLE)
-    (xx, xy), (_, yy) = found.normal[clear].transpose(1, 2, 0)
-    bx, by = found.right[clear].T
+    (xx, xy), (_, yy) = normal[clear].transpose(1, 2, 0)
+    bx, by = right[clear].T
     # Lenses that show an edge in one direction only have next to no information on the position along it.
     ridge = 1e-6 * float(information.mean())
     xx, yy = xx + ridge, yy + ridge
@@ -253,13 +244,11 @@ def measure_shifts(
     shift = np.column_stack([yy * bx - xy * by, xx * by - xy * bx]) / determinant[:, None]
     design = np.column_stack([np.ones(len(shift)), indices[whole][clear]])
     variance = np.full(len(indices), np.inf)
-    variance[np.flatnonzero(whole)[clear]] = known = found.noise[clear] * (xx + yy) / determinant / 2
+    variance[np.flatnonzero(whole)[clear]] = known = noise[clear] * (xx + yy) / determinant / 2
     return _Measured(LensShifts(design, shift, known, lattice.basis), variance)
 
 
-def standard_error(
-    shifts: LensShifts, change: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]
-) -> float:
+def standard_error(shifts: LensShifts, change: Floats, weight: Floats, field: Floats) -> float:
     """Standard error of a centre, RMS over the `field` (m, 3) as of `LensShifts.design` [px], from residuals of tiles.
 
     A cluster-robust ("sandwich") covariance: Huber, Robust Statistics (1981), section 7.6.
@@ -275,7 +264,7 @@ def standard_error(
     return float(np.sqrt(max(np.trace(covariance @ moments), 0.0) * tiles / max(tiles - 3, 1)))
 
 
-def _tiles(shifts: LensShifts, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _tiles(shifts: LensShifts, number: int) -> tuple[Integers, Integers]:
     """Tile (n,) of each lens, at most about `number` squares, and the colour (t,) 0 or 1 of each as on a chessboard."""
     places = shifts.design[:, 1:] @ shifts.basis
     number = min(number, max(len(places) // 3, 1))
@@ -286,3 +275,63 @@ def _tiles(shifts: LensShifts, number: int) -> tuple[NDArray[np.int64], NDArray[
     used, tile = np.unique(place[:, 1] * grid[0] + place[:, 0], return_inverse=True)
     row, column = np.divmod(used, grid[0])
     return tile.ravel(), (row + column) % 2
+
+
+@dataclass(frozen=True)
+class RadialEstimate:
+    """A radial distortion about the middle of the flat, or, where the array is tilted, about another place.
+
+    `k1 * x |x|^2 + 2 x (x . tilt) + tilt |x|^2` for positions `x` from the middle, over half the diagonal: expanded
+    about the middle, `k1 (x - c) |x - c|^2` is that with `tilt = -k1 c`, and parts that the basis follows.
+    """
+
+    k1: float
+    tilt: Floats  # (2,) zero about the middle
+    significance: float  # squared size over its covariance, per parameter
+    shift: float  # [px, RMS] movement of centres, without what a straight lattice can follow
+
+    def is_significant(self, pitch: float) -> bool:
+        """Whether a distortion of this strength exceeds what a scene without one can show, at this pitch [px].
+
+        Scenes without one reach 9 and 0.001 pitches, with a tilt 12 and 0.003 pitches.
+        """
+        tilted = self.tilt.any()
+        return self.significance > (20 if tilted else 64) and self.shift > (0.005 if tilted else 0.003) * pitch
+
+    def __add__(self, other: RadialEstimate) -> RadialEstimate:
+        """Both distortions, one after the other, with the significance of the second."""
+        return RadialEstimate(self.k1 + other.k1, self.tilt + other.tilt, other.significance, other.shift)
+
+    def distortion(self, image_size: tuple[int, int]) -> Distortion:
+        """As it is kept in a lattice."""
+        bend = Distortion.zero(image_size)
+        k1 = self.k1 if abs(self.k1) > 1e-9 else 1e-9
+        return Distortion(bend.centre - self.tilt / k1 * bend.reach, k1, 0.0, bend.reach)
+
+
+def _estimate_radial(fit: _Converged, tilted: bool) -> RadialEstimate:
+    """The distortion that the lenses of a fit show beyond the one it has, with a tilt if `tilted`.
+
+    Errors within one tile are alike, so the standard error comes from differences between tiles.
+    """
+    lattice, weight, design = fit.before, fit.weight, fit.shifts.design
+    tile = _tiles(fit.shifts, _TILES)[0]
+    zero = Distortion.zero(lattice.image_size)
+    place = (design @ np.vstack([lattice.origin, lattice.basis]) - zero.centre) / zero.reach
+    square = (place**2).sum(1, keepdims=True)
+    tilts = [2 * place * place[:, [axis]] + square * np.eye(2)[axis] for axis in range(2)] if tilted else []
+    both = np.hstack([*(zero.reach * column for column in (place * square, *tilts)), fit.shifts.shift])
+    root = np.sqrt(weight)[:, None]
+    both = both - design @ np.linalg.lstsq(design * root, both * root, rcond=None)[0]
+    count = 1 + len(tilts)
+    columns, left = both[:, :-2].reshape(-1, count, 2), both[:, -2:]
+    information = np.einsum("n,nkd,nld->kl", weight, columns, columns)
+    found = np.linalg.lstsq(information, np.einsum("n,nkd,nd->k", weight, columns, left), rcond=None)[0]
+    moved = np.einsum("k,nkd->nd", found, columns)
+    pull = np.zeros((int(tile.max()) + 1, count))
+    np.add.at(pull, tile, np.einsum("n,nkd,nd->nk", weight, columns, left - moved))
+    bread = np.linalg.pinv(information)
+    covariance = bread @ (pull.T @ pull) @ bread * len(pull) / max(len(pull) - 3 - count, 1)
+    significance = float(found @ np.linalg.pinv(covariance) @ found) / count
+    tilt = found[1:] if tilted else np.zeros(2)
+    return RadialEstimate(float(found[0]), tilt, significance, float(np.sqrt((moved**2).sum(1).mean())))

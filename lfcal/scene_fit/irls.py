@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..lattice.lens_subset import sample_mask
+from ..runtime.arrays import Booleans, Floats
 
 __all__ = ["LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]
 
@@ -27,19 +27,19 @@ _OUTLIER = 3.0
 class LensShifts:
     """Measured shifts of single lenses from a lattice."""
 
-    design: NDArray[np.float64]  # (n, 3) lattice indices with a leading 1
-    shift: NDArray[np.float64]  # (n, 2) [px]
-    variance: NDArray[np.float64]  # (n,) [px^2] as the pixels of each lens by itself imply
-    basis: NDArray[np.float64]  # (2, 2) [px] of the lattice that shifts are measured from
+    design: Floats  # (n, 3) lattice indices with a leading 1
+    shift: Floats  # (n, 2) [px]
+    variance: Floats  # (n,) [px^2] as the pixels of each lens by itself imply
+    basis: Floats  # (2, 2) [px] of the lattice that shifts are measured from
     regular: complex | None = None  # `a2 / a1` as complex numbers if the array is known to be regular
 
     @cached_property
-    def spread(self) -> NDArray[np.float64]:
+    def spread(self) -> Floats:
         """(n,) variance over that of the most certain lenses."""
         return np.maximum(self.variance / np.quantile(self.variance, 0.02), 1.0)
 
     @cached_property
-    def prior(self) -> NDArray[np.float64]:
+    def prior(self) -> Floats:
         """(n,) weight of a lens by its variance.
 
         Errors made by the scene grow faster than the variance: a codec moves a whole block along with its content if
@@ -47,15 +47,15 @@ class LensShifts:
         """
         return self.spread**-3.0
 
-    def select(self, chosen: NDArray[np.bool_]) -> LensShifts:
+    def select(self, chosen: Booleans) -> LensShifts:
         """The chosen (n,) ones."""
         return replace(self, design=self.design[chosen], shift=self.shift[chosen], variance=self.variance[chosen])
 
-    def squares(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
+    def squares(self, change: Floats) -> Floats:
         """(n,) squared distances [px^2] from a change (3, 2) of origin and basis, over `spread`."""
         return ((self.shift - self.design @ change) ** 2).sum(1) / self.spread
 
-    def fit(self, weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    def fit(self, weight: Floats) -> Floats:
         """Change (3, 2) of origin and basis by weighted least squares."""
         share = weight / max(float(weight.sum()), 1e-300)
         middle, mean = share @ self.design[:, 1:], share @ self.shift
@@ -73,14 +73,14 @@ class LensShifts:
         return np.vstack([mean - middle @ basis, basis])
 
 
-def _weighted_quantile(values: NDArray[np.float64], weight: NDArray[np.float64], share: float) -> float:
+def _weighted_quantile(values: Floats, weight: Floats, share: float) -> float:
     """Least value up to which the weights sum to this share of their total."""
     order = np.argsort(values)
     below = np.cumsum(weight[order])
     return float(values[order[min(int(np.searchsorted(below, share * below[-1])), len(values) - 1)]])
 
 
-def _iterate(shifts: LensShifts, weight: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _iterate(shifts: LensShifts, weight: Floats) -> tuple[Floats, Floats, float]:
     """Change (3, 2) from starting weights (n,), weights (n,), and variance over `LensShifts.spread`."""
     change, variance = shifts.fit(weight), 0.0
     for _ in range(30):
@@ -94,16 +94,7 @@ def _iterate(shifts: LensShifts, weight: NDArray[np.float64]) -> tuple[NDArray[n
     return change, weight, variance
 
 
-def _starting_weights(shifts: LensShifts) -> list[NDArray[np.float64]]:
-    """Weights of all lenses, and of those on either side of four lines."""
-    place = shifts.design[:, 1:] - np.median(shifts.design[:, 1:], axis=0)
-    sides = [place @ [np.cos(angle), np.sin(angle)] > 0 for angle in np.arange(8) * np.pi / 4]
-    return [shifts.prior, *(shifts.prior * side for side in sides if side.sum() >= 8)]
-
-
-def solve_irls(
-    shifts: LensShifts, before: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def solve_irls(shifts: LensShifts, before: Floats | None = None) -> tuple[Floats, Floats]:
     """Change (3, 2) of origin and basis, and the weights (n,) of the lenses [1/px^2].
 
     From weights `before` (n,), or else the best of several starts.
@@ -111,7 +102,7 @@ def solve_irls(
     return _iterate(shifts, before)[:2] if before is not None else _solve_from_all(shifts)[:2]
 
 
-def error_inflation(shifts: LensShifts, weight: NDArray[np.float64]) -> float:
+def error_inflation(shifts: LensShifts, weight: Floats) -> float:
     """Factor by which the standard error exceeds that of least squares with these weights (n,), were they fixed.
 
     Weights depend on the change, and so yield to any error of it: Huber, Robust Statistics (1981), section 7.6.
@@ -124,22 +115,27 @@ def error_inflation(shifts: LensShifts, weight: NDArray[np.float64]) -> float:
     return fixed / max(left, 0.2 * fixed)
 
 
-def _solve_from_all(shifts: LensShifts) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Change (3, 2) of least cost from all starts, weights (n,) and variance; a thousand lenses select the start."""
+def _solve_from_all(shifts: LensShifts) -> tuple[Floats, Floats, float]:
+    """Change (3, 2) of least cost from all starts, weights (n,) and variance; a thousand lenses select the start.
+
+    Starts are all lenses, and those on either side of four lines.
+    """
     count = len(shifts.shift)
     few = shifts.select(sample_mask(count, 1000 / max(count, 1)))
-    found = [_iterate(few, weight) for weight in _starting_weights(few)]
+    place = few.design[:, 1:] - np.median(few.design[:, 1:], axis=0)
+    sides = [place @ [np.cos(angle), np.sin(angle)] > 0 for angle in np.arange(8) * np.pi / 4]
+    found = [_iterate(few, weight) for weight in (few.prior, *(few.prior * side for side in sides if side.sum() >= 8))]
     least = min(variance for _, _, variance in found)
     change, _, variance = min(found, key=lambda one: _cost(few, one[0], least))
     return _iterate(shifts, np.maximum(1 - shifts.squares(change) / (variance * _OUTLIER**2), 0) ** 2 * shifts.prior)
 
 
-def _cost(shifts: LensShifts, change: NDArray[np.float64], variance: float) -> float:
+def _cost(shifts: LensShifts, change: Floats, variance: float) -> float:
     """Sum of the squared residuals over their variances, bounded, with prior weights."""
     return float((np.minimum(shifts.squares(change) / variance, _OUTLIER**2) * shifts.prior).sum())
 
 
-def find_regular_ratio(basis: NDArray[np.float64], shifts: LensShifts) -> complex | None:
+def find_regular_ratio(basis: Floats, shifts: LensShifts) -> complex | None:
     """`a2 / a1` of the square or hexagonal array that lenses cannot distinguish from `basis`, or None.
 
     An F-test of the fit that is bound to the regular array against the free one; a scene has a dozen parts with

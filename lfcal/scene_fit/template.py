@@ -6,19 +6,17 @@ symmetric under a half turn about its centre, which cancels what a wrong centre 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
-from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
+from ..lattice.cell import Cell, row_interval
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF
+from ..runtime.arrays import Floats, Singles
 from ..runtime.kernels import FAST, kernel
 
-__all__ = ["LensEquations", "build_lens_equations"]
+__all__ = ["build_lens_equations"]
 
 # Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on that of the threads.
 _CHUNKS = 16
@@ -146,32 +144,20 @@ def _accumulate(
             noise[lens] = squares / max(weights, 1e-9)
 
 
-@dataclass(frozen=True)
-class LensEquations:
-    """Least squares of each lens by itself: `normal @ shift = right`."""
-
-    normal: NDArray[np.float64]  # (n, 2, 2)
-    right: NDArray[np.float64]  # (n, 2)
-    noise: NDArray[np.float64]  # (n,) variance of a pixel about the mean microimage, over that of all lenses
-
-
 def build_lens_equations(
-    picture: NDArray[np.float32],
-    lattice: Lattice,
-    centres: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    stride: int = 1,
-) -> LensEquations:
-    """Normal equations of the shifts of lenses at `centres` (n, 2) [px], over the pixels of their whole cells.
+    picture: Singles, lattice: Lattice, centres: Floats, cell: Cell, stride: int = 1
+) -> tuple[Floats, Floats, Floats]:
+    """Least squares of the shifts of lenses at `centres` (n, 2) [px], over the pixels of their whole cells.
 
-    Each lens has its own contrast and offset: blank or dark ones carry no information. `normals` are those of
-    `cell_normals`. Of large microimages every `stride`-th pixel each way is enough, as neighbouring ones are alike.
+    Normal matrices (n, 2, 2), right sides (n, 2), and variance (n,) of a pixel about the mean microimage, over that of
+    all lenses. Each lens has its own contrast and offset: blank or dark ones carry no information. Of large microimages
+    every `stride`-th pixel each way is enough, as neighbouring ones are alike.
     """
     # More bins are not worth their memory.
     bins = int(min(3 * lattice.pitch, 210))
     # Space for the pixels of a cell, and for whole vectors beyond them.
-    room = (int(2 * cell_circumradius(normals)) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
-    sides, inverse = cell_row_bounds(normals), np.linalg.inv(lattice.basis)
+    room = (int(2 * cell.circumradius) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
+    sides, inverse = cell.row_bounds(), np.linalg.inv(lattice.basis)
     few = np.ascontiguousarray(centres[:: max(1, len(centres) // 1500)])
     sums = np.zeros((_CHUNKS, bins * bins, 4), np.float32)
     _fold(picture, few, sides, room, inverse, stride, bins, _CHUNKS, sums)
@@ -182,18 +168,18 @@ def build_lens_equations(
         picture, centres, sides, room, inverse, stride, bins, _CHUNKS, maps, np.float32(1 / TUKEY_CUTOFF**2),
         2.0, normal, right, noise,
     )  # fmt: skip
-    return LensEquations(normal, right, noise)
+    return normal, right, noise
 
 
-def _average(sums: NDArray[np.float64], inverse: NDArray[np.float64], blur: float) -> NDArray[np.float32]:
+def _average(sums: Floats, inverse: Floats, blur: float) -> Singles:
     """(bins * bins, 4) mean microimage: level, inverse variance of a pixel, slopes of the level in x and y [1/px].
 
     The centre of the lens is bin 0; columns run along `a1`, rows along `a2`, periodic. `sums` are those of `_fold`,
-    `blur` [bins].
+    `blur` [bins]. Made symmetric by adding the same turned by half a turn.
     """
     bins = round(np.sqrt(len(sums)))
     planes = sums.T[:3].reshape(3, bins, bins)
-    total, square, count = (_make_symmetric(_blur(plane, blur)) for plane in planes)
+    total, square, count = (_blur(plane + np.roll(plane[::-1, ::-1], (1, 1), axis=(0, 1)), blur) for plane in planes)
     count = np.maximum(count, 1e-9)
     level = total / count
     variance = np.maximum(square / count - level**2, 1e-4 * float(np.var(level)) + 1e-12)
@@ -202,7 +188,7 @@ def _average(sums: NDArray[np.float64], inverse: NDArray[np.float64], blur: floa
     return np.dstack([level, 1 / variance, slope]).astype(np.float32).reshape(bins * bins, -1)
 
 
-def _blur(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
+def _blur(values: Floats, width: float) -> Floats:
     """A periodic square picture blurred by a Gaussian of standard deviation `width` [samples]."""
     count = len(values)
     passed = np.exp(-2 * (np.pi * width * np.fft.fftfreq(count)) ** 2)
@@ -210,8 +196,3 @@ def _blur(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
     # A product with so small a matrix takes a tenth of the time of Fourier transforms.
     blur = np.fft.ifft(passed).real[place[:, None] - place]
     return np.asarray(blur @ values @ blur.T)
-
-
-def _make_symmetric(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sum of a periodic picture and the same turned by half a turn about `[0, 0]`."""
-    return values + np.roll(values[::-1, ::-1], (1, 1), axis=(0, 1))

@@ -14,14 +14,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import LitLenses, StackedCrops
-from ..lattice.residuals import Residuals
+from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF, field_rms, tukey_weights
-from ..lattice.standard_errors import LatticeErrors
+from ..lattice.standard_errors import LatticeErrors, Residuals
+from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
 from .kernel import Sums
 from .microimages import Microimages, cut_out
@@ -41,12 +40,12 @@ class Step:
     """A Gauss-Newton step of `p` global parameters, and the equations of `n` lenses that it comes from."""
 
     names: list[str]  # (p,)
-    jacobian: NDArray[np.float64]  # (n, 2, p) of the centres with the parameters
-    normal: NDArray[np.float64]  # (n, 2, 2) of the position of each lens
-    right: NDArray[np.float64]  # (n, 2)
-    change: NDArray[np.float64]  # (p,)
-    covariance: NDArray[np.float64]  # (p, p)
-    weight: NDArray[np.float64]  # (n,) of the lenses
+    jacobian: Floats  # (n, 2, p) of the centres with the parameters
+    normal: Floats  # (n, 2, 2) of the position of each lens
+    right: Floats  # (n, 2)
+    change: Floats  # (p,)
+    covariance: Floats  # (p, p)
+    weight: Floats  # (n,) of the lenses
 
     @property
     def shift_rms(self) -> float:
@@ -60,7 +59,7 @@ class Step:
         return float(np.sqrt(max(spread.mean(), 0.0)))
 
     @property
-    def offsets(self) -> NDArray[np.float64]:
+    def offsets(self) -> Floats:
         """(n, 2) [px] from the centres after the step to those that single microimages show."""
         return np.linalg.solve(self.normal, self.right[..., None])[..., 0] / _STEP_SCALE - self.jacobian @ self.change
 
@@ -126,26 +125,11 @@ def explains_better(fit: Fit, orders: tuple[str, ...], least_shift: float = 0.01
     `least_shift` [px, RMS].
     """
     lattice = add_distortion(fit.lattice, "general" in orders)
-    jacobian, names = _jacobian(lattice, fit.lenses.indices, orders)
+    names, jacobian = lattice.derivatives(fit.lenses.indices, orders)
     change, covariance, _ = _solve(jacobian, fit.step.normal, fit.step.right, fit.step.weight)
     new = np.array([name in orders and name not in fit.orders for name in names])
     size = change[new] @ np.linalg.pinv(covariance[np.ix_(new, new)]) @ change[new] / new.sum()
     return bool(size > 36 and field_rms(jacobian, change) > least_shift)
-
-
-def _jacobian(
-    lattice: Lattice, indices: NDArray[np.int64], orders: tuple[str, ...]
-) -> tuple[NDArray[np.float64], list[str]]:
-    """Derivatives (n, 2, p) of the centres with origin, basis and the distortion `orders`, and the p names."""
-    factors = np.column_stack([np.ones(len(indices)), indices])
-    columns = [factors[:, [k]] * np.eye(2)[axis] for k in range(3) for axis in range(2)]
-    names = ["origin", "origin", "a1", "a1", "a2", "a2"]
-    if lattice.distortion is not None:
-        straight = lattice.origin + indices @ lattice.basis
-        found = [(name, values) for name, values in lattice.distortion.derivatives(straight) if name in orders]
-        names += [name for name, _ in found]
-        columns += [values for _, values in found]
-    return np.stack(columns, axis=2), names
 
 
 def _moved(lattice: Lattice, step: Step) -> Lattice:
@@ -158,7 +142,7 @@ def _moved(lattice: Lattice, step: Step) -> Lattice:
 
 def _solve_step(lattice: Lattice, lenses: Microimages, sums: Sums, orders: tuple[str, ...]) -> Step:
     """The next step of all global parameters; the gains are eliminated (Schur complement)."""
-    jacobian, names = _jacobian(lattice, lenses.indices, orders)
+    names, jacobian = lattice.derivatives(lenses.indices, orders)
     normal, right = _position_equations(sums)
     try:
         return Step(names, jacobian, normal, right, *_solve(jacobian, normal, right))
@@ -166,7 +150,7 @@ def _solve_step(lattice: Lattice, lenses: Microimages, sums: Sums, orders: tuple
         raise CalibrationError(_NO_LATTICE) from error
 
 
-def _position_equations(sums: Sums) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _position_equations(sums: Sums) -> tuple[Floats, Floats]:
     """Normal matrices (n, 2, 2) and right sides (n, 2) of the positions, without the gains."""
     share = sums.normal[:, :2, 2] / np.maximum(sums.normal[:, 2, 2], 1e-30)[:, None]
     normal = np.triu(sums.normal[:, :2, :2]) + np.triu(sums.normal[:, :2, :2], 1).transpose(0, 2, 1)
@@ -176,7 +160,7 @@ def _position_equations(sums: Sums) -> tuple[NDArray[np.float64], NDArray[np.flo
     return normal, sums.right[:, :2] - share * sums.right[:, [2]]
 
 
-def locate_lenses(fit: Fit) -> NDArray[np.float64]:
+def locate_lenses(fit: Fit) -> Floats:
     """(n, 2) [px] from the centres on the lattice to those that the pixels of single microimages show."""
     offsets = fit.step.offsets
     far = np.flatnonzero(np.hypot(*offsets.T) > 2.5 * fit.step.residual_rms)
@@ -193,11 +177,8 @@ def locate_lenses(fit: Fit) -> NDArray[np.float64]:
 
 
 def _solve(
-    jacobian: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    right: NDArray[np.float64],
-    weight: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    jacobian: Floats, normal: Floats, right: Floats, weight: Floats | None = None
+) -> tuple[Floats, Floats, Floats]:
     """Change (p,) of the global parameters, covariance (p, p) and Tukey's weights (n,) of the lenses.
 
     Weights are of the distance of each lens from the common change; those that are nearly known need only one pass.
@@ -239,7 +220,7 @@ class WhiteFit:
     residuals: Residuals  # [px] of the single microimages that took part
 
 
-def fit_white(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixels: float = 3.2e6) -> WhiteFit:
+def fit_white(tones: Singles | StackedCrops, lattice: Lattice, pixels: float = 3.2e6) -> WhiteFit:
     """Fit a white image; CalibrationError if it has fewer than a dozen whole microimages, or they keep to no lattice.
 
     `tones` (h, w), or parts of such, is as made by `images.preprocessing.sqrt_luminance`; `lattice` the start, right to
@@ -247,14 +228,13 @@ def fit_white(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixel
     evenly spread, as have so many `pixels` in all.
     """
     tones, known = StackedCrops.of(tones), distortion_orders(lattice)
-    lenses, lit = cut_out(tones, lattice, *_SEARCH, None, None)
-    plain = converge(lattice, lenses, known)
+    plain = converge(lattice, cut_out(tones, lattice, *_SEARCH), known)
     fit = _select_orders(plain)
-    discs = _find_cut(tones, plain, fit, lit)
+    discs = _find_cut(tones, plain, fit)
     if discs is not None:
         return _summarise_discs(discs, plain.lenses)
     if pixels > fit.lenses.pixels:
-        lenses, lit = cut_out(tones, fit.lattice, pixels, 0, fit.lenses, lit)
+        lenses = cut_out(tones, fit.lattice, pixels, 0, fit.lenses)
         fit = _select_orders(converge(fit.lattice, lenses, fit.orders))
     residuals = Residuals(fit.lenses.indices.astype(np.int32), locate_lenses(fit).astype(np.float32))
     return WhiteFit(
@@ -270,7 +250,7 @@ def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
     `tones` are square roots of the light; the lattice is right to a fraction of the pitch in these parts. Raises
     `CalibrationError` as `fit_white`.
     """
-    fit = converge(lattice, cut_out(tones, lattice, *_SEARCH, None, None)[0], distortion_orders(lattice))
+    fit = converge(lattice, cut_out(tones, lattice, *_SEARCH), distortion_orders(lattice))
     return _select_orders(fit).lattice
 
 
@@ -289,7 +269,7 @@ def _select_orders(fit: Fit) -> Fit:
     return _try(_try(fit, ("k1",)) if not fit.orders else fit, ("general",))
 
 
-def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit, lit: LitLenses) -> TwoDiscs | None:
+def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
     """The discs that cut each other, if the microimages are narrower along the field than across.
 
     `plain` has no distortion that is not known, `bent` has one if it is significant, of any kind.
@@ -298,8 +278,7 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit, lit: LitLenses) -> Two
     # A cut by one pixel narrows microimages by 0.2 px.
     if narrowing < max(0.01, 6 * error):
         return None
-    lenses, _ = cut_out(tones, plain.lattice, 8e5, 250, plain.lenses, lit)
-    discs = fit_two_discs(lenses, plain.lattice)
+    discs = fit_two_discs(cut_out(tones, plain.lattice, 8e5, 250, plain.lenses), plain.lattice)
     if discs is None:
         return None
     discs = choose_lens(discs)

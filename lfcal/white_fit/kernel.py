@@ -13,15 +13,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from ..lattice.cell import clip_rows, is_outside_cell
+from ..lattice.cell import is_outside_cell
 from ..lattice.robust_fit import TUKEY_CUTOFF
+from ..runtime.arrays import Floats, Integers, Singles
 from ..runtime.kernels import FAST, kernel
 
-__all__ = ["Rings", "Sums", "Windows", "add_lenses", "copy_squares"]
+__all__ = ["Rings", "Sums", "Windows", "add_lenses"]
 
 _MOST = TUKEY_CUTOFF * TUKEY_CUTOFF
 
@@ -29,12 +28,12 @@ _MOST = TUKEY_CUTOFF * TUKEY_CUTOFF
 class Windows(NamedTuple):
     """Squares of a flat around `n` lenses, and what is known of each lens."""
 
-    light: NDArray[np.float32]  # (n, k, k)
-    corners: NDArray[np.int64]  # (n, 2) [px] flat coordinates of the first pixel of each square
-    centres: NDArray[np.float64]  # (n, 2) [px]
-    gain: NDArray[np.float64]  # (n,) light of the lens over that of the profile
-    slope: NDArray[np.float64]  # (n, 2) [1/px]
-    shade: NDArray[np.float64]  # (n, 2) [1/px]
+    light: Singles  # (n, k, k)
+    corners: Integers  # (n, 2) [px] flat coordinates of the first pixel of each square
+    centres: Floats  # (n, 2) [px]
+    gain: Floats  # (n,) light of the lens over that of the profile
+    slope: Floats  # (n, 2) [1/px]
+    shade: Floats  # (n, 2) [1/px]
 
 
 class Rings(NamedTuple):
@@ -42,18 +41,24 @@ class Rings(NamedTuple):
 
     step: float  # [px]
     # (r, 5) light, its slope [1/px], inverse variance of a pixel, own light, amplitude of `cos(4 * direction)`
-    table: NDArray[np.float64]
+    table: Floats
     saturation: float  # light from which on pixels are clipped
 
 
 class Sums(NamedTuple):
     """Normal equations of `x`, `y` and the relative change of the gain of each lens, and sums over the rings."""
 
-    normal: NDArray[np.float64]  # (n, 3, 3) upper halves
-    right: NDArray[np.float64]  # (n, 3)
+    normal: Floats  # (n, 3, 3) upper halves
+    right: Floats  # (n, 3)
     # (chunks, r, 6) of the pixels nearest to a ring: weight, weighted residual, the same times `cos(4 * direction)`,
     # weight times its square, squared residual, number
-    band: NDArray[np.float64]
+    band: Floats
+
+
+@njit(error_model="numpy", fastmath=False)
+def _clip_rows(centre, reach, side):
+    """First row of a window (`side` rows) within `reach` of `centre`, and one after the last such row."""
+    return max(math.ceil(centre - reach), 0), min(math.floor(centre + reach) + 1, side)
 
 
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
@@ -81,10 +86,10 @@ def add_lenses(begin, end, windows, cell, rings, sums):
             per_gain = 1 / gains[lens]
             slope_x, slope_y, shade_x, shade_y = slope[lens, 0], slope[lens, 1], shade[lens, 0], shade[lens, 1]
             xx = xy = yy = xm = ym = mm = bx = by = bm = 0.0
-            top, bottom = clip_rows(cy, reach, 0, side)
+            top, bottom = _clip_rows(cy, reach, side)
             for y in range(top, bottom):
                 dy = y - cy
-                first, last = clip_rows(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+                first, last = _clip_rows(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), side)
                 for x in range(first, last):
                     dx = x - cx
                     square = max(dx * dx + dy * dy, 1e-12)
@@ -123,18 +128,3 @@ def add_lenses(begin, end, windows, cell, rings, sums):
             normal[lens, 0, 0], normal[lens, 0, 1], normal[lens, 1, 1] = xx, xy, yy
             normal[lens, 0, 2], normal[lens, 1, 2], normal[lens, 2, 2] = xm, ym, mm
             right[lens, 0], right[lens, 1], right[lens, 2] = bx, by, bm
-
-
-@kernel(share=lambda tones, corners, *_: len(corners))
-def copy_squares(begin, end, tones, corners, out):
-    """Squares of light (n, k, k) whose first pixels are `corners` (n, 2), of its root `tones`; borders are repeated."""
-    side = out.shape[1]
-    height, width = tones.shape
-    for lens in range(begin, end):
-        left, top = corners[lens, 0], corners[lens, 1]
-        inside = left >= 0 and top >= 0 and left + side <= width and top + side <= height
-        for y in range(side):
-            row = min(max(top + y, 0), height - 1)
-            for x in range(side):
-                value = tones[row, left + x if inside else min(max(left + x, 0), width - 1)]
-                out[lens, y, x] = value * value

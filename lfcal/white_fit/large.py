@@ -7,10 +7,8 @@ those before that a distortion is measured before it has moved centres to the ne
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..detection.capture_kind import is_evenly_lit
 from ..detection.first_lattice import FirstLattice, find_first_lattice
@@ -18,16 +16,17 @@ from ..images.mosaic import equalise_mosaic
 from ..images.preprocessing import luminance, normalise_locally
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
+from ..runtime.arrays import Array, Singles
 from ..runtime.errors import CalibrationError
 from .fit import refine_on_parts
 
 __all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_parts", "window_reader"]
 
 
-def window_reader(flat: NDArray[Any], filtered: bool) -> ReadCrop:
+def window_reader(flat: Array, filtered: bool) -> ReadCrop:
     """Reader of the square root of the light of a flat (h, w) or (h, w, 3), `filtered` by a colour mosaic."""
 
-    def read(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
+    def read(x: int, y: int, width: int, height: int) -> Singles:
         raw = np.ascontiguousarray(flat[y : y + height, x : x + width])
         light = equalise_mosaic(raw) if filtered else luminance(raw)
         return np.sqrt(np.maximum(light, 0, out=light), out=light)
@@ -66,7 +65,7 @@ def _stack(read: ReadCrop, corners: list[tuple[int, int]], side: int) -> Stacked
     return StackedCrops(picture, np.array(corners, dtype=np.int64), (side, side))
 
 
-def find_white_lattice_in_array(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
+def find_white_lattice_in_array(tones: Singles, sure: bool) -> FirstLattice | None:
     """`find_white_lattice` in the square root (h, w) of the light of a whole flat."""
     size = tones.shape[1], tones.shape[0]
     return find_white_lattice(lambda x, y, w, h: np.ascontiguousarray(tones[y : y + h, x : x + w]), size, sure, 1)

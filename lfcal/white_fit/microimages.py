@@ -1,21 +1,26 @@
-"""Microimages of some lenses of a white image, and the model that they are compared with."""
+"""Microimages of some lenses of a white image, and the model that they are compared with.
+
+A pixel sees the exit pupil of the main lens through its microlens. Light falls off with the angle of its rays, that is
+about the point below the microlens, which lies the farther from the centre of the microimage the farther out in the
+field it is.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..images.stack import clipping_level
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import LitLenses, StackedCrops, sample_mask
+from ..lattice.lens_subset import StackedCrops, find_lit_lenses, sample_mask
+from ..runtime.arrays import Floats, Integers, Singles
 from ..runtime.errors import CalibrationError
-from .kernel import Rings, Sums, Windows, add_lenses, copy_squares
-from .shading import fit_gain_slope, fit_shade
+from .kernel import Rings, Sums, Windows, add_lenses
 
-__all__ = ["FEWEST_LENSES", "Microimages", "cut_out", "cut_windows"]
+__all__ = ["FEWEST_LENSES", "Microimages", "cut_out", "fit_gain_slope"]
 
 FEWEST_LENSES = 12
 # [px] between rings of the profile: edges of discs are about 1 px wide.
@@ -28,17 +33,17 @@ _CHUNKS = 64
 class Microimages:
     """Windows of the flat around `n` lenses, and the model that they are compared with: a profile of `r` rings."""
 
-    indices: NDArray[np.int64]  # (n, 2) of the lattice
-    light: NDArray[np.float32]  # (n, k, k) squares of the flat around the lenses
-    corners: NDArray[np.int64]  # (n, 2) [px] flat coordinates of the first pixel of each
-    centres: NDArray[np.float64]  # (n, 2) [px]
-    gain: NDArray[np.float64]  # (n,) light of each lens over that of the profile
-    slope: NDArray[np.float64]  # (n, 2) [1/px] relative change of the gain within the microimage
-    shade: NDArray[np.float64]  # (n, 2) [1/px] the same of its own light alone, without that of neighbours
+    indices: Integers  # (n, 2) of the lattice
+    light: Singles  # (n, k, k) squares of the flat around the lenses
+    corners: Integers  # (n, 2) [px] flat coordinates of the first pixel of each
+    centres: Floats  # (n, 2) [px]
+    gain: Floats  # (n,) light of each lens over that of the profile
+    slope: Floats  # (n, 2) [1/px] relative change of the gain within the microimage
+    shade: Floats  # (n, 2) [1/px] the same of its own light alone, without that of neighbours
     cell: Cell
-    profile: NDArray[np.float64]  # (r,) light at radii `0, step, 2*step...`
-    harmonic: NDArray[np.float64]  # (r,) amplitude of `cos(4 * direction)`
-    ring_weight: NDArray[np.float64]  # (r,) inverse variance of a pixel
+    profile: Floats  # (r,) light at radii `0, step, 2*step...`
+    harmonic: Floats  # (r,) amplitude of `cos(4 * direction)`
+    ring_weight: Floats  # (r,) inverse variance of a pixel
     saturation: float  # light from which on pixels are clipped
 
     @property
@@ -82,12 +87,12 @@ class Microimages:
         """An even part of the lenses, with at most so many pixels in their windows."""
         return self.select(slice(None, None, max(1, int(self.light.size / pixels) + 1)))
 
-    def select(self, rows: slice | NDArray[np.int64]) -> Microimages:
+    def select(self, rows: slice | Integers) -> Microimages:
         """Some of the lenses."""
         of_lenses = ("indices", "light", "corners", "centres", "gain", "slope", "shade")
         return replace(self, **{name: getattr(self, name)[rows] for name in of_lenses})
 
-    def places(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def places(self) -> tuple[Floats, Floats]:
         """(n, 1, k) `x` and (n, k, 1) `y` of the pixels relative to the centres [px]."""
         offset = (self.corners - self.centres)[:, :, None] + np.arange(self.light.shape[1])
         return offset[:, 0, None, :], offset[:, 1, :, None]
@@ -105,7 +110,7 @@ class Microimages:
             raise CalibrationError("the microimages show no edges; give a sharper flat or a white image")
         return sums
 
-    def learn(self, sums: Sums, moved: NDArray[np.float64], lattice: Lattice) -> Microimages:
+    def learn(self, sums: Sums, moved: Floats, lattice: Lattice) -> Microimages:
         """Gains, profile, weights and slopes that fit the pixels better, after a step of the centres.
 
         `sums` are those about this model, `moved` (n, 2) [px] is the step of the centres.
@@ -138,7 +143,7 @@ class Microimages:
             ring_weight=1 / np.maximum(variance, floor),
         )
 
-    def measure_shade(self, lattice: Lattice) -> NDArray[np.float64]:
+    def measure_shade(self, lattice: Lattice) -> Floats:
         """(n, 2) slope [1/px] of the own light of each microimage, from the middles of some of them."""
         if np.isfinite(self.saturation):
             return np.zeros_like(self.slope)
@@ -151,26 +156,28 @@ class Microimages:
         miss = (some.light / some.gain[:, None, None] - model * tilt) * model
         square = 0.5 * (model**2 * (x**2 + y**2)).sum((1, 2))
         slopes = np.column_stack([(miss * x).sum((1, 2)), (miss * y).sum((1, 2))]) / np.maximum(square, 1e-30)[:, None]
-        field = fit_shade(slopes, square, some.centres, lattice)
+        field = _fit_shade(slopes, square, some.centres, lattice)
         return field[0] + self.centres @ field[1:]
 
 
 def cut_out(
-    tones: StackedCrops, lattice: Lattice, pixels: float, fewest: int, known: Microimages | None, lit: LitLenses | None
-) -> tuple[Microimages, LitLenses]:
-    """Cut evenly spread lenses out of a flat, and find all lenses that could be chosen.
+    tones: StackedCrops, lattice: Lattice, pixels: float, fewest: int, known: Microimages | None = None
+) -> Microimages:
+    """Cut evenly spread lit lenses out of a flat: about as many as have so many `pixels`, but not fewer than `fewest`.
 
-    Chosen are about as many as have so many `pixels`, but not fewer than `fewest`. Profile and weights are those of
-    `known` lenses, or the mean profile. Lenses found `lit` before on nearly the same lattice save the search.
+    Profile and weights are those of `known` lenses, or the mean profile.
     """
     cell, dark = Cell.of(lattice), 0.03
     margin = cell.circumradius + 2
-    lit = lit or LitLenses.find(tones, lattice, margin, dark**0.5)
-    share = max(pixels / abs(np.linalg.det(lattice.basis)), fewest) / max(len(lit.indices), 1)
-    taken = lit.select(tones, lattice, margin, sample_mask(len(lit.indices), share))
-    indices, offset = taken.indices, tones.offsets[taken.crop]
-    centres = lattice.points(indices)
-    light, corners = cut_windows(tones.picture, centres - offset, margin)
+    indices, centres, crop = tones.lenses(lattice, margin)
+    lit = find_lit_lenses(tones.picture, lattice, indices, centres - tones.offsets[crop], dark**0.5)
+    share = max(pixels / abs(np.linalg.det(lattice.basis)), fewest) / max(int(lit.sum()), 1)
+    chosen = np.flatnonzero(lit)[sample_mask(int(lit.sum()), share)]
+    indices, centres, offset = indices[chosen], centres[chosen], tones.offsets[crop[chosen]]
+    half = int(np.ceil(margin)) + 1
+    place = np.rint(centres - offset).astype(np.int64)
+    windows = sliding_window_view(np.pad(tones.picture, half, "edge"), (2 * half + 1, 2 * half + 1))
+    light, corners = windows[place[:, 1], place[:, 0]] ** 2, place - half
     middle, core = light.shape[1] // 2, max(1, int(0.4 * cell.inradius))
     gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)
     bright = gain > dark * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
@@ -190,7 +197,7 @@ def cut_out(
         profile = _mean_profile(lenses)
         weight = np.full(rings, 1 / max(float(np.var(profile)), 1e-12))
         lenses = replace(lenses, profile=profile, ring_weight=weight)
-        return lenses.learn_profile(lenses.sums()), lit
+        return lenses.learn_profile(lenses.sums())
     profile, harmonic, ring_weight = (
         np.pad(values, (0, max(rings - len(values), 0)), mode="edge")[:rings]
         for values in (known.profile, known.harmonic, known.ring_weight)
@@ -198,10 +205,10 @@ def cut_out(
     near = np.arange(-core, core + 1)
     of_core = np.interp(np.hypot(*np.meshgrid(near, near)), np.arange(rings) * _RING_STEP, profile).mean()
     lenses = replace(lenses, profile=profile, harmonic=harmonic, ring_weight=ring_weight, gain=gain / of_core)
-    return replace(lenses, shade=lenses.measure_shade(lattice)), lit
+    return replace(lenses, shade=lenses.measure_shade(lattice))
 
 
-def _mean_profile(lenses: Microimages) -> NDArray[np.float64]:
+def _mean_profile(lenses: Microimages) -> Floats:
     """(r,) mean radial profile of the lenses."""
     some = lenses.thin(1e6)
     x, y = some.places()
@@ -215,15 +222,60 @@ def _mean_profile(lenses: Microimages) -> NDArray[np.float64]:
     return np.interp(np.arange(len(number)), seen, total[seen] / number[seen])
 
 
-def cut_windows(
-    tones: NDArray[np.float32], centres: NDArray[np.float64], reach: float
-) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Squares of light (n, k, k) reaching at least `reach` px from `centres` (n, 2), and their first pixels (n, 2).
+# Degree of the polynomial of the gain over the field.
+_DEGREE = 4
 
-    `tones` (h, w) is the square root of the light. Pixels beyond the flat repeat its border.
+
+def fit_gain_slope(centres: Floats, gain: Floats, lattice: Lattice) -> Floats:
+    """(n, 2) relative slope of the gain over the field [1/px], from a polynomial through the gains (n,) of lenses."""
+    scale = np.array(lattice.image_size) / 2
+    x, y = ((centres - scale) / scale).T
+    powers = [(a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a)]
+    xs, ys = (np.vander(v, _DEGREE + 1, increasing=True).T for v in (x, y))
+    # Some thousand lenses tell all factors.
+    few = slice(None, None, max(1, len(gain) // 4000))
+    log = np.log(np.maximum(gain[few], 1e-12))
+    table = np.column_stack([xs[a][few] * ys[b][few] for a, b in powers])
+    keep = np.ones(len(log), dtype=bool)
+    factors = np.zeros(len(powers))
+    for _ in range(3):
+        if keep.sum() < 3 * len(powers):
+            return np.zeros_like(centres)
+        factors = np.linalg.lstsq(table[keep], log[keep], rcond=None)[0]
+        miss = np.abs(log - table @ factors)
+        keep = miss < 5 * np.median(miss) + 1e-6
+    slope = np.zeros((2, len(gain)))
+    for (a, b), factor in zip(powers, factors.tolist(), strict=True):
+        if a:
+            slope[0] += a * factor * xs[a - 1] * ys[b]
+        if b:
+            slope[1] += b * factor * xs[a] * ys[b - 1]
+    return np.ascontiguousarray(slope.T / scale)
+
+
+def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice) -> Floats:
+    """Slope of the own light of lenses over the field: (3, 2) of a constant and of the position in px, or zeros.
+
+    `slopes` (n, 2) [1/px] are those of the light within single microimages beyond that of the gains. The slope grows
+    linearly with the distance from an axis, which may lie beside the middle; zeros where that is not significant.
     """
-    half = int(np.ceil(reach)) + 1
-    corners = np.rint(centres).astype(np.int64) - half
-    light = np.empty((len(centres), 2 * half + 1, 2 * half + 1), np.float32)
-    copy_squares(tones, corners, light)
-    return light, corners
+    far = centres - (np.array(lattice.image_size) - 1) / 2
+    root = np.sqrt(weight)[:, None]
+    table = np.zeros((len(far), 2, 3))
+    table[:, 0, 0] = table[:, 1, 1] = 1
+    table[:, :, 2] = far
+    keep = np.repeat(weight[:, None] > 0, 2, axis=1)
+    for _ in range(3):
+        if keep.sum() < 12:
+            return np.zeros((3, 2))
+        used = table * (root * keep)[..., None]
+        normal = np.einsum("nap,naq->pq", used, used)
+        found = np.linalg.pinv(normal) @ np.einsum("nap,na->p", used, slopes * root)
+        miss = np.abs(slopes - table @ found) * root
+        keep = (weight[:, None] > 0) & (miss < 4 * np.median(miss[weight > 0]) + 1e-12)
+    variance = float((miss[keep] ** 2).mean())
+    # Six standard errors.
+    if found @ normal @ found < 36 * variance:
+        return np.zeros((3, 2))
+    middle = (np.array(lattice.image_size) - 1) / 2
+    return np.vstack([found[:2] - found[2] * middle, found[2] * np.eye(2)])

@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..gain.gain_map import field_place
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..lattice.standard_errors import LatticeErrors
+from ..runtime.arrays import Floats, Integers
 from .disc_light import (
     BEND,
     CORRELATION,
@@ -33,9 +34,8 @@ from .disc_light import (
     TAIL,
     evaluate,
 )  # fmt: skip
-from .microimages import Microimages
-from .shading import fit_gain_slope
-from .vignetting import CatEye, field_position
+from .microimages import Microimages, fit_gain_slope
+from .vignetting import CatEye
 
 __all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
 
@@ -46,18 +46,16 @@ _STEPS = np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (
 class _Pixels:
     """Pixels of some lenses, those of a lens side by side."""
 
-    rows: NDArray[np.int64]  # (lenses,) of `Microimages`: those that have pixels
-    place: NDArray[np.float64]  # (n, 2) [px] relative to the centre on the lattice
-    lens: NDArray[np.int64]  # (n,) number of the lens
-    light: NDArray[np.float64]  # (n,) over the gain of the lens
-    field: NDArray[np.float64]  # (lenses, 2)
-    steps: NDArray[np.float64]  # (8, 2) [px] to neighbours
+    rows: Integers  # (lenses,) of `Microimages`: those that have pixels
+    place: Floats  # (n, 2) [px] relative to the centre on the lattice
+    lens: Integers  # (n,) number of the lens
+    light: Floats  # (n,) over the gain of the lens
+    field: Floats  # (lenses, 2)
+    steps: Floats  # (8, 2) [px] to neighbours
     scale: float  # [px] about the radius of the discs
     reach: float  # [px] half the diagonal of the flat
 
-    def compare(
-        self, p: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def compare(self, p: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
         """Residuals (n,), their negative derivatives (n, 19), and gains (lenses,), which are eliminated."""
         model, table = np.empty(len(self.lens)), np.empty((len(self.lens), COUNT))
         evaluate(self.place, self.lens, self.field, self.steps, p, self.scale, self.reach, model, table)
@@ -76,21 +74,21 @@ class TwoDiscs:
     """A lens (first) and the disc that cuts it (second), relative to the `lattice` that they were fitted on."""
 
     lattice: Lattice
-    parameters: NDArray[np.float64]  # (19,) of `disc_light`
-    covariance: NDArray[np.float64]  # (19, 19)
+    parameters: Floats  # (19,) of `disc_light`
+    covariance: Floats  # (19, 19)
     scale: float  # [px] about the radius of both
-    indices: NDArray[np.int64]  # (n, 2) of the lenses
-    offsets: NDArray[np.float64]  # (n, 2) [px] of single lenses from the common fit
-    halves: NDArray[np.float64]  # (19,) difference between the fits of two halves of the lenses
+    indices: Integers  # (n, 2) of the lenses
+    offsets: Floats  # (n, 2) [px] of single lenses from the common fit
+    halves: Floats  # (19,) difference between the fits of two halves of the lenses
     doubt: str | None = None  # why the second disc may be the lens
 
     @property
-    def radius(self) -> NDArray[np.float64]:
+    def radius(self) -> Floats:
         """(2,) radii [px]."""
         return self.parameters[RADIUS]
 
     @property
-    def blur(self) -> NDArray[np.float64]:
+    def blur(self) -> Floats:
         """(2,) standard deviation of the edges [px]."""
         return np.exp(self.parameters[LOG_BLUR])
 
@@ -137,7 +135,7 @@ class TwoDiscs:
         as_errors = LatticeErrors(self._names(), np.outer(change, change))
         return float(np.sqrt((as_errors.of_centres(self.lens_lattice()) ** 2).mean()))
 
-    def residuals(self, lenses: Microimages) -> NDArray[np.float64]:
+    def residuals(self, lenses: Microimages) -> Floats:
         """(m,) of the unclipped pixels in the cells of lenses on `lattice`, over their gains without a cut."""
         slope = lenses.slope
         for _ in range(2):
@@ -150,7 +148,7 @@ class TwoDiscs:
         straight = ("origin", "origin", "a1", "a1", "a2", "a2")
         return (*straight, "k1") if self.covariance[BEND, BEND] > 0 else straight
 
-    def _response(self) -> NDArray[np.float64]:
+    def _response(self) -> Floats:
         """(p, 19) derivative of the parameters of the lattice, which is linear in those of the first disc."""
         names, moved = self._names(), []
         for step in 1e-3 * np.eye(COUNT):
@@ -162,7 +160,7 @@ class TwoDiscs:
         return np.array(moved).T
 
 
-def _lattice_of(lattice: Lattice, p: NDArray[np.float64]) -> Lattice:
+def _lattice_of(lattice: Lattice, p: Floats) -> Lattice:
     """The lattice of the first of two discs, displaced from a lattice as the parameters tell."""
     middle, reach = (np.array(lattice.image_size) - 1) / 2, float(np.hypot(*lattice.image_size) / 2)
     bend, own = lattice.distortion, p[GROWTH][0]
@@ -207,7 +205,7 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
     return TwoDiscs(lattice, p, covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves)
 
 
-def _start(lenses: Microimages) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _start(lenses: Microimages) -> tuple[Floats, Floats]:
     """Parameters to start from, two like discs displaced to both sides of the lattice through their middles, and the
     standard deviations by which they are expected to differ from that."""
     radius = lenses.radius
@@ -224,7 +222,7 @@ def _start(lenses: Microimages) -> tuple[NDArray[np.float64], NDArray[np.float64
     return p, spread
 
 
-def _bounds(scale: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _bounds(scale: float) -> tuple[Floats, Floats]:
     """Least and largest parameters; pixels of finite size blur every edge by 0.2 px at least."""
     low, high = np.full(COUNT, -np.inf), np.full(COUNT, np.inf)
     low[RADIUS], high[RADIUS] = 0.3 * scale, 2 * scale
@@ -236,14 +234,10 @@ def _bounds(scale: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _choose_pixels(
-    lenses: Microimages,
-    slope: NDArray[np.float64],
-    lattice: Lattice,
-    number: int,
-    known: NDArray[np.float64] | None = None,
+    lenses: Microimages, slope: Floats, lattice: Lattice, number: int, known: Floats | None = None
 ) -> _Pixels:
     """At most `number` of the unclipped pixels in the cells of the lenses; with `known` discs most near their edges."""
-    rng, field = np.random.default_rng(0), field_position(lenses.centres, lattice)
+    rng, field = np.random.default_rng(0), field_place(lenses.centres, lattice)
     # Most of those beside the edges are left out in the end.
     drawn = np.flatnonzero(rng.random(lenses.light.size) < (3 if known is None else 10) * number / lenses.light.size)
     lens, y, x = np.unravel_index(drawn, lenses.light.shape)
@@ -266,9 +260,7 @@ def _choose_pixels(
     return _Pixels(rows, place, lens, light, field[rows], _STEPS @ lattice.basis, lenses.radius, reach)
 
 
-def _prior(
-    p: NDArray[np.float64], expected: NDArray[np.float64], spread: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]:
     """Residuals of what is known before, and their negative derivatives: `spread`, and blurs of both edges that are
     alike to a hundredth, or else differ (a tenth and more counts no further)."""
     differ = float(p[LOG_BLUR][1] - p[LOG_BLUR][0])
@@ -280,21 +272,16 @@ def _prior(
 
 
 def _minimise(
-    pixels: _Pixels,
-    p: NDArray[np.float64],
-    expected: NDArray[np.float64],
-    spread: NDArray[np.float64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    pixels: _Pixels, p: Floats, expected: Floats, spread: Floats, low: Floats, high: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Parameters, gains and standard errors by least squares with a robust loss; those without `spread` are held."""
     from scipy.optimize import least_squares
 
     free, even = np.flatnonzero(spread > 0), np.ones(len(pixels.light))
     noise = 1.4826 * float(np.median(np.abs(pixels.compare(p, even)[0]))) + 1e-9
-    last: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = {}
+    last: dict[bytes, tuple[Floats, Floats, Floats]] = {}
 
-    def compare(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def compare(values: Floats) -> tuple[Floats, Floats, Floats]:
         if values.tobytes() not in last:
             whole = p.copy()
             whole[free] = values
@@ -317,13 +304,8 @@ def _minimise(
 
 
 def _finish(
-    pixels: _Pixels,
-    p: NDArray[np.float64],
-    expected: NDArray[np.float64],
-    spread: NDArray[np.float64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    pixels: _Pixels, p: Floats, expected: Floats, spread: Floats, low: Floats, high: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Gauss-Newton steps with Tukey's weights: parameters, covariance, offsets of single lenses, and `halves`."""
     free, weight, p = np.flatnonzero(spread > 0), np.ones(len(pixels.light)), p.copy()
     for _ in range(6):

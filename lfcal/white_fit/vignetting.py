@@ -9,35 +9,30 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..gain.gain_map import field_place
 from ..lattice.lattice import Lattice
+from ..runtime.arrays import Booleans, Floats
 from .microimages import Microimages
 
-__all__ = ["CatEye", "compare_pixels", "field_position", "measure_centroid_offset", "measure_narrowing"]
+__all__ = ["CatEye", "compare_pixels", "measure_centroid_offset", "measure_narrowing"]
 
 
 @dataclass(frozen=True)
 class CatEye:
-    """Disc that cuts the microimages, at `shift + growth * field` from their centres (`field_position`)."""
+    """Disc that cuts the microimages, at `shift + growth * field` from their centres (`field_place`)."""
 
-    shift: NDArray[np.float64]  # (2,) [px] offset in the middle of the flat
+    shift: Floats  # (2,) [px] offset in the middle of the flat
     growth: float  # [px] further offset in the corners, positive outwards
     radius: float  # [px]
     blur: float  # [px] standard deviation of its edge
 
-    def displacement(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, field: Floats) -> Floats:
         """(n, 2) offset [px] of the cutting disc at positions (n, 2) in the field."""
         return self.shift + self.growth * field
 
 
-def field_position(centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
-    """(n, 2) position in the field, of length 1 in the corners of the flat."""
-    size = np.array(lattice.image_size)
-    return (centres - (size - 1) / 2) / (np.hypot(*size) / 2)
-
-
-def compare_pixels(lenses: Microimages) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+def compare_pixels(lenses: Microimages) -> tuple[Floats, Booleans, Floats]:
     """Pixels of windows against the model.
 
     Residuals (n, k, k) over the gains; which pixels lie in cells and are not clipped; and slope of the profile there
@@ -69,7 +64,7 @@ def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, flo
     # Six standard deviations.
     used = inside & (far < few.cell.inradius) & (residual**2 * weight < 36)
     used &= np.abs(slope) > 0.1 * np.abs(few.rings.table[:, 1]).max()
-    field = field_position(few.centres, lattice)
+    field = field_place(few.centres, lattice)
     reach = np.maximum(np.hypot(*field.T), 1e-6)[:, None, None]
     along = (field[:, 0, None, None] * x + field[:, 1, None, None] * y) / (reach * far)
     response = slope * reach * (2 * along**2 - 1)
@@ -85,7 +80,7 @@ def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
     What grows with the field is left out: a disc that cuts microimages moves their centroids.
     """
     moved = lenses.at(lattice)
-    field = field_position(moved.centres, lattice)
+    field = field_place(moved.centres, lattice)
     near = np.flatnonzero(np.hypot(*field.T) < 0.25)
     near = near[:: max(1, len(near) // 300)]
     if len(near) < 12:

@@ -223,8 +223,8 @@ def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
     truth = WhiteImage(pitch=60.0, degrees=3.0, size=(500, 400))
     tones = StackedCrops.of(sqrt_luminance(truth.image()))
     small, large = (lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0) for grown in (0.96, 1.0))
-    known = cut_out(tones, small, 1e6, 12, None, None)[0]
-    lenses = cut_out(tones, large, 1e6, 12, known, None)[0]
+    known = cut_out(tones, small, 1e6, 12)
+    lenses = cut_out(tones, large, 1e6, 12, known)
     # Pixels in the corner are shared out to the ring before and the one after them.
     for values in (lenses.profile, lenses.ring_weight, lenses.harmonic):
         assert len(values) >= int(lenses.cell.circumradius / lenses.rings.step) + 2

@@ -13,34 +13,20 @@ from lfcal.images.preprocessing import sqrt_luminance
 _SMALL, _LARGE = (300, 260), (500, 400)
 
 
-@pytest.mark.parametrize(("period", "degrees", "square"), [(9, 7, True), (60, 33.3, False)])
-def test_grating_whose_lines_meet_the_pixel_rows_regularly_is_refused(patterns, period, degrees, square):
-    u, _ = patterns.rotate(degrees, _LARGE)
-    wave = np.sin(2 * np.pi * u / period)
+def test_grating_whose_lines_meet_the_pixel_rows_regularly_is_refused(patterns):
+    u, _ = patterns.rotate(7, _SMALL)
     with pytest.raises(lfcal.CalibrationError):
-        lfcal.calibrate(patterns.photograph(128 + 100 * (np.sign(wave) if square else wave)))
+        lfcal.calibrate(patterns.photograph(128 + 100 * np.sign(np.sin(2 * np.pi * u / 9))))
 
 
-@pytest.mark.parametrize(("width", "height", "mortar", "degrees"), [(30, 15, 1.5, 31), (48, 24, 4, 5)])
-def test_brick_wall_is_refused_or_gets_a_low_confidence(patterns, width, height, mortar, degrees):
-    joint = patterns.bricks(degrees, width, height, mortar, _LARGE)
-    try:
-        camera = lfcal.calibrate(patterns.photograph(np.where(joint, 200.0, 90.0)))
-    except lfcal.CalibrationError:
-        return
-    assert camera.confidence < 0.5
-    assert any("nothing on the flat proves" in warning for warning in camera.warnings)
-
-
-@pytest.mark.parametrize(("height", "width", "mortar", "contrast", "seed", "degrees"), [
-    (14.8, 27.5, 2.0, 0.12, 25, 26), (16.9, 32.0, 2.5, 0.13, 34, 79),
+@pytest.mark.parametrize(("bricks", "contrast", "noise", "size"), [
+    ((5, 48, 24, 4), 0.4, 0.02, _LARGE), ((26, 27.5, 14.8, 2.0), 0.12, 0.1, (330, 290)),
 ])  # fmt: skip
-def test_faint_brick_wall_is_refused_or_gets_a_low_confidence(patterns, height, width, mortar, contrast, seed, degrees):
-    joint = patterns.bricks(degrees, width, height, mortar, (330, 290))
-    noise = np.random.default_rng(seed).normal(0, 0.1, joint.shape)
-    wall = np.clip(127.5 * (1 + contrast * np.where(joint, 1.0, -1.0) + noise), 0, 255).astype(np.uint8)
+def test_brick_wall_is_refused_or_gets_a_low_confidence(patterns, bricks, contrast, noise, size):
+    joint = np.where(patterns.bricks(*bricks, size), 1.0, -1.0)
+    wall = 127.5 * (1 + contrast * joint + np.random.default_rng(25).normal(0, noise, joint.shape))
     try:
-        camera = lfcal.calibrate(wall)
+        camera = lfcal.calibrate(np.clip(wall, 0, 255).astype(np.uint8))
     except lfcal.CalibrationError:
         return
     assert camera.confidence < 0.5
@@ -49,7 +35,7 @@ def test_faint_brick_wall_is_refused_or_gets_a_low_confidence(patterns, height, 
 
 @pytest.mark.parametrize(("period", "degrees", "twill"), [(14, 9, True), (24, 45, False)])
 def test_plain_weave_and_twill_are_refused(patterns, period, degrees, twill):
-    thread = patterns.weave(degrees, period, twill, _LARGE)
+    thread = patterns.weave(degrees, period, twill, (400, 320))
     with pytest.raises(lfcal.CalibrationError):
         lfcal.calibrate(patterns.photograph(30 + 180 * thread))
 
@@ -62,17 +48,15 @@ def test_crossed_waves_are_refused(patterns, period=45, degrees=11):
             lfcal.calibrate(patterns.photograph(picture))
 
 
-@pytest.mark.parametrize(("period", "ratio"), [(9.0, 1.0), (12.5, 1.0)])
-def test_crossed_waves_of_a_short_period_are_refused(patterns, period, ratio):
+def test_crossed_waves_of_a_short_period_are_refused(patterns, period=9.0):
     u, v = patterns.rotate(17, _SMALL)
-    a, b = np.sin(2 * np.pi * u / period), np.sin(2 * np.pi * v / (ratio * period))
+    a, b = np.sin(2 * np.pi * u / period), np.sin(2 * np.pi * v / period)
     for wave in (a * b, (a + b) / 2):
         with pytest.raises(lfcal.CalibrationError):
             lfcal.calibrate(patterns.photograph(127.5 + 120 * wave, 0, 4.0))
 
 
-@pytest.mark.parametrize("side", [9.5, 24.0])
-def test_blurred_checkerboard_is_refused_by_the_shape_of_its_dark_places(patterns, side):
+def test_blurred_checkerboard_is_refused_by_the_shape_of_its_dark_places(patterns, side=9.5):
     board = 127.5 + 120 * (2 * patterns.board(13, side, _SMALL) - 1)
     with pytest.raises(lfcal.CalibrationError):
         lfcal.calibrate(patterns.photograph(board, 1.8, 4.0))
@@ -144,10 +128,10 @@ def _touching(whites, basis, size, *, shading=0.0, line=0.0, noise=0.01):
     return np.rint(np.clip(0.8 * light, 0, 1) * 65535).astype(np.uint16), origin
 
 
-@pytest.mark.parametrize(
-    "shape", [[[1, 0], [0, 1]], [[1, 0], [0, 1.8]], [[1, 0], [0.5, 0.75**0.5]], [[1, 0], [0.2, 1.2]]]
-)
-@pytest.mark.parametrize("light", [{"shading": 0.3}, {"line": 0.4}])
+@pytest.mark.parametrize(("shape", "light"), [
+    ([[1, 0], [0, 1]], {"line": 0.4}), ([[1, 0], [0, 1.8]], {"shading": 0.3}),
+    ([[1, 0], [0.5, 0.75**0.5]], {"shading": 0.3}), ([[1, 0], [0.2, 1.2]], {"line": 0.4}),
+])  # fmt: skip
 def test_touching_lenses_are_one_lattice_whatever_separates_them(whites, shape, light):
     basis = whites.turned(np.array(shape, float), 21.4, 2.2)
     image, origin = _touching(whites, basis, (360, 300), **light)
@@ -155,8 +139,7 @@ def test_touching_lenses_are_one_lattice_whatever_separates_them(whites, shape, 
     assert whites.rms(whites.centre_errors(found.lattice, origin, basis)) < 0.1
 
 
-@pytest.mark.parametrize("stray", [0.0, 0.05])
-def test_array_smaller_than_the_sensor_is_found_inside_its_dark_border(whites, stray):
+def test_array_smaller_than_the_sensor_is_found_inside_its_dark_border(whites, stray=0.05):
     basis = whites.turned(whites.HEXAGON, 20.3, 17)
     image, origin = whites.white_image(basis, (700, 500), noise=0)
     y, x = np.mgrid[:500, :700]

@@ -14,32 +14,29 @@ from lfcal.images.preprocessing import sqrt_luminance
 
 @pytest.mark.parametrize(("side", "degrees", "blur"), [(15, 4, 0.5), (20, 0, 0.8)])
 def test_photograph_of_a_checkerboard_is_refused(patterns, side, degrees, blur):
-    board = 40 + 160 * patterns.board(degrees, side, (500, 400))
+    board = 40 + 160 * patterns.board(degrees, side, (340, 280))
     with pytest.raises(lfcal.CalibrationError):
         lfcal.calibrate(patterns.photograph(board, blur))
 
 
-@pytest.mark.parametrize(("side", "degrees", "noise"), [(24.4, 0, 8), (7.1, 33, 4)])
-def test_small_noisy_picture_of_a_checkerboard_is_refused(patterns, side, degrees, noise):
-    board = 127.5 + 115 * (2 * patterns.board(degrees, side, (900, 700)) - 1)
+def test_small_noisy_picture_of_a_checkerboard_is_refused(patterns):
+    board = 127.5 + 115 * (2 * patterns.board(33, 7.1, (250, 160)) - 1)
     with pytest.raises(lfcal.CalibrationError):
-        lfcal.calibrate(patterns.photograph(board, 1.0, noise, seed=3)[:160, :250])
+        lfcal.calibrate(patterns.photograph(board, 1.0, 4, seed=3))
 
 
-@pytest.mark.parametrize(("shape", "pitch"), [("SQUARE", 5.0)])
-def test_pitch_below_six_pixels_is_refused_with_its_value(whites, shape, pitch):
-    image, _ = whites.white_image(whites.turned(getattr(whites, shape), pitch, 0), (700, 500))
-    with pytest.raises(lfcal.CalibrationError, match=f"{pitch:.1f} px"):
+def test_pitch_below_six_pixels_is_refused_with_its_value(whites):
+    image, _ = whites.white_image(whites.turned(whites.SQUARE, 5.0, 0), (320, 260))
+    with pytest.raises(lfcal.CalibrationError, match=r"5\.0 px"):
         lfcal.calibrate(image)
 
 
-@pytest.mark.parametrize("shape", ["SQUARE", "HEXAGON"])
-@pytest.mark.parametrize(
-    ("pitch", "fill", "soft", "gap"), [(6.0, 0.92, 1, 0.03), (20.3, 0.75, 1, 0.0), (20.3, 1, 3, 0.3)]
-)
+@pytest.mark.parametrize(("shape", "pitch", "fill", "soft", "gap"), [
+    ("SQUARE", 6.0, 0.92, 1, 0.03), ("HEXAGON", 20.3, 0.75, 1, 0.0), ("SQUARE", 20.3, 1, 3, 0.3),
+])  # fmt: skip
 def test_whole_pitches_wide_gaps_and_soft_discs_are_found(whites, shape, pitch, fill, soft, gap):
     basis = whites.turned(getattr(whites, shape), pitch, 0)
-    image, origin = whites.white_image(basis, (700, 500), fill=fill, soft=soft, gap=gap)
+    image, origin = whites.white_image(basis, (500, 400), fill=fill, soft=soft, gap=gap)
     found = lfcal.calibrate(image)
     assert whites.rms(whites.centre_errors(found.lattice, origin, basis)) < 0.05
 

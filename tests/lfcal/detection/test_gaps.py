@@ -20,7 +20,7 @@ _PITCH = 31.0
 def square():
     """A scene through square apertures with dark gaps, and its true lattice."""
     camera = Camera.design((700, 520), _PITCH, "square", 4.0, microimage_fill=0.9).replace(square_aperture=True)
-    flat = simulate(SCENES["clutter"](camera, seed=2), camera, samples=8, seed=2, noise=(8000.0, 4.0)).flat
+    flat = simulate(SCENES["clutter"](camera, seed=2), camera, samples=4, seed=2, noise=(8000.0, 4.0)).flat
     return flat, camera.lattice
 
 
@@ -55,7 +55,7 @@ def test_right_period_is_more_likely_than_one_a_percent_beside(square):
 def test_scene_through_square_apertures_is_calibrated():
     # A plane, whose detail is alike in all lenses and draws their edges after it by 2.5 px.
     camera = Camera.design((1130, 847), 47.1, "square", -20.0, microimage_fill=0.83).replace(square_aperture=True)
-    flat = simulate(SCENES["plane"](camera, seed=5003), camera, samples=6, seed=5003, noise=(8000.0, 4.0)).flat
+    flat = simulate(SCENES["plane"](camera, seed=5003), camera, samples=3, seed=5003, noise=(8000.0, 4.0)).flat
     found = lfcal.calibrate(flat)
     apart = found.lattice.to_index(camera.lattice.centres())
     assert np.abs((apart - np.rint(apart)) @ found.lattice.basis).max() < 0.1
@@ -68,15 +68,15 @@ def _capture(name):
     return lfcal.read_flat(_CAPTURES / name)
 
 
-@pytest.mark.parametrize("part", [np.s_[:, :], np.s_[1459:, :785], np.s_[1459:, 785:]])
-def test_camera_of_the_2008_paper_is_found_whole_and_in_quarters(part):
+@pytest.mark.parametrize("part", [np.s_[:, :], np.s_[1459:, :785]])
+def test_camera_of_the_2008_paper_is_found_whole_and_in_a_quarter(part):
     flat = _capture("Square.jpg")
     top, left = part[0].start or 0, part[1].start or 0
     found = lfcal.calibrate(np.ascontiguousarray(flat[part]))
     lattice = found.lattice
     assert abs(lattice.pitch - 74.69) < 0.1
     # Detail in the lower left quarter is the same, shifted, in too few neighbours.
-    assert found.confidence > (0.9 if part[0].start is None or left else 0.35)
+    assert found.confidence > (0.35 if top else 0.9)
     centres = lattice.centres() + np.array([left, top])
     beside = [(centres[:, k] - line - period / 2) / period for k, line, period in ((0, 0.69, 74.692), (1, 70.7, 74.69))]
     off = [float(np.mean(one - np.rint(one))) * 74.69 for one in beside]

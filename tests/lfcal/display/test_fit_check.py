@@ -13,10 +13,10 @@ _SIZE = (600, 500)
 _MIDDLE = (np.array(_SIZE) - 1) / 2
 
 
-@pytest.fixture(scope="module", params=["hexagonal", "square"])
-def white(request, whites):
+@pytest.fixture(scope="module")
+def white(whites):
     """A white image of 20.3 px pitch, and its camera."""
-    basis = whites.turned(whites.HEXAGON if request.param == "hexagonal" else whites.SQUARE, 20.3, 3)
+    basis = whites.turned(whites.HEXAGON, 20.3, 3)
     image, origin = whites.white_image(basis, _SIZE)
     return image, lfcal.Calibration(lfcal.Lattice(origin, basis, _SIZE, 9.0))
 
@@ -59,12 +59,11 @@ def test_wrong_rotation_is_largest_in_the_corners(white):
 def test_gaps_taken_for_lenses_are_found(white):
     image, camera = white
     basis = camera.lattice.basis
-    gap = (basis[0] + basis[1]) / (3 if abs(basis[0] @ basis[1]) > 1 else 2)
+    gap = (basis[0] + basis[1]) / 3
     assert lfcal.check_fit(_moved(camera, gap), image).max_offset == pytest.approx(np.hypot(*gap), abs=0.2)
 
 
-@pytest.mark.parametrize("angle", [0, 220])
-def test_shift_of_a_third_of_the_pitch_is_noticed_and_undone(white, angle):
+def test_shift_of_a_third_of_the_pitch_is_noticed_and_undone(white, angle=220):
     image, camera = white
     check = lfcal.check_camera(_moved(camera, [20.3 / 3, 0] @ _turn(angle)), image)
     assert check.fits and "6.8 px" in check.problem
@@ -88,8 +87,8 @@ def test_scale_that_moves_corners_by_a_fortieth_of_the_pitch_is_noticed(white):
 
 def test_turned_and_mirrored_flats_are_noticed(whites):
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
-    image, origin = whites.white_image(basis, (500, 500))
-    camera = lfcal.Calibration(lfcal.Lattice(origin, basis, (500, 500), 9.0))
+    image, origin = whites.white_image(basis, (360, 360))
+    camera = lfcal.Calibration(lfcal.Lattice(origin, basis, (360, 360), 9.0))
     turned = lfcal.check_camera(camera, np.rot90(image).copy())
     assert not turned.fits and "rows" in turned.problem
     assert lfcal.check_camera(camera, image[:, ::-1].copy()).problem is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import lfcal
 
@@ -34,7 +33,7 @@ def test_dust_is_found_as_defects_of_its_own_pixels(drawn):
     assert deep[(specks < 0.8) & (truth.light() > 0.5)].mean() > 0.9
 
 
-def soft_cut_white(size=(900, 700), pitch=15.8, blur=1.8, cut=0.3, noise=0.01, seed=3):
+def soft_cut_white(size=(660, 520), pitch=15.8, blur=1.8, cut=0.3, noise=0.01, seed=3):
     """A white image whose microimages are products of two soft discs, the second displaced toward the middle."""
     rng, (width, height) = np.random.default_rng(seed), size
     y, x = np.mgrid[:height, :width].astype(float)
@@ -54,7 +53,7 @@ def soft_cut_white(size=(900, 700), pitch=15.8, blur=1.8, cut=0.3, noise=0.01, s
 
 def test_what_the_gain_map_lacks_is_no_defect():
     camera = lfcal.calibrate(soft_cut_white().astype(np.uint8), kind="white")
-    assert len(camera.defects.pixels) < 2e-4 * 900 * 700
+    assert len(camera.defects.pixels) < 2e-4 * 660 * 520
 
 
 def test_dust_over_several_lenses_is_found():
@@ -68,9 +67,8 @@ def test_dust_over_several_lenses_is_found():
     assert found[dust > 0.995].mean() < 2e-4
 
 
-@pytest.mark.parametrize("name", ["whites/w09.png", "kinds/types3.png"])
-def test_white_images_of_others_have_no_false_defects(name, shared):
-    image = lfcal.read_flat(shared(*name.split("/")))
+def test_white_images_of_others_have_no_false_defects(shared):
+    image = lfcal.read_flat(shared("kinds", "types3.png"))
     camera = lfcal.calibrate(image, kind="white")
     assert len(camera.defects.pixels) < 1e-4 * image.shape[0] * image.shape[1]
 

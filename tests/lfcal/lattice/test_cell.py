@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.white_images import WhiteImage
-from lfcal.lattice.cell import cell_normals, cell_row_bounds, is_outside_cell, row_interval
+from lfcal.lattice.cell import Cell, is_outside_cell, row_interval
 from lfcal.lattice.lattice import Lattice
 
 
@@ -15,8 +15,8 @@ from lfcal.lattice.lattice import Lattice
 )
 def test_rows_of_a_cell_end_where_its_sides_are(shape, degrees):
     truth = WhiteImage(shape, 13.7, degrees, size=(200, 200))
-    faces, reach = cell_normals(Lattice(truth.origin, truth.basis, truth.size, 6.0))
-    sides = cell_row_bounds(faces)
+    cell = Cell.of(Lattice(truth.origin, truth.basis, truth.size, 6.0))
+    sides, faces, reach = cell.row_bounds(), cell.normals, cell.circumradius
     inside = 0
     for dy in np.arange(-reach - 1, reach + 1, 0.37):
         low, high = row_interval(dy, sides)

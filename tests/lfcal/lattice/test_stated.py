@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.lattice.orientation import describe_orientation
+from lfcal.lattice.lattice import describe_orientation
 from lfcal.lattice.stated import ARRANGEMENTS, LatticeHint, state_lattice
 
 

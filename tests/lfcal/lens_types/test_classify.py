@@ -66,7 +66,7 @@ def test_types_are_found_without_detail_by_the_blur_of_their_rims():
     assert types.ordered and np.isnan(types.focus).all()
 
 
-@pytest.mark.parametrize(("scene", "focus"), [("house", 0.04), ("clutter", -0.3)])
+@pytest.mark.parametrize(("scene", "focus"), [("clutter", -0.3)])
 def test_single_type_array_is_not_split(scene, focus):
     # At this pitch each third lens meets the pixels alike, which must not be taken for a type.
     taken = capture(scene, focus, pitch=70 / 3, size=(520, 500))
@@ -93,9 +93,7 @@ def test_scene_that_repeats_every_third_lens_is_not_taken_for_types(whites):
     assert np.ptp([np.nanmean(contrast[third == kind]) for kind in range(3)]) > 0.2
 
 
-@pytest.mark.parametrize(
-    ("shape", "pitch"), [("HEXAGON", 9.5), ("SQUARE", 19.5), ("HEXAGON", 21.0), ("SQUARE", 64 / 3)]
-)
+@pytest.mark.parametrize(("shape", "pitch"), [("SQUARE", 19.5), ("HEXAGON", 21.0)])
 def test_white_image_of_equal_lenses_has_one_type_at_any_beat_with_the_pixels(whites, shape, pitch):
     basis = whites.turned(getattr(whites, shape), pitch, 0)
     for soft in (1.0, 4.0):
@@ -130,23 +128,16 @@ def test_types_that_differ_in_brightness_alone_are_found_without_an_order(whites
     assert any("3 lens types" in warning for warning in camera.warnings)
 
 
-@pytest.mark.parametrize(
-    ("capture", "types"),
-    [("Fujita2.png", 3), ("Boys2.webp", None)],
-)
-def test_real_capture_shows_the_types_its_camera_has(shared, capture, types):
-    flat = lfcal.read_flat(shared("captures", capture))
-    found = lfcal.calibrate(flat).lens_types
-    assert (found and found.count) == types
-    assert found is None or (found.ordered and found.confidence > 0.9)
-    if types:
-        # Sharpness changes places at |s| of about 8 and 6.5 px of 23.2 in Fujita2; foci run from large |s| to small.
-        assert np.isfinite(found.focus).all()
-        assert (np.diff(found.focus) > 0).all()
-        assert -0.45 < found.focus[0] < found.focus[2] < -0.15
+def test_real_capture_shows_the_types_its_camera_has(shared):
+    found = lfcal.calibrate(lfcal.read_flat(shared("captures", "Fujita2.png"))).lens_types
+    assert found.count == 3 and found.ordered and found.confidence > 0.9
+    # Sharpness changes places at |s| of about 8 and 6.5 px of 23.2; foci run from large |s| to small.
+    assert np.isfinite(found.focus).all()
+    assert (np.diff(found.focus) > 0).all()
+    assert -0.45 < found.focus[0] < found.focus[2] < -0.15
 
 
-@pytest.mark.parametrize("folder", ["s3_r5", "s2_sq", "s4b_tspc", "s5b_tspc"])
+@pytest.mark.parametrize("folder", ["s3_r5", "s5b_tspc"])
 def test_ray_traced_single_type_cameras_are_not_split(shared, folder):
     truth = json.loads(shared("truth", folder, "truth.json").read_text())["camera"]
     for name, white in (("flat.png", False), ("white.png", True)):

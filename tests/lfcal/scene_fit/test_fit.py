@@ -169,14 +169,6 @@ def test_microscope_capture_gives_the_lattice_of_its_white_image(shared):
     assert np.sqrt((away**2).sum(1).mean()) < 0.5  # [px]
 
 
-def test_turned_microscope_capture_is_calibrated_as_well(shared):
-    """The part of a lens that is alike in its neighbours does not depend on the direction of the pixel rows."""
-    scene = lfcal.read_flat(shared("captures", "Beads.tif"))
-    found = lfcal.calibrate(np.rot90(scene).copy())
-    # Scenes without parallax are given no more.
-    assert found.confidence == 0.85 and abs(found.lattice.pitch - 19.218) < 0.002
-
-
 def test_part_of_a_microscope_capture_is_a_scene_whose_pixels_no_gain_map_explains(shared):
     scene = lfcal.read_flat(shared("captures", "GUV.tif"))
     assert lfcal.calibrate(scene[:145, :145]).source == "scene"

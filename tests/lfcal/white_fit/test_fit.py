@@ -18,21 +18,11 @@ def _error(camera, truth):
     return float(np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()))
 
 
-@pytest.mark.parametrize("decibels", [40, 18])
-def test_error_of_whole_microimages_is_within_three_times_the_cramer_rao_bound(drawn, decibels):
-    truth = drawn("hexagonal", 14.3, 11.0, decibels, size=(500, 400))
+def test_error_of_whole_microimages_is_within_three_times_the_cramer_rao_bound(drawn):
+    truth = drawn("hexagonal", 14.3, 11.0, 18, size=(500, 400))
     camera = lfcal.calibrate(truth.image())
     assert camera.lattice.distortion is None
     assert _error(camera, truth) < 3 * truth.bound()
-
-
-def test_centres_of_cut_microimages_are_those_of_whole_discs_and_the_flat_passes_the_check(drawn):
-    truth = drawn("hexagonal", 20.3, 5.0, 26.0, strength=-0.3, size=(1000, 800))
-    image = truth.image()
-    camera = lfcal.calibrate(image)
-    assert _error(camera, truth) < 0.02
-    # Rims of cut microimages are up to half a pixel off the lattice, which the calibration allows for.
-    assert lfcal.check_fit(camera, image).max_offset < 0.15
 
 
 def test_radial_distortion_is_fitted(drawn):
@@ -77,7 +67,7 @@ def test_light_of_neighbours_that_is_shaded_the_other_way_does_not_move_centres(
 
 def test_stated_errors_of_centres_match_true_ones(drawn):
     ratios = []
-    for seed in range(4):
+    for seed in range(2):
         truth = drawn("hexagonal", 14.3, 11.0, 26.0, size=(480, 360), seed=10 * seed)
         camera = lfcal.calibrate(truth.image())
         stated = np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
@@ -136,8 +126,7 @@ def test_values_beyond_single_precision_raise_a_flat_error():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("pitch", [7.0, 20.0])
-def test_meshes_and_waves_give_a_calibration_or_a_light_field_error(pitch):
+def test_meshes_and_waves_give_a_calibration_or_a_light_field_error(pitch=20.0):
     x, y = np.meshgrid(np.arange(300), np.arange(220))
     waves = 128 + 50 * (np.sin(2 * np.pi * x / pitch) + np.sin(2 * np.pi * y / pitch))
     mesh = np.where((x % pitch < 3) | (y % pitch < 3), 190, 60)
@@ -150,7 +139,8 @@ def test_meshes_and_waves_give_a_calibration_or_a_light_field_error(pitch):
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 def test_white_image_and_capture_of_a_raytrix_with_colour_filters_agree():
-    white, scene = (lfcal.calibrate(CAPTURES / name).lattice for name in ("R5b.white.png", "R5b.png"))
+    flats = (lfcal.read_flat(CAPTURES / name)[600:1400, 600:1500] for name in ("R5b.white.png", "R5b.png"))
+    white, scene = (lfcal.calibrate(flat).lattice for flat in flats)
     centres = scene.centres()
     apart = white.points(np.rint(white.to_index(centres))) - centres
     assert white.pitch == pytest.approx(23.37, abs=0.01)
@@ -159,7 +149,7 @@ def test_white_image_and_capture_of_a_raytrix_with_colour_filters_agree():
 
 @pytest.mark.parametrize("slope, said", [(0.0, False), (0.015, True)])
 def test_plain_centroids_beside_the_lattice_are_said(drawn, slope, said):
-    truth = drawn("hexagonal", 23.3, 2.0, 32.0, size=(700, 500), inner=0.0)
+    truth = drawn("hexagonal", 23.3, 2.0, 32.0, size=(500, 380), inner=0.0)
     image = truth.image()
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
     places = np.column_stack([x.ravel(), y.ravel()])

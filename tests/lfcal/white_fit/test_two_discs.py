@@ -20,17 +20,10 @@ from lfcal.white_fit.two_discs import choose_lens, fit_two_discs
 SIZE = (800, 600)
 
 
-@pytest.mark.parametrize(
-    ("edges", "blur", "cut_blur", "k1"),
-    [
-        ("product", 0.6, 1.4, 0.003),
-        ("overlap", 0.7, 1.0, -0.003),
-    ],
-)
-def test_cut_lenses_are_located_whatever_blurs_the_two_discs(edges, blur, cut_blur, k1):
+def test_distorted_cut_lenses_are_located_where_their_overlap_is_blurred():
     truth = WhiteImage(
-        "hexagonal", 16.3, 4.0, 34.0, 8, strength=-0.3, ratio=1.05, fill=0.92, inner=0.02, edges=edges, blur=blur,
-        cut_blur=cut_blur, k1=k1, size=SIZE,
+        "hexagonal", 16.3, 4.0, 34.0, 8, strength=-0.3, ratio=1.05, fill=0.92, inner=0.02, edges="overlap", blur=0.7,
+        cut_blur=1.0, k1=-0.003, size=SIZE,
     )  # fmt: skip
     camera = lfcal.calibrate(truth.image(), "white")
     assert centre_error(camera, truth) < 0.02
@@ -45,10 +38,13 @@ def test_two_equal_discs_without_shading_are_doubtful_and_said_so():
     assert "constant in the disparity" in doubt
 
 
-def test_centres_of_blurred_cut_microimages_are_within_a_few_thousandths_of_a_pixel():
+def test_centres_of_blurred_cut_microimages_are_within_a_few_thousandths_of_a_pixel_and_pass_the_check():
     truth = WhiteImage("hexagonal", 18.9, 5.0, strength=0.3, ratio=1.04, soft=1.1, gap=0.03, size=(860, 640))
-    camera = lfcal.calibrate(truth.image())
+    image = truth.image()
+    camera = lfcal.calibrate(image)
     assert centre_error(camera, truth) < 0.004
+    # Rims of cut microimages are up to half a pixel off the lattice, which the calibration allows for.
+    assert lfcal.check_fit(camera, image).max_offset < 0.15
     assert centre_error(camera, truth) < 5 * np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
 
 
@@ -57,7 +53,7 @@ def found():
     truth = WhiteImage("square", 19.7, 3.0, 34.0, 16, strength=-0.3, ratio=1.05, inner=0.08, edges="product", size=SIZE)
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 9.0)
     crops = StackedCrops.of(sqrt_luminance(truth.image()))
-    fit = converge(lattice, cut_out(crops, lattice, 1e5, 150, None, None)[0], ())
+    fit = converge(lattice, cut_out(crops, lattice, 1e5, 150), ())
     discs = fit_two_discs(fit.lenses, fit.lattice)
     assert discs is not None
     return truth, choose_lens(discs)

@@ -18,13 +18,6 @@ def test_faint_cut_is_found_in_strong_noise(drawn):
     assert _error(lfcal.calibrate(truth.image()), truth) < 0.05
 
 
-def test_cut_by_a_larger_disc_is_found_in_small_microimages_in_strong_noise(drawn):
-    truth = drawn(
-        "square", 8.16, 50.0, 18.0, strength=-0.28, ratio=1.18, fill=0.89, inner=0.01, outer=0.5, size=(1100, 820)
-    )
-    assert _error(lfcal.calibrate(truth.image()), truth) < 0.02
-
-
 def test_faint_shading_decides_which_of_two_equal_discs_is_the_microimage(drawn):
     truth = drawn(
         "square", 40.0, 3.0, 26.0, strength=0.18, inner=0.06, outer=0.4, fill=0.975, soft=0.3, size=(640, 480)
