@@ -50,7 +50,7 @@ def reduce_basis(basis: ArrayLike) -> Floats:
         # Lengths decide before directions, and directions only where they differ by more than rounding.
         one, two = pair
         size = (one @ one + two @ two) / least
-        return -round(size / _EQUAL), round(one[0] / np.hypot(*one), 6), one[1], one @ two
+        return -round(size / _EQUAL), round(float(one[0] / np.hypot(*one)), 6), float(one[1]), float(one @ two)
 
     return np.array(max(pairs, key=rank))
 
