@@ -23,7 +23,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
-from lfcal.gain.vignetting import Vignetting
+from lfcal.gain.gain_map import Vignetting
 
 __all__ = ["main", "write_flat"]
 

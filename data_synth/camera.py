@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, Lattice
-from lfcal.gain.vignetting import Vignetting
+from lfcal.gain.gain_map import Vignetting
 from lfcal.runtime.image_formats import Mosaic
 
 __all__ = ["LATTICES", "Camera"]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from lfcal.gain.vignetting import Vignetting
+from lfcal.gain.gain_map import Vignetting
 
 from .camera import Camera
 from .capture import Capture, Truth

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..gain.defects import Defects
-from ..gain.gain_map import GainMap
+from ..gain.gain_map import Defects, GainMap, Vignetting
 from ..gain.rows import RegionGain
-from ..gain.vignetting import Vignetting
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.standard_errors import LatticeErrors, Residuals

@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..camera.calibration import Calibration
-from ..gain.defects import Defects
-from ..gain.gain_map import GainMap
-from ..gain.vignetting import Vignetting
+from ..gain.gain_map import Defects, GainMap, Vignetting
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Array, Singles
 from ..runtime.errors import CalibrationError

@@ -1,4 +1,4 @@
-"""Gain map: relative illumination at every place of every microimage, compact enough for a camera file.
+"""Gain map: relative illumination at every place of every microimage, compact enough for a camera file; and defects.
 
 The light of a lens is its level times the shape of its microimage. The shape is one profile over the distance to the
 centre, stretched in each direction to the rim there, cut by a second disc where the barrel of the main lens does so
@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Array, Floats, Frozen, Integers, Singles, decode_array, encode_array
 from .kernel import RIM_START, Shape, evaluate_light
 
-__all__ = ["GainMap", "count_terms", "field_monomials", "field_place", "nearest_half"]
+__all__ = ["Defects", "GainMap", "Vignetting", "count_terms", "field_monomials", "field_place", "nearest_half"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +193,78 @@ class GainMap(Frozen):
             decode_array(data["own"], "<f2"), data["shade"], data["rim"], data["cut"], data["dark"],
             light, cell,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Vignetting(Frozen):
+    """Relative illumination over the microimage radius, 1 at its brightest.
+
+    Parameters
+    ----------
+    profile : (k,) float64
+        Relative illumination at radii `0, step, 2*step, ...`, each in 0..1.
+    step : float [px]
+        Distance between samples of `profile`.
+
+    Examples
+    --------
+    >>> Vignetting([1.0, 0.9, 0.5], step=2.0).at([1.0, 3.0])
+    array([0.95, 0.7 ])
+    """
+
+    profile: Floats
+    step: float
+
+    def __post_init__(self) -> None:
+        profile = np.array(self.profile, dtype=np.float64)
+        if profile.ndim != 1 or len(profile) < 2 or not np.isfinite(profile).all():
+            raise ValueError("profile must be a finite 1D array with at least two samples")
+        if not (np.isfinite(self.step) and self.step > 0):
+            raise ValueError(f"step must be a positive number of px, got {self.step!r}")
+        self._set(profile=profile, step=float(self.step))
+
+    def at(self, radius: ArrayLike) -> Floats:
+        """Relative illumination at distances `radius` [px] from the microimage centre."""
+        return np.interp(np.asarray(radius, dtype=np.float64), np.arange(len(self.profile)) * self.step, self.profile)
+
+
+@dataclass(frozen=True, eq=False)
+class Defects(Frozen):
+    """Unreliable pixels and lenses of a flat.
+
+    Parameters
+    ----------
+    pixels : (k, 2) int32
+        `x, y` of pixels that are hot, dead or under dust or scratches.
+    lenses : (m, 2) int32
+        Lattice indices `i, j` of lenses that are missing or unlit.
+
+    Examples
+    --------
+    >>> defects = Defects(pixels=[[17, 4], [80, 31]])
+    >>> len(defects.pixels), len(defects.lenses)
+    (2, 0)
+    """
+
+    pixels: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 2), np.int32))
+    lenses: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 2), np.int32))
+
+    def __post_init__(self) -> None:
+        for name in ("pixels", "lenses"):
+            values = np.array(getattr(self, name), dtype=np.int32)
+            if values.ndim != 2 or values.shape[1] != 2:
+                raise ValueError(f"{name} of defects must be of shape (k, 2), got {values.shape}")
+            self._set(**{name: values})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Two encoded arrays."""
+        return {"pixels": encode_array(self.pixels.astype("<i4")), "lenses": encode_array(self.lenses.astype("<i4"))}
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Defects:
+        """Inverse of `to_dict`; KeyError, TypeError or ValueError if `data` is malformed."""
+        pixels, lenses = (decode_array(data[name], "<i4").reshape(-1, 2) for name in ("pixels", "lenses"))
+        return cls(pixels, lenses)
 
 
 def count_terms(degree: int) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..gain.defects import Defects
+from ..gain.gain_map import Defects
 from ..gain.rows import RegionGain
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Booleans, Integers, Singles

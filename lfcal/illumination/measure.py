@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..camera.lens_types import LensTypes
-from ..gain.defects import Defects
-from ..gain.gain_map import GainMap, nearest_half
-from ..gain.vignetting import Vignetting
+from ..gain.gain_map import Defects, GainMap, Vignetting, nearest_half
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.arrays import Singles

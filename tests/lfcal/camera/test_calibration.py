@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.gain.gain_map import GainMap
-from lfcal.gain.vignetting import Vignetting
+from lfcal.gain.gain_map import GainMap, Vignetting
 from lfcal.lattice.standard_errors import equal_weight_errors
 
 TYPES = lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]], True, [-0.4, float("nan"), -0.2], 0.97)

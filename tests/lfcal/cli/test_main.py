@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 import lfcal
 from lfcal.cli.main import main
-from lfcal.gain.defects import Defects
+from lfcal.gain.gain_map import Defects
 
 
 def run(*arguments):

@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 import lfcal
 from lfcal.camera.plotting import TYPE_COLOURS
 from lfcal.cli.main import main
-from lfcal.gain.defects import Defects
+from lfcal.gain.gain_map import Defects
 from lfcal.lattice.standard_errors import Residuals
 
 

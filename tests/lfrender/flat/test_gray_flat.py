@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfcal import Calibration, Lattice
-from lfcal.gain.vignetting import Vignetting
+from lfcal.gain.gain_map import Vignetting
 from lfrender.flat.gray_flat import GrayFlat, correction_tables, downsample, make_gray_flat
 
 BASES = [((20, 0), (0, 20)), ((20, 0), (10, 17.32)), ((0, 20), (17.32, 10)), ((19.5, 4.5), (5.85, 19.1))]

@@ -9,7 +9,7 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
 from lfcal import Calibration, CalibrationError, Lattice
-from lfcal.gain.vignetting import Vignetting
+from lfcal.gain.gain_map import Vignetting
 
 
 @functools.cache

@@ -9,8 +9,7 @@ import pytest
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfcal.gain.gain_map import GainMap
-from lfcal.gain.vignetting import Vignetting
+from lfcal.gain.gain_map import GainMap, Vignetting
 
 SIZE = (520, 400)
 

@@ -7,9 +7,8 @@ import pytest
 
 import lfrender
 from lfcal import Calibration, Lattice, LensTypes
-from lfcal.gain.gain_map import GainMap
+from lfcal.gain.gain_map import GainMap, Vignetting
 from lfcal.gain.rows import RegionGain
-from lfcal.gain.vignetting import Vignetting
 from lfrender.flat.gray_flat import make_gray_flat
 from lfrender.rendering.traditional import traditional
 
