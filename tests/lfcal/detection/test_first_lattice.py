@@ -26,7 +26,7 @@ def test_small_noisy_picture_of_a_checkerboard_is_refused(patterns):
 
 
 def test_pitch_below_six_pixels_is_refused_with_its_value(whites):
-    image, _ = whites.white_image(whites.turned(whites.SQUARE, 5.0, 0), (320, 260))
+    image, _ = whites.white_image(whites.turned(whites.SQUARE, 5.0, 0), (240, 200))
     with pytest.raises(lfcal.CalibrationError, match=r"5\.0 px"):
         lfcal.calibrate(image)
 
