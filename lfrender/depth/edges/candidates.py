@@ -83,6 +83,17 @@ def _outline(x, y, left, top, size, radius, shape, work):
 
 
 @njit(error_model="numpy")
+def _is_settled(before, px, py, gap):
+    """Whether the first round found one surface on all pixels within two of this one."""
+    s, height, width = before[py, px], before.shape[0], before.shape[1]
+    for v in range(max(0, py - 2), min(height, py + 3)):
+        for u in range(max(0, px - 2), min(width, px + 3)):
+            if abs(before[v, u] - s) > gap:
+                return False
+    return True
+
+
+@njit(error_model="numpy")
 def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lenses, work):
     first, spacing, pitch, gap = grid.first, grid.spacing, lenses.pitch, lenses.gap
     rows, columns = surface.shape
@@ -126,7 +137,7 @@ def _keep_distinct(p, number, apart, work):
 
 
 @njit(error_model="numpy")
-def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, apart, shape, work):
+def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, apart, shape, work):
     """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere.
 
     Depths must be `apart` [px] from that of the surface; another depth than that costs 0.03 more.
@@ -146,6 +157,13 @@ def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels
     for row in range(size):
         for column in range(work.left[row], work.right[row]):
             p = row * stride + column
+            px, py = left + column, top + row
+            if before.size > 1 and among[p] > 1 and _is_settled(before, px, py, lenses.gap):
+                among[p] = 0
+                for k in range(number):
+                    if abs(work.value[k, p] - before[py, px]) >= lenses.gap:
+                        present[k, p] = 0
+                    among[p] += present[k, p] > 0
             own = _keep_distinct(p, number, apart, work)
             for k in range(number):
                 cost[k, p] = 1.0 if present[k, p] == 0 else (0.03 if own and present[k, p] != OWN else 0.0)

@@ -112,7 +112,8 @@ def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, no
         number = list_depths(surface, grid, x, y, lenses, work)
     if number == 0:
         return 0.0
-    choice = list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, apart, shape, work)
+    choice = list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, apart, shape,
+                             work)  # fmt: skip
     if choice:
         allow_mismatch(work.light, stride, size * stride, noise2, work.allowed)
         known = before.reshape(-1)
