@@ -92,7 +92,11 @@ def calibrate_metric(
             raise BoardError("give the side of the squares [mm] beside the corners of the board: square=")
         board = Board(*board, square)
     check_type(board, Board, "board", "give lfcal.Board, or its inner corners across and down")
+    if not hasattr(flats, "__len__"):
+        raise TypeError(f"flats must be a sequence of flats, got {type(flats).__name__}")
     names = list(names) if names is not None else [f"flat {m + 1}" for m in range(len(flats))]
+    if len(names) != len(flats):
+        raise ValueError(f"names must be one for each of {len(flats)} flats, got {len(names)}")
     if len(flats) < 3:
         raise BoardError(f"{len(flats)} flats of the board; give 3 or more, a dozen is good")
     warnings = []
