@@ -95,7 +95,8 @@ def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     relative = np.clip(relative / relative.max(), 0, 1)
     radii = np.arange(rings) * gain.step
     radius = limit
-    dark = np.flatnonzero((relative < 0.5) & (radii > 0.3 * limit))
+    # In clipped flats only the rims of bright microimages are measured.
+    dark = np.flatnonzero((relative < 0.5) & (radii > max(0.3 * limit, float(radii[relative.argmax()]))))
     if len(dark):
         k = int(dark[0])
         before, after = relative[k - 1], relative[k]
