@@ -13,7 +13,6 @@ from .lattice.lens_subset import select_whole_lenses
 from .lattice.robust_fit import LatticeFit, field_rms, fit_affine
 from .lattice.standard_errors import LatticeErrors, Residuals, equal_weight_errors
 from .runtime.errors import CalibrationError
-from .settings import CALIBRATION
 
 if TYPE_CHECKING:
     from .detection.first_lattice import FirstLattice
@@ -21,7 +20,10 @@ if TYPE_CHECKING:
     from .white_fit.fit import WhiteFit
     from .white_fit.vignetting import CatEye
 
-__all__ = ["FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
+__all__ = ["FEWEST_PIXELS", "FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
+
+#: [px] in a lens from which on its light is measured well enough to compare, and its edge can be fitted.
+FEWEST_PIXELS = 20.0
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
     from .white_fit.fit import fit_white
 
     found = start.lattice
-    if isinstance(picture, np.ndarray) and _count_lit_pixels(picture, found) < CALIBRATION.fewest_pixels:
+    if isinstance(picture, np.ndarray) and _count_lit_pixels(picture, found) < FEWEST_PIXELS:
         return _final(_fit_spots(picture, found), found)
     try:
         white = fit_white(soften_mask(picture) if isinstance(picture, np.ndarray) else picture, found)
@@ -64,26 +66,17 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
     # A distortion that the start does not have is no error of it.
     near = white.lattice if found.distortion is not None else replace(white.lattice, distortion=None)
     distance = near.points(np.rint(near.to_index(places))) - places
-    if not np.sqrt((distance**2).sum(1).mean()) < CALIBRATION.max_distance * found.pitch:
+    # A fit that has run away.
+    if not np.sqrt((distance**2).sum(1).mean()) < 0.2 * found.pitch:
         return FinalLattice(found, white.residual_rms, white.lenses_used, start.half_difference)
     return FinalLattice(
-        white.lattice,
-        white.residual_rms,
-        white.lenses_used,
-        white.half_difference,
-        white.errors,
-        white.cat_eye,
-        white.residuals,
-        _displacement(white, places),
-        white.doubt,
-    )
+        white.lattice, white.residual_rms, white.lenses_used, white.half_difference, white.errors, white.cat_eye,
+        white.residuals, _displacement(white, places), white.doubt,
+    )  # fmt: skip
 
 
 def _count_lit_pixels(picture: NDArray[np.float32], lattice: Lattice) -> float:
-    """Pixels of a disc of even light that has the mean and the variance of the light in a cell.
-
-    `picture` (h, w) is the root of the light.
-    """
+    """Pixels of a disc of even light with the mean and variance of the light in a cell; `picture` is its root."""
     light = picture.astype(np.float64) ** 2
     return float(abs(np.linalg.det(lattice.basis)) * light.mean() ** 2 / np.mean(light**2))
 
@@ -93,7 +86,6 @@ def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) ->
 
     So few pixels have no edge that a profile could follow, and the root of their light, `picture` (h, w), has its
     centre elsewhere. In each of the `passes`, windows as wide as cells are put about the fitted centres.
-    CalibrationError if there are too few whole lenses with light.
     """
     lattice, reach = start, int(np.hypot(*(start.steps @ start.basis).T).min() / 2)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
@@ -133,7 +125,8 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
 
     lattice = white.lattice
     centres = lattice.points(np.rint(lattice.to_index(places)))
-    cut = np.zeros(places.shape) if white.cat_eye is None else white.cat_eye.displacement(field_place(centres, lattice))
+    eye = white.cat_eye
+    cut = np.zeros(places.shape) if eye is None else eye.displacement(field_place(centres, lattice))
     middle = places - places.mean(0)
     base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
     distance, cut = base.T @ (centres - places), base.T @ cut
@@ -166,8 +159,8 @@ def fit_lattice_to_scenes(
         fit = _follow_gaps(fit, picture, start)
         if fit.distortion is None and start.explains(found.basis) > start.explains(fit.basis) + 0.01:
             return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
-    if fit.residual_rms > CALIBRATION.faint_rims * found.pitch and not fit.half_difference < start.half_difference:
-        # Averages of whole tiles are the better measure.
+    if fit.residual_rms > 0.02 * found.pitch and not fit.half_difference < start.half_difference:
+        # Single lenses scatter too much: averages of whole tiles are the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
     return _final(fit, found)
 
@@ -179,10 +172,8 @@ def _final(fit: LatticeFit, start: Lattice) -> FinalLattice:
 
 
 def _follow_gaps(fit: LatticeFit, picture: NDArray[np.float32], start: FirstLattice) -> LatticeFit:
-    """A fit to the edges of a scene, or one to its gaps where they differ.
-
-    Scene detail that is alike in many lenses draws the edges after it, but what is dark in all of them stays.
-    """
+    """A fit to the edges of a scene, or one to its gaps where they differ: scene detail that is alike in many lenses
+    draws the edges after it, but what is dark in all of them stays."""
     from .images.preprocessing import normalise_locally
     from .scene_fit.fit import fit_scene
 
@@ -194,4 +185,4 @@ def _follow_gaps(fit: LatticeFit, picture: NDArray[np.float32], start: FirstLatt
         return fit
     index = np.column_stack([np.ones(len(found)), found.indices()])
     change = np.vstack([fit.origin - by_gaps.origin, fit.basis - by_gaps.basis])
-    return by_gaps if field_rms(index, change) > CALIBRATION.beside_gaps * found.pitch else fit
+    return by_gaps if field_rms(index, change) > 0.03 * found.pitch else fit

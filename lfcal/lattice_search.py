@@ -24,15 +24,11 @@ from .lattice.lens_subset import ReadCrop, StackedCrops
 from .lattice.stated import LatticeHint
 from .lattice_fit import FinalLattice, fit_lattice_to_scenes, fit_lattice_to_white_image
 from .runtime.errors import RAW_FLAT_ADVICE, CalibrationError
-from .settings import CALIBRATION
 
 __all__ = [
-    "LatticeCandidate",
-    "find_lattice_in_crops",
-    "find_lattice_in_piece",
-    "find_lattices",
+    "LatticeCandidate", "find_lattice_in_crops", "find_lattice_in_piece", "find_lattices",
     "find_lattices_without_glare",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -108,18 +104,16 @@ def find_lattices(
 
 
 def find_lattices_without_glare(
-    found: LatticeCandidate,
-    others: Iterator[LatticeCandidate],
-    lights: Callable[[], list[NDArray[np.float32]]],
+    found: LatticeCandidate, others: Iterator[LatticeCandidate], lights: Callable[[], list[NDArray[np.float32]]],
     has_mosaic: bool,
-) -> tuple[LatticeCandidate, Iterator[LatticeCandidate]]:
+) -> tuple[LatticeCandidate, Iterator[LatticeCandidate]]:  # fmt: skip
     """The lattices of scenes, or those on the root of their luminance where bright places may outweigh microimages.
 
     Those on the root are taken where contrast is high or their average microimage is rounder, if gaps are not clear.
     """
-    # A ninth of the pixels is enough.
-    glares = float(np.asarray(found.picture)[::3, ::3].std()) > CALIBRATION.glare
-    if found.start.clear_gaps or (not glares and found.start.roundness >= CALIBRATION.min_roundness):
+    # A ninth of the pixels is enough. Files with gamma have up to 0.46, linear ones up to 0.9.
+    glares = float(np.asarray(found.picture)[::3, ::3].std()) > 0.5
+    if found.start.clear_gaps or (not glares and found.start.roundness >= 0.55):
         return found, others
 
     def find_softer() -> Iterator[LatticeCandidate]:
@@ -140,10 +134,7 @@ def _mean_scene(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
 
 
 def _find_starts(
-    lights: list[NDArray[np.float32]],
-    has_mosaic: bool,
-    single: NDArray[np.float32] | None,
-    hint: LatticeHint | None = None,
+    lights: list[NDArray[np.float32]], has_mosaic: bool, single: NDArray[np.float32] | None, hint: LatticeHint | None
 ) -> Iterator[FirstLattice]:
     """First lattices on the mean of the lights, or on the first of them that has one by itself.
 
@@ -151,12 +142,11 @@ def _find_starts(
     """
     error: CalibrationError | None = None
     found = False
-    tries: list[Callable[[], NDArray[np.float32]]] = [lambda: _mean_scene(lights)]
-    tries += [lambda light=light: light for light in lights] * (len(lights) > 1)
-    for make in tries:
+    for k in range(-1, len(lights) if len(lights) > 1 else 0):
         picture = single
         if picture is None or has_mosaic:
-            picture = sqrt_luminance(remove_mosaic(make()) if has_mosaic else make())
+            light = _mean_scene(lights) if k < 0 else lights[k]
+            picture = sqrt_luminance(remove_mosaic(light) if has_mosaic else light)
         try:
             for start in _find_starts_on(picture, hint):
                 found = True
@@ -170,7 +160,6 @@ def _find_starts(
 
 
 def _find_starts_on(picture: NDArray[np.float32], hint: LatticeHint | None) -> Iterator[FirstLattice]:
-    """First lattices of a picture (h, w); CalibrationError where there is none."""
     import cv2
 
     mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))

@@ -162,7 +162,6 @@ def _find_distance(seen: Seen) -> Finding:
 
 
 def _find_apertures(seen: Seen) -> Finding:
-    """Gap or overlap of neighbouring microimages."""
     lattice, radius = seen.camera.lattice, seen.field.radius.value
     nearest = 2 * nearest_half(lattice)
     gap, error, ratio = nearest - 2 * radius, 2 * seen.field.radius.error, 2 * radius / nearest
@@ -224,7 +223,6 @@ def find_exposure(flat: NDArray[Any], camera: Calibration) -> Finding:
 
 
 def _find_evenness(seen: Seen) -> Finding:
-    """Light over the field, without what falls off alike on all sides."""
     level, size = seen.field.level, np.array(seen.camera.image_size)
     if not np.isfinite(level.slope_error):
         return unmeasured("%", "too few microimages")

@@ -246,7 +246,6 @@ def _average_tiles(flat: NDArray[Any], camera: Calibration, encoded: bool, count
 def _average(
     flat: NDArray[Any], camera: Calibration, cell: Cell, encoded: bool, centres: Array, kinds: NDArray[np.int64]
 ) -> _Tile | None:
-    """The mean microimage of each type of the lenses of a tile."""
     reach = int(np.ceil(cell.circumradius)) + 1
     # A mosaic begins at even pixels.
     low = np.maximum(np.floor(centres.min(0)).astype(int) - reach - 1, 0) // 2 * 2
@@ -283,7 +282,6 @@ def _average(
 
 
 def _fit_tiles(model: _Model, tiles: list[_Tile], start: Array) -> MicroimageField:
-    """Fields through what tiles show, from the parameters of the first tile."""
     table = np.array([start, *(model.fit(tile, start)[0] for tile in tiles[1:])])
     place, t, middle = np.array([tile.place for tile in tiles]), model.count, tiles[0]
     radii, blurs = table[:, :t], 2 * table[:, t : 2 * t]

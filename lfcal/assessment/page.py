@@ -49,7 +49,6 @@ def _draw_rotation(axes: Any, found: Assessment) -> None:
 
 
 def _draw_tilt(axes: Any, found: Assessment) -> None:
-    """Radii of the microimages over the flat, and where the sensor is farther away."""
     field, middle = found.microimages, np.array(found.calibration.image_size) / 2
     half, slope = float(np.hypot(*middle)), field.radius.slope
     _map(axes, found, field.place * half + middle, field.radii.mean(1), "radius of the microimages [px]", 150)
@@ -59,7 +58,6 @@ def _draw_tilt(axes: Any, found: Assessment) -> None:
 
 
 def _draw_distance(axes: Any, found: Assessment) -> None:
-    """Light in the mean microimage of the middle over the distance from its centre."""
     far, light, model = found.microimages.profile
     axes.plot(far, light, ".", color=TYPE_COLOURS[0], markersize=3, label="measured")
     axes.plot(far, model, ".", color=TYPE_COLOURS[1], markersize=1.5, label="blurred discs")
@@ -68,7 +66,6 @@ def _draw_distance(axes: Any, found: Assessment) -> None:
 
 
 def _draw_apertures(axes: Any, found: Assessment) -> None:
-    """Some neighbouring microimages in true proportion."""
     lattice, radius = found.calibration.lattice, found.microimages.radius.value
     index = np.stack(np.meshgrid(np.arange(-3, 4), np.arange(-3, 4)), -1).reshape(-1, 2)
     draw_circles(axes, index @ lattice.basis, radius, TYPE_COLOURS[0])

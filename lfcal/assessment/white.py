@@ -100,7 +100,6 @@ def assess(
 
 
 def _without_advice(finding: Finding, camera: Calibration) -> Finding:
-    """A finding without its advice, where the calibration is doubtful."""
     if camera.confidence >= SURE_CONFIDENCE or not np.isfinite(finding.value):
         return finding
     doubt = f"{finding.verdict}; no advice: the calibration is doubtful (confidence {camera.confidence:.2f})"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -30,18 +30,14 @@ _SCHEMA = "lfcal-camera"
 _VERSION = 2
 # In files of this version the lenses of a gain map are in rows of `j`, whatever the lattice.
 _ROW_ORDER_VERSION = 1
-# Fields that are records, and what makes one of its form in a file.
-_PARTS: dict[str, Callable[[Any], Any]] = {
-    "lens_types": LensTypes.from_dict,
-    "gain_map": GainMap.from_dict,
-    "defects": Defects.from_dict,
-    "errors": LatticeErrors.from_dict,
-    "residuals": Residuals.from_dict,
-    "optics": Optics.from_dict,
-    "lens_blur": LensBlur.from_dict,
-}
-# Fields that are in files as they are.
+# Fields that are records.
+_PARTS: dict[str, Any] = {
+    "lens_types": LensTypes, "gain_map": GainMap, "defects": Defects, "errors": LatticeErrors, "residuals": Residuals,
+    "optics": Optics, "lens_blur": LensBlur,
+}  # fmt: skip
+# Fields that are in files as they are, and of the fit, NaN as null.
 _VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded")
+_FIT = ("residual_rms", "lenses_used", "confidence", "circle_agreement")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,22 +157,15 @@ class Calibration(Frozen):
         }  # fmt: skip
         if lattice.distortion is not None:
             known["distortion"] = lattice.distortion.to_dict()
+        fit = {name: getattr(self, name) for name in _FIT}
         return {
-            "schema": _SCHEMA,
-            "version": _VERSION,
-            "image_size": list(self.image_size),
-            "lattice": known,
+            "schema": _SCHEMA, "version": _VERSION, "image_size": list(self.image_size), "lattice": known,
             "vignetting": vignetting and {"step": vignetting.step, "profile": vignetting.profile.tolist()},
-            "fit": {
-                "residual_rms": None if np.isnan(self.residual_rms) else self.residual_rms,
-                "lenses_used": self.lenses_used,
-                "confidence": self.confidence,
-                "circle_agreement": None if np.isnan(self.circle_agreement) else self.circle_agreement,
-            },
+            "fit": {name: None if np.isnan(value) else value for name, value in fit.items()},
             "warnings": list(self.warnings),
             **{name: getattr(self, name) for name in _VALUES},
             **{name: (part := getattr(self, name)) and part.to_dict() for name in _PARTS},
-        }
+        }  # fmt: skip
 
     @classmethod
     def from_dict(cls, data: Any) -> Calibration:
@@ -194,28 +183,18 @@ class Calibration(Frozen):
             bend = Distortion.from_dict(known.lattice.distortion) if known.lattice.distortion else None
         with _field_errors("lattice"):
             lattice = Lattice(known.lattice.origin, known.lattice.basis, known.image_size, known.lattice.radius, bend)
-        parts: dict[str, Any] = {}
+        with _field_errors("vignetting"):
+            light = known.vignetting and Vignetting(known.vignetting["profile"], known.vignetting["step"])
+        values = {name: getattr(known, name) for name in _VALUES}
+        fit = {name: getattr(known.fit, name) for name in _FIT}
+        values |= {name: float("nan") if value is None else value for name, value in fit.items()}
         # Files of earlier versions have not all of these.
         for name in (name for name in _PARTS if data.get(name)):
             with _field_errors(name):
-                parts[name] = _PARTS[name](data[name])
-        with _field_errors("vignetting"):
-            light = known.vignetting and Vignetting(known.vignetting["profile"], known.vignetting["step"])
-        if "gain_map" in parts and version == _ROW_ORDER_VERSION:
-            parts["gain_map"] = _in_centre_order(parts["gain_map"], lattice)
-        values: dict[str, Any] = {name: getattr(known, name) for name in _VALUES}
-        for name in ("residual_rms", "circle_agreement"):
-            measured = getattr(known.fit, name)
-            values[name] = float("nan") if measured is None else measured
-        camera = cls(
-            lattice=lattice,
-            vignetting=light,
-            lenses_used=known.fit.lenses_used,
-            confidence=known.fit.confidence,
-            warnings=tuple(known.warnings),
-            **values,
-            **parts,
-        )
+                values[name] = _PARTS[name].from_dict(data[name])
+        if "gain_map" in values and version == _ROW_ORDER_VERSION:
+            values["gain_map"] = _in_centre_order(values["gain_map"], lattice)
+        camera = cls(lattice=lattice, vignetting=light, warnings=tuple(known.warnings), **values)
         check_together(camera, known.lattice.pitch)
         return camera
 

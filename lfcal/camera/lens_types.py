@@ -58,9 +58,8 @@ class LensTypes(Frozen):
             raise ValueError(f"focus must be one number or NaN for each of {count} types, got {self.focus!r}")
         if not 0 <= check_number(self.confidence, "confidence") <= 1:
             raise ValueError(f"confidence of lens types must be from 0 to 1, got {self.confidence!r}")
-        self._set(
-            cell=given.astype(np.int8), focus=focus, ordered=bool(self.ordered), confidence=float(self.confidence)
-        )
+        cell, confidence = given.astype(np.int8), float(self.confidence)
+        self._set(cell=cell, focus=focus, ordered=bool(self.ordered), confidence=confidence)
 
     @property
     def count(self) -> int:
@@ -127,9 +126,10 @@ class LensBlur(Frozen):
         if not 0 < aperture < np.inf or not 0 <= error < np.inf:
             raise ValueError(f"aperture of the microlenses must be positive, got {self.aperture!r}")
         self._set(aperture=aperture, aperture_error=error)
-        types, depths = np.size(self.focus), np.size(self.ratios)
-        shapes = {"focus": (types,), "focus_error": (types,), "ratios": (depths,)}
-        for name, shape in (shapes | dict.fromkeys(("discs", "disc_errors"), (types, depths))).items():
+        focus, ratios = (np.size(self.focus),), (np.size(self.ratios),)
+        both = focus + ratios
+        shapes = {"focus": focus, "focus_error": focus, "ratios": ratios, "discs": both, "disc_errors": both}
+        for name, shape in shapes.items():
             values = check_numbers(getattr(self, name), name)
             if values.shape != shape or not np.isfinite(values).all() or (name == "disc_errors" and values.min() <= 0):
                 raise ValueError(f"{name} of the blur must be {shape} finite numbers, errors positive, got {values}")

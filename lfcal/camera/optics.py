@@ -25,6 +25,8 @@ OPTICS_PARAMETERS = (
     "tilt_x", "tilt_y", "curvature", "pupil",
 )  # fmt: skip
 _LENGTHS = ("focal_length", "mla_distance", "sensor_distance", "pixel")
+_IN_MM = (*_LENGTHS, "pupil", "microlens_focal_lengths")
+_WANTED = ", ".join(f"{name}_mm" for name in _LENGTHS)
 # Fields that are tuples, and their lengths.
 _VECTORS = {"principal_point": 2, "radial": 3, "tangential": 2, "tilt": 2, "microlens_focal_lengths": None}
 # Step of the differences that errors are propagated with, in standard errors of a parameter.
@@ -133,16 +135,10 @@ class Optics(Frozen):
     def with_parameters(self, values: ArrayLike) -> Optics:
         """The same optics with other values (14,) of `OPTICS_PARAMETERS`."""
         v = np.asarray(values, dtype=np.float64).tolist()
-        return replace(
-            self,
-            **dict(zip(_LENGTHS[:3], v[:3], strict=True)),
-            principal_point=None if np.isnan(v[3]) else tuple(v[3:5]),
-            radial=tuple(v[5:8]),
-            tangential=tuple(v[8:10]),
-            tilt=tuple(v[10:12]),
-            curvature=v[12],
-            pupil=v[13],
-        )
+        principal = None if np.isnan(v[3]) else tuple(v[3:5])
+        vectors = {"radial": tuple(v[5:8]), "tangential": tuple(v[8:10]), "tilt": tuple(v[10:12])}
+        lengths = dict(zip(_LENGTHS[:3], v[:3], strict=True))
+        return replace(self, **lengths, principal_point=principal, **vectors, curvature=v[12], pupil=v[13])
 
     def distance(self, ratio: ArrayLike, points: ArrayLike | None = None) -> Array:
         """Distance [m] in front of the main lens of places with signed patch size over pitch `s / D`.
@@ -219,18 +215,15 @@ class Optics(Frozen):
 
     def to_dict(self) -> dict[str, Any]:
         """The optics as plain numbers, as written by `save`."""
-        data = {f"{name}_mm": getattr(self, name) for name in _LENGTHS}
-        data |= {name: getattr(self, name) for name in ("principal_point", "radial", "tangential", "tilt", "curvature")}
-        data |= {f"{name}_mm": getattr(self, name) for name in ("pupil", "microlens_focal_lengths")}
-        data["covariance"] = self.covariance
         # Tuples and arrays as lists.
-        return {name: value if value is None else np.asarray(value).tolist() for name, value in data.items()}
+        known = {name: value if value is None else np.asarray(value).tolist() for name, value in vars(self).items()}
+        return {f"{name}_mm" if name in _IN_MM else name: value for name, value in known.items()}
 
     @classmethod
     def from_dict(cls, data: Any) -> Optics:
         """Rebuild from `to_dict`; the four distances are enough. KeyError or ValueError if a number is not right."""
         if not isinstance(data, dict):
-            raise ValueError(f"optics must be an object with {', '.join(f'{name}_mm' for name in _LENGTHS)}")
+            raise ValueError(f"optics must be an object with {_WANTED}")
         known = {field.name: data.get(f"{field.name}_mm", data.get(field.name)) for field in fields(cls)}
         lengths = {name: data[f"{name}_mm"] for name in _LENGTHS}
         return cls(**({name: value for name, value in known.items() if value is not None} | lengths))
@@ -246,21 +239,18 @@ class Optics(Frozen):
 
         Camera files with optics, made by `lfcal metric`, can be read too. CameraFileError if a number is wrong.
         """
-        remedy = f"give a JSON object with {', '.join(f'{name}_mm' for name in _LENGTHS)}"
         file = check_path(path)
         try:
             data = json.loads(file.read_text(encoding="utf-8"))
             return cls.from_dict(data["optics"] if isinstance(data, dict) and data.get("optics") else data)
-        except OSError as error:
-            raise CameraFileError(f"{path}: cannot be read as optics ({error.strerror or error}); {remedy}") from error
-        except KeyError as error:
-            raise CameraFileError(f"{path}: {error} is missing; {remedy}") from error
-        except (ValueError, TypeError) as error:
-            raise CameraFileError(f"{path}: {error}; {remedy}") from error
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            reason = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+            if isinstance(error, OSError):
+                reason = f"cannot be read as optics ({error.strerror or error})"
+            raise CameraFileError(f"{path}: {reason}; give a JSON object with {_WANTED}") from error
 
 
 def _numbers(name: str, values: Any, length: int | None) -> tuple[float, ...]:
-    """Finite numbers as a tuple, of some length or any."""
     try:
         found = tuple(float(v) for v in values if not isinstance(v, (bool, str)))
     except TypeError:

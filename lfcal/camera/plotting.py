@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..lattice.lattice import describe_orientation
-from ..runtime.notebook import html_card
+from ..runtime.page import html_card
 
 if TYPE_CHECKING:
     from .calibration import Calibration
@@ -106,7 +106,6 @@ def draw_lenses(calibration: Calibration, ax: Any, shown: Any, **style: Any) -> 
 
 
 def _plot_centres(calibration: Calibration, ax: Any, most: int = 600) -> None:
-    """Centres and usable circles of the microimages: all of them, or where they are too many those in the middle."""
     lattice, size = calibration.lattice, np.array(calibration.image_size)
     centres = lattice.centres()
     half, title = size / 2, f"{len(centres):,} microimages"

@@ -66,14 +66,8 @@ def check_together(camera: Calibration, pitch: float | None) -> None:
     # The pitch is written for people, with fewer digits at times.
     if pitch is not None and not abs(pitch / lattice.pitch - 1) <= 0.01:
         raise _misfit("lattice.pitch", f"{pitch:.6g} px are not the {lattice.pitch:.6g} px of lattice.basis")
-    _check_lengths(
-        lattice,
-        {
-            "gain_map.radius": gain.radius if gain else 0.0,
-            "gain_map.step": gain.step if gain else 0.0,
-            "vignetting.step": vignetting.step if vignetting else 0.0,
-        },
-    )
+    lengths = {"gain_map.radius": gain.radius, "gain_map.step": gain.step} if gain else {}
+    _check_lengths(lattice, lengths | ({"vignetting.step": vignetting.step} if vignetting else {}))
 
 
 def check_plausible(lattice: Lattice) -> None:

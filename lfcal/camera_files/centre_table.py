@@ -7,6 +7,7 @@ and distortion are robust least squares through the centres.
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -72,25 +73,22 @@ def format_centre_table(calibration: Calibration) -> str:
 
 
 def _read_columns(text: str) -> dict[str, Array]:
-    """The columns of a table by their names; diameters as radii."""
     names: list[str] = []
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), 1):
         cells = re.split(r"\s*[,;\s]\s*", re.sub(r"\[.*?\]|\(.*?\)|\"", "", line).strip("#,; \t").lower())
         if cells == [""]:
             continue
-        try:
-            values = None if line.lstrip().startswith("#") else [float(cell) for cell in cells]
-        except ValueError:
-            values = None
-        if values is not None:
-            rows.append(values)
-            continue
+        is_remark = line.lstrip().startswith("#")
+        with suppress(ValueError):
+            if not is_remark:
+                rows.append([float(cell) for cell in cells])
+                continue
         header = [re.sub(r"cent(re|er)|px|lens|[_.]", "", cell) for cell in cells]
         header = [_OTHER_NAMES.get(name, name) for name in header]
         if not rows and {"x", "y"} <= set(header):
             names = header
-        elif not line.lstrip().startswith("#"):
+        elif not is_remark:
             raise ValueError(f"line {number} is neither numbers nor a header with x and y")
     names = names or list(_COLUMNS[: len(rows[0])] if rows else _COLUMNS)
     if any(len(row) != len(names) for row in rows) or len(rows) < 3 or not np.isfinite(rows).all():
@@ -135,7 +133,6 @@ def _find_indices(centres: Array) -> Array:
 
 
 def _fit_lattice(index: Array, centres: Array, size: tuple[int, int]) -> tuple[Lattice, float]:
-    """The lattice through the centres, distorted where that explains them much better, and their RMS distance [px]."""
     design = np.column_stack([np.ones(len(index)), index])
     if np.linalg.matrix_rank(design) < 3:
         raise ValueError("at least three centres that are not in one row are needed")

@@ -85,12 +85,11 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
     try:
         text = source.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
+        problem = f"cannot be read as a camera file ({error})"
         if source.suffix.lower() in IMAGE_SUFFIXES and source.exists():
-            raise CameraFileError(
-                f"{source}: is an image, not a camera file; give a white image as --white, or make a camera file of it "
-                "with 'lfcal calibrate'"
-            ) from error
-        raise CameraFileError(f"{source}: cannot be read as a camera file ({error})") from error
+            problem = "is an image, not a camera file; give a white image as --white, or make a camera file of it with "
+            problem += "'lfcal calibrate'"
+        raise CameraFileError(f"{source}: {problem}") from error
     lines = (line.strip() for line in text.splitlines())
     first = next((line for line in lines if line and not line.startswith("#")), "")
     by_suffix = FORMATS.get(source.suffix.lower(), FORMATS[".json"])
@@ -98,8 +97,7 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
     try:
         if image_size is None and not form.has_size:
             raise CameraFileError("has no image size; give image_size as (width, height)")
-        is_table = form.parse is parse_centre_table
-        camera = form.parse(text, image_size, y_up) if is_table else form.parse(text, image_size)
+        camera = form.parse(text, image_size, *(y_up,) * (form.parse is parse_centre_table))
         if image_size is not None and tuple(image_size) != camera.image_size:
             own, given = ("{} x {} px".format(*size) for size in (camera.image_size, image_size))
             raise CameraFileError(f"is for flats of {own}, not of {given}; calibrate on a flat of that size")
@@ -142,8 +140,7 @@ def convert(calibration: Calibration, path: str | os.PathLike[str], *, mode: Mod
         apart = np.abs((index - np.rint(index)) @ again.basis).max()
         cell = abs(abs(np.linalg.det(again.basis) / np.linalg.det(lattice.basis)) - 1)
         if not max(apart, cell) <= _TOLERANCE:
-            raise CameraFileError(
-                f"{path}: this format cannot hold the lattice to {_TOLERANCE} px; write .json or .csv"
-            )
+            problem = f"this format cannot hold the lattice to {_TOLERANCE} px; write .json or .csv"
+            raise CameraFileError(f"{path}: {problem}")
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

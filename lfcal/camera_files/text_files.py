@@ -14,14 +14,62 @@ from numpy.typing import NDArray
 from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CameraFileError
-from .published import PublishedNumbers, calibration_from_corners
 
-__all__ = ["Mode", "format_key_value", "parse_key_value"]
+__all__ = ["Mode", "PublishedNumbers", "calibration_from_corners", "format_key_value", "parse_key_value"]
 
 _CORNERS = ("LeftTop", "RightTop", "LeftBottom", "RightBottom")
 
 Vector = NDArray[np.float64]
 Mode = Literal["telescopic", "binocular"]
+
+
+class PublishedNumbers(dict[str, str]):
+    """The texts of a file by their names, read as finite numbers; CameraFileError with the name where one is none."""
+
+    def number(self, name: str, above: float = -np.inf) -> float:
+        if name not in self:
+            raise CameraFileError(f"'{name}' is missing")
+        try:
+            value = float(self[name])
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise CameraFileError(f"'{name}' is {self[name].strip()!r}, not a number")
+        if value <= above:
+            raise CameraFileError(f"{name} must be positive, got {value}")
+        return value
+
+    def positive(self, name: str) -> float:
+        return self.number(name, above=0)
+
+    def point(self, x: str, y: str) -> NDArray[np.float64]:
+        return np.array([self.number(x), self.number(y)])
+
+
+def calibration_from_corners(
+    corners: list[NDArray[np.float64]], pitch: float, upright: bool, image_size: tuple[int, int]
+) -> Calibration:
+    """Hexagonal lattice through the outermost centres: left top, right top, left bottom, right bottom.
+
+    `upright` lattices have rows of nearest neighbours that run down the flat.
+    """
+    left_top, right_top, left_low, right_low = corners
+    down = ((left_low - left_top) + (right_low - right_top)) / 2
+    across = ((right_top - left_top) + (right_low - left_low)) / 2
+    along, sideways = (down, across) if upright else (across, down)
+    rows = round(float(np.hypot(*sideways)) / (pitch * np.sqrt(0.75)))
+    steps = round(float(np.hypot(*along)) / pitch)
+    if rows < 1 or steps < 1:
+        raise CameraFileError("the corner centres are less than a pitch apart")
+    along, sideways = along / steps, sideways / rows
+    if rows % 2:
+        # The last row is shifted by half a step, to whichever side leaves the axes perpendicular.
+        slip = np.sign(float(sideways @ along)) or 1.0
+        sideways = sideways - slip * 0.5 * along / rows
+    first = np.mean(corners, axis=0) - (down + across) / 2
+    lattice = Lattice(first, reduce_basis([along, sideways + along / 2]), image_size, pitch / 2)
+    warning = "only the corner centres are published, good to a few pixels; calibrate on a flat for better"
+    return Calibration(lattice, warnings=(warning,))
 
 
 def parse_key_value(text: str, _image_size: tuple[int, int] | None) -> Calibration:
@@ -68,29 +116,25 @@ def format_key_value(calibration: Calibration, mode: Mode | None = None) -> str:
     middle = lattice.origin + lattice.middle @ lattice.basis
     first, columns, rows = _outermost(lattice, middle, across, down)
     mode = mode or _mode_of_types(calibration)
+    width, height = lattice.image_size
     values: dict[str, object] = {
-        "IsKepler": int(mode != "telescopic"),
-        "LensletWidth": lattice.image_size[0],
-        "LensletHeight": lattice.image_size[1],
-        "MIDiameter": f"{lattice.pitch:.12f}",
-        "MLADirection": int(upright),
-    }
+        "IsKepler": int(mode != "telescopic"), "LensletWidth": width, "LensletHeight": height,
+        "MIDiameter": f"{lattice.pitch:.12f}", "MLADirection": int(upright),
+    }  # fmt: skip
     for k, name in enumerate(_CORNERS):
         corner = first + k % 2 * columns * across + k // 2 * rows * down
         values |= {f"{name}MICenter{axis}": f"{value:.9f}" for axis, value in zip("XY", corner, strict=True)}
     near = _near_type(calibration, mode, middle, upright)
     if near is not None:
-        offset = (middle - (np.array(lattice.image_size) - 1) / 2) * [1, -1]
+        offset = (middle - (np.array([width, height]) - 1) / 2) * [1, -1]
         values |= {f"CentralMIOffset{axis}": f"{value:.9f}" for axis, value in zip("XY", offset, strict=True)}
         values["NearFocalLenType"] = near
     return "".join(f"{key} : {value}\n" for key, value in values.items())
 
 
 def _outermost(lattice: Lattice, middle: Vector, across: Vector, down: Vector) -> tuple[Vector, int, int]:
-    """The whole microimage at the top left, and how many steps `across` and `down` lead to the last whole ones.
-
-    Readers take the first one for the first of its row and begin with its row.
-    """
+    """The whole microimage at the top left, and how many steps `across` and `down` lead to the last whole ones: readers
+    take the first one for the first of its row and begin with its row."""
     low, high = lattice.pitch / 2 - 0.5, np.array(lattice.image_size) - 0.5 - lattice.pitch / 2
     straight = lattice.origin + lattice.indices() @ lattice.basis
     whole = straight[((straight >= low) & (straight <= high)).all(1)]
@@ -101,7 +145,6 @@ def _outermost(lattice: Lattice, middle: Vector, across: Vector, down: Vector) -
 
 
 def _mode_of_types(calibration: Calibration) -> Mode | None:
-    """The mode that all lens types are focused at, None where that is not known."""
     focus = calibration.lens_types.focus if calibration.lens_types is not None else None
     if focus is None or not (np.isfinite(focus).all() and abs(np.sign(focus).sum()) == len(focus)):
         return None

@@ -16,7 +16,7 @@ from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CameraFileError
-from .published import PublishedNumbers, calibration_from_corners
+from .text_files import PublishedNumbers, calibration_from_corners
 
 __all__ = ["format_xml", "parse_xml"]
 
@@ -44,14 +44,12 @@ def parse_xml(text: str, size: tuple[int, int]) -> Calibration:
 
 
 def _texts(element: Any, place: str = "") -> Iterator[tuple[str, str]]:
-    """Path and text of all elements inside one."""
     for child in element:
         yield place + child.tag, child.text or ""
         yield from _texts(child, f"{place}{child.tag}/")
 
 
 def _parse_raytrix(numbers: PublishedNumbers, types: list[PublishedNumbers], size: tuple[int, int]) -> Calibration:
-    """The camera in the numbers of a `RayCalibData` element and of the `lens_type` elements in it."""
     pitch, rotation = numbers.positive("diameter"), numbers.number("rotation")
     base = np.array([numbers.point(f"{name}/x", f"{name}/y") for name in ("lens_base_x", "lens_base_y")])
     if abs(np.linalg.det(base)) < 1e-3:
@@ -87,13 +85,10 @@ def _parse_raytrix(numbers: PublishedNumbers, types: list[PublishedNumbers], siz
 
 def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | None:
     """Types of a hexagonal array from the positions (3, 2) [px] of one lens of each relative to the origin."""
-    if len(offsets) != 3 or len(lattice.steps) != 6:
-        return None
     index = offsets @ np.linalg.inv(lattice.basis)
-    if np.abs(index - np.rint(index)).max() > 0.2:
-        return None
     numbers = _type_numbers(np.rint(index).astype(int), lattice)
-    if len(set(numbers.tolist())) != 3:
+    three = len(offsets) == len(set(numbers.tolist())) == 3 and len(lattice.steps) == 6
+    if not three or np.abs(index - np.rint(index)).max() > 0.2:
         return None
     i, j = np.meshgrid(np.arange(3), np.arange(3), indexing="ij")
     return LensTypes(np.argsort(numbers).astype(np.int8)[_type_numbers(np.stack([i, j], axis=-1), lattice)])
@@ -142,13 +137,12 @@ def _type_elements(
     types: LensTypes | None, lattice: Lattice, middle: NDArray[np.int64], to_lens: NDArray[np.float64]
 ) -> Iterator[str]:
     """Where three types repeat, a lens of each beside `middle` (2,), and depths, which part half way in `s`."""
-    if types is None or types.count != 3 or len(lattice.steps) != 6:
-        return
     steps = np.vstack([np.zeros((1, 2), dtype=int), lattice.steps])
+    if types is None or types.focus is None or types.count != 3 or len(lattice.steps) != 6:
+        return
     kinds = types.of(middle + steps)
     if set(kinds.tolist()) != {0, 1, 2}:
         return
-    assert types.focus is not None
     sizes = np.abs(types.focus)
     known = types.ordered and (np.diff(sizes) < 0).all()
     ends = [1.0, *(2 / (sizes[1:] + sizes[:-1])), 100.0]
@@ -160,6 +154,5 @@ def _type_elements(
 
 
 def _element(name: str, units: str, **children: float) -> str:
-    """An element with a child for each number."""
     values = "".join(f"<{child}>{value:.12f}</{child}>" for child, value in children.items())
     return f'<{name} units="{units}">{values}</{name}>'

@@ -29,7 +29,7 @@ def assess(report: cl.Report, given: Any) -> None:
     Rotation, tilt, distance and gaps of the microimages, each with its error and a verdict; light and dirt; from SCENE,
     a capture of the same camera, whether the array has moved, and what is seen of depth.
     """
-    output = given.output
+    output, closing = given.output, []
     if output is not None:
         check_output(output, {".html", ".htm"}, [given.white, given.scene, given.camera])
     if given.pupil is not None and given.pixel is None:
@@ -39,12 +39,11 @@ def assess(report: cl.Report, given: Any) -> None:
         from .. import load, read_flat
 
         white = read_flat(given.white)
-        scene = None if given.scene is None else read_flat(given.scene)
-        camera = None if given.camera is None else load(given.camera, (white.shape[1], white.shape[0]))
+        scene = given.scene and read_flat(given.scene)
+        camera = given.camera and load(given.camera, (white.shape[1], white.shape[0]))
     with report.stage("assess"), cl.name_file_in_errors(given.white):
-        pixel = None if given.pixel is None else given.pixel / 1000
+        pixel = given.pixel and given.pixel / 1000
         found = run(white, scene, calibration=camera, f_number=given.f_number, pupil=given.pupil, pixel=pixel)
-    closing = []
     if output is not None:
         with report.stage("write"):
             found.write_page(output, f"Microlens array on {given.white.name}")

@@ -149,24 +149,22 @@ def show(report: cl.Report, given: Any) -> None:
     output = given.output
     check_output(output, {".png"}, [given.camera, given.image])
     with report.stage("read"):
-        from .. import read_flat
+        from .. import check_camera, read_flat
+        from .. import show as run
+        from ..display.overlay import find_places_to_check
 
         flat = read_flat(given.image)
         camera = _read(given.camera, (flat.shape[1], flat.shape[0]))
     with report.stage("show"):
-        from PIL import Image
-
-        from .. import check_camera
-        from .. import show as run
-        from ..display.overlay import find_places_to_check
-
-        picture = Image.fromarray(run(camera, flat))
+        pixels = run(camera, flat)
         look = [place.sentence for place in find_places_to_check(camera, flat)]
         # What does not fit at all is drawn too: that is what to look for.
         if (problem := check_camera(camera, flat).problem) is not None:
             camera = replace(camera, warnings=(*camera.warnings, problem))
     with report.stage("write"), atomic_write(output) as temporary:
-        picture.save(temporary, compress_level=4)
+        from PIL import Image
+
+        Image.fromarray(pixels).save(temporary, compress_level=4)
     lines = (*(f"look: {words}" for words in look), f"{output}: the circles should lie on the microimages.")
     report.finish({"picture": str(output), **describe(camera), "look_at": look}, *summarise(camera), *lines)
 
@@ -196,10 +194,8 @@ def flatten(report: cl.Report, given: Any) -> None:
         import tifffile
 
         tifffile.imwrite(temporary, even, photometric="rgb" if even.ndim == 3 else "minisblack")
-    report.finish(
-        {"written": str(output), "size": [width, height], "type": str(even.dtype), "warnings": warnings},
-        f"{output}: {width} x {height} px of {even.dtype}, evenly lit, in {report.took}.",
-    )
+    figures = {"written": str(output), "size": [width, height], "type": str(even.dtype), "warnings": warnings}
+    report.finish(figures, f"{output}: {width} x {height} px of {even.dtype}, evenly lit, in {report.took}.")
 
 
 @cl.command("lfcal compare monday.json friday.json")
@@ -263,8 +259,8 @@ def convert(report: cl.Report, given: Any) -> None:
 
     output, image, mode = given.output, given.image, given.mode
     check_output(output, FORMATS, [given.camera, image])
-    pixels = _read_image(given)
-    size = given.size if pixels is None else (pixels.shape[1], pixels.shape[0])
+    pixels = given.image and _read_image(given)
+    size = given.size if pixels is None else pixels.shape[1::-1]
     camera, up, told = _read(given.camera, size), _read(given.camera, size, True), ""
     if camera == up and given.y_up is not None:
         raise click.UsageError("--y-up and --y-down are for tables of centres")
@@ -285,10 +281,7 @@ def convert(report: cl.Report, given: Any) -> None:
     report.finish({"written": str(output), **describe(camera)}, *summarise(camera), f"{output} is written{told}.")
 
 
-def _read_image(given: Any) -> NDArray[Any] | None:
-    """The pixels of `--image`, None without it."""
-    if given.image is None:
-        return None
+def _read_image(given: Any) -> NDArray[Any]:
     if given.size is not None:
         raise click.UsageError("--size and --image exclude each other")
     from .. import read_flat
@@ -297,9 +290,7 @@ def _read_image(given: Any) -> NDArray[Any] | None:
 
 
 def _read_size(given: Any) -> tuple[int, int] | None:
-    """Width and height [px] from `--size` or `--image`, None without either."""
-    pixels = _read_image(given)
-    size: tuple[int, int] | None = given.size if pixels is None else (pixels.shape[1], pixels.shape[0])
+    size: tuple[int, int] | None = given.size if given.image is None else _read_image(given).shape[1::-1]
     return size
 
 

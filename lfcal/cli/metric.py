@@ -69,19 +69,26 @@ def metric(report: cl.Report, given: Any) -> None:
             check_output(path, suffixes, [*flats, camera, output])
     board = _read_board(given)
     with report.stage("read"):
-        from .. import load, read_flat
+        from .. import calibrate_metric, load, read_flat
 
         pixels = [read_flat(flat) for flat in flats]
         calibration = load(camera, (pixels[0].shape[1], pixels[0].shape[0]))
-    with report.stage("measure"):
-        from .. import calibrate_metric
-
-        pixel = None if given.pixel is None else given.pixel / 1000
-        names = [flat.name for flat in flats]
-        with report.progress("boards") as step:
-            found = calibrate_metric(pixels, calibration, board, pixel=pixel, names=names, progress=step)
+    with report.stage("measure"), report.progress("boards") as step:
+        pixel, names = given.pixel and given.pixel / 1000, [flat.name for flat in flats]
+        found = calibrate_metric(pixels, calibration, board, pixel=pixel, names=names, progress=step)
     with report.stage("write"):
-        _write(found, given)
+        from ..metric.exchange import write_libpleno, write_pinhole
+        from ..metric_report.report import write_metric_report
+
+        found.calibration.save(output)
+        if given.poses is not None:
+            found.save_poses(given.poses)
+        if given.page is not None:
+            write_metric_report(given.page, found, title=f"Metric calibration of {camera.name}")
+        if given.exchange is not None and given.exchange.suffix.lower() == ".js":
+            write_libpleno(given.exchange, found)
+        elif given.exchange is not None:
+            write_pinhole(given.exchange, found.calibration)
     optics = found.optics
     report.finish(
         {"camera": str(output), **_describe(found)},
@@ -90,21 +97,6 @@ def metric(report: cl.Report, given: Any) -> None:
         f"{optics.sensor_distance:.3f} mm before the sensor.",
         f"{output} in {report.took}: depth of its flats is in metres.",
     )
-
-
-def _write(found: MetricCalibration, given: Any) -> None:
-    from ..metric.exchange import write_libpleno, write_pinhole
-    from ..metric_report.report import write_metric_report
-
-    found.calibration.save(given.output)
-    if given.poses is not None:
-        found.save_poses(given.poses)
-    if given.page is not None:
-        write_metric_report(given.page, found, title=f"Metric calibration of {given.camera.name}")
-    if given.exchange is not None and given.exchange.suffix.lower() == ".js":
-        write_libpleno(given.exchange, found)
-    elif given.exchange is not None:
-        write_pinhole(given.exchange, found.calibration)
 
 
 @cl.command(
@@ -119,18 +111,16 @@ def board(report: cl.Report, given: Any) -> None:
 
     A bar of 100 mm on it tells whether it was printed in true size.
     """
-    output, target = given.output, _read_board(given)
-    check_output(output, {".pdf", ".svg"})
-    with report.stage("write"):
-        from ..boards.board import write_board
+    from ..boards.board import write_board
 
-        write_board(output, target)
-    closing = f"{output}: {target}. Print it in true size: the bar is 100 mm long."
-    report.finish({"written": str(output), "board": str(target), "square_mm": target.square}, closing)
+    target = _read_board(given)
+    with report.stage("write"):
+        write_board(given.output, target)
+    closing = f"{given.output}: {target}. Print it in true size: the bar is 100 mm long."
+    report.finish({"written": str(given.output), "board": str(target), "square_mm": target.square}, closing)
 
 
 def _describe(found: MetricCalibration) -> dict[str, Any]:
-    """The figures that are printed: parameters with their errors, poses with their Cramer-Rao bounds."""
     import numpy as np
 
     bound = np.array([pose.standard_errors for pose in found.poses]) / np.sqrt(found.widening)

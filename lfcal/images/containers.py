@@ -98,8 +98,7 @@ def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
         # The library leaves out what it cannot read.
         if not file.parts:
             raise FlatError("damaged or truncated OpenEXR")
-        low, high = file.header()["dataWindow"]
-    (left, top), (right, bottom) = (map(int, corner) for corner in (low, high))
+        (left, top), (right, bottom) = (map(int, corner) for corner in file.header()["dataWindow"])
     check_size(right - left + 1, bottom - top + 1)
     # Every block of at most 256 rows has an entry of 8 bytes in a table.
     if path.stat().st_size < (bottom - top + 1) / 32:
@@ -159,7 +158,6 @@ class ZarrFlat(NamedTuple):
         return np.moveaxis(pixels, 0, -1) if self.channels_first else pixels
 
     def _check_chunks(self, parts: list[slice]) -> None:
-        """FlatError where a chunk with these pixels is missing or truncated."""
         metadata = self.array.metadata
         sides, blosc = metadata.chunk_grid.chunk_shape[self.leading :], _is_blosc(metadata)
         folder = Path(self.array.store.root) / self.array.path
@@ -167,10 +165,8 @@ class ZarrFlat(NamedTuple):
         for chunk in product(*numbers):
             name = metadata.encode_chunk_key((0,) * self.leading + chunk)
             if not (folder / name).is_file():
-                raise FlatError(
-                    f"the chunk '{name}' is missing; copy the array anew, or write empty chunks too "
-                    "(in Zarr: write_empty_chunks=True)"
-                )
+                advice = "copy the array anew, or write empty chunks too (in Zarr: write_empty_chunks=True)"
+                raise FlatError(f"the chunk '{name}' is missing; {advice}")
             if blosc and not _is_whole_blosc(folder / name, math.prod(sides) * self.array.dtype.itemsize):
                 raise FlatError(f"the chunk '{name}' is truncated or damaged; copy the array anew")
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from .pixels import check_only_page, check_size
+from .pixels import check_only_page, check_page, check_size
 
 __all__ = ["read_lytro", "unpack_pixels"]
 
@@ -44,12 +44,9 @@ def read_lytro(path: Path, page: int | None) -> NDArray[np.uint16]:
     files = {str(entry.get("name", "")).upper(): sections[entry["dataRef"]] for entry in entries}
     raw = sorted(name for name in files if name.endswith(".RAW"))
     if not raw:
-        raise FlatError(f"holds no raw picture, only {_describe(sections, tables)}; {_REMEDY}")
-    if page is None and len(raw) > 1:
-        raise FlatError(f"the archive holds {len(raw)} white images; give the number of one (--page)")
-    if not 0 <= (page or 0) < len(raw):
-        raise FlatError(f"the archive holds {len(raw)} white images and no page {page}")
-    name = raw[page or 0]
+        count = sum(bytes(data[:3]) == b"\xff\xd8\xff" for data in sections.values())
+        raise FlatError(f"holds no raw picture, only {count} finished pictures (JPEG); {_REMEDY}")
+    name = raw[check_page(page, len(raw), "archive", "white images", "page")]
     about = files.get(name[:-4] + ".TXT")
     layout = _layout(about) if about is not None else _SENSORS.get(len(files[name]))
     if layout is None:
@@ -84,17 +81,7 @@ def _parse(data: memoryview) -> Any:
         raise FlatError(f"damaged Lytro file: a description is no JSON ({error})") from error
 
 
-def _describe(sections: dict[str, memoryview], tables: list[Any]) -> str:
-    """What a file without raw pictures holds."""
-    keys = ("imageArray", "depthLut", "depthMap", "depthImage")
-    stack, *depth = (any(any(_find(table, key)) for table in tables) for key in keys)
-    count = sum(bytes(data[:3]) == b"\xff\xd8\xff" for data in sections.values())
-    kind = "JPEG, a refocus stack" if stack else "JPEG"
-    return f"{count} finished pictures ({kind}){' and a depth map' if any(depth) else ''}"
-
-
 def _find(value: Any, key: str) -> Iterator[dict[str, Any]]:
-    """All objects with a key in a JSON value."""
     if isinstance(value, dict) and key in value:
         yield value
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
@@ -103,7 +90,6 @@ def _find(value: Any, key: str) -> Iterator[dict[str, Any]]:
 
 
 def _layout(about: memoryview) -> tuple[int, int, int]:
-    """Width, height and bits by the description of a picture."""
     described = _parse(about)
     try:
         sized = next(found for found in _find(described, "width") if "height" in found)

@@ -80,7 +80,6 @@ def edge_strength(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _mirrored(picture: NDArray[np.float32], margin: int) -> NDArray[np.float32]:
-    """A picture with a margin, mirrored at its borders, the ends not repeated."""
     import cv2
 
     return np.asarray(cv2.copyMakeBorder(picture, margin, margin, margin, margin, cv2.BORDER_REFLECT_101))
@@ -88,7 +87,6 @@ def _mirrored(picture: NDArray[np.float32], margin: int) -> NDArray[np.float32]:
 
 @kernel(error_model="numpy", share=lambda padded, side, together, floor, clip, out: -(-len(out) // together))
 def _normalise(begin, end, padded, side, together, floor, clip, out):
-    """See `normalise_locally`; each thread takes `together` rows one after the other."""
     height, width = out.shape
     share, half = 1.0 / (side * side), side // 2
     for part in range(begin, end):

@@ -112,7 +112,6 @@ def count_pages(
 
 
 def _decode(source: Path, page: int | None) -> NDArray[Any]:
-    """Pixels of a file or a Zarr folder as its decoder gives them."""
     suffix, mode = source.suffix.lower(), source.stat().st_mode
     if stat.S_ISDIR(mode) and is_zarr(source):
         array = open_zarr(source)

@@ -41,7 +41,6 @@ def check_flats(image: Any) -> list[NDArray[Any]]:
 
 
 def _read_paths(image: Any) -> Any:
-    """The flats given, with the pixels of files in the place of their paths."""
     if isinstance(image, (str, os.PathLike)):
         return read_flat(image)
     if isinstance(image, (list, tuple)) and any(isinstance(one, (str, os.PathLike)) for one in image):

@@ -65,6 +65,23 @@ class FlatSource(ExitStack):
         self.shape: tuple[int, ...] = (*shape[:2], *corner.shape[2:])
         self.dtype = corner.dtype
 
+    def subtract(self, dark: FlatSource) -> None:
+        """Subtract a dark frame from every part."""
+        if dark.shape[:2] != self.shape[:2]:
+            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (dark.shape, self.shape))
+            raise FlatError(f"{dark.path}: dark frame and flat must be of one size, they have {sizes} px")
+        plain = self._read
+
+        def read(rows: slice, columns: slice) -> NDArray[Any]:
+            black = dark.read(columns.start, rows.start, columns.stop, rows.stop)
+            pixels = checked_pixels(plain(rows, columns))
+            with file_errors(dark.path):
+                return subtract_dark(pixels, black)
+
+        self._read, self.dark = read, dark.path
+        # Whether their types fit.
+        self.read(0, 0, 1, 1)
+
     @property
     def nbytes(self) -> int:
         """Bytes of all pixels."""
@@ -105,30 +122,14 @@ def open_flat(
     ...     source.read(5, 5, 15, 10).shape
     (5, 10)
     """
-    black = None if dark is None else check_path(dark, "dark")
     source = _open(check_path(path), page)
     source.page = page
-    return source if black is None else _subtract(source, black)
-
-
-def _subtract(source: FlatSource, path: Path) -> FlatSource:
-    with ExitStack() as opened:
-        opened.callback(source.close)
-        dark = opened.enter_context(_open(path, None))
-        if dark.shape[:2] != source.shape[:2]:
-            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (dark.shape, source.shape))
-            raise FlatError(f"{path}: dark frame and flat must be of one size, they have {sizes} px")
-
-        def read(rows: slice, columns: slice) -> NDArray[Any]:
-            part = columns.start, rows.start, columns.stop, rows.stop
-            pixels, black = source.read(*part), dark.read(*part)
-            with file_errors(path):
-                return subtract_dark(pixels, black)
-
-        less = FlatSource(source.path, read, source.shape, source.in_parts)
-        less.page, less.dark = source.page, path
-        less.push(opened.pop_all())
-    return less
+    if dark is not None:
+        with ExitStack() as opened:
+            opened.callback(source.close)
+            source.subtract(opened.enter_context(_open(check_path(dark, "dark"), None)))
+            source.push(opened.pop_all())
+    return source
 
 
 def _open(source: Path, page: int | None) -> FlatSource:

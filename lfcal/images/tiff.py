@@ -93,7 +93,6 @@ def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
 
 
 def _convert(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
-    """Decoded pixels of a page, or of a part of it, as grey or with colours along the last axis."""
     if page.axes == "SYX":
         pixels = np.moveaxis(pixels, 0, -1)
     if page.photometric.name == "PALETTE":

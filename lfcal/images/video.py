@@ -63,7 +63,6 @@ def read_video_frame(path: Path, page: int | None) -> NDArray[Any]:
 
 
 def is_yuv(path: Path) -> bool:
-    """Whether a path has the suffix of raw video."""
     return path.suffix.lower() == RAW_SUFFIX
 
 
@@ -83,14 +82,13 @@ def read_yuv(path: Path, page: int | None, size: tuple[int, int] | None, pixel_f
     with path.open("rb") as stream:
         stream.seek(number * layout.frame_bytes)
         data = stream.read(layout.frame_bytes)
-    if len(data) < layout.frame_bytes:
-        raise FlatError(
-            f"truncated raw video: frame {number} has {len(data)} of {layout.frame_bytes} bytes "
-            f"({layout.width} x {layout.height} px {layout.pixel_format}); is that its size (--size)?"
-        )
-    if layout.pixel_format.startswith("gray"):
-        return np.frombuffer(data, "<u2" if layout.bits > 8 else np.uint8).reshape(layout.height, layout.width)
-    options = {"video_size": f"{layout.width}x{layout.height}", "pixel_format": layout.pixel_format}
+    width, height, kind, bits, length = layout
+    if len(data) < length:
+        given = f"frame {number} has {len(data)} of {length} bytes"
+        raise FlatError(f"truncated raw video: {given}; is its size {width} x {height} px {kind} (--size)?")
+    if kind.startswith("gray"):
+        return np.frombuffer(data, "<u2" if bits > 8 else np.uint8).reshape(height, width)
+    options = {"video_size": f"{width}x{height}", "pixel_format": kind}
     with import_av(path).open(BytesIO(data), format="rawvideo", options=options) as film:
         return rgb_pixels(next(film.decode(video=0)))
 
@@ -104,7 +102,6 @@ def find_layout(path: Path, size: tuple[int, int] | None = None, pixel_format: s
     if size is None:
         raise FlatError("raw video has no header; give its size (--size WxH), or name it like NAME_2048x2048.yuv")
     width, height = size
-    length = path.stat().st_size
     if pixel_format is None:
         subsampling, named = _format_in_name(path.stem)
         pixel_format = f"{subsampling or 420}p{named or _bits_of_samples(path, width * height)}"
@@ -115,18 +112,16 @@ def find_layout(path: Path, size: tuple[int, int] | None = None, pixel_format: s
     samples = width * height
     if kind != "400":
         samples += 2 * -(-width // _SHARES[kind][0]) * -(-height // _SHARES[kind][1])
-    layout = RawLayout(width, height, name, bits, samples * (2 if bits > 8 else 1))
-    if length < layout.frame_bytes:
-        raise FlatError(
-            f"holds {length} bytes, a frame of {width} x {height} px {name} has {layout.frame_bytes}; it is truncated, "
-            "or --size or --pixel-format are others"
-        )
+    length = samples * (2 if bits > 8 else 1)
+    if path.stat().st_size < length:
+        wanted = f"a frame of {width} x {height} px {name} has {length}"
+        advice = "it is truncated, or --size or --pixel-format are others"
+        raise FlatError(f"holds {path.stat().st_size} bytes, {wanted}; {advice}")
     check_size(width, height)
-    return layout
+    return RawLayout(width, height, name, bits, length)
 
 
 def _size_of(path: Path) -> tuple[int, int] | None:
-    """The size in the name, or in the camera file (key : value) with the same stem."""
     if sizes := re.findall(r"(?<!\d)(\d{2,6})[xX](\d{2,6})(?!\d)", path.stem):
         return int(sizes[-1][0]), int(sizes[-1][1])
     camera = path.with_suffix(".cfg")

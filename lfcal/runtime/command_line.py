@@ -219,7 +219,6 @@ def _stdin_file(ctx: click.Context) -> Path:
 
 
 def _pipe_file(ctx: click.Context, name: str) -> Path:
-    """A file in a new folder that is removed when the command has ended."""
     return Path(ctx.find_root().with_resource(tempfile.TemporaryDirectory(prefix="lfrender-pipe-"))) / name
 
 
@@ -337,7 +336,6 @@ class Report:
             self._echo(line)
 
     def _echo(self, line: str) -> None:
-        """Print a line on stdout, unless that is JSON or an output."""
         click.echo(_name_pipes(line), err=self.as_json or _is_piped())
 
 
@@ -362,7 +360,6 @@ def _built_in(value: Any) -> Any:
 
 
 def _text(value: Any, indent: int = 0) -> str:
-    """A figure in words, several named ones on lines of their own."""
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
         return f"\n{' ' * indent}".join(f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items())

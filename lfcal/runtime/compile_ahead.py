@@ -98,7 +98,6 @@ def example_of(entry: Any) -> Any:
 
 
 def _silence() -> None:
-    """No remarks of compilers."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 

@@ -32,10 +32,9 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     It has the suffix of `path`, for writers that choose the format by it, and the usual permissions of new files.
     OutputError if the file cannot be made, written or moved.
     """
-    target = check_path(path)
-    with _temporary(target) as temporary:
+    with _temporary(check_path(path)) as temporary:
         yield temporary
-        os.replace(temporary, target)
+        os.replace(temporary, path)
 
 
 @contextmanager
@@ -82,8 +81,8 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
     if target.exists() and not target.is_dir():
         raise OutputError(f"{target}: is a file; give a folder")
     if not target.exists() and re.fullmatch(r"\.[A-Za-z]\w{1,5}", target.suffix):
-        advice = "for a folder leave out the ending, or make it first"
-        raise OutputError(f"{target}: unknown output format '{target.suffix}'; {advice}")
+        problem = f"unknown output format '{target.suffix}'; for a folder leave out the ending, or make it first"
+        raise OutputError(f"{target}: {problem}")
     return target
 
 

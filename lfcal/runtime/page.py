@@ -1,15 +1,18 @@
-"""Pages of HTML, filled from templates (Jinja), and figures on them."""
+"""Pages of HTML, filled from templates (Jinja), figures on them, and results in a cell of a notebook."""
 
 from __future__ import annotations
 
+import base64
 import os
-from io import StringIO
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
 from .output_file import atomic_write
 
-__all__ = ["to_svg", "write_page"]
+__all__ = ["html_card", "to_svg", "write_page"]
 
 
 def write_page(path: str | os.PathLike[str], template: Path, **values: Any) -> None:
@@ -27,3 +30,20 @@ def to_svg(figure: Any) -> str:
     text = StringIO()
     figure.savefig(text, format="svg")
     return text.getvalue()[text.getvalue().index("<svg") :]
+
+
+def html_card(title: str, figures: Mapping[str, str], plot: Callable[[Any], Any], warnings: Sequence[str] = ()) -> str:
+    """HTML of what `plot` draws on Matplotlib axes, beside a table of figures, with warnings below."""
+    from matplotlib.figure import Figure
+
+    figure, stream = Figure(figsize=(4, 3), dpi=110, layout="tight"), BytesIO()
+    plot(figure.subplots())
+    figure.savefig(stream, format="png")
+    data = base64.b64encode(stream.getvalue()).decode()
+    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in figures.items())
+    lines = "".join(f"<p>&#9888; {escape(line)}</p>" for line in warnings)
+    return (
+        "<div style='display:flex;flex-wrap:wrap;gap:1.2em;align-items:flex-start'>"
+        f"<img alt='{escape(title)}' style='width:400px' src='data:image/png;base64,{data}'>"
+        f"<div><b>{escape(title)}</b><table>{rows}</table>{lines}</div></div>"
+    )

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, CalibrationError, FlatSource, LightFieldError, Optics
 from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
-from lfcal.runtime.notebook import html_card
 from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.page import html_card
 
 from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lfcal import LightFieldError
 from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.errors import check_type
-from lfcal.runtime.notebook import html_card
+from lfcal.runtime.page import html_card
 
 if TYPE_CHECKING:
     from lfcal import Calibration

@@ -103,7 +103,7 @@ def test_a_lytro_file_of_finished_pictures_is_refused_with_what_it_holds(tmp_pat
     table = json.dumps({"picture": {"frameArray": [], "accelerationArray": [kind]}}).encode()
     parts = [START, section(b"\x89LFM", table)[0], depth[0], *(part for part, _ in pictures)]
     (tmp_path / "a-stk.lfp").write_bytes(b"".join(parts))
-    with pytest.raises(lfcal.FlatError, match=r"4 finished .*refocus stack\) and a depth map; .*raw\.lfp"):
+    with pytest.raises(lfcal.FlatError, match=r"4 finished pictures .*raw\.lfp"):
         lfcal.read_flat(tmp_path / "a-stk.lfp")
 
 
