@@ -136,7 +136,7 @@ class Optics(Frozen):
         """The same optics with other values (14,) of `OPTICS_PARAMETERS`."""
         v = np.asarray(values, dtype=np.float64).tolist()
         principal = None if np.isnan(v[3]) else tuple(v[3:5])
-        vectors = {"radial": tuple(v[5:8]), "tangential": tuple(v[8:10]), "tilt": tuple(v[10:12])}
+        vectors: dict[str, Any] = {"radial": tuple(v[5:8]), "tangential": tuple(v[8:10]), "tilt": tuple(v[10:12])}
         lengths = dict(zip(_LENGTHS[:3], v[:3], strict=True))
         return replace(self, **lengths, principal_point=principal, **vectors, curvature=v[12], pupil=v[13])
 
