@@ -33,7 +33,7 @@ def run_demo(
     report: Report | None = None,
     *,
     flat_size: tuple[int, int] = (1600, 1200),
-    samples: int = 32,
+    samples: int = 16,
     seed: int = 1,
 ) -> dict[str, Any]:
     """Simulate the scene `house`, calibrate, analyse and render it, and write pictures and an HTML page.
