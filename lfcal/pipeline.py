@@ -330,7 +330,7 @@ def _find_dark_rest(picture: NDArray[np.float32], pitch: float) -> str | None:
     y, x = np.nonzero(mean > 0.2 * np.quantile(mean, 0.95))
     hull: Any = cv2.convexHull(np.column_stack([x, y]).astype(np.int32))
     share = cv2.contourArea(hull) / np.prod(np.maximum(np.array(mean.shape) - 1, 1))
-    # Captures have 0.85 and more; one that was a quarter of a pitch beside its lattice 0.17.
+    # Captures have 0.77 and more; one that was a quarter of a pitch beside its lattice 0.17.
     if share >= 0.5:
         return None
     where = f"light lies on {share:.0%} of the flat, and the lattice of all the rest follows from there"

@@ -65,7 +65,7 @@ class FlatSource(ExitStack):
         self.shape: tuple[int, ...] = (*shape[:2], *corner.shape[2:])
         self.dtype = corner.dtype
 
-    def subtract(self, dark: FlatSource) -> None:
+    def _subtract(self, dark: FlatSource) -> None:
         """Subtract a dark frame from every part."""
         if dark.shape[:2] != self.shape[:2]:
             sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (dark.shape, self.shape))
@@ -127,7 +127,7 @@ def open_flat(
     if dark is not None:
         with ExitStack() as opened:
             opened.callback(source.close)
-            source.subtract(opened.enter_context(_open(check_path(dark, "dark"), None)))
+            source._subtract(opened.enter_context(_open(check_path(dark, "dark"), None)))
             source.push(opened.pop_all())
     return source
 
