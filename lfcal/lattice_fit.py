@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from .lattice.standard_errors import LatticeErrors, Residuals, equal_weight_erro
 from .runtime.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from .detection.first_lattice import FirstLattice
+    from .detection.search import Candidate
     from .lattice.lens_subset import StackedCrops
     from .white_fit.fit import WhiteFit
     from .white_fit.vignetting import CatEye
@@ -42,7 +43,7 @@ class FinalLattice:
     doubt: str | None = None  # why the centres may be others, as those of the disc that cuts the microimages
 
 
-def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, start: FirstLattice) -> FinalLattice:
+def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, start: Candidate) -> FinalLattice:
     """Fit a white image (h, w), as made by `sqrt_luminance`, or crops of it; keep `start` where the fit runs away."""
     from .images.preprocessing import soften_mask
     from .lattice.lens_subset import StackedCrops
@@ -136,7 +137,7 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
 
 
 def fit_lattice_to_scenes(
-    lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: FirstLattice
+    lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: Candidate
 ) -> FinalLattice:
     """Fit one or several scenes of luminance `lights` (h, w); `picture` is the root of their mean.
 
@@ -154,11 +155,9 @@ def fit_lattice_to_scenes(
         rims += normalise_locally(edge_strength(sqrt_luminance(light)), window)
     if len(lights) > 1:
         rims /= np.float32(len(lights))
-    fit = fit_scene(rims, found)
-    if start.clear_gaps:
-        fit = _follow_gaps(fit, picture, start)
-        if fit.distortion is None and start.explains(found.basis) > start.explains(fit.basis) + 0.01:
-            return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
+    fit = _follow_gaps(fit_scene(rims, found), picture, start)
+    if fit is None:
+        return FinalLattice(found, float("nan"), 0, start.half_difference)
     if fit.residual_rms > 0.02 * found.pitch and not fit.half_difference < start.half_difference:
         # Single lenses scatter too much: averages of whole tiles are the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
@@ -171,18 +170,29 @@ def _final(fit: LatticeFit, start: Lattice) -> FinalLattice:
     return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.half_difference, errors)
 
 
-def _follow_gaps(fit: LatticeFit, picture: NDArray[np.float32], start: FirstLattice) -> LatticeFit:
-    """A fit to the edges of a scene, or one to its gaps where they differ: scene detail that is alike in many lenses
-    draws the edges after it, but what is dark in all of them stays."""
+def _follow_gaps(fit: LatticeFit, picture: NDArray[np.float32], start: Candidate) -> LatticeFit | None:
+    """The fit that explains the flat best: to its edges, to its gaps, or none, where the start is better than both.
+
+    Scene detail that is alike in many lenses draws edges after it, but gaps are constant in all of them. This is tried
+    only where the fit to the edges has left the start.
+    """
     from .images.preprocessing import normalise_locally
     from .scene_fit.fit import fit_scene
 
     found = start.lattice
-    darkness = np.minimum(normalise_locally(picture, 2 * found.pitch), 0)
-    try:
-        by_gaps = fit_scene(darkness, found)
-    except CalibrationError:
-        return fit
     index = np.column_stack([np.ones(len(found)), found.indices()])
-    change = np.vstack([fit.origin - by_gaps.origin, fit.basis - by_gaps.basis])
-    return by_gaps if field_rms(index, change) > 0.03 * found.pitch else fit
+    # A hundredth of a pitch is what starts are off by.
+    if fit.distortion is not None or _apart(fit, found, index) < 0.03 * found.pitch:
+        return fit
+    fits: list[LatticeFit | None] = [fit, None]
+    darkness = np.minimum(normalise_locally(picture, 2 * found.pitch), 0)
+    with suppress(CalibrationError):
+        fits.append(fit_scene(darkness, found))
+    return max(fits, key=lambda one: start.explained(found.basis if one is None else one.basis))
+
+
+def _apart(fit: LatticeFit, found: Lattice, index: NDArray[np.float64]) -> float:
+    """RMS distance [px] of a fit from a lattice at the lenses of `index` (n, 3)."""
+    shift = np.rint((fit.origin - found.origin) @ np.linalg.inv(found.basis)) @ found.basis
+    change = np.vstack([fit.origin - found.origin - shift, fit.basis - found.basis])
+    return field_rms(index, change)

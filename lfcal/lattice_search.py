@@ -1,52 +1,64 @@
-"""Candidates of the lattice of a camera on its flats, the likeliest first, each with its final fit."""
+"""Candidates of the lattice of a camera on its flats, each with its evidence and its final fit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .detection.capture_kind import choose_white_or_scene
-from .detection.first_lattice import (
-    NO_MICROIMAGES,
-    REPEATABILITY,
-    FirstLattice,
-    find_first_lattices,
-    find_stated_lattices,
-)  # fmt: skip
-from .images.mosaic import remove_mosaic
-from .images.preprocessing import sqrt_luminance
+from .camera.evidence import Evidence
+from .detection.capture_kind import is_white_image
+from .detection.search import Candidate, find_candidates
+from .images.mosaic import equalise_mosaic, remove_mosaic
+from .images.preprocessing import luminance, sqrt_luminance
 from .images.stack import average_scenes, combine_whites, select_contrasted
 from .lattice.lens_subset import ReadCrop, StackedCrops
 from .lattice.stated import LatticeHint
 from .lattice_fit import FinalLattice, fit_lattice_to_scenes, fit_lattice_to_white_image
 from .runtime.errors import RAW_FLAT_ADVICE, CalibrationError
 
-__all__ = [
-    "LatticeCandidate", "find_lattice_in_crops", "find_lattice_in_piece", "find_lattices",
-    "find_lattices_without_glare",
-]  # fmt: skip
+__all__ = ["FittedLattice", "find_lattice", "find_lattice_in_crops", "find_lattice_in_piece"]
+
+#: A lattice with this probability ends the search.
+_LIKELY = 0.9
+#: Candidates that are fitted, the most probable first.
+_MOST_FITTED = 3
 
 
 @dataclass(frozen=True)
-class LatticeCandidate:
-    """A lattice and the picture it was found on."""
+class FittedLattice:
+    """A lattice fitted to a picture, with what speaks for it."""
 
     picture: NDArray[np.float32] | StackedCrops  # (h, w) root of the luminance, or crops of a white image
     white: bool  # the flat is a white image
-    start: FirstLattice
     fit: FinalLattice
+    evidence: Evidence
     read_crop: ReadCrop | None = None  # reads any part of the flat, where `picture` are crops
-    single: NDArray[np.float32] | None = None  # (h, w) one of several scenes, where `picture` is their mean
-    # (h, w) `picture` with less contrast, where the lattice was found on that
-    softened: NDArray[np.float32] | None = None
-    stated: bool = False  # the pitch was given beforehand: these are microimages
+
+    @property
+    def probability(self) -> float:
+        """Probability that this is the lattice of the microimages."""
+        return self.evidence.probability
+
+    @classmethod
+    def of(
+        cls,
+        picture: NDArray[np.float32] | StackedCrops,
+        white: bool,
+        start: Candidate,
+        fit: FinalLattice,
+        read_crop: ReadCrop | None = None,
+    ) -> FittedLattice:
+        """The fit that began at a candidate, with the agreement of its own halves."""
+        halves = max(fit.half_difference, fit.displacement) / fit.lattice.pitch
+        return cls(picture, white, fit, start.evidence.with_halves(halves), read_crop)
 
 
-def find_lattice_in_crops(flat: NDArray[Any], kind: str, has_mosaic: bool) -> LatticeCandidate | None:
+def find_lattice_in_crops(flat: NDArray[Any], kind: str, has_mosaic: bool) -> FittedLattice | None:
     """The lattice of a very large white image from crops of it; None where it is none."""
     from .white_fit.large import find_white_lattice, sample_parts, window_reader
 
@@ -55,10 +67,10 @@ def find_lattice_in_crops(flat: NDArray[Any], kind: str, has_mosaic: bool) -> La
     if start is None:
         return None
     crops, read_crop = sample_parts(read_crop, start.lattice)
-    return LatticeCandidate(crops, True, start, fit_lattice_to_white_image(crops, start), read_crop)
+    return FittedLattice.of(crops, True, start, fit_lattice_to_white_image(crops, start), read_crop)
 
 
-def find_lattice_in_piece(flat: NDArray[Any], kind: str) -> LatticeCandidate | None:
+def find_lattice_in_piece(flat: NDArray[Any], kind: str) -> FittedLattice | None:
     """The lattice of a large white image, from its middle outwards; None where it is none."""
     from .white_fit.large import find_white_lattice_in_array
 
@@ -66,109 +78,105 @@ def find_lattice_in_piece(flat: NDArray[Any], kind: str) -> LatticeCandidate | N
     start = find_white_lattice_in_array(picture, kind == "white")
     if start is None:
         return None
-    return LatticeCandidate(picture, True, start, fit_lattice_to_white_image(picture, start))
+    return FittedLattice.of(picture, True, start, fit_lattice_to_white_image(picture, start))
 
 
-def find_lattices(
-    lights: list[NDArray[np.float32]], kind: str, has_mosaic: bool, hint: LatticeHint | None = None
-) -> Iterator[LatticeCandidate]:
-    """Lattices of whole flats of luminance `lights` (h, w), the likeliest first; CalibrationError if there are none."""
-    single = sqrt_luminance(lights[0]) if len(lights) == 1 else None
+def find_lattice(
+    flats: list[NDArray[Any]], kind: str, has_mosaic: bool, hint: LatticeHint | None = None
+) -> FittedLattice:
+    """The most probable lattice of whole flats (h, w) or (h, w, 3).
+
+    Raises
+    ------
+    CalibrationError
+        If none is more probable than not; the message names the best and what speaks against it.
+    """
+    lights = [equalise_mosaic(flat) if has_mosaic else luminance(flat) for flat in flats]
     if len(lights) > 1:
         lights = [lights[k] for k in select_contrasted(lights)]
+    candidates = _search(lights, has_mosaic, hint)
+    fitted: list[FittedLattice] = []
     error: CalibrationError | None = None
-    none = True
-    for start in _find_starts(lights, has_mosaic, single, hint):
+    for start in islice(candidates, _MOST_FITTED):
         try:
-            white, chosen = choose_white_or_scene(lights, start, kind)
-            if white:
-                picture = sqrt_luminance(combine_whites(chosen)) if single is None else single
-                found = LatticeCandidate(picture, True, start, fit_lattice_to_white_image(picture, start))
-            else:
-                chosen = [remove_mosaic(light) for light in chosen] if has_mosaic else chosen
-                picture = sqrt_luminance(_mean_scene(chosen)) if single is None or has_mosaic else single
-                one = None if len(chosen) == 1 else sqrt_luminance(chosen[0])
-                fit = fit_lattice_to_scenes(chosen, picture, start)
-                found = LatticeCandidate(picture, False, start, fit, single=one)
-        except CalibrationError as failure:
-            error = error or start.doubt or failure
-            continue
-        except np.linalg.LinAlgError as failure:
-            # The lattice is not determined in one of the directions.
-            text = f"what repeats on the image has no edges to place microimages by; {RAW_FLAT_ADVICE}"
-            raise (error or CalibrationError(text)) from failure
-        none = False
-        yield found if hint is None else replace(found, stated=True)
-    if none and error is not None:
-        raise error
-
-
-def find_lattices_without_glare(
-    found: LatticeCandidate, others: Iterator[LatticeCandidate], lights: Callable[[], list[NDArray[np.float32]]],
-    has_mosaic: bool,
-) -> tuple[LatticeCandidate, Iterator[LatticeCandidate]]:  # fmt: skip
-    """The lattices of scenes, or those on the root of their luminance where bright places may outweigh microimages.
-
-    Those on the root are taken where contrast is high or their average microimage is rounder, if gaps are not clear.
-    """
-    # A ninth of the pixels is enough. Files with gamma have up to 0.46, linear ones up to 0.9.
-    glares = float(np.asarray(found.picture)[::3, ::3].std()) > 0.5
-    if found.start.clear_gaps or (not glares and found.start.roundness >= 0.55):
-        return found, others
-
-    def find_softer() -> Iterator[LatticeCandidate]:
-        for one in find_lattices([np.sqrt(light) for light in lights()], "scene", has_mosaic):
-            assert isinstance(one.picture, np.ndarray)
-            yield replace(one, picture=found.picture, softened=one.picture)
-
-    softer = find_softer()
-    try:
-        first = next(softer)
-    except CalibrationError:
-        return found, others
-    return (first, softer) if glares or first.start.roundness > found.start.roundness else (found, others)
-
-
-def _mean_scene(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    return average_scenes(lights) if len(lights) > 1 else lights[0]
-
-
-def _find_starts(
-    lights: list[NDArray[np.float32]], has_mosaic: bool, single: NDArray[np.float32] | None, hint: LatticeHint | None
-) -> Iterator[FirstLattice]:
-    """First lattices on the mean of the lights, or on the first of them that has one by itself.
-
-    `single` is the root of the only one.
-    """
-    error: CalibrationError | None = None
-    found = False
-    for k in range(-1, len(lights) if len(lights) > 1 else 0):
-        picture = single
-        if picture is None or has_mosaic:
-            light = _mean_scene(lights) if k < 0 else lights[k]
-            picture = sqrt_luminance(remove_mosaic(light) if has_mosaic else light)
-        try:
-            for start in _find_starts_on(picture, hint):
-                found = True
-                yield start
+            fitted.append(_fit(lights, start, kind, has_mosaic))
         except CalibrationError as failure:
             error = error or failure
-        if found:
-            return
-    assert error is not None
-    raise error
+            continue
+        if fitted[-1].probability > _LIKELY:
+            break
+    if not fitted:
+        assert error is not None
+        raise error
+    best = max(fitted, key=lambda one: one.probability)
+    if best.probability < 0.5:
+        raise CalibrationError(describe_doubt(candidates, best))
+    return best
 
 
-def _find_starts_on(picture: NDArray[np.float32], hint: LatticeHint | None) -> Iterator[FirstLattice]:
-    import cv2
+def describe_doubt(candidates: list[Candidate], best: FittedLattice) -> str:
+    """What repeats on a flat, and what speaks against it being the lattice of microimages."""
+    text = f"a pattern repeats every {best.fit.lattice.pitch:.1f} px, but {best.evidence.describe_doubt()}"
+    pitch = best.fit.lattice.pitch
+    others = [one for one in candidates if abs(one.lattice.pitch / pitch - 1) > 0.02]
+    if others:
+        other = others[0]
+        text += f"; of the one every {other.lattice.pitch:.1f} px, {other.evidence.describe_doubt()}"
+    return f"{text}; {RAW_FLAT_ADVICE}"
 
-    mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
-    if mean == 0 or deviation < 1e-4 * mean:
-        raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
-    if hint is not None:
-        yield from find_stated_lattices(picture, hint)
-        return
-    for start in find_first_lattices(picture):
-        if start.repeatability < REPEATABILITY and not start.confirmed:
-            raise CalibrationError(NO_MICROIMAGES)
-        yield start
+
+def _search(lights: list[NDArray[np.float32]], has_mosaic: bool, hint: LatticeHint | None) -> list[Candidate]:
+    """Candidates on the mean of the lights, or, where none is certain there, on each of them too."""
+    found: list[Candidate] = []
+    error: CalibrationError | None = None
+    for picture in _pictures(lights, has_mosaic):
+        try:
+            found += find_candidates(picture, hint)
+        except CalibrationError as failure:
+            error = error or failure
+        if found and max(one.evidence.probability for one in found) > _LIKELY:
+            break
+    if not found:
+        assert error is not None
+        raise error
+    return sorted(found, key=lambda one: -one.evidence.rank)
+
+
+def _pictures(lights: list[NDArray[np.float32]], has_mosaic: bool) -> Iterator[NDArray[np.float32]]:
+    """Roots of the mean of the lights, softer ones where bright places outweigh the rest, then of each; no mosaic."""
+    mean = average_scenes(lights) if len(lights) > 1 else lights[0]
+    for light in [mean, np.sqrt(mean), *(lights if len(lights) > 1 else [])]:
+        yield sqrt_luminance(remove_mosaic(light) if has_mosaic else light)
+
+
+def _fit(lights: list[NDArray[np.float32]], start: Candidate, kind: str, has_mosaic: bool) -> FittedLattice:
+    """The final lattice from a candidate: by the white images among the lights, or else by all as scenes."""
+    whites = _select_whites(lights, start, kind, has_mosaic)
+    if whites:
+        picture = sqrt_luminance(combine_whites(whites) if len(whites) > 1 else whites[0])
+        try:
+            return FittedLattice.of(picture, True, start, fit_lattice_to_white_image(picture, start))
+        except CalibrationError:
+            if kind == "white":
+                raise
+    scenes = [remove_mosaic(light) for light in lights] if has_mosaic else lights
+    picture = sqrt_luminance(average_scenes(scenes) if len(scenes) > 1 else scenes[0])
+    try:
+        fit = fit_lattice_to_scenes(scenes, picture, start)
+    except np.linalg.LinAlgError as failure:
+        # The lattice is not determined in one of the directions.
+        text = f"what repeats on the image has no edges to place microimages by; {RAW_FLAT_ADVICE}"
+        raise CalibrationError(text) from failure
+    return FittedLattice.of(picture, False, start, fit)
+
+
+def _select_whites(
+    lights: list[NDArray[np.float32]], start: Candidate, kind: str, has_mosaic: bool
+) -> list[NDArray[np.float32]]:
+    """The lights (h, w) that are white images; all or none where their kind is stated."""
+    if kind != "auto":
+        return lights if kind == "white" else []
+    if len(lights) == 1:
+        return lights if start.evidence.white_probability > 0.5 else []
+    pictures = [sqrt_luminance(light) for light in lights]
+    return [light for light, picture in zip(lights, pictures, strict=True) if is_white_image(picture, start.lattice)]

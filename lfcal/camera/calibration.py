@@ -21,6 +21,7 @@ from ..runtime.arrays import Frozen
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError, check_number, check_type
 from ..runtime.image_formats import MOSAICS, Mosaic
 from ..runtime.output_file import atomic_write
+from .evidence import Evidence
 from .lens_types import LensBlur, LensTypes
 from .optics import Optics
 
@@ -33,11 +34,11 @@ _ROW_ORDER_VERSION = 1
 # Fields that are records.
 _PARTS: dict[str, Any] = {
     "lens_types": LensTypes, "gain_map": GainMap, "defects": Defects, "errors": LatticeErrors, "residuals": Residuals,
-    "optics": Optics, "lens_blur": LensBlur,
+    "optics": Optics, "lens_blur": LensBlur, "evidence": Evidence,
 }  # fmt: skip
 # Fields that are in files as they are, and of the fit, NaN as null.
 _VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded")
-_FIT = ("residual_rms", "lenses_used", "confidence", "circle_agreement")
+_FIT = ("residual_rms", "lenses_used", "confidence")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,8 +79,8 @@ class Calibration(Frozen):
         Largest value of its flats where that is less than their type holds, as 4095 for 12 bits in files of 16.
     optics : Optics or None
         Main lens, distances and their covariance, which turn patch sizes into metres.
-    circle_agreement : float
-        Share of the circles found by Hough vote that lie on the lattice, beyond chance; NaN where not measured.
+    evidence : Evidence or None
+        What on the flat speaks for this lattice; None where it was not measured on a flat.
     lens_blur : LensBlur or None
         Blur of the microlenses, which pictures with `detail` undo.
     encoded : bool or None
@@ -113,7 +114,7 @@ class Calibration(Frozen):
     residuals: Residuals | None = None
     white_level: float | None = None
     optics: Optics | None = None
-    circle_agreement: float = float("nan")
+    evidence: Evidence | None = None
     lens_blur: LensBlur | None = None
     encoded: bool | None = None
     mosaic_guessed: bool = False

@@ -32,7 +32,6 @@ class _Fit(Struct):
     residual_rms: Annotated[float, Meta(ge=0, le=1e5)] | None
     lenses_used: Annotated[int, Meta(ge=0)]
     confidence: Annotated[float, Meta(ge=0, le=1)]
-    circle_agreement: Annotated[float, Meta(ge=-1, le=1)] | None = None
 
 
 class _Camera(Struct):

@@ -26,7 +26,7 @@ def describe(camera: Calibration) -> dict[str, Any]:
             "cell": types.cell,
         },
         "lenses_used": camera.lenses_used, "residual_rms": camera.residual_rms, "confidence": camera.confidence,
-        "circle_agreement": camera.circle_agreement, "mosaic": camera.mosaic or "none",
+        "evidence": camera.evidence and camera.evidence.to_dict(), "mosaic": camera.mosaic or "none",
         "defect_pixels": len(defects.pixels), "defect_lenses": len(defects.lenses),
         "lens_blur": camera.lens_blur and camera.lens_blur.to_dict(),
         "optics": camera.optics and describe_optics(camera.optics), "warnings": camera.warnings,

@@ -39,7 +39,7 @@ def choose_block_size(flat: Array) -> int:
 def _find_pitch(flat: Array) -> float:
     """Pitch [px] in the first part of a flat that shows one; the array need not fill the sensor."""
     from ..images.preprocessing import luminance, sqrt_luminance
-    from .first_lattice import find_first_lattice
+    from .search import find_candidates
 
     height, width = flat.shape[:2]
     error: CalibrationError | None = None
@@ -49,7 +49,7 @@ def _find_pitch(flat: Array) -> float:
         left, top = int(across * max(0, width - side)), int(down * max(0, height - side))
         part = np.ascontiguousarray(flat[top : top + side, left : left + side])
         try:
-            pitch = find_first_lattice(sqrt_luminance(luminance(part))).lattice.pitch
+            pitch = find_candidates(sqrt_luminance(luminance(part)))[0].lattice.pitch
         except CalibrationError as failure:
             error = error or failure
             continue

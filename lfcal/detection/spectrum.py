@@ -6,8 +6,8 @@ peaks that are one frequency bin wide and lie at all integer combinations of two
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import combinations, zip_longest
+from collections.abc import Iterator, Sequence
+from itertools import chain, combinations
 from typing import Any, NamedTuple
 
 import cv2
@@ -17,13 +17,16 @@ from numpy.typing import NDArray
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import reduce_basis
 from ..runtime.arrays import Booleans, Floats, Singles
-from ..runtime.errors import CalibrationError
+from .features import FlatFeatures
 
-__all__ = ["Candidate", "find_bases", "is_same_lattice"]
+__all__ = ["find_periods", "is_same_lattice"]
 
 _PROMINENCE = 4.0  # [standard deviations] of the whitened log power from which on there is a peak
 _CLEAR_SUPPORT = 0.3  # of a basis by the spectrum, above which longer periods are not looked for
 _MIN_SUPPORT = 0.1  # below which no pattern repeats
+_WIDE = 21  # [bins] side of the box whose mean is the background of peaks
+_NARROW = (9, 7)  # [bins] the same where only peaks of a bin or two, those of lattices, are to stand out
+_MOST = 7  # bases of the highest support that are given
 
 
 class Candidate(NamedTuple):
@@ -33,50 +36,6 @@ class Candidate(NamedTuple):
     support: float
 
 
-def find_bases(picture: Singles) -> Iterator[Floats]:
-    """Bases to try: the best supported over short and long periods, then others; CalibrationError where there is none.
-
-    Detail of a flat scene repeats at another period than that of the lenses, and may have stronger peaks. `picture`
-    (h, w) is as made by `images.preprocessing.sqrt_luminance`.
-    """
-    wide: list[list[Candidate]] = []
-    spectra = []
-    for reduction in (1, 2, 4):
-        log_power = _log_power(picture, reduction)
-        if log_power is None:
-            break
-        spectra.append((log_power, reduction))
-        wide.append(_find_candidates(_whiten(log_power, 21), reduction))
-        if wide[-1] and wide[-1][0].support > _CLEAR_SUPPORT:
-            break
-    best = max((found[0] for found in wide if found), key=lambda one: one.support, default=None)
-    if best is None or best.support < _MIN_SUPPORT:
-        raise CalibrationError(
-            "no pattern repeats in two directions all over the image; "
-            "give a raw flat from the sensor, not a rendered or scaled picture"
-        )
-    tried = [best.basis]
-    yield best.basis
-    for reduction in (1, 2, 4)[len(spectra) :]:
-        log_power = _log_power(picture, reduction)
-        if log_power is not None:
-            spectra.append((log_power, reduction))
-    # In boxes of few bins only peaks of a bin or two stand out: the lattice.
-    narrow = [
-        one
-        for power, reduction in spectra
-        for side in (7, 9)
-        for one in _find_candidates(_whiten(power, side), reduction)
-    ]
-    narrow.sort(key=lambda one: -one.support)
-    for candidate in narrow + [one for rank in zip_longest(*wide) for one in rank if one is not None]:
-        if len(tried) >= 10:
-            return
-        if not any(is_same_lattice(candidate.basis, basis) for basis in tried):
-            tried.append(candidate.basis)
-            yield candidate.basis
-
-
 def is_same_lattice(one: Floats, other: Floats, tolerance: float = 0.04) -> bool:
     """Whether two bases span the same points, to a share of their steps."""
     steps = one @ np.linalg.inv(other)
@@ -84,16 +43,12 @@ def is_same_lattice(one: Floats, other: Floats, tolerance: float = 0.04) -> bool
     return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < tolerance)
 
 
-def _log_power(picture: Singles, reduction: int) -> Singles | None:
-    """(n, n // 2 + 1) mean log power of brightness and edges over a few windows; row n // 2 is zero frequency.
+def _log_power(pictures: Sequence[Singles]) -> Singles | None:
+    """(n, n // 2 + 1) mean log power of pictures (h, w) over a few windows; row n // 2 is zero frequency.
 
-    None where the picture, downscaled by the factor `reduction`, which brings long periods into the windows, is too
-    small for four of the shortest periods.
+    None where they are too small for four of the shortest periods.
     """
-    if reduction > 1:
-        smaller: Any = cv2.resize(picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
-        picture = smaller
-    height, width = picture.shape
+    height, width = pictures[0].shape
     size = min(1024, height, width) // 2 * 2
     if size < 16:
         return None
@@ -101,11 +56,11 @@ def _log_power(picture: Singles, reduction: int) -> Singles | None:
     log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
     windows = {((height - size) // 2, (width - size) // 2), (0, 0), (height - size, width - size)}
     for y, x in sorted(windows):
-        window = np.ascontiguousarray(picture[y : y + size, x : x + size])
-        for feature in (window, edge_strength(window)):
-            levelled = normalise_locally(feature, size / 10) * taper[:, None] * taper
-            log_power += np.log(np.abs(np.fft.rfft2(levelled)) ** 2 + np.float32(1e-6))
-    return np.fft.fftshift(log_power / np.float32(2 * len(windows)), axes=0)
+        for picture in pictures:
+            levelled = normalise_locally(np.ascontiguousarray(picture[y : y + size, x : x + size]), size / 10)
+            power = np.abs(np.fft.rfft2(levelled * taper[:, None] * taper)) ** 2
+            log_power += np.log(power + np.float32(1e-6))
+    return np.fft.fftshift(log_power / np.float32(len(pictures) * len(windows)), axes=0)
 
 
 def _whiten(log_power: Singles, side: int) -> Singles:
@@ -229,3 +184,91 @@ def _find_candidates(prominence: Singles, reduction: int) -> list[Candidate]:
         if len(distinct) == 6:
             break
     return distinct
+
+
+def find_periods(features: FlatFeatures) -> Iterator[Floats]:
+    """Bases (2, 2) [px] of what repeats on a flat, the best supported by its spectrum first.
+
+    Brightness and edges show most lattices. Borders without gaps show in steps alone, whose peaks are
+    harmonics of the lattice along two lines: multiples of the periods found there are periods too.
+    """
+    given: list[Floats] = []
+    for basis in chain(_find_supported(features), _find_step_periods(features.steps)):
+        if not any(is_same_lattice(basis, other) for other in given):
+            given.append(basis)
+            yield basis
+
+
+def _find_supported(features: FlatFeatures) -> Iterator[Floats]:
+    """Bases with the most support by brightness and edges, over short and long periods.
+
+    Longer periods and those that stand out in few bins alone are looked for once the first has been refused.
+    """
+    picture = features.picture
+    first: list[Candidate] = []
+    spectra = []
+    for reduction in (1, 2, 4):
+        if reduction > 1:
+            smaller: Any = cv2.resize(
+                features.picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA
+            )
+            picture = smaller
+        log_power = _log_power([picture, edge_strength(picture)])
+        if log_power is None:
+            break
+        spectra.append((log_power, reduction))
+        first += _find_candidates(_whiten(log_power, _WIDE), reduction)
+        if first and max(one.support for one in first) > _CLEAR_SUPPORT:
+            yield max(first, key=lambda one: one.support).basis
+    found = first + [
+        one
+        for log_power, reduction in spectra
+        for side in _NARROW
+        for one in _find_candidates(_whiten(log_power, side), reduction)
+    ]
+    found = [one for one in found if one.support >= _MIN_SUPPORT]
+    for candidate in sorted(found, key=lambda one: -one.support)[:_MOST]:
+        yield candidate.basis
+
+
+def _find_step_periods(steps: Singles) -> Iterator[Floats]:
+    """Periods of borders without gaps, from the two best combs of peaks on lines through zero frequency."""
+    log_power = _log_power([steps])
+    if log_power is None:
+        return
+    prominence = _whiten(log_power, _WIDE)
+    peaks, _ = _find_peaks(prominence)
+    if len(peaks) < 2:
+        return
+    size = len(prominence)
+    divided = (peaks[:, None] / np.arange(1, 13)[:, None]).reshape(-1, 2)
+    period = 1 / np.hypot(*divided.T)
+    combs = divided[(period >= 6) & (period <= size / 5)]
+    if len(combs) < 2:
+        return
+    score = _score_combs(prominence, combs)
+    order = np.argsort(-score, kind="stable")
+    first = combs[order[0]]
+    across = np.abs(combs @ np.array([-first[1], first[0]])) / np.hypot(*first) / np.hypot(*combs.T)
+    second = [k for k in order.tolist() if across[k] > 0.7]
+    for k in second[:1]:
+        yield reduce_basis(np.linalg.inv(np.array([first, combs[k]])).T)
+
+
+def _score_combs(prominence: Singles, combs: Floats) -> Floats:
+    """(m,) sum of the prominence at all multiples of frequencies (m, 2) [cycles per px], over its deviation.
+
+    A fraction of the true frequency has as many peaks among more places, a multiple has fewer peaks.
+    """
+    size = len(prominence)
+    highest = cv2.dilate(prominence, np.ones((3, 3), np.uint8))
+    highest = highest - np.float32(np.median(highest[::4]))
+    order = np.arange(1, 33)[:, None]
+    nodes = combs[:, None] * order
+    inside = np.abs(nodes).max(2) < 0.45
+    nodes = np.where(nodes[..., :1] < 0, -nodes, nodes)
+    x, y = np.moveaxis(np.rint(nodes * size).astype(int), -1, 0)
+    value = highest[(y + size // 2) % size, x.clip(0, highest.shape[1] - 1)]
+    value = np.clip(value, -_PROMINENCE, 2 * _PROMINENCE) * inside
+    scores: Floats = value.sum(1) / np.sqrt(np.maximum(inside.sum(1), 1))
+    return scores

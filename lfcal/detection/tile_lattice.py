@@ -16,12 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lattice.lattice import reduce_basis
 from ..lattice.robust_fit import field_rms, fit_affine
 from ..runtime.arrays import Floats, Integers
 from .folding import TileFolds
 
-__all__ = ["HarmonicFit", "finer_bases", "fit_harmonics", "has_run_away", "refine_basis", "similar_bases"]
+__all__ = ["HarmonicFit", "fit_harmonics", "has_run_away", "refine_basis"]
 
 
 def has_run_away(refined: Floats, basis: Floats) -> bool:
@@ -63,25 +62,6 @@ def refine_basis(folds: list[TileFolds]) -> Floats:
     start = np.linalg.lstsq(index * weight, np.array([f for f, _ in fringes]) * weight, rcond=None)[0]
     change = _maximise_coherence(stack, index, centre - centre.mean(0), start)
     return np.asarray(np.linalg.inv(np.linalg.inv(first.basis).T + change).T)
-
-
-def finer_bases(basis: Floats) -> list[Floats]:
-    """Bases (2, 2) [px] of all lattices of which each cell of `basis` holds two or three cells."""
-    a, b = basis
-    halves = [np.array(pair) for pair in ((a / 2, b), (a, b / 2), ((a + b) / 2, b))]
-    thirds = [np.array(pair) for pair in ((a / 3, b), (a, b / 3), ((a + b) / 3, b), ((a + 2 * b) / 3, b))]
-    return [reduce_basis(one) for one in (*thirds, *halves)]
-
-
-def similar_bases(refined: Floats, start: Floats) -> list[Floats]:
-    """Bases near a refined one: of the cells of `start`, and regular ones."""
-    a, b = refined = reduce_basis(refined)
-    found = [np.rint(6 * refined @ np.linalg.inv(start)) / 6 @ start]
-    for degrees in (90.0, 60.0, 120.0):
-        angle = np.radians(degrees) * np.sign(a[0] * b[1] - a[1] * b[0])
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        found += [np.array([a, a @ turn]), np.array([b @ turn.T, b])]
-    return [one for one in found if not has_run_away(one, refined)]
 
 
 def _fringe(field: NDArray[np.complex64], spacing: Floats) -> tuple[Floats, float]:

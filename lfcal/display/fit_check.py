@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +27,8 @@ _REMEDY = "give the camera of this flat, or calibrate on it"
 # [pitch] from which on pictures show a shift of the whole flat, at most 0.05 with right cameras on 60 simulated flats;
 # and one of a corner by a change of scale or rotation: 0.028 with right cameras on 11 captures, 0.039 with a wrong one.
 _SHIFT, _STRETCH = 0.06, 0.033
+# Least probability of a lattice that a camera is compared with.
+_LIKELY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,16 +318,16 @@ def _compare(reduced: _Reduced, given: Lattice) -> tuple[Lattice | None, _Misfit
 
 
 def _find_lattices(picture: Singles, given: Lattice) -> Iterator[Lattice]:
-    """Lattices on a picture: at the basis of the given one, and where that is not there, of the spectrum."""
-    from ..detection.first_lattice import find_first_lattice, find_first_lattices
+    """Probable lattices on a picture: at the basis of the given one, and where none is there, any."""
+    from ..detection.search import find_candidates, measure_basis
 
     with suppress(CalibrationError, np.linalg.LinAlgError):
-        start = find_first_lattice(picture, given.basis)
-        if start.repeatability > 0.5:
-            yield start.lattice
-    for start in islice(find_first_lattices(picture), 3):
-        if start.doubt is None and start.repeatability > 0.5:
-            yield start.lattice
+        own = measure_basis(picture, given)
+        if own and own[0].evidence.probability > _LIKELY:
+            yield own[0].lattice
+    for found in find_candidates(picture)[:3]:
+        if found.evidence.probability > _LIKELY:
+            yield found.lattice
 
 
 def _fit_offsets(

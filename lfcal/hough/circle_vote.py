@@ -8,15 +8,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ..images.preprocessing import normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.arrays import Floats, Singles
 
-__all__ = ["Circles", "find_circles", "find_shifted", "propose_basis"]
+__all__ = ["Circles", "find_circles", "find_peaks", "propose_basis"]
+
+#: [px] pitch that pictures are scaled to.
+_SCALED_PITCH = 24
+#: Circles whose distances are compared.
+_MOST_CIRCLES = 400
+# Places of the part that is searched, in shares of the room to the left and above: the middle, and around it.
+_PLACES = ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8), (0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -43,31 +52,67 @@ class Circles:
 
 def find_circles(picture: Singles, pitch: float) -> Circles:
     """Circles as large as microimages of a `pitch` [px], about, in the middle of a picture (h, w)."""
-    height, width = picture.shape
-    side = min(max(int(30 * pitch), 64), height, width)
-    left, top = (width - side) // 2, (height - side) // 2
-    part = np.ascontiguousarray(picture[top : top + side, left : left + side])
-    levelled = normalise_locally(part, 3 * pitch)
-    # At a pitch of 24 px edges are a few pixels wide.
-    side, factor = 24, 24 / pitch
-    way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-    scaled = cv2.resize(levelled, None, fx=factor, fy=factor, interpolation=way)
-    dark, bright = np.quantile(scaled, (0.02, 0.98))
-    grey = np.clip((scaled - dark) * (255 / max(float(bright - dark), 1e-12)), 0, 255).astype(np.uint8)
+    part = _ScaledPart.of(picture, pitch)
     found = cv2.HoughCircles(
-        grey, cv2.HOUGH_GRADIENT, 1, 0.7 * side, param1=120, param2=6, minRadius=int(0.36 * side),
-        maxRadius=int(np.ceil(0.52 * side)),
-    )  # fmt: skip
+        part.grey,
+        cv2.HOUGH_GRADIENT,
+        1,
+        0.7 * _SCALED_PITCH,
+        param1=120,
+        param2=6,
+        minRadius=int(0.36 * _SCALED_PITCH),
+        maxRadius=int(np.ceil(0.52 * _SCALED_PITCH)),
+    )
     if found is None:
         return Circles(np.zeros((0, 2)), np.zeros(0))
     table = np.asarray(found, dtype=np.float64).reshape(-1, np.shape(found)[-1])
-    return Circles((table[:, :2] + 0.5) / factor - 0.5 + (left, top), table[:, 2] / factor)
+    return Circles(part.to_flat(table[:, :2]), table[:, 2] / part.factor)
 
 
-def find_shifted(circles: Circles, lattice: Lattice) -> float:
-    """Agreement of the circles with the lattice shifted by half or by a third of a cell, the best of these."""
-    shifts = [np.array(share) for share in ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3))]
-    return max(Circles(circles.centres - shift @ lattice.basis, circles.radii).agreement(lattice) for shift in shifts)
+def find_peaks(picture: Singles, pitch: float) -> Circles:
+    """Brightest places of a `pitch` [px] about them, as spots are, in the middle of a picture (h, w)."""
+    part = _ScaledPart.of(picture, pitch)
+    smooth = cv2.GaussianBlur(part.grey.astype(np.float32), (0, 0), 0.15 * _SCALED_PITCH)
+    side = int(0.7 * _SCALED_PITCH) | 1
+    highest = cv2.dilate(smooth, np.ones((side, side), np.uint8))
+    y, x = np.nonzero((smooth >= highest) & (smooth > smooth.mean()))
+    return Circles(part.to_flat(np.column_stack([x, y])), np.zeros(len(x)))
+
+
+@dataclass(frozen=True)
+class _ScaledPart:
+    """The middle of a picture, levelled, at `_SCALED_PITCH`: edges are a few pixels wide there."""
+
+    grey: NDArray[np.uint8]
+    factor: float  # pixels of the part for each of the picture
+    corner: tuple[int, int]  # [px] x, y of its first pixel
+
+    @classmethod
+    def of(cls, picture: Singles, pitch: float) -> _ScaledPart:
+        height, width = picture.shape
+        side = min(max(int(30 * pitch), 64), height, width)
+        left, top = _brightest_part(picture, side)
+        part = np.ascontiguousarray(picture[top : top + side, left : left + side])
+        levelled = normalise_locally(part, 3 * pitch)
+        factor = _SCALED_PITCH / pitch
+        way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+        scaled = cv2.resize(levelled, None, fx=factor, fy=factor, interpolation=way)
+        dark, bright = np.quantile(scaled, (0.02, 0.98))
+        stretched = (scaled - dark) * (255 / max(float(bright - dark), 1e-12))
+        return cls(np.clip(stretched, 0, 255).astype(np.uint8), factor, (left, top))
+
+    def to_flat(self, places: NDArray[Any]) -> Floats:
+        """Positions (n, 2) [px] on the picture of places (n, 2) in the part."""
+        return (places + 0.5) / self.factor - 0.5 + self.corner
+
+
+def _brightest_part(picture: Singles, side: int) -> tuple[int, int]:
+    """Left and top [px] of the square part in the middle, or of one beside it that has more than twice its light."""
+    height, width = picture.shape
+    places = [(int(across * (width - side)), int(down * (height - side))) for across, down in _PLACES]
+    means = [float(picture[top : top + side : 4, left : left + side : 4].mean()) for left, top in places]
+    best = int(np.argmax(means))
+    return places[best] if means[best] > 2 * means[0] else places[0]
 
 
 def propose_basis(picture: Singles, pitch: float) -> Floats | None:
@@ -75,15 +120,29 @@ def propose_basis(picture: Singles, pitch: float) -> Floats | None:
     centres = find_circles(picture, pitch).centres
     if len(centres) < 20:
         return None
+    # Those in the middle are enough.
+    middle = np.median(centres, axis=0)
+    centres = centres[np.argsort(np.hypot(*(centres - middle).T))[:_MOST_CIRCLES]]
     every = (centres[:, None] - centres[None]).reshape(-1, 2)
     every = every[np.abs(every).max(1) < 5 * pitch]
     steps = every[np.abs(np.hypot(*every.T) / pitch - 1.05) < 0.35]
     # A step and its opposite are the same.
     steps = np.where((steps[:, :1] < 0) | ((steps[:, :1] == 0) & (steps[:, 1:] < 0)), -steps, steps)
-    size, count = 0.06 * pitch, 24
+    found = _frequent_steps(steps, 0.06 * pitch)
+    for a, b in combinations(found, 2):
+        if abs(a[0] * b[1] - a[1] * b[0]) > 0.4 * np.hypot(*a) * np.hypot(*b):
+            return _refine(reduce_basis(np.array([a, b])), every)
+    return None
+
+
+def _frequent_steps(steps: Floats, size: float) -> list[Floats]:
+    """Up to six most frequent steps, of those (n, 2) to the right, in a histogram of squares of this size [px]."""
+    count = 24
     edges = size * (np.arange(2 * count + 1) - count)
-    table = cv2.GaussianBlur(np.histogram2d(steps[:, 0], steps[:, 1], bins=(edges[count:], edges))[0], (0, 0), 1.0)
-    mean, found = float(table.mean()), []
+    histogram = np.histogram2d(steps[:, 0], steps[:, 1], bins=(edges[count:], edges))[0]
+    table = cv2.GaussianBlur(histogram, (0, 0), 1.0)
+    mean = float(table.mean())
+    found = []
     for _ in range(6):
         row, column = np.unravel_index(int(table.argmax()), table.shape)
         if table[row, column] < 3 * mean:
@@ -93,10 +152,7 @@ def propose_basis(picture: Singles, pitch: float) -> Floats | None:
         if near.any():
             found.append(np.median(steps[near], axis=0))
         table[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = 0
-    for a, b in combinations(found, 2):
-        if abs(a[0] * b[1] - a[1] * b[0]) > 0.4 * np.hypot(*a) * np.hypot(*b):
-            return _refine(reduce_basis(np.array([a, b])), every)
-    return None
+    return found
 
 
 def _refine(basis: Floats, steps: Floats) -> Floats:

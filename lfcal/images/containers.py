@@ -54,12 +54,12 @@ def read_hdf5(path: Path, page: int | None) -> NDArray[Any]:
 
 def _may_be_picture(item: Any) -> bool:
     shape = getattr(item, "shape", ())
-    return len(shape) >= 2 and min(shape[:2]) > 1 and item.dtype.kind in "uf"
+    return len(shape) >= 2 and min(shape[:2]) > 1 and item.dtype.kind in "uif"
 
 
 def _read_dataset(name: str, data: Any) -> NDArray[Any]:
     shape = tuple(int(n) for n in data.shape)
-    if data.dtype.kind not in "uf" or data.dtype.hasobject:
+    if data.dtype.kind not in "uif" or data.dtype.hasobject:
         raise FlatError(f"dataset '{name}' holds {data.dtype}; save it as 8 bit, 16 bit or float")
     views, picture = (shape[:2], shape[2:]) if len(shape) > 3 else ((1, 1), shape)
     if len(picture) not in (2, 3) or 0 in shape or any(n > 4 for n in picture[2:]) or max(views) > 64:

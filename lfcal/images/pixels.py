@@ -82,7 +82,8 @@ def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
     native = pixels.dtype.newbyteorder("=")
     if native == np.bool_:
         pixels = pixels.astype(np.uint8) * np.uint8(255)
-    elif native in (np.float16, np.float64):
+    elif native in (np.int8, np.int16, np.float16, np.float64):
+        # Signed flats are those after a dark frame was subtracted.
         with np.errstate(over="ignore"):
             pixels = pixels.astype(np.float32)
     elif native not in (np.uint8, np.uint16, np.float32):

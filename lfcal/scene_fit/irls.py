@@ -11,9 +11,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
 from ..lattice.lens_subset import sample_mask
 from ..runtime.arrays import Booleans, Floats
+from ..runtime.kernels import kernel
 
 __all__ = ["LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]
 
@@ -21,6 +23,9 @@ __all__ = ["LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]
 _INLIERS = 0.35
 # [standard deviations] lenses farther off have no weight.
 _OUTLIER = 3.0
+# Iterations at most, and the change [px] that ends them.
+_ITERATIONS = 30
+_SETTLED = 1e-5
 
 
 @dataclass(frozen=True)
@@ -55,43 +60,109 @@ class LensShifts:
         """(n,) squared distances [px^2] from a change (3, 2) of origin and basis, over `spread`."""
         return ((self.shift - self.design @ change) ** 2).sum(1) / self.spread
 
-    def fit(self, weight: Floats) -> Floats:
-        """Change (3, 2) of origin and basis by weighted least squares."""
-        share = weight / max(float(weight.sum()), 1e-300)
-        middle, mean = share @ self.design[:, 1:], share @ self.shift
-        place, shift = self.design[:, 1:] - middle, self.shift - mean
-        if self.regular is None:
-            # Lenses in one line, or one of all the weight, determine nothing across it.
-            table = place.T * share
-            basis = np.linalg.pinv(table @ place, rcond=1e-12) @ (table @ shift)
+    def iterate(self, weight: Floats) -> tuple[Floats, Floats, float]:
+        """Change (3, 2) from starting weights (n,), weights (n,), and variance over `spread`."""
+        ratio = 0j if self.regular is None else self.regular
+        change = np.zeros((3, 2))
+        weight = np.array(weight, dtype=np.float64)
+        variance = _iterate(
+            self.design, self.shift, self.prior, self.spread, self.basis, ratio.real, ratio.imag, change, weight
+        )
+        return change, weight, variance
+
+
+@njit(error_model="numpy")
+def _weighted_mean(values, weight, total):
+    mean = np.zeros(2)
+    for k in range(len(weight)):
+        mean[0] += weight[k] * values[k, 0]
+        mean[1] += weight[k] * values[k, 1]
+    return mean / total
+
+
+@njit(error_model="numpy")
+def _fit(design, shift, weight, basis, ratio_x, ratio_y, change):
+    """Set `change` (3, 2) of origin and basis by weighted least squares; a zero ratio is that of a free lattice."""
+    total = max(weight.sum(), 1e-300)
+    middle = _weighted_mean(design[:, 1:], weight, total)
+    mean = _weighted_mean(shift, weight, total)
+    ii = ij = jj = ix = iy = jx = jy = 0.0
+    for k in range(len(weight)):
+        i = design[k, 1] - middle[0]
+        j = design[k, 2] - middle[1]
+        x = shift[k, 0] - mean[0]
+        y = shift[k, 1] - mean[1]
+        w = weight[k] / total
+        ii += w * i * i
+        ij += w * i * j
+        jj += w * j * j
+        ix += w * i * x
+        iy += w * i * y
+        jx += w * j * x
+        jy += w * j * y
+    if ratio_x == 0 and ratio_y == 0:
+        determinant = ii * jj - ij * ij
+        # Lenses in one line, or one of all the weight, determine nothing across it.
+        if determinant <= 1e-12 * (ii + jj) * (ii + jj):
+            change[1:] = 0.0
         else:
-            # A regular lattice is one complex number a1 beside its origin: c = origin + (i + j * ratio) * a1.
-            along = place @ np.array([1, self.regular])
-            target = (shift + place @ self.basis) @ np.array([1, 1j])
-            a1 = (share * along.conj()) @ target / max(float(share @ abs(along) ** 2), 1e-300)
-            basis = np.array([[a.real, a.imag] for a in (a1, a1 * self.regular)]) - self.basis
-        return np.vstack([mean - middle @ basis, basis])
+            change[1, 0] = (jj * ix - ij * jx) / determinant
+            change[1, 1] = (jj * iy - ij * jy) / determinant
+            change[2, 0] = (ii * jx - ij * ix) / determinant
+            change[2, 1] = (ii * jy - ij * iy) / determinant
+    else:
+        # A regular lattice is one complex number a1 beside its origin: c = origin + (i + j * ratio) * a1.
+        along = ii + 2 * ratio_x * ij + (ratio_x * ratio_x + ratio_y * ratio_y) * jj
+        own_x = ii * basis[0, 0] + ij * basis[1, 0] + ix
+        own_y = ii * basis[0, 1] + ij * basis[1, 1] + iy
+        next_x = ij * basis[0, 0] + jj * basis[1, 0] + jx
+        next_y = ij * basis[0, 1] + jj * basis[1, 1] + jy
+        a_x = (own_x + ratio_x * next_x + ratio_y * next_y) / max(along, 1e-300)
+        a_y = (own_y + ratio_x * next_y - ratio_y * next_x) / max(along, 1e-300)
+        change[1, 0] = a_x - basis[0, 0]
+        change[1, 1] = a_y - basis[0, 1]
+        change[2, 0] = a_x * ratio_x - a_y * ratio_y - basis[1, 0]
+        change[2, 1] = a_x * ratio_y + a_y * ratio_x - basis[1, 1]
+    for axis in range(2):
+        change[0, axis] = mean[axis] - middle[0] * change[1, axis] - middle[1] * change[2, axis]
 
 
-def _weighted_quantile(values: Floats, weight: Floats, share: float) -> float:
+@njit(error_model="numpy")
+def _weighted_quantile(values, weight, share):
     """Least value up to which the weights sum to this share of their total."""
     order = np.argsort(values)
-    below = np.cumsum(weight[order])
-    return float(values[order[min(int(np.searchsorted(below, share * below[-1])), len(values) - 1)]])
+    least = share * weight.sum()
+    below = 0.0
+    for k in range(len(order)):
+        below += weight[order[k]]
+        if below >= least:
+            return values[order[k]]
+    return values[order[-1]]
 
 
-def _iterate(shifts: LensShifts, weight: Floats) -> tuple[Floats, Floats, float]:
-    """Change (3, 2) from starting weights (n,), weights (n,), and variance over `LensShifts.spread`."""
-    change, variance = shifts.fit(weight), 0.0
-    for _ in range(30):
-        square = shifts.squares(change)
+@kernel(error_model="numpy")
+def _iterate(design, shift, prior, spread, basis, ratio_x, ratio_y, change, weight):
+    """Iterate `change` (3, 2) and `weight` (n,) in place; returns the variance over `spread`."""
+    square = np.empty(len(weight))
+    variance = 0.0
+    _fit(design, shift, weight, basis, ratio_x, ratio_y, change)
+    before = change.copy()
+    for _ in range(_ITERATIONS):
+        for k in range(len(weight)):
+            x = shift[k, 0] - change[0, 0] - design[k, 1] * change[1, 0] - design[k, 2] * change[2, 0]
+            y = shift[k, 1] - change[0, 1] - design[k, 1] * change[1, 1] - design[k, 2] * change[2, 1]
+            square[k] = (x * x + y * y) / spread[k]
         # The variance at which the share of inliers lies within their quantile of a normal distribution.
-        variance = max(_weighted_quantile(square, shifts.prior, _INLIERS) / (-2 * np.log(1 - _INLIERS)), 1e-12)
-        weight = np.maximum(1 - square / (variance * _OUTLIER**2), 0) ** 2 * shifts.prior / variance
-        before, change = change, shifts.fit(weight)
-        if np.abs(change - before).max() < 1e-5:
+        inner = _weighted_quantile(square, prior, _INLIERS)
+        variance = max(inner / (-2 * np.log(1 - _INLIERS)), 1e-12)
+        for k in range(len(weight)):
+            near = max(1 - square[k] / (variance * _OUTLIER * _OUTLIER), 0.0)
+            weight[k] = near * near * prior[k] / variance
+        before[:] = change
+        _fit(design, shift, weight, basis, ratio_x, ratio_y, change)
+        if np.abs(change - before).max() < _SETTLED:
             break
-    return change, weight, variance
+    return variance
 
 
 def solve_irls(shifts: LensShifts, before: Floats | None = None) -> tuple[Floats, Floats]:
@@ -99,7 +170,7 @@ def solve_irls(shifts: LensShifts, before: Floats | None = None) -> tuple[Floats
 
     From weights `before` (n,), or else the best of several starts.
     """
-    return _iterate(shifts, before)[:2] if before is not None else _solve_from_all(shifts)[:2]
+    return shifts.iterate(before)[:2] if before is not None else _solve_from_all(shifts)[:2]
 
 
 def error_inflation(shifts: LensShifts, weight: Floats) -> float:
@@ -124,10 +195,10 @@ def _solve_from_all(shifts: LensShifts) -> tuple[Floats, Floats, float]:
     few = shifts.select(sample_mask(count, 1000 / max(count, 1)))
     place = few.design[:, 1:] - np.median(few.design[:, 1:], axis=0)
     sides = [place @ [np.cos(angle), np.sin(angle)] > 0 for angle in np.arange(8) * np.pi / 4]
-    found = [_iterate(few, weight) for weight in (few.prior, *(few.prior * side for side in sides if side.sum() >= 8))]
+    found = [few.iterate(weight) for weight in (few.prior, *(few.prior * side for side in sides if side.sum() >= 8))]
     least = min(variance for _, _, variance in found)
     change, _, variance = min(found, key=lambda one: _cost(few, one[0], least))
-    return _iterate(shifts, np.maximum(1 - shifts.squares(change) / (variance * _OUTLIER**2), 0) ** 2 * shifts.prior)
+    return shifts.iterate(np.maximum(1 - shifts.squares(change) / (variance * _OUTLIER**2), 0) ** 2 * shifts.prior)
 
 
 def _cost(shifts: LensShifts, change: Floats, variance: float) -> float:

@@ -10,15 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..detection.capture_kind import is_evenly_lit
-from ..detection.first_lattice import FirstLattice, find_first_lattice
+from ..detection.capture_kind import is_white_image
+from ..detection.search import Candidate, find_candidates
 from ..images.mosaic import equalise_mosaic
-from ..images.preprocessing import luminance, normalise_locally
+from ..images.preprocessing import luminance
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.arrays import Array, Singles
 from ..runtime.errors import CalibrationError
 from .fit import refine_on_parts
+
+#: Least probability of a lattice in a piece.
+_LIKELY = 0.8
 
 __all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_parts", "window_reader"]
 
@@ -65,7 +68,7 @@ def _stack(read: ReadCrop, corners: list[tuple[int, int]], side: int) -> Stacked
     return StackedCrops(picture, np.array(corners, dtype=np.int64), (side, side))
 
 
-def find_white_lattice_in_array(tones: Singles, sure: bool) -> FirstLattice | None:
+def find_white_lattice_in_array(tones: Singles, sure: bool) -> Candidate | None:
     """`find_white_lattice` in the square root (h, w) of the light of a whole flat."""
     size = tones.shape[1], tones.shape[0]
     return find_white_lattice(lambda x, y, w, h: np.ascontiguousarray(tones[y : y + h, x : x + w]), size, sure, 1)
@@ -73,7 +76,7 @@ def find_white_lattice_in_array(tones: Singles, sure: bool) -> FirstLattice | No
 
 def find_white_lattice(
     read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, first_side: int = 768, piece_side: int = 256
-) -> FirstLattice | None:
+) -> Candidate | None:
     """First lattice of a white image, with its distortion; None if the flat is no white image, or no lattice is found.
 
     `read` gives the square root of the light in any scale, `size` is width and height of the flat [px]. `sure` if it is
@@ -113,7 +116,7 @@ def find_white_lattice(
 
 def _find_in_piece(
     read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, side: int
-) -> tuple[FirstLattice, tuple[int, int], int] | None:
+) -> tuple[Candidate, tuple[int, int], int] | None:
     """Lattice of the first piece that shows one, in px of the flat; corner and side of the piece [px]."""
     places = [(x, y) for x in (0.5, 0.2, 0.8) for y in (0.5, 0.2, 0.8)]
     for place in sorted(places, key=lambda p: abs(p[0] - 0.5) + abs(p[1] - 0.5))[:tries]:
@@ -124,14 +127,14 @@ def _find_in_piece(
             continue
         picture = picture / np.float32(mean)
         try:
-            start = find_first_lattice(picture)
+            start = find_candidates(picture)[0]
         except CalibrationError:
             continue
         own = start.lattice
-        # The mean microimages of two halves must be alike, and ten pitches fit into the piece.
-        if start.repeatability < 0.8 or own.pitch * 10 > side:
+        # Ten pitches fit into the piece.
+        if start.evidence.probability < _LIKELY or own.pitch * 10 > side:
             continue
-        if not sure and not is_evenly_lit(start.brightness, picture**2, own):
+        if not sure and start.evidence.white_probability < 0.5:
             return None
         moved = Lattice(own.origin + np.array([x, y]), own.basis, size, own.radius)
         return replace(start, lattice=moved), (x, y), side
@@ -140,7 +143,11 @@ def _find_in_piece(
 
 def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice, piece_side: int) -> bool:
     """Whether microimages are evenly lit all over the field, in parts of whole lenses and their neighbours."""
-    side = max(int(6 * lattice.pitch), piece_side)
-    parts = _sample_grid(read, size, side, max(25 * piece_side**2, 9 * side**2))
-    levelled = np.concatenate([normalise_locally(parts.crop(k), 2 * lattice.pitch) for k in range(len(parts))])
-    return is_evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)
+    side = max(int(12 * lattice.pitch), piece_side)
+    parts = _sample_grid(read, size, side, 9 * side**2)
+    even = []
+    for number, corner in enumerate(parts.corners):
+        own = Lattice(lattice.origin - corner, lattice.basis, parts.size, lattice.radius)
+        part = parts.crop(number)
+        even.append(is_white_image(part / np.float32(max(float(part.mean()), 1e-30)), own))
+    return bool(np.mean(even) > 0.5)

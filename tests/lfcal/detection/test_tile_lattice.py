@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lfcal.detection.folding import fold_tiles
-from lfcal.detection.spectrum import is_same_lattice
-from lfcal.detection.tile_lattice import finer_bases, fit_harmonics, refine_basis
+from lfcal.detection.tile_lattice import fit_harmonics, refine_basis
 
 
 def test_basis_off_by_a_thousandth_is_refined_over_the_whole_flat(whites):
@@ -16,17 +15,6 @@ def test_basis_off_by_a_thousandth_is_refined_over_the_whole_flat(whites):
     found = refine_basis(fold_tiles([image.astype(np.float32)], wrong, 100, 36))
     # Lenses across the flat, each with this error.
     assert np.abs((found - basis) * 700 / 14.3).max() < 0.1
-
-
-def test_finer_lattices_are_all_of_index_two_and_three():
-    basis = np.array([[20.0, 1.0], [3.0, 17.0]])
-    finer = finer_bases(basis)
-    index = [round(abs(np.linalg.det(basis) / np.linalg.det(one)), 6) for one in finer]
-    assert sorted(index) == [2, 2, 2, 3, 3, 3, 3]
-    for one in finer:
-        steps = basis @ np.linalg.inv(one)
-        np.testing.assert_allclose(steps, np.rint(steps), atol=1e-9)
-    assert not any(is_same_lattice(a, b, 0.04) for k, a in enumerate(finer) for b in finer[:k])
 
 
 def test_origin_and_basis_are_found_from_a_start_off_by_half_a_pixel(whites):

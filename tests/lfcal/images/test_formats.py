@@ -8,6 +8,7 @@ import struct
 
 import numpy as np
 import pytest
+import tifffile
 
 import lfcal
 
@@ -226,3 +227,9 @@ def test_truncated_files_of_every_container_are_refused(tmp_path):
             path.write_bytes(whole[: int(share * len(whole))])
             with pytest.raises(lfcal.FlatError, match="cut_"):
                 lfcal.read_flat(path, 1 if path.suffix == ".yuv" else 0)
+
+
+def test_signed_flats_after_a_dark_frame_keep_their_negative_values(tmp_path):
+    pixels = RNG.integers(-50, 2500, (20, 40), np.int16)
+    tifffile.imwrite(tmp_path / "flat.tif", pixels)
+    np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "flat.tif"), pixels.astype(np.float32))

@@ -1,0 +1,175 @@
+"""Measure the evidence that a lattice is that of the microimages of a flat (`camera.evidence`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..camera.evidence import Evidence
+from ..hough.circle_vote import Circles
+from ..lattice.lattice import Lattice
+from ..runtime.arrays import Floats, Singles
+from .cell_maps import CellMaps, CellParts
+from .folding import BINS, measure_repeatability
+from .neighbours import measure_parallax
+from .tones import measure_tones
+
+__all__ = ["Marks", "add_parallax", "measure_evidence"]
+
+#: Rings of an average cell.
+_RINGS = 24
+#: Nodes of a piecewise linear function of a distance.
+_NODES = 12
+#: [pitch] difference of halves that is assumed until it is measured.
+_UNKNOWN_HALVES = 0.01
+#: Width of the bands in which outlines are looked for, over half the distance to the nearest lens.
+_BAND = 0.08
+#: Root of the light over that of bright places, from which on lenses may show a mark.
+_LIT = 0.4
+#: Fewer marks tell nothing.
+_FEWEST_MARKS = 20
+#: Shifts [cells] that a wrong lattice may have against the right one.
+_SHIFTS = ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3))
+
+
+def measure_evidence(maps: CellMaps, centre: Floats, lattice: Lattice, marks: Sequence[Marks]) -> Evidence:
+    """Evidence from average cells and circles, without parallax and the agreement of halves.
+
+    `centre` (2,) is that of the microimage in fractional coordinates of the maps, `marks` are circles
+    and peaks of its pitch, found without the lattice.
+    """
+    parts = CellParts.about(centre, maps.basis)
+    middle, border = parts.middle, parts.border
+    content = maps.variance[middle].mean() + 1e-3
+    content_beside = maps.variance[border].mean() + 1e-3
+    own, beside = max(_count_marks(one, lattice) for one in marks)
+    return Evidence(
+        repeats=measure_repeatability(maps.tiles),
+        halves=_UNKNOWN_HALVES,
+        roundness=0.5 * (_roundness(maps.brightness, parts) + _roundness(maps.edges, parts)),
+        light=float(np.log((maps.light[middle].mean() + 1e-3) / (maps.light[border].mean() + 1e-3))),
+        content=float(np.log(content / content_beside)),
+        outline=_outline_strength(maps.steps, parts),
+        circles=own,
+        circles_beside=beside,
+        fine=_fine_share(maps.brightness),
+        inverted=_inverted_likeness(maps.brightness),
+        explained=maps.explained(),
+        shape=_shape_share(maps, parts, centre),
+    )
+
+
+def add_parallax(evidence: Evidence, picture: Singles, lattice: Lattice) -> Evidence:
+    """The evidence with parallax between neighbours on a picture (h, w), the root of the luminance."""
+    parallax = measure_parallax(picture, lattice)
+    tones = measure_tones(picture, lattice)
+    if parallax is None or tones is None:
+        return evidence
+    return replace(
+        evidence,
+        parallax=parallax,
+        inside=float(np.log(tones.inside + 1e-3)),
+        detail=float(np.log(max(tones.detail, 1.0))),
+        between=float(np.log(tones.between + 1e-3)),
+        unlike=tones.unlike,
+    )
+
+
+def _roundness(cell: Floats, parts: CellParts) -> float:
+    """Share of the variance of a map (bins, bins) that its mean in rings about the centre explains."""
+    ring = np.minimum((parts.distance / parts.distance.max() * _RINGS).astype(int), _RINGS - 1).ravel()
+    rest = cell.ravel() - cell.mean()
+    total = np.bincount(ring, rest, _RINGS)
+    count = np.bincount(ring, minlength=_RINGS)
+    return float((total**2 / np.maximum(count, 1)).sum() / max(float(rest @ rest), 1e-30))
+
+
+def _shape_share(maps: CellMaps, parts: CellParts, centre: Floats) -> float:
+    """Share of the average cell that is the sum of functions of the distances from the centre and from the border."""
+    columns = []
+    for distance in (parts.distance.ravel(), parts.to_border.ravel()):
+        place = (distance - distance.min()) / max(float(np.ptp(distance)), 1e-12) * (_NODES - 1)
+        columns.append(np.clip(1 - np.abs(place[:, None] - np.arange(_NODES)), 0, None))
+    design = np.hstack(columns)
+    cells = np.column_stack([_smooth(cell).ravel() for cell in (maps.brightness, maps.edges)])
+    cells = cells - cells.mean(0)
+    normal = design.T @ design + 1e-6 * len(design) * np.eye(design.shape[1])
+    fitted = design @ np.linalg.solve(normal, design.T @ cells)
+    left = ((cells - fitted) ** 2).sum(0) / np.maximum((cells**2).sum(0), 1e-30)
+    return float(1 - left.mean())
+
+
+def _smooth(cell: Floats) -> Floats:
+    for axis in (0, 1):
+        cell = (np.roll(cell, 1, axis) + 2 * cell + np.roll(cell, -1, axis)) / 4
+    return cell
+
+
+def _outline_strength(steps: Floats, parts: CellParts) -> float:
+    """Mean of the steps on the strongest outline of a lens, round or along the border, less that in the middle."""
+    inner = float(steps[parts.middle].mean())
+    bands = [(parts.distance >= low) & (parts.distance < low + _BAND) for low in np.arange(0.6, 1.05, _BAND)]
+    bands += [(parts.to_border >= low) & (parts.to_border < low + _BAND) for low in np.arange(0.0, 0.4, _BAND)]
+    return max(float(steps[band].mean()) for band in bands if band.any()) - inner
+
+
+def _fine_share(cell: Floats) -> float:
+    power = np.abs(np.fft.fft2(cell - cell.mean())) ** 2
+    order = np.abs(np.fft.fftfreq(BINS) * BINS)
+    first = (order[:, None] <= 1) & (order <= 1)
+    return 1 - float(power[first].sum() / max(float(power.sum()), 1e-30))
+
+
+def _inverted_likeness(cell: Floats) -> float:
+    """Least correlation of a map with itself, shifted by half a cell in any lattice direction."""
+    rest = cell - cell.mean()
+    half = BINS // 2
+    moved = [np.roll(rest, shift, (0, 1)) for shift in ((half, 0), (0, half), (half, half))]
+    return min(float((rest * one).sum()) for one in moved) / max(float((rest * rest).sum()), 1e-30)
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Circles or peaks found without a lattice, and how much of the flat between them is lit."""
+
+    centres: Floats  # (n, 2) [px]
+    lit_area: float  # [px^2]
+
+    @classmethod
+    def of(cls, circles: Circles, picture: Singles, pitch: float) -> Marks:
+        """Marks on a picture (h, w); light is averaged over three pitches, so that gaps count as lit."""
+        import cv2
+
+        centres = circles.centres
+        if len(centres) < _FEWEST_MARKS:
+            return cls(np.zeros((0, 2)), 0.0)
+        low = np.maximum(np.floor(centres.min(0)), 0).astype(int)
+        high = np.ceil(centres.max(0)).astype(int) + 1
+        side = int(3 * pitch) | 1
+        mean = cv2.blur(picture[low[1] : high[1], low[0] : high[0]], (side, side))
+        bright = np.quantile(mean[::4, ::4], 0.95)
+        lit = float((mean > _LIT * bright).mean())
+        return cls(centres, lit * float((centres.max(0) - centres.min(0)).prod()))
+
+
+def _count_marks(marks: Marks, lattice: Lattice) -> tuple[float, float]:
+    """Shares of lit lattice points with a mark, of this lattice and of it shifted, beyond chance; 0 for few marks."""
+    if len(marks.centres) == 0:
+        return 0.0, 0.0
+    area = abs(float(np.linalg.det(lattice.basis)))
+    points = max(marks.lit_area / area, 1.0)
+    index = lattice.to_index(marks.centres)
+    near = 0.15 * lattice.pitch
+    chance = min(len(marks.centres) / points * np.pi * near**2 / area, 0.5)
+
+    def share(shift: Floats) -> float:
+        whole = np.rint(index - shift)
+        away = np.hypot(*((index - shift - whole) @ lattice.basis).T)
+        found = len(np.unique(whole[away < near], axis=0))
+        # Of the points, and of the marks: a lattice too fine has points, one too coarse marks without the other.
+        both = min(found / points, found / len(marks.centres))
+        return float((both - chance) / (1 - chance))
+
+    return share(np.zeros(2)), max(share(np.array(shift)) for shift in _SHIFTS)

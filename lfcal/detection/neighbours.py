@@ -1,0 +1,112 @@
+"""Parallax: neighbouring microimages show the same content, shifted, which no print, tiles or meshes do.
+
+A lens is compared with its neighbours along the steps between them. Disparity is the same share of
+the step in all directions: a shift is judged in one direction after it was chosen in the others, so
+that nothing matches by chance. In an unfocused camera neighbours show the same without a shift.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..images.preprocessing import interpolate_linear
+from ..lattice.lattice import Lattice
+from ..lattice.lens_subset import sample_lenses
+from ..runtime.arrays import Floats, Singles
+
+__all__ = ["measure_parallax"]
+
+#: Lenses compared, evenly spread over the flat.
+_LENSES = 180
+#: Samples along a line through a lens, and disparities tried, in steps between lenses.
+_SAMPLES = 33
+_RATIOS = np.linspace(-0.7, 0.7, 29)
+
+
+def measure_parallax(picture: Singles, lattice: Lattice) -> float | None:
+    """How well neighbouring lenses match, on a picture (h, w), the square root of the luminance.
+
+    The natural logarithm of how much less two neighbours differ at the right shift than at any one,
+    each over the contrast of what is compared: 0 for independent or blank cells.
+    Returns None if fewer than 24 lit lenses have neighbours on all sides.
+    """
+    steps = lattice.steps @ lattice.basis
+    lengths = np.hypot(*steps.T)
+    nearest = float(lengths.min())
+    _, centres = sample_lenses(lattice, 1.5 * float(lengths.max()) + 1, _LENSES)
+    centres = _select_lit(picture, centres, 0.3 * nearest)
+    if len(centres) < 24:
+        return None
+    near = [step for step in steps[: len(steps) // 2] if np.hypot(*step) < 1.2 * nearest]
+    radius = 0.8 * min(lattice.radius, nearest / 2)
+    along = np.linspace(-radius, radius, _SAMPLES)
+    spacing = float(along[1] - along[0])
+    differences = []
+    contrasts = []
+    for step in near:
+        own, other = _sample_lines(picture, centres, step, along)
+        shifts = np.rint(_RATIOS * np.hypot(*step) / spacing).astype(int)
+        compared = [_compare(own, other, shift) for shift in shifts]
+        differences.append([difference for difference, _ in compared])
+        contrasts.append([contrast for _, contrast in compared])
+    return _log_gain(np.array(differences), np.array(contrasts))
+
+
+def _select_lit(picture: Singles, centres: Floats, radius: float) -> Floats:
+    """The centres (n, 2) of lenses that are no darker than 0.45 of the brightest: stray light has a sixth."""
+    around = radius * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
+    if len(centres) == 0:
+        return centres
+    tones = interpolate_linear(picture, centres[:, None] + around).mean(1)
+    return centres[tones > 0.45 * np.quantile(tones, 0.95)]
+
+
+def _sample_lines(picture: Singles, centres: Floats, step: Floats, along: Floats) -> tuple[Floats, Floats]:
+    """Samples (n, m, 3) on three lines along `step` (2,) through lenses, and through the neighbours there.
+
+    What all lenses have in common, such as vignetting, is divided out.
+    """
+    ahead = step / np.hypot(*step)
+    aside = np.array([-ahead[1], ahead[0]])
+    lines = along[-1] * np.array([-0.25, 0, 0.25])
+    offset = along[:, None, None] * ahead + lines[:, None] * aside
+    own = interpolate_linear(picture, centres[:, None, None] + offset)
+    other = interpolate_linear(picture, (centres + step)[:, None, None] + offset)
+    common = np.median(own, axis=0)
+    common = np.maximum(common / max(float(common.mean()), 1e-6), 0.05)
+    return own / common, other / common
+
+
+def _compare(own: Floats, other: Floats, shift: int) -> tuple[Floats, Floats]:
+    """(n,) mean difference of lines of lenses and those of their neighbours, `shift` samples further; and contrast.
+
+    The contrast is the mean distance from the mean, of both together.
+    """
+    shift = int(np.clip(shift, 1 - _SAMPLES, _SAMPLES - 1))
+    if shift < 0:
+        own, other, shift = other, own, -shift
+    first = own[:, : _SAMPLES - shift]
+    second = other[:, shift:]
+    difference = np.abs(first - second).mean((1, 2))
+    contrast = sum(np.abs(part - part.mean((1, 2), keepdims=True)).mean((1, 2)) for part in (first, second))
+    return difference, np.asarray(contrast)
+
+
+def _log_gain(differences: Floats, contrasts: Floats) -> float:
+    """Logarithm of the gain of the right shifts over all; arguments are (directions, shifts, lenses).
+
+    The right shift in a direction is the best one of the other directions.
+    """
+    floor = 0.02 * float(contrasts.mean()) + 1e-6
+    contrasts = contrasts + floor
+    ratios = differences / contrasts
+    lenses = np.arange(ratios.shape[2])
+    found = 0.0
+    within = 0.0
+    for k in range(len(ratios)):
+        others = np.delete(ratios, k, axis=0) if len(ratios) > 1 else ratios
+        best = others.sum(0).argmin(0)
+        found += float(differences[k, best, lenses].sum())
+        within += float(contrasts[k, best, lenses].sum())
+    usual = float(differences.sum() / contrasts.sum())
+    return float(np.log((usual + 1e-3) / (found / within + 1e-3)))

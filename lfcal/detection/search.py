@@ -1,0 +1,240 @@
+"""Candidates of the lattice on a flat: periods times centres, each with its evidence, the most probable first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ..camera.evidence import Evidence
+from ..hough.circle_vote import find_circles, find_peaks, propose_basis
+from ..lattice.lattice import Lattice, reduce_basis
+from ..lattice.stated import LatticeHint
+from ..runtime.arrays import Floats, Singles
+from ..runtime.errors import CalibrationError
+from .cell_centre import find_round_centres
+from .cell_maps import CellMaps, CellParts, tile_side
+from .features import FlatFeatures
+from .folding import BINS, fold_lit_tiles
+from .measure_evidence import Marks, add_parallax, measure_evidence
+from .spectrum import find_periods, is_same_lattice
+from .tile_lattice import fit_harmonics, has_run_away, refine_basis
+
+__all__ = ["Candidate", "find_candidates", "measure_basis"]
+
+#: [px] shortest distance between microimages: smaller ones hold too few pixels.
+_SHORTEST = 6.0
+#: Periods that are measured at most, and centres of each that are compared with their neighbours.
+_MOST_PERIODS = 16
+_MOST_CENTRES = 3
+_ALL_CENTRES = 8
+#: [px] pictures of more pixels are searched at half their size first, where microimages stay larger than `_HALVED`.
+_LARGE = 3e6
+_HALVED = 11.0
+#: [px] pitch at half the size from which on it shows all, and probability of a lattice that is taken then.
+_CLEAR, _LIKELY = 16.0, 0.9
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A lattice that may be that of the microimages."""
+
+    lattice: Lattice  # [px] its radius is half the distance to the nearest neighbour
+    evidence: Evidence
+    features: FlatFeatures  # of the picture, or of that at half its size
+    maps: CellMaps  # of the same
+
+    @property
+    def half_difference(self) -> float:
+        """RMS distance [px] of the lattices of two halves of the flat."""
+        return self.evidence.halves * self.lattice.pitch
+
+    def explained(self, basis: Floats) -> float:
+        """How well a basis (2, 2) [px] explains the flat, as `CellMaps.explained`."""
+        scale = self.features.picture.shape[1] / self.lattice.image_size[0]
+        return CellMaps.measure(self.features, basis * scale).explained()
+
+
+def find_candidates(picture: Singles, hint: LatticeHint | None = None, thorough: bool = False) -> list[Candidate]:
+    """Lattices that may be on a picture (h, w), the square root of the luminance, the most probable first.
+
+    A certain one ends the search; a `thorough` one measures all periods and centres, at the full size.
+
+    Raises
+    ------
+    CalibrationError
+        If nothing repeats in two directions, or nothing as the hint states.
+    """
+    mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
+    if mean == 0 or deviation < 1e-4 * mean:
+        raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
+    found: list[Candidate] = []
+    if picture.size >= _LARGE and not thorough:
+        height, width = (length // 2 for length in picture.shape)
+        half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        small = _search(FlatFeatures(half), hint and hint.scaled(2))
+        size = picture.shape[1], picture.shape[0]
+        found = [replace(one, lattice=one.lattice.scaled(2, size)) for one in small if one.lattice.pitch >= _HALVED]
+    if not any(one.evidence.is_certain or _is_clear(one) for one in found):
+        found += _search(FlatFeatures(picture), hint, thorough)
+    if found:
+        return sorted(found, key=lambda one: -one.evidence.rank)
+    if hint is not None:
+        turned = "" if hint.rotation is None else f", turned by about {hint.rotation:g} degrees"
+        raise CalibrationError(
+            f"no microimages repeat about every {hint.pitch:g} px{turned}; give other figures, or a white image"
+        )
+    raise CalibrationError(
+        "no pattern repeats in two directions all over the image; "
+        "give a raw flat from the sensor, not a rendered or scaled picture"
+    )
+
+
+def _is_clear(found: Candidate) -> bool:
+    """Whether more pixels would tell no more about a candidate that was found at half the size."""
+    return found.evidence.probability > _LIKELY and found.lattice.pitch > 2 * _CLEAR
+
+
+def measure_basis(picture: Singles, lattice: Lattice) -> list[Candidate]:
+    """Candidates on a picture (h, w) near the basis of a lattice, wherever its centres are, the most probable first."""
+    features = FlatFeatures(picture)
+    found = _measure_period(features, _refine_period(features, lattice.basis))
+    return sorted(found, key=lambda one: -one.evidence.rank)
+
+
+def _search(features: FlatFeatures, hint: LatticeHint | None, thorough: bool = False) -> list[Candidate]:
+    """Candidates of all periods, or of those up to a certain one, the most probable first."""
+    found: list[Candidate] = []
+    tried: list[Floats] = []
+    periods = chain(find_periods(features), _find_more_periods(features, tried))
+    if hint is not None:
+        periods = chain(periods, hint.bases())
+    for period in periods:
+        basis = _refine_period(features, period)
+        if np.hypot(*basis.T).min() < _SHORTEST or any(is_same_lattice(basis, other, 0.01) for other in tried):
+            continue
+        if hint is not None and not hint.allows(Lattice(np.zeros(2), basis, (1, 1), 1.0)):
+            continue
+        tried.append(basis)
+        found += _measure_period(features, basis, _ALL_CENTRES if thorough else _MOST_CENTRES)
+        if len(tried) >= _MOST_PERIODS:
+            break
+        if thorough:
+            continue
+        if any(one.evidence.is_certain for one in found):
+            break
+    return sorted(found, key=lambda one: -one.evidence.rank)
+
+
+def _find_more_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[Floats]:
+    """The most frequent steps between circles, then regular arrays near the bases tried so far.
+
+    An array of three lens types repeats with a cell three times as large: its pitch is a root of three shorter.
+    """
+    known = list(tried)
+    pitches: list[float] = []
+    for basis in known:
+        shortest = float(np.hypot(*basis.T).min())
+        for pitch in shortest * np.array([1, 1.1, 1 / np.sqrt(3), 1.1 / np.sqrt(3)]):
+            if pitch >= _SHORTEST and all(abs(np.log(pitch / other)) > 0.07 for other in pitches):
+                pitches.append(float(pitch))
+    for pitch in pitches:
+        proposed = propose_basis(features.picture, pitch)
+        if proposed is not None:
+            yield proposed
+    for basis in known:
+        yield from _regular_bases(basis)
+
+
+def _regular_bases(basis: Floats) -> Iterator[Floats]:
+    """Square and hexagonal bases (2, 2) [px] with one of the vectors of a basis, within a twentieth of it."""
+    a, b = basis
+    sign = np.sign(a[0] * b[1] - a[1] * b[0])
+    for degrees in (90.0, 60.0, 120.0):
+        angle = np.radians(degrees) * sign
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        for one in (np.array([a, a @ turn]), np.array([b @ turn.T, b])):
+            if not has_run_away(one, basis):
+                yield one
+
+
+def _refine_period(features: FlatFeatures, basis: Floats) -> Floats:
+    """The basis (2, 2) [px] at which all tiles of a flat agree best, near the given one.
+
+    Scene detail that moves from lens to lens may draw it away: where it has moved much, the one
+    that explains the flat better is kept.
+    """
+    pitch = float(np.sqrt(abs(np.linalg.det(basis))))
+    levelled = list(features.levelled(pitch))
+    refined = refine_basis(fold_lit_tiles(features.picture, levelled, basis, tile_side(features, pitch)))
+    if has_run_away(refined, basis):
+        return reduce_basis(basis)
+    if not is_same_lattice(refined, basis, 0.01):
+        explained = [CellMaps.measure(features, one).explained() for one in (refined, basis)]
+        refined = refined if explained[0] > explained[1] else basis
+    return reduce_basis(refined)
+
+
+def _measure_period(features: FlatFeatures, basis: Floats, most: int = _MOST_CENTRES) -> list[Candidate]:
+    """Candidates of one period, at so many centres that look most like those of lenses."""
+    maps = CellMaps.measure(features, basis)
+    height, width = features.picture.shape
+    found = []
+    start = Lattice(np.zeros(2), basis, (width, height), float(np.hypot(*basis.T).min() / 2))
+    picture = features.picture
+    found_marks = [find(picture, start.pitch) for find in (find_circles, find_peaks)]
+    marks = [Marks.of(one, picture, start.pitch) for one in found_marks]
+    middle = (np.array([width, height]) - 1) / 2
+    for centre in _propose_centres(maps):
+        lattice = replace(start, origin=_nearest_point(middle, centre @ basis, basis))
+        found.append(Candidate(lattice, measure_evidence(maps, centre, lattice, marks), features, maps))
+    found.sort(key=lambda one: -one.evidence.outlined)
+    return [one for rough in found[:most] for one in _refine_candidate(rough)]
+
+
+def _refine_candidate(rough: Candidate) -> list[Candidate]:
+    """The candidate with its lattice fitted to all tiles, and with parallax; none where no lattice fits."""
+    lattice, maps = rough.lattice, rough.maps
+    fit = fit_harmonics(maps.tiles[1:], lattice.origin)
+    if has_run_away(fit.basis, lattice.basis):
+        return []
+    basis = reduce_basis(fit.basis)
+    middle = (np.array(lattice.image_size) - 1) / 2
+    radius = float(np.hypot(*basis.T).min() / 2)
+    fitted = Lattice(_nearest_point(middle, fit.origin, basis), basis, lattice.image_size, radius)
+    evidence = replace(rough.evidence, halves=fit.half_difference / fitted.pitch)
+    evidence = add_parallax(evidence, rough.features.picture, fitted)
+    return [replace(rough, lattice=fitted, evidence=evidence)]
+
+
+def _propose_centres(maps: CellMaps) -> list[Floats]:
+    """Centres (2,) in fractional coordinates: round places, the cell between steps, and half a cell from the first."""
+    guesses = [guess.position for guess in find_round_centres([maps.brightness, maps.edges], maps.basis)]
+    first = guesses[0]
+    guesses.append(_between_steps(maps))
+    guesses += [(first + shift) % 1 for shift in ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5))]
+    pitch = float(np.sqrt(abs(np.linalg.det(maps.basis))))
+    distinct: list[Floats] = []
+    for guess in guesses:
+        away = [((guess - other + 0.5) % 1 - 0.5) @ maps.basis for other in distinct]
+        if all(np.hypot(*step) > 0.12 * pitch for step in away):
+            distinct.append(guess)
+    return distinct
+
+
+def _between_steps(maps: CellMaps) -> Floats:
+    """The centre (2,) of the cell that has the strongest steps at its borders against those in its middle."""
+    parts = CellParts.about(np.array([0.5, 0.5]) / BINS, maps.basis)
+    weight = parts.border / parts.border.sum() - parts.middle / parts.middle.sum()
+    found = np.fft.ifft2(np.fft.fft2(maps.steps) * np.conj(np.fft.fft2(weight))).real
+    row, column = np.unravel_index(int(found.argmax()), found.shape)
+    return (np.array([column, row]) + 0.5) / BINS
+
+
+def _nearest_point(place: Floats, origin: Floats, basis: Floats) -> Floats:
+    """The lattice point next to `place`."""
+    return origin + np.rint((place - origin) @ np.linalg.inv(basis)) @ basis

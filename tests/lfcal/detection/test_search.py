@@ -1,0 +1,76 @@
+"""The most probable lattice is the right one, on arrays of all kinds; what is no array is improbable."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lfcal
+from benchmarks.lattices.judgement import compare_with_centres
+from benchmarks.lattices.random_cameras import draw_camera
+from benchmarks.no_flats import draw_no_flat
+from lfcal.detection.search import find_candidates
+from lfcal.images.preprocessing import sqrt_luminance
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3, 14, 23, 26])
+def test_lattices_of_random_cameras_are_found_at_the_first_try(seed):
+    drawn = draw_camera(seed)
+    camera = lfcal.calibrate(drawn.image)
+    assert compare_with_centres(camera.lattice, drawn.centres).is_right, drawn.name
+    assert camera.confidence > 0.5
+    assert camera.source == ("white" if drawn.white else "scene")
+
+
+@pytest.mark.parametrize("seed", [0, 4, 10, 17, 27])
+def test_pictures_that_are_no_flats_are_refused(seed):
+    _, picture = draw_no_flat(seed)
+    with pytest.raises(lfcal.CalibrationError):
+        lfcal.calibrate(picture)
+
+
+@pytest.mark.parametrize(
+    ("name", "pitch", "centre"),
+    [("bright_gaps.png", 32.222, 515.6), ("spots_white.png", 25.45, None), ("square_gaps.png", 34.90, None)],
+)
+def test_hard_files_have_the_right_lattice(shared, name, pitch, centre):
+    camera = lfcal.calibrate(shared("captures", "hard", name))
+    assert camera.lattice.pitch == pytest.approx(pitch, abs=0.01)
+    assert camera.confidence > 0.9
+    if centre is not None:
+        index = camera.lattice.to_index([[centre, centre]])
+        assert np.abs(index - np.rint(index)).max() < 0.01
+
+
+def test_signed_flats_have_the_lattice_of_unsigned_ones(shared):
+    assert lfcal.calibrate(shared("captures", "hard", "int16.tif")).lattice.pitch == pytest.approx(23.2, abs=0.01)
+
+
+def test_a_bare_array_under_a_microscope_is_refused(shared):
+    with pytest.raises(lfcal.CalibrationError):
+        lfcal.calibrate(shared("captures", "hard", "mla_photo.jpg"))
+
+
+def test_half_a_cell_away_parallax_and_circles_are_fewer(house):
+    found = find_candidates(sqrt_luminance(house.flat), thorough=True)
+    pitch = house.camera.lattice.pitch
+    same = [one for one in found if abs(one.lattice.pitch / pitch - 1) < 0.01]
+    best, *others = sorted(same, key=lambda one: -one.evidence.rank)
+    assert best.evidence.probability > 0.9
+    assert all(one.evidence.parallax < best.evidence.parallax for one in others)
+    assert all(one.evidence.circles < best.evidence.circles for one in others)
+
+
+def test_a_hint_leaves_the_probability_as_it_is(whites):
+    image, _ = whites.white_image(whites.turned(whites.HEXAGON, 20.3, 3), (400, 320))
+    plain, hinted = lfcal.calibrate(image), lfcal.calibrate(image, pitch=20.0)
+    assert hinted.confidence == plain.confidence
+    with pytest.raises(lfcal.CalibrationError):
+        lfcal.calibrate(image, pitch=33.0)
+
+
+def test_evidence_is_kept_in_the_camera_file(whites, tmp_path):
+    image, _ = whites.white_image(whites.turned(whites.SQUARE, 20.3, 3), (400, 320))
+    camera = lfcal.calibrate(image)
+    camera.save(tmp_path / "camera.json")
+    assert lfcal.load(tmp_path / "camera.json").evidence == camera.evidence
