@@ -1,9 +1,10 @@
 """Volumes against the truth of simulated microscopes: `python -m benchmarks.volumes [SHARED]`.
 
-Beads at 20 places and depths, ray-traced: how far from their true places they are found, and the width of the response
-by depth. Shells and beads, ray-traced, on three microscopes; with `--waves`, shells by scalar waves (minutes):
-correlation with the truth and PSNR, with one gain, beside the focal stack of the same flat. With the folder SHARED:
-processor seconds and memory for the captures of microscopes in it. Nothing was chosen on these specimens.
+Beads at 20 places and depths, ray-traced: how far from their true places they are found, and the
+width of the response by depth. Shells and beads, ray-traced, on three microscopes; with `--waves`,
+shells by scalar waves (minutes): correlation with the truth and PSNR, with one gain, beside the
+focal stack of the same flat. With the folder SHARED: processor seconds and memory for the captures
+of microscopes in it. Nothing was chosen on these specimens.
 """
 
 from __future__ import annotations
@@ -19,11 +20,18 @@ from numpy.typing import NDArray
 
 import lfcal
 import lfrender
-from data_synth.microscopy import Microscope, MicroscopeCapture, Specimen, propagate_flat, trace_flat
+from data_synth.microscopy import (
+    Microscope,
+    MicroscopeCapture,
+    Specimen,
+    propagate_flat,
+    trace_flat,
+)
 
 Array = NDArray[np.float64]
 
-#: Optics of the captures as their owners state them, and a depth range [um], or slopes k where they are not known.
+#: Optics of the captures as their owners state them, and a depth range [um], or slopes k where they
+#: are not known.
 CAPTURES: dict[str, tuple[dict[str, float], tuple[float, float]]] = {
     "GUV": (
         {
@@ -80,7 +88,8 @@ def score(data: NDArray[Any], truth: NDArray[Any]) -> tuple[float, float]:
 
 
 def locate(volume: lfrender.Volume, microscope: Microscope, place: Array) -> tuple[Array, float]:
-    """Where a bead near a place [um] is found, by the centroid about the brightest voxel, and its width in z [um]."""
+    """Where a bead near a place [um] is found, by the centroid about the brightest voxel, and its
+    width in z [um]."""
     x, y, z = axes(volume, microscope)
     near = [np.abs(axis - at) <= reach for axis, at, reach in zip((z, y, x), place[::-1], (4.0, 1.7, 1.7), strict=True)]
     part = volume.data[np.ix_(*near)]
@@ -98,7 +107,8 @@ def locate(volume: lfrender.Volume, microscope: Microscope, place: Array) -> tup
 
 
 def bead_places(count: int, seed: int) -> Array:
-    """Places (n, 3) [um] of beads on a grid, moved at random, at depths from -9 to 9 um off the native plane."""
+    """Places (n, 3) [um] of beads on a grid, moved at random, at depths from -9 to 9 um off the
+    native plane."""
     rng = np.random.default_rng(seed)
     side = int(np.ceil(np.sqrt(count)))
     cells = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2)[:count]

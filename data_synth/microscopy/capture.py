@@ -48,8 +48,8 @@ class MicroscopeCapture:
 
 
 def expose(light: NDArray[Any], electrons: float | None, read: float, rng: np.random.Generator) -> NDArray[np.uint16]:
-    """16 bits of a picture whose brightest pixel has so many electrons, with photon and read-out noise; None: without
-    noise."""
+    """16 bits of a picture whose brightest pixel has so many electrons, with photon and read-out
+    noise; None: without noise."""
     shown = light / light.max()
     if electrons is not None:
         counted = rng.poisson(shown * electrons) + read * rng.standard_normal(shown.shape)

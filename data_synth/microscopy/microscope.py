@@ -1,4 +1,5 @@
-"""A light-field microscope: objective, tube lens, microlenses in the image plane, sensor in their focal plane."""
+"""A light-field microscope: objective, tube lens, microlenses in the image plane, sensor in their
+focal plane."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ _RINGS = 64
 
 @dataclass(frozen=True)
 class Microscope:
-    """An unfocused light-field microscope (Levoy et al. 2006), telecentric, with square microlenses.
+    """An unfocused light-field microscope (Levoy et al. 2006), telecentric, with square
+    microlenses.
 
     The defaults are those of a 60x water immersion objective behind microlenses of 100 micrometres.
 
@@ -97,7 +99,8 @@ class Microscope:
         return Lattice(middle, basis, self.size, min(self.pupil_radius, self.pitch / 2))
 
     def calibration(self, light: Any) -> Calibration:
-        """The true camera, with the `light` (h, w) of a white image as the mean over all microimages."""
+        """The true camera, with the `light` (h, w) of a white image as the mean over all
+        microimages."""
         lattice = self.lattice
         width, height = self.size
         column, row = np.meshgrid(np.arange(width), np.arange(height))

@@ -1,7 +1,9 @@
-"""Flats of a microscope by tracing rays: from points of a pixel through microlens, tube lens and objective.
+"""Flats of a microscope by tracing rays: from points of a pixel through microlens, tube lens and
+objective.
 
-Every ray is refracted at three surfaces: a thin microlens, a thin tube lens, and an objective that obeys the sine
-condition of Abbe. In the medium it is straight; its light is the length of its way through the specimen.
+Every ray is refracted at three surfaces: a thin microlens, a thin tube lens, and an objective that
+obeys the sine condition of Abbe. In the medium it is straight; its light is the length of its way
+through the specimen.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ _TABLES = 997
 
 @njit
 def _way_inside(origin_x, origin_y, slope_x, slope_y, ball):
-    """Length of the part of a ray within a hollow ball: x, y, z, outer radius, inner radius, brightness."""
+    """Length of the part of a ray within a hollow ball: x, y, z, outer radius, inner radius,
+    brightness."""
     length = np.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
     ax, ay, az = origin_x - ball[0], origin_y - ball[1], -ball[2]
     along = (ax * slope_x + ay * slope_y + az) / length
@@ -37,9 +40,11 @@ def _way_inside(origin_x, origin_y, slope_x, slope_y, ball):
 
 @kernel(share=lambda balls, optics, centres, points, out: len(out))
 def _trace(begin, end, balls, optics, centres, points, out):
-    """Rows of a flat (h, w): the mean over points of each pixel and each microlens that may light it.
+    """Rows of a flat (h, w): the mean over points of each pixel and each microlens that may light
+    it.
 
-    `points` (m, samples, 4) are tables of places on pixel and microlens, from -0.5 to 0.5, which pixels take in turn.
+    `points` (m, samples, 4) are tables of places on pixel and microlens, from -0.5 to 0.5, which
+    pixels take in turn.
     """
     pixel, focal, tube, objective, na, index, side, uniform = optics
     # Where the optical axis meets the sensor [um].
@@ -132,7 +137,11 @@ def trace_flat(
 
 
 def _traced(
-    balls: NDArray[np.float64], microscope: Microscope, samples: int, rng: np.random.Generator, uniform: bool
+    balls: NDArray[np.float64],
+    microscope: Microscope,
+    samples: int,
+    rng: np.random.Generator,
+    uniform: bool,
 ) -> NDArray[np.float64]:
     """(h, w) light of the pixels."""
     lattice = microscope.lattice

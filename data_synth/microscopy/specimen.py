@@ -1,4 +1,5 @@
-"""What lies under the simulated microscope: beads and shells that fluoresce, and the volume that they fill."""
+"""What lies under the simulated microscope: beads and shells that fluoresce, and the volume that
+they fill."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ _STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
 class Specimen:
     """Hollow balls of even brightness in a clear medium; beads are those without a hole.
 
-    x and y [um] run as columns and rows of the flat, from its middle; z grows from the native plane towards the
-    objective.
+    x and y [um] run as columns and rows of the flat, from its middle; z grows from the native plane
+    towards the objective.
 
     Parameters
     ----------
@@ -54,7 +55,12 @@ class Specimen:
     def shell(cls, radius: float, thickness: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Specimen:
         """One shell, such as the membrane of a vesicle; `radius` [um] is that of its middle."""
         place = np.array(centre, float)[None]
-        return cls(place, np.array([radius + thickness / 2]), np.array([radius - thickness / 2]), np.ones(1))
+        return cls(
+            place,
+            np.array([radius + thickness / 2]),
+            np.array([radius - thickness / 2]),
+            np.ones(1),
+        )
 
     def __add__(self, other: Specimen) -> Specimen:
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
@@ -87,7 +93,8 @@ class Specimen:
         return total / np.float32(inside**3)
 
     def points(self, spacing: float, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Points (n, 3) [um] spread evenly over all balls, one for each cube of `spacing` [um], and their light (n,).
+        """Points (n, 3) [um] spread evenly over all balls, one for each cube of `spacing` [um], and
+        their light (n,).
 
         They follow an additive recurrence (Roberts 2018), which leaves neither gaps nor clusters.
         """

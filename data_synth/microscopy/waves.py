@@ -1,8 +1,10 @@
-"""Flats of a microscope by scalar waves: each point of a specimen sends a wave through objective and microlenses.
+"""Flats of a microscope by scalar waves: each point of a specimen sends a wave through objective
+and microlenses.
 
-The wave in the image plane is the Fourier transform of the pupil with the phase of the depth of the point; microlenses
-add a quadratic phase, and free space carries the wave to the sensor (angular spectrum). Points shine incoherently, so
-that intensities add (Broxton et al. 2013, sections 3 and 4, without polarisation).
+The wave in the image plane is the Fourier transform of the pupil with the phase of the depth of the
+point; microlenses add a quadratic phase, and free space carries the wave to the sensor (angular
+spectrum). Points shine incoherently, so that intensities add (Broxton et al. 2013, sections 3 and
+4, without polarisation).
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from .specimen import Specimen
 
 __all__ = ["propagate_flat"]
 
-# Samples of the wave per pixel: the phase of a microlens changes by less than half a turn between two.
+# Samples of the wave per pixel: the phase of a microlens changes by less than half a turn between
+# two.
 _OVERSAMPLING = 2
 # Directions of the aperture for the white image, along its diameter.
 _DIRECTIONS = 25
@@ -70,7 +73,8 @@ class _Propagation:
         return self._on_sensor(fft.ifft2(wave, workers=1))
 
     def white(self) -> NDArray[np.float32]:
-        """Light on the sensor's samples of an even, thick field: plane waves from everywhere in the aperture."""
+        """Light on the sensor's samples of an even, thick field: plane waves from everywhere in the
+        aperture."""
         total = np.zeros(self.shape, np.float32)
         limit = self.microscope.na / self.microscope.magnification
         side = np.linspace(-limit, limit, _DIRECTIONS)
@@ -105,7 +109,8 @@ def propagate_flat(
     electrons: float | None = None,
     read: float = 2.0,
 ) -> MicroscopeCapture:
-    """Photograph a small specimen by scalar waves: a point for each cube of `spacing` [um], a tenth of a second each.
+    """Photograph a small specimen by scalar waves: a point for each cube of `spacing` [um], a tenth
+    of a second each.
 
     The rest is as for `trace_flat`.
 

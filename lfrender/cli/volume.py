@@ -25,10 +25,13 @@ __all__ = ["volume"]
 
 @capture_command(
     "lfrender volume flat.tif --white white.tif -o volume.ome.tif",
-    "lfrender volume flat.tif -c camera.json -o volume.ome.zarr --na 0.5 --magnification 20 --microlens-focal-length "
-    "2433 --pixel-size 4.55 --depth-range -120 120",
+    "lfrender volume flat.tif -c camera.json -o volume.ome.zarr --na 0.5 --magnification 20 "
+    "--microlens-focal-length 2433 --pixel-size 4.55 --depth-range -120 120",
     "lfrender volume frames -c camera.json -o volumes --depth-range -6 6",
-    output=("VOLUME|FOLDER", "Volume to write: .ome.tif or .ome.zarr; a folder for the volumes of several flats."),
+    output=(
+        "VOLUME|FOLDER",
+        "Volume to write: .ome.tif or .ome.zarr; a folder for the volumes of several flats.",
+    ),
     own={
         "Optics": "na magnification medium_index microlens_focal_length pixel_size wavelength",
         "Volume": "depth_range planes steps voxels",
@@ -45,8 +48,9 @@ __all__ = ["volume"]
 def volume(capture: CaptureInput, given: Any) -> None:
     """Reconstruct the volume under a light-field microscope (experimental).
 
-    FLAT is deconvolved on its own lattice. With the optics, the volume is in micrometres; without, in pixels of the
-    flat and slopes k = -D / s. Of several flats, folders or videos, each starts from the volume before.
+    FLAT is deconvolved on its own lattice. With the optics, the volume is in micrometres; without,
+    in pixels of the flat and slopes k = -D / s. Of several flats, folders or videos, each starts
+    from the volume before.
     """
     from .. import Microscope, open_frames
     from ..volume.files import SUFFIXES, check_volume_file
@@ -66,7 +70,8 @@ def volume(capture: CaptureInput, given: Any) -> None:
     if one_file:
         check_volume_file(output, [*given.inputs, *capture.files])
         if frames.count != 1:
-            raise click.UsageError(f"{output} holds one volume, there are {frames.count} flats: give a folder")
+            several = f"{output} holds one volume, there are {frames.count} flats"
+            raise click.UsageError(f"{several}: give a folder")
     else:
         make_folder(output)
     written: list[str] = []
@@ -80,6 +85,7 @@ def volume(capture: CaptureInput, given: Any) -> None:
             found.save(target)
         written.append(str(target))
     assert found is not None and calibration is not None
+    where = written[0] if len(written) == 1 else f"{len(written)} volumes in {output}"
     about: dict[str, Any] = {
         "volume": written[0],
         "volumes": written,
@@ -97,7 +103,7 @@ def volume(capture: CaptureInput, given: Any) -> None:
         about,
         *figures.capture_sentences(capture, calibration),
         _describe(found),
-        f"{written[0] if len(written) == 1 else f'{len(written)} volumes in {output}'}, in {report.took}.",
+        f"{where}, in {report.took}.",
     )
 
 
@@ -119,7 +125,8 @@ def _calibrate(
     if capture.white is not None:
         problem = check_camera(calibration, pixels).problem
         if problem is not None:
-            raise CalibrationError(f"{capture.white}: is the white image of another camera: {problem}")
+            other = f"{capture.white}: is the white image of another camera"
+            raise CalibrationError(f"{other}: {problem}")
     return pixels, calibration
 
 
@@ -162,6 +169,6 @@ def _describe(found: Volume) -> str:
         size = f"of {dx:.3g} px, at slopes k = -D / s from {first:.3g} to {last:.3g}"
     fit = found.fit
     return (
-        f"{wide} x {high} x {deep} voxels {size}. After {fit.steps} steps the residual is {fit.residual:.1%} of the "
-        f"flat, its noise {fit.noise:.1%}: {fit.reason}."
+        f"{wide} x {high} x {deep} voxels {size}. After {fit.steps} steps the residual is "
+        f"{fit.residual:.1%} of the flat, its noise {fit.noise:.1%}: {fit.reason}."
     )

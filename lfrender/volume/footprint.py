@@ -1,8 +1,8 @@
 """Box filters on planes of voxels: what one pixel of a flat averages over.
 
-A pixel averages over the aperture of its microlens (one pitch), over its own width, and over the blur of diffraction.
-Each is a box along both axes, of any width; several in a row come near to a Gaussian. A box filter with zeros around
-the plane is a symmetric matrix, so it is its own adjoint.
+A pixel averages over the aperture of its microlens (one pitch), over its own width, and over the
+blur of diffraction. Each is a box along both axes, of any width; several in a row come near to a
+Gaussian. A box filter with zeros around the plane is a symmetric matrix, so it is its own adjoint.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def _blur_rows(plane, width, line):
 
 @njit(fastmath=False)
 def _blur_columns(plane, width, copy, totals):
-    """Box of a `width` [voxels] above 1 along y, in place; `copy` (h, w) and `totals` (w,) float64 are scratch."""
+    """Box of a `width` [voxels] above 1 along y, in place; `copy` (h, w) and `totals` (w,) float64
+    are scratch."""
     height, columns = plane.shape
     half = (width - 1.0) / 2.0
     whole = int(half)
@@ -76,7 +77,8 @@ def _blur_columns(plane, width, copy, totals):
 
 @njit(fastmath=False)
 def blur(plane, widths):
-    """Boxes of all `widths` (k,) [voxels] along both axes, in place; those up to 1 leave the plane as it is."""
+    """Boxes of all `widths` (k,) [voxels] along both axes, in place; those up to 1 leave the plane
+    as it is."""
     copy = np.empty_like(plane)
     line = np.empty(plane.shape[1], plane.dtype)
     totals = np.empty(plane.shape[1], np.float64)

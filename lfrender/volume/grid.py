@@ -1,4 +1,5 @@
-"""The grid of voxels that a volume is reconstructed on, and the footprint of pixels on each of its planes."""
+"""The grid of voxels that a volume is reconstructed on, and the footprint of pixels on each of its
+planes."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ __all__ = ["VoxelGrid"]
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """Planes of square voxels over a flat, with a margin that rays at its border reach; all in pixels of the flat."""
+    """Planes of square voxels over a flat, with a margin that rays at its border reach; all in
+    pixels of the flat."""
 
     slopes: NDArray[np.float64]  # (n,) k of each plane, 0 at the native plane
     spacing: float  # side of a voxel [px]
@@ -26,7 +28,13 @@ class VoxelGrid:
     margin: int  # voxels around them
 
     @classmethod
-    def over(cls, lattice: Lattice, slopes: NDArray[np.float64], voxels: int, reach: float) -> VoxelGrid:
+    def over(
+        cls,
+        lattice: Lattice,
+        slopes: NDArray[np.float64],
+        voxels: int,
+        reach: float,
+    ) -> VoxelGrid:
         """With so many `voxels` per pitch; `reach` [px] as of `FlatPixels`."""
         width, height = lattice.image_size
         spacing = lattice.pitch / voxels
@@ -59,13 +67,15 @@ class VoxelGrid:
         return np.pad(volume, ((0, 0), around, around), "edge").astype(np.float32)
 
     def null_space(self, pixels: FlatPixels, lattice: Lattice) -> NDArray[np.float64]:
-        """(n, 1) width [voxels] of the box that volumes are smoothed with, since pixels do not see what is finer.
+        """(n, 1) width [voxels] of the box that volumes are smoothed with, since pixels do not see
+        what is finer.
 
-        On the native plane all pixels of a microimage see one place: what lies between the lenses is not known, and
-        reconstructions show it as square blocks. At a slope k a place is seen by the lenses within `|k|` times the
-        radius of a microimage; the width is a pitch over their number, in the order of `1 + (k radius / pitch)^2`. As
-        the model sees the smoothed volume (method of sieves), nothing else is lost. On simulated shells of a 60x
-        objective the correlation with the truth rises from 0.886 to 0.902, and no blocks are left.
+        On the native plane all pixels of a microimage see one place: what lies between the lenses
+        is not known, and reconstructions show it as square blocks. At a slope k a place is seen by
+        the lenses within `|k|` times the radius of a microimage; the width is a pitch over their
+        number, in the order of `1 + (k radius / pitch)^2`. As the model sees the smoothed volume
+        (method of sieves), nothing else is lost. On simulated shells of a 60x objective the
+        correlation with the truth rises from 0.886 to 0.902, and no blocks are left.
         """
         spread = self.slopes * pixels.radius / lattice.pitch
         width = lattice.pitch / (1 + spread**2)

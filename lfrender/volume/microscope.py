@@ -1,4 +1,5 @@
-"""The optics of a light-field microscope: how depth becomes the slope k of rays, and pixels become micrometres."""
+"""The optics of a light-field microscope: how depth becomes the slope k of rays, and pixels become
+micrometres."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ from lfcal.runtime.errors import check_number
 
 __all__ = ["Microscope", "Scale"]
 
-# Full width at half maximum of the image of a point behind a square aperture [wavelength * focal length / side].
+# Full width at half maximum of the image of a point behind a square aperture [wavelength * focal
+# length / side].
 _DIFFRACTION_WIDTH = 0.886
 
 
@@ -18,13 +20,14 @@ _DIFFRACTION_WIDTH = 0.886
 class Scale:
     """What reconstruction needs of the optics, in pixels of the flat.
 
-    Without optics, `slope_per_depth` is 1 (depth is `k = -D / s` itself), `pixel` is 1 and `flat_radius` infinite.
+    Without optics, `slope_per_depth` is 1 (depth is `k = -D / s` itself), `pixel` is 1 and
+    `flat_radius` infinite.
     """
 
     slope_per_depth: float  # k of a plane at depth 1 [1 / um]
     pixel: float  # side of a pixel of the flat, seen through the objective [um]
     flat_radius: float  # radius of a microimage at which rays would lie flat: rho [px]
-    pupil_radius: float  # radius of the rim of the aperture in a microimage [px]; infinite if not known
+    pupil_radius: float  # of the rim of the aperture in a microimage [px]; infinite if not known
     diffraction: float  # width of the image of a point behind a microlens [px]
     unit: str  # of depth and of `pixel`: "um", or "px" without optics
 
@@ -33,8 +36,9 @@ class Scale:
 class Microscope:
     """Figures of a light-field microscope, as its owners know them; what is None is not known.
 
-    With `na` and `magnification`, and one of `pixel_size` and `microlens_focal_length`, volumes are in micrometres, and
-    rays obey the sine condition of Abbe, which matters above an NA of about 0.5. All else is a refinement.
+    With `na` and `magnification`, and one of `pixel_size` and `microlens_focal_length`, volumes are
+    in micrometres, and rays obey the sine condition of Abbe, which matters above an NA of about
+    0.5. All else is a refinement.
 
     Parameters
     ----------
@@ -46,17 +50,18 @@ class Microscope:
         Refractive index of the medium of the specimen: 1.33 for water.
     microlens_focal_length : float, optional [um]
     pixel_size : float, optional [um]
-        Side of a pixel of the sensor, as the microlenses see it: divided by the magnification of a relay lens between
-        them.
+        Side of a pixel of the sensor, as the microlenses see it: divided by the magnification of a
+        relay lens between them.
     wavelength : float, optional [nm]
         For the blur of diffraction.
 
     Examples
     --------
     >>> from lfrender.volume.microscope import Microscope
-    >>> water = Microscope(na=1.2, magnification=60, medium_index=1.35, microlens_focal_length=2500, pixel_size=6.5)
+    >>> figures = {"na": 1.2, "magnification": 60, "medium_index": 1.35}
+    >>> water = Microscope(**figures, microlens_focal_length=2500, pixel_size=6.5)
     >>> scale = water.scale(radius=7.5, pitch=15.4)
-    >>> round(scale.flat_radius, 2), round(1 / scale.slope_per_depth, 3)  # px, and um for a slope of 1
+    >>> round(scale.flat_radius, 2), round(1 / scale.slope_per_depth, 3)  # px; um of a slope of 1
     (8.65, 0.938)
     """
 

@@ -1,7 +1,9 @@
-"""The variance of the pixels of a flat: photon noise, in proportion to light, measured where the flat is smoothest.
+"""The variance of the pixels of a flat: photon noise, in proportion to light, measured where the
+flat is smoothest.
 
-Second differences along both axes leave noise alone where light changes evenly (Immerkaer 1996). Of the brighter half
-of the microimages, those that have the least show the least of the specimen; dark ones would show read-out alone.
+Second differences along both axes leave noise alone where light changes evenly (Immerkaer 1996). Of
+the brighter half of the microimages, those that have the least show the least of the specimen; dark
+ones would show read-out alone.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The pixels of a flat that a volume is reconstructed from: where each looks, its value, and its share of light."""
+"""The pixels of a flat that a volume is reconstructed from: where each looks, its value, and its
+share of light."""
 
 from __future__ import annotations
 
@@ -11,11 +12,14 @@ from lfcal import Calibration, Lattice
 
 __all__ = ["FlatPixels", "choose_pixels"]
 
-# Less light than this share of the brightest is that of rims, which diffraction and neighbours change.
+# Less light than this share of the brightest is that of rims, which diffraction and neighbours
+# change.
 _LEAST_LIGHT = 0.5
-# Distance from the rim of a microimage or of its cell [px]: pixels nearer to it show part of something else.
+# Distance from the rim of a microimage or of its cell [px]: pixels nearer to it show part of
+# something else.
 _RIM = 0.5
-# Rays flatter than this share of a right angle (in its sine) are left out: their places run to infinity.
+# Rays flatter than this share of a right angle (in its sine) are left out: their places run to
+# infinity.
 _LARGEST_SINE = 0.98
 # Rows of a flat whose pixels are assigned to lenses at a time: bounds the memory.
 _ROWS = 256
@@ -28,7 +32,7 @@ class FlatPixels:
     values: NDArray[np.float32]  # of the flat
     light: NDArray[np.float32]  # share of light by the white image
     centres: NDArray[np.float32]  # (p, 2) of their microlenses [px]
-    angles: NDArray[np.float32]  # (p, 2) g of docs/geometry.md's delta: how far a ray moves for a slope of 1 [px]
+    angles: NDArray[np.float32]  # (p, 2) how far a ray moves for a slope of 1: g [px]
     bins: NDArray[np.int32]  # number of the whole-pixel offset from the centre
     radius: float  # largest distance from the centre of a microimage [px]
     side: int  # there are `side * side` such numbers, row by row

@@ -4,12 +4,13 @@ A pixel at `delta` from the centre `c` of its microlens sees of the plane at dep
 
     X = c + k g(delta),    k = -D / s,    g = delta / sqrt(1 - |delta|^2 / rho^2),
 
-with the vocabulary of docs/geometry.md; `rho` is the radius of a microimage at which rays would lie flat (sine
-condition of Abbe; infinite where the optics are paraxial). `k` is in proportion to z and 0 at the native plane, which
-is focused onto the microlenses. What a pixel averages over there is in `footprint`.
+with the vocabulary of docs/geometry.md; `rho` is the radius of a microimage at which rays would lie
+flat (sine condition of Abbe; infinite where the optics are paraxial). `k` is in proportion to z and
+0 at the native plane, which is focused onto the microlenses. What a pixel averages over there is in
+`footprint`.
 
-The flat is the sum over planes of what its pixels see there. No matrix is stored: both directions walk over pixels
-and planes, in a time proportional to their product.
+The flat is the sum over planes of what its pixels see there. No matrix is stored: both directions
+walk over pixels and planes, in a time proportional to their product.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ class Rays(NamedTuple):
 
 @kernel(share=lambda planes, slopes, rays, out: len(out), fastmath=FAST)
 def _gather(begin, end, planes, slopes, rays, out):
-    """Add to `out` (p,) what pixels see of planes (n, h, w) at slopes k (n,), between four voxels each."""
+    """Add to `out` (p,) what pixels see of planes (n, h, w) at slopes k (n,), between four voxels
+    each."""
     height, width = planes.shape[1:]
     for plane in range(len(planes)):
         values = planes[plane]
@@ -56,12 +58,14 @@ def _gather(begin, end, planes, slopes, rays, out):
                 continue
             right = x - column
             low = y - row
-            above = values[row, column] + right * (values[row, column + 1] - values[row, column])
-            below = values[row + 1, column] + right * (values[row + 1, column + 1] - values[row + 1, column])
+            upper = values[row]
+            lower = values[row + 1]
+            above = upper[column] + right * (upper[column + 1] - upper[column])
+            below = lower[column] + right * (lower[column + 1] - lower[column])
             out[p] += above + low * (below - above)
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, forceinline=True)
 def _scatter(values, k, rays, plane):
     """The adjoint of `_gather` for one plane (h, w), which is overwritten."""
     height, width = plane.shape
@@ -92,7 +96,8 @@ def _backproject(begin, end, values, slopes, widths, rays, out):
 
 @kernel(share=lambda values, slopes, widths, rays, norm, volume: len(volume))
 def _multiply(begin, end, values, slopes, widths, rays, norm, volume):
-    """Multiply planes of a volume by the adjoint of `values` over `norm`; where `norm` is 0 they become 0."""
+    """Multiply planes of a volume by the adjoint of `values` over `norm`; where `norm` is 0 they
+    become 0."""
     update = np.empty(volume.shape[1:], np.float32)
     for plane in range(begin, end):
         _scatter(values, slopes[plane], rays, update)
@@ -108,7 +113,8 @@ def _multiply(begin, end, values, slopes, widths, rays, norm, volume):
 
 @dataclass(frozen=True)
 class Projector:
-    """The linear operator from a volume (n, h, w) to the pixels (p,) of a flat that is lit evenly, and its adjoint."""
+    """The linear operator from a volume (n, h, w) to the pixels (p,) of a flat that is lit evenly,
+    and its adjoint."""
 
     rays: Rays
     slopes: NDArray[np.float32]  # (n,) k of each plane
@@ -131,6 +137,12 @@ class Projector:
         _backproject(values, self.slopes, self.widths, self.rays, out)
         return out
 
-    def multiply(self, volume: NDArray[np.float32], values: NDArray[np.float32], norm: NDArray[np.float32]) -> None:
-        """Multiply a volume in place by `adjoint(values) / norm`, plane by plane in little memory."""
+    def multiply(
+        self,
+        volume: NDArray[np.float32],
+        values: NDArray[np.float32],
+        norm: NDArray[np.float32],
+    ) -> None:
+        """Multiply a volume in place by `adjoint(values) / norm`, plane by plane in little
+        memory."""
         _multiply(values, self.slopes, self.widths, self.rays, norm, volume)

@@ -1,11 +1,14 @@
-"""Richardson-Lucy deconvolution (Richardson 1972, Lucy 1974), weighted by light, until the noise of the flat is met.
+"""Richardson-Lucy deconvolution (Richardson 1972, Lucy 1974), weighted by light, until the noise of
+the flat is met.
 
-The volume that makes the flat most likely under photon noise is approached in steps that keep it positive:
+The volume that makes the flat most likely under photon noise is approached in steps that keep it
+positive:
 
     V <- V * A^T(w y / (w A V)) / A^T(w),
 
-with the flat y, the forward model A and the light w of its pixels. Later steps fit noise. They end where the misfit is
-that of the noise (discrepancy principle of Morozov), or where it hardly falls any more, since the model has errors too.
+with the flat y, the forward model A and the light w of its pixels. Later steps fit noise. They end
+where the misfit is that of the noise (discrepancy principle of Morozov), or where it hardly falls
+any more, since the model has errors too.
 """
 
 from __future__ import annotations
@@ -22,14 +25,16 @@ from .projection import Projector
 
 __all__ = ["Fit", "deconvolve"]
 
-#: Misfit, in variances of the noise, is said to hardly fall any more if a step lowers it by less than this share.
-#: Ray-traced shells: correlation with the truth 0.88 at 0.02, 0.89 at 0.01, at twice the steps.
+#: Misfit, in variances of the noise, is said to hardly fall any more if a step lowers it by less
+#: than this share. Ray-traced shells: correlation with the truth 0.88 at 0.02, 0.89 at 0.01, at
+#: twice the steps.
 _LEAST_GAIN = 0.01
 #: Steps before which directions are not balanced, and after which they stay as they are.
 _BALANCED_STEPS = range(2, 7)
 # Voxels seen with less than this share of the light of the best seen one of their plane stay 0.
 _LEAST_SEEN = 1e-3
-# Of the mean light of a direction: that much evidence for 1 is added to each, so that dark directions stay near 1.
+# Of the mean light of a direction: that much evidence for 1 is added to each, so that dark
+# directions stay near 1.
 _PRIOR = 0.1
 
 
@@ -68,10 +73,11 @@ def deconvolve(
     start: NDArray[np.float32] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[NDArray[np.float32], Fit]:
-    """The volume (n, h, w) that the pixels show, before the last box of the projector smooths it, and the fit.
+    """The volume (n, h, w) that the pixels show, before the last box of the projector smooths it,
+    and the fit.
 
-    `variance` is that of pixels with the given values; `start` the volume before the first step, an even one by
-    default; `progress` is called after each of at most `steps` steps.
+    `variance` is that of pixels with the given values; `start` the volume before the first step, an
+    even one by default; `progress` is called after each of at most `steps` steps.
     """
     values, light = pixels.values, pixels.light
     norm = _seen(projector, light)
@@ -121,9 +127,9 @@ def _seen(projector: Projector, light: NDArray[np.float32]) -> NDArray[np.float3
 def _balance_directions(pixels: FlatPixels, predicted: NDArray[np.float32]) -> NDArray[np.float32]:
     """(p,) factor for the light of each pixel, alike in all microimages.
 
-    Summed over all lenses, every direction sees the same light of a specimen. Where the flat and its prediction differ
-    in that sum, the white image was lit otherwise than the specimen lights the aperture, as by the longer way of
-    slanted rays through a volume.
+    Summed over all lenses, every direction sees the same light of a specimen. Where the flat and
+    its prediction differ in that sum, the white image was lit otherwise than the specimen lights
+    the aperture, as by the longer way of slanted rays through a volume.
     """
     count = pixels.side**2
     shape = (pixels.side, pixels.side)

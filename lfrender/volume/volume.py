@@ -27,13 +27,14 @@ class Volume(Frozen):
     Parameters
     ----------
     data : (z, y, x) float32
-        Light of each voxel, in the unit of the flat (1 at white): what it adds to a pixel that looks through it.
+        Light of each voxel, in the unit of the flat (1 at white): what it adds to a pixel that
+        looks through it.
     spacing : (float, float, float)
-        Of the voxels along z, y and x. In micrometres, or, where the optics are not known, along z in the slope
-        `k = -D / s` and along y and x in pixels of the flat.
+        Of the voxels along z, y and x. In micrometres, or, where the optics are not known, along z
+        in the slope `k = -D / s` and along y and x in pixels of the flat.
     origin : (float, float, float)
-        Where voxel (0, 0, 0) lies, in the same unit: z from the native plane, towards the objective; y and x from the
-        middle of the first pixel of the flat.
+        Where voxel (0, 0, 0) lies, in the same unit: z from the native plane, towards the
+        objective; y and x from the middle of the first pixel of the flat.
     unit : str
         `"um"` or `"px"`.
     slopes : (z,) float64
@@ -41,7 +42,8 @@ class Volume(Frozen):
     pitch : float
         Of the microlenses, in the unit of x and y.
     fit : Fit
-        Residual of the reprojected flat beside its noise, number of steps and why there were no more.
+        Residual of the reprojected flat beside its noise, number of steps and why there were no
+        more.
     warnings : tuple of str
 
     Examples
@@ -69,14 +71,16 @@ class Volume(Frozen):
 
     @property
     def depths(self) -> NDArray[np.float64]:
-        """(z,) depth of each plane from the native plane: in micrometres, or as the slope `k = -D / s`."""
+        """(z,) depth of each plane from the native plane: in micrometres, or as the slope `k = -D /
+        s`."""
         return self.origin[0] + self.spacing[0] * np.arange(len(self.data), dtype=np.float64)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.array(self.data, dtype) if copy else np.asarray(self.data, dtype)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write OME-TIFF (`.ome.tif`, `.tif`) or OME-Zarr (`.zarr`) with the sizes of voxels; whole or not at all.
+        """Write OME-TIFF (`.ome.tif`, `.tif`) or OME-Zarr (`.zarr`) with the sizes of voxels; whole
+        or not at all.
 
         OutputError or PictureError where that is not possible.
         """
@@ -84,12 +88,25 @@ class Volume(Frozen):
 
         write_volume(path, self)
 
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Volume:
+        """Read what `save` has written; FlatError where it is something else."""
+        from .files import read_volume
+
+        known = read_volume(path)
+        known["fit"] = Fit(**known["fit"])
+        known["slopes"] = np.array(known["slopes"], np.float64)
+        for name in ("spacing", "origin", "warnings"):
+            known[name] = tuple(known[name])
+        return cls(**known)
+
     def projections(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Maximum along z (y, x), along y (z, x) and along x (y, z)."""
         return self.data.max(0), self.data.max(1), np.ascontiguousarray(self.data.max(2).T)
 
     def plot(self, figure: Any = None) -> Any:
-        """Draw the three maximum projections, by default on a new Matplotlib figure, which is returned."""
+        """Draw the three maximum projections, by default on a new Matplotlib figure, which is
+        returned."""
         import matplotlib.pyplot as plt
 
         figure = figure or plt.figure(figsize=(5, 5), layout="tight")
@@ -119,7 +136,8 @@ class Volume(Frozen):
         return figure
 
     def napari_layer(self, name: str = "volume") -> tuple[Any, dict[str, Any], str]:
-        """The volume as a layer of napari, (data, keywords, type), in its own unit; napari need not be installed.
+        """The volume as a layer of napari, (data, keywords, type), in its own unit; napari need not
+        be installed.
 
         Add it by `viewer.add_layer(napari.layers.Layer.create(*volume.napari_layer()))`.
         """
@@ -129,12 +147,15 @@ class Volume(Frozen):
     def __repr__(self) -> str:
         deep, high, wide = self.data.shape
         dz, dy, dx = self.spacing
-        size = f"{dx:.3g} x {dy:.3g} x {dz:.3g} um" if self.unit == "um" else f"{dx:.3g} px, planes {dz:.3g} apart in k"
+        size = f"{dx:.3g} px, planes {dz:.3g} apart in k"
+        if self.unit == "um":
+            size = f"{dx:.3g} x {dy:.3g} x {dz:.3g} um"
         return f"Volume({wide} x {high} x {deep} voxels of {size})"
 
     def _repr_html_(self) -> str:
+        unit = "µm" if self.unit == "um" else "(k = -D / s)"
         figures = {
-            "depth": f"{self.depths[0]:.4g} to {self.depths[-1]:.4g} {'µm' if self.unit == 'um' else '(k = -D / s)'}",
+            "depth": f"{self.depths[0]:.4g} to {self.depths[-1]:.4g} {unit}",
             "residual": f"{self.fit.residual:.1%} of the flat, noise {self.fit.noise:.1%}",
             "steps": f"{self.fit.steps}: {self.fit.reason}",
         }

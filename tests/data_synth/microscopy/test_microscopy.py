@@ -1,4 +1,5 @@
-"""Two simulations of one microscope, by rays and by waves, agree with geometry and with each other."""
+"""Two simulations of one microscope, by rays and by waves, agree with geometry and with each
+other."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ MICROSCOPE = Microscope(lenses=(11, 11), rotation=1.0)
 
 
 def _centroid_of_lens(capture, column, row):
-    """Offset x, y of the light from the centre of the lens `column`, `row` lenses from the middle one [px]."""
+    """Offset x, y of the light from the centre of the lens `column`, `row` lenses from the middle
+    one [px]."""
     centre = capture.calibration.lattice.points([[column, row]])[0]
     y, x = np.mgrid[: capture.flat.shape[0], : capture.flat.shape[1]]
     away = np.stack([x, y], -1) - centre
@@ -21,7 +23,8 @@ def _centroid_of_lens(capture, column, row):
 
 
 def _expected_offset(depth, column):
-    """Where the lens shows a bead at this depth above the middle one [px], by the sine condition."""
+    """Where the lens shows a bead at this depth above the middle one [px], by the sine
+    condition."""
     aside = column * MICROSCOPE.pitch * MICROSCOPE.object_pixel
     sine = aside / np.hypot(aside, depth)
     flat_radius = MICROSCOPE.pupil_radius * MICROSCOPE.medium_index / MICROSCOPE.na

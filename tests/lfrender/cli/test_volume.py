@@ -51,11 +51,22 @@ def test_a_flat_becomes_a_volume_in_micrometres(files, tmp_path):
 
 def test_flats_of_a_folder_become_volumes_with_their_names(files, tmp_path):
     done = _run(
-        files / "frames", "-c", files / "camera.json", "-o", tmp_path / "volumes", *SMALL, "--depth-range", -8, 8
+        files / "frames",
+        "-c",
+        files / "camera.json",
+        "-o",
+        tmp_path / "volumes",
+        *SMALL,
+        "--depth-range",
+        -8,
+        8,
     )
 
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in (tmp_path / "volumes").iterdir()) == ["frame0.ome.tif", "frame1.ome.tif"]
+    assert sorted(path.name for path in (tmp_path / "volumes").iterdir()) == [
+        "frame0.ome.tif",
+        "frame1.ome.tif",
+    ]
     assert "in pixels of the flat" in done.output
 
 
@@ -88,7 +99,14 @@ def test_the_white_image_of_another_camera_is_refused(tmp_path):
     capture = trace_flat(specimen, Microscope(lenses=(23, 23)), samples=8)
     tifffile.imwrite(tmp_path / "flat.tif", capture.flat)
     tifffile.imwrite(tmp_path / "white.tif", np.roll(capture.white, (7, 7), (0, 1)))
-    done = _run(tmp_path / "flat.tif", "--white", tmp_path / "white.tif", "-o", tmp_path / "volume.tif", *SMALL)
+    done = _run(
+        tmp_path / "flat.tif",
+        "--white",
+        tmp_path / "white.tif",
+        "-o",
+        tmp_path / "volume.tif",
+        *SMALL,
+    )
 
     assert done.exit_code != 0
     assert "another camera" in " ".join(done.output.split())

@@ -9,7 +9,8 @@ import pytest
 import tifffile
 
 import lfrender
-from lfcal import OutputError
+from lfcal import FlatError, OutputError
+from lfrender.napari.readers import get_reader
 
 
 def test_ome_tiff_holds_voxels_and_their_sizes(shell_volume, tmp_path):
@@ -53,6 +54,26 @@ def test_ome_zarr_holds_voxels_sizes_and_place(shell_volume, tmp_path):
     assert [axis["unit"] for axis in scales["axes"]] == ["micrometer"] * 3
     assert scale["scale"] == pytest.approx(shell_volume.spacing)
     assert translation["translation"] == pytest.approx(shell_volume.origin)
+
+
+@pytest.mark.parametrize("name", ["volume.ome.tif", "volume.ome.zarr"])
+def test_volumes_come_back_from_their_files_and_as_layers_of_napari(shell_volume, tmp_path, name):
+    if name.endswith("zarr"):
+        pytest.importorskip("zarr")
+    path = tmp_path / name
+    shell_volume.save(path)
+
+    ((data, look, kind),) = get_reader(str(path))(str(path))
+
+    assert lfrender.Volume.load(path) == shell_volume
+    assert kind == "image" and np.array_equal(data, shell_volume.data)
+    assert look["scale"] == pytest.approx(shell_volume.spacing)
+
+
+def test_other_files_are_no_volumes(tmp_path):
+    tifffile.imwrite(tmp_path / "other.ome.tif", np.zeros((30, 40), np.uint8))
+    with pytest.raises(FlatError, match="is no volume"):
+        lfrender.Volume.load(tmp_path / "other.ome.tif")
 
 
 @pytest.mark.parametrize("name", ["volume.png", "missing/volume.tif"])

@@ -57,7 +57,8 @@ def test_the_native_plane_shows_no_blocks(shells):
         shells.flat, shells.calibration, optics, depth_range=(-6, 6), planes=13, steps=15
     )
     native = volume.data[6]
-    # Blocks have steps at the borders of lenses: second differences much above those of the planes around.
+    # Blocks have steps at the borders of lenses: second differences much above those of the planes
+    # around.
     rough = np.abs(np.diff(native, 2, 1)).max() / native.max()
 
     assert abs(volume.slopes[6]) < 1e-9
