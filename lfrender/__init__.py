@@ -20,14 +20,20 @@ if TYPE_CHECKING:
     from .rendering.viewpoints import views
     from .sequence.film import render_frames
     from .sequence.frames import open_frames
+    from .volume.microscope import Microscope
+    from .volume.reconstruct import reconstruct_volume
+    from .volume.volume import Volume
 
 __all__ = [
     "DepthMap",
+    "Microscope",
     "Rendering",
+    "Volume",
     "analyze",
     "analyze_large",
     "focal_stack",
     "open_frames",
+    "reconstruct_volume",
     "refocus",
     "render",
     "render_frames",
@@ -39,12 +45,15 @@ __all__ = [
 
 _HOMES = {
     "DepthMap": "data.depth_map",
+    "Microscope": "volume.microscope",
     "Optics": "lfcal",  # documented there
     "Rendering": "data.rendering",
+    "Volume": "volume.volume",
     "analyze": "depth.analyze",
     "analyze_large": "large.analyze",
     "focal_stack": "rendering.refocus",
     "open_frames": "sequence.frames",
+    "reconstruct_volume": "volume.reconstruct",
     "refocus": "rendering.refocus",
     "render": "rendering.render",
     "render_frames": "sequence.film",

@@ -16,6 +16,7 @@ from .pages import demo, report, view
 from .render import render
 from .sequence import batch
 from .views import lenslet, refocus, views
+from .volume import volume
 
 __all__ = ["main"]
 
@@ -49,7 +50,7 @@ def main() -> None:
 
 
 main.section("First steps", demo, warm)
-main.section("One capture", render, analyze, refocus, views)
+main.section("One capture", render, analyze, refocus, views, volume)
 main.section("Look and share", view, report)
 main.section("Sequences", batch, live)
 main.section("Other programs", lenslet)

@@ -120,6 +120,21 @@ TABLE = {
         "Focal length and distances [mm] of the camera: distances in metres, the point cloud and --poses too. "
         "By default those of the camera file, if 'lfcal metric' has measured them.", metavar="OPTICS.json"),
     "metres": _row("--metres", bool, "Write --dense as distances in front of the main lens [m]."),
+    # Of volumes.
+    "na": _row("--na", _POSITIVE, "Numerical aperture of the objective."),
+    "magnification": _row("--magnification", _POSITIVE, "From the specimen to the microlenses."),
+    "medium_index": _row("--medium-index", _POSITIVE, "Refractive index about the specimen.", default=1.33,
+        show_default=True),
+    "microlens_focal_length": _row("--microlens-focal-length", _POSITIVE, "Of the microlenses.", metavar="UM"),
+    "pixel_size": _row("--pixel-size", _POSITIVE,
+        "Side of a pixel, as the microlenses see it through relay lenses.", metavar="UM"),
+    "wavelength": _row("--wavelength", _POSITIVE, "For the blur of diffraction.", metavar="NM"),
+    "depth_range": _row("--depth-range", float,
+        "First and last plane, from the native plane towards the objective [um], or without optics as slopes "
+        "k = -D / s. [default: as far as a pixel averages over a pitch]", nargs=2, metavar="FIRST LAST"),
+    "planes": _row("--planes", click.IntRange(2), "Number of planes.", default=41, show_default=True),
+    "steps": _row("--steps", click.IntRange(1), "Of the deconvolution, at most.", default=40, show_default=True),
+    "voxels": _row("--voxels", click.IntRange(2), "Along each side of a microlens.", default=8, show_default=True),
     # Where to show it.
     "export": _row("--export", _OUTPUT,
         "Write the page instead: as one file that holds everything, or as a folder of static files for web "
@@ -242,5 +257,6 @@ def option_errors() -> Iterator[None]:
     except ValueError as error:
         argument, space, rest = str(error).partition(" ")
         names = {"patch_size": "--patch-size", "position": "--at"}
-        names |= {name: f"--{name}" for name in ("aperture", "roi", "scale", "frames", "start")}
+        names |= {name: f"--{name}" for name in ("aperture", "roi", "scale", "frames", "start", "na")}
+        names["depth_range"] = "--depth-range"
         raise click.UsageError(f"{names.get(argument, argument)}{space}{rest}") from error

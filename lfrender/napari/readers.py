@@ -7,12 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lfcal import LightFieldError, load, read_flat
+from lfcal import FlatError, LightFieldError, load, read_flat
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX
 
 from .. import data
 from ..data.depth_map import DepthMap
 from ..data.plots import napari_layers
+from ..output.formats import is_ome_name
+from ..volume.volume import Volume
 
 __all__ = ["clutter", "get_reader", "house"]
 
@@ -43,9 +45,19 @@ def _read(path: str | list[str]) -> list[Layer]:
             layers += napari_layers(depth=DepthMap.load(one))
         elif suffix in _CAMERAS:
             layers += napari_layers(calibration=load(one))
+        elif is_ome_name(Path(one)):
+            layers += _read_ome(one)
         else:
             layers += napari_layers(flat=read_flat(one))
     return layers
+
+
+def _read_ome(path: str) -> list[Layer]:
+    """The layer of a volume, or of a flat."""
+    try:
+        return [Volume.load(path).napari_layer(Path(path).name)]
+    except FlatError:
+        return napari_layers(flat=read_flat(path))
 
 
 def _sample(name: str) -> list[Layer]:

@@ -1,0 +1,174 @@
+"""`lfrender volume`: the volume under a light-field microscope."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lfcal.runtime.output_file import make_folder
+
+from . import figures
+from .inputs import CaptureInput
+from .options import capture_command, option_errors
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from lfcal import Calibration
+
+    from ..volume.volume import Volume
+
+__all__ = ["volume"]
+
+
+@capture_command(
+    "lfrender volume flat.tif --white white.tif -o volume.ome.tif",
+    "lfrender volume flat.tif -c camera.json -o volume.ome.zarr --na 0.5 --magnification 20 "
+    "--microlens-focal-length 2433 --pixel-size 4.55 --depth-range -120 120",
+    "lfrender volume frames -c camera.json -o volumes --depth-range -6 6",
+    output=(
+        "VOLUME|FOLDER",
+        "Volume to write: .ome.tif or .ome.zarr; a folder for the volumes of several flats.",
+    ),
+    own={
+        "Optics": "na magnification medium_index microlens_focal_length pixel_size wavelength",
+        "Volume": "depth_range planes steps voxels",
+    },
+    refused={
+        "depth_file": "a volume holds all depths",
+        "preset": "no depth map is analysed; --steps sets the time",
+        "roi": "volumes are of the whole flat",
+        "page": "of several pictures in a file, each becomes a volume",
+    },
+    inputs="the first flat",
+    several="FLAT...",
+)
+def volume(capture: CaptureInput, given: Any) -> None:
+    """Reconstruct the volume under a light-field microscope (experimental).
+
+    FLAT is deconvolved on its own lattice. With the optics, the volume is in micrometres; without,
+    in pixels of the flat and slopes k = -D / s. Of several flats, folders or videos, each starts
+    from the volume before.
+    """
+    from .. import Microscope, open_frames
+    from ..volume.files import SUFFIXES, check_volume_file
+
+    report, output = capture.report, given.output
+    one_file = output.suffix.lower() in SUFFIXES
+    with option_errors():
+        microscope = Microscope(
+            given.na,
+            given.magnification,
+            given.medium_index,
+            given.microlens_focal_length,
+            given.pixel_size,
+            given.wavelength,
+        )
+        frames = open_frames(given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark)
+    if one_file:
+        check_volume_file(output, [*given.inputs, *capture.files])
+        if frames.count != 1:
+            several = f"{output} holds one volume, there are {frames.count} flats"
+            raise click.UsageError(f"{several}: give a folder")
+    else:
+        make_folder(output)
+    written: list[str] = []
+    found: Volume | None = None
+    calibration: Calibration | None = None
+    for number, (name, pixels) in enumerate(_flats(frames), 1):
+        pixels, calibration = _calibrate(capture, pixels, calibration)
+        target = output if one_file else output / f"{name}.ome.tif"
+        found = _reconstruct(capture, given, microscope, pixels, calibration, found, number)
+        with report.stage("write"):
+            found.save(target)
+        written.append(str(target))
+    assert found is not None and calibration is not None
+    where = written[0] if len(written) == 1 else f"{len(written)} volumes in {output}"
+    about: dict[str, Any] = {
+        "volume": written[0],
+        "volumes": written,
+        "shape": list(found.data.shape),
+        "spacing": list(found.spacing),
+        "unit": found.unit,
+        "residual": found.fit.residual,
+        "noise": found.fit.noise,
+        "steps": found.fit.steps,
+        "stopped": found.fit.reason,
+    }
+    of_camera = figures.capture_figures(calibration)
+    about |= of_camera | {"warnings": list(found.warnings)}
+    report.finish(
+        about,
+        *figures.capture_sentences(capture, calibration),
+        _describe(found),
+        f"{where}, in {report.took}.",
+    )
+
+
+def _flats(frames: Any) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Name and pixels of each flat."""
+    for frame in frames:
+        yield frame.name, frame.read()
+
+
+def _calibrate(
+    capture: CaptureInput, pixels: NDArray[Any], known: Calibration | None
+) -> tuple[NDArray[Any], Calibration]:
+    """The flat in colour and its camera, which is that of the first flat."""
+    from lfcal import CalibrationError, check_camera
+
+    if known is not None:
+        return pixels, known
+    pixels, calibration = capture.calibrate(pixels)
+    if capture.white is not None:
+        problem = check_camera(calibration, pixels).problem
+        if problem is not None:
+            other = f"{capture.white}: is the white image of another camera"
+            raise CalibrationError(f"{other}: {problem}")
+    return pixels, calibration
+
+
+def _reconstruct(
+    capture: CaptureInput,
+    given: Any,
+    microscope: Any,
+    pixels: NDArray[Any],
+    calibration: Calibration,
+    before: Volume | None,
+    number: int,
+) -> Volume:
+    """The volume of a flat, with progress."""
+    from .. import reconstruct_volume
+
+    report = capture.report
+    name = f"volume {number}" if before is not None else "volume"
+    with report.stage("reconstruct"), report.progress(name) as step, option_errors():
+        return reconstruct_volume(
+            pixels,
+            calibration,
+            microscope,
+            depth_range=given.depth_range,
+            planes=given.planes,
+            steps=given.steps,
+            voxels=given.voxels,
+            start=before,
+            progress=step,
+        )
+
+
+def _describe(found: Volume) -> str:
+    """Size of a volume, and how well it explains the flat, in two sentences."""
+    deep, high, wide = found.data.shape
+    first, last = found.depths[0], found.depths[-1]
+    dz, _, dx = found.spacing
+    if found.unit == "um":
+        size = f"of {dx:.3g} x {dx:.3g} x {dz:.3g} um, from {first:.4g} to {last:.4g} um"
+    else:
+        size = f"of {dx:.3g} px, at slopes k = -D / s from {first:.3g} to {last:.3g}"
+    fit = found.fit
+    return (
+        f"{wide} x {high} x {deep} voxels {size}. After {fit.steps} steps the residual is "
+        f"{fit.residual:.1%} of the flat, its noise {fit.noise:.1%}: {fit.reason}."
+    )

@@ -1,0 +1,136 @@
+"""Volumes as files of the microscopy community: OME-TIFF and OME-Zarr (NGFF 0.5), with sizes of
+voxels."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lfcal import FlatError, OutputError
+from lfcal.runtime.output_file import atomic_write, check_output
+
+from ..output.formats import FORMATS, check_package
+
+if TYPE_CHECKING:
+    from .volume import Volume
+
+__all__ = ["SUFFIXES", "check_volume_file", "read_volume", "write_volume"]
+
+#: Endings of files of volumes.
+SUFFIXES = (".tif", ".tiff", ".zarr")
+# What files hold beside the voxels.
+_FIELDS = ("spacing", "origin", "unit", "slopes", "pitch", "fit", "warnings")
+# A chunk of Zarr has at most so many voxels along y and x.
+_CHUNK = 512
+
+
+def check_volume_file(path: str | os.PathLike[str], inputs: Any = ()) -> None:
+    """Raise OutputError or PictureError if a volume could not be written, before it is
+    reconstructed."""
+    check_output(path, SUFFIXES, inputs)
+    check_package(path, FORMATS[Path(path).suffix.lower()])
+
+
+def write_volume(path: str | os.PathLike[str], volume: Volume) -> None:
+    """Write a volume as the ending of the name asks; whole or not at all."""
+    target = Path(path)
+    check_volume_file(target)
+    if target.suffix.lower() == ".zarr":
+        _write_zarr(target, volume)
+    else:
+        _write_tiff(target, volume)
+
+
+def read_volume(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The voxels of a file that `write_volume` has written, as `data`, and all else by its name;
+    else a FlatError."""
+    target = Path(path)
+    try:
+        if target.suffix.lower() == ".zarr":
+            import zarr
+
+            group: Any = zarr.open_group(str(target), mode="r")
+            data, text = group["0"][:], group.attrs["description"]
+        else:
+            import tifffile
+
+            with tifffile.TiffFile(target) as tiff:
+                about = tifffile.xml2dict(tiff.ome_metadata or "<OME/>")
+                text = about["OME"]["Image"]["Description"]
+                data = tiff.asarray()
+        known = json.loads(text)
+        return {"data": data} | {name: known[name] for name in _FIELDS}
+    # Readers raise errors of many kinds on other files.
+    except Exception as error:
+        raise FlatError(f"{target}: is no volume that 'lfrender volume' has written ({error})") from error
+
+
+def _describe(volume: Volume) -> str:
+    """The JSON text of a volume."""
+    about = {
+        "software": "lfrender",
+        "unit": volume.unit,
+        "spacing": volume.spacing,
+        "origin": volume.origin,
+        "slopes": volume.slopes.tolist(),
+        "pitch": volume.pitch,
+        "fit": vars(volume.fit),
+        "warnings": volume.warnings,
+    }
+    return json.dumps(about)
+
+
+def _write_tiff(path: Path, volume: Volume) -> None:
+    import tifffile
+
+    metric = volume.unit == "um"
+    about: dict[str, Any] = {"axes": "ZYX", "Description": _describe(volume)}
+    for axis, size in zip("ZYX", volume.spacing, strict=True):
+        about[f"PhysicalSize{axis}"] = size
+        about[f"PhysicalSize{axis}Unit"] = "µm" if metric else "pixel"
+    if not metric:
+        about["PhysicalSizeZUnit"] = "reference frame"
+    with atomic_write(path) as temporary:
+        tifffile.imwrite(
+            temporary,
+            volume.data,
+            ome=True,
+            photometric="minisblack",
+            software="lfrender",
+            metadata=about,
+        )
+
+
+def _write_zarr(path: Path, volume: Volume) -> None:
+    import zarr
+
+    axes: list[dict[str, str]] = [{"name": name, "type": "space"} for name in "zyx"]
+    if volume.unit == "um":
+        for axis in axes:
+            axis["unit"] = "micrometer"
+    moves = [
+        {"type": "scale", "scale": list(volume.spacing)},
+        {"type": "translation", "translation": list(volume.origin)},
+    ]
+    datasets = [{"path": "0", "coordinateTransformations": moves}]
+    scales = [{"name": path.name, "axes": axes, "datasets": datasets}]
+    attributes = {
+        "ome": {"version": "0.5", "multiscales": scales},
+        "description": _describe(volume),
+    }
+    high, wide = volume.data.shape[1:]
+    chunks = (1, min(high, _CHUNK), min(wide, _CHUNK))
+    made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            group = zarr.create_group(str(made), attributes=attributes, zarr_format=3)
+            group.create_array("0", data=volume.data, chunks=chunks, dimension_names=list("zyx"))
+        made.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)

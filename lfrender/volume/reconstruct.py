@@ -1,0 +1,205 @@
+"""Reconstruct the volume that a light-field microscope has seen, from one raw flat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration
+from lfcal.runtime.errors import check_type
+
+from ..flat.validation import check_flat
+from .footprint import blur_planes
+from .grid import VoxelGrid
+from .microscope import Microscope, Scale
+from .noise import measure_variance
+from .pixels import choose_pixels
+from .richardson_lucy import deconvolve
+from .volume import Volume
+
+__all__ = ["reconstruct_volume"]
+
+# Slope k, in pitches, up to which volumes reach where no range is given. A pixel averages over a
+# pitch there.
+_DEFAULT_REACH = 1.0
+# Light of an outermost plane over that of the median plane, from which on the specimen is said to
+# reach farther: the captures have 1.0 to 1.3 where it ends within the range, 2.0 and more where it
+# does not.
+_MUCH_LIGHT = 1.5
+
+
+def reconstruct_volume(
+    flat: NDArray,
+    calibration: Calibration,
+    microscope: Microscope | None = None,
+    *,
+    depth_range: tuple[float, float] | None = None,
+    planes: int = 41,
+    steps: int = 40,
+    voxels: int = 8,
+    start: Volume | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Volume:
+    """Deconvolve a flat of a light-field microscope into a volume (experimental).
+
+    The flat is the sum of what its pixels see of all planes; its pixels are used as they are, on a
+    lattice of any pitch and rotation. Light-field deconvolution is from Broxton et al. 2013, with
+    rays instead of waves; docs/volumes.md says what it can resolve.
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array
+        In proportion to light, the dark frame subtracted; of colours, the mean is taken.
+    calibration : Calibration
+        With the light of microimages, best from a white image.
+    microscope : Microscope, optional
+        Optics. Without them, depth is the slope `k = -D / s`, and rays are paraxial.
+    depth_range : (float, float), optional
+        First and last plane, from the native plane, positive towards the objective: [um], or as
+        slopes k. By default as far to both sides as a pixel averages over less than a pitch.
+    planes : int
+    steps : int
+        At most; fewer where the residual comes down to the noise of the flat, or hardly falls any
+        more.
+    voxels : int
+        Along each side of a microlens.
+    start : Volume, optional
+        Of the frame before, on the same grid: fewer steps are needed.
+    progress : callable, optional
+        Called after each step with the number of steps done and `steps`.
+
+    Returns
+    -------
+    Volume
+
+    Raises
+    ------
+    ValueError
+        An argument is out of range, or all planes lie where nothing is resolved.
+    FlatError, CalibrationError
+        As for `render`.
+
+    Examples
+    --------
+    >>> import numpy as np, lfrender
+    >>> from lfcal import Calibration, Lattice
+    >>> camera = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (100, 80), 9))
+    >>> flat = np.full((80, 100), 0.5, np.float32)
+    >>> lfrender.reconstruct_volume(flat, camera, depth_range=(-4, 4), planes=3, steps=2).fit.steps
+    2
+    """
+    pixels = check_flat(flat, calibration)
+    for name, value, least in (("planes", planes, 2), ("steps", steps, 1), ("voxels", voxels, 2)):
+        if int(value) != value or value < least:
+            raise ValueError(f"{name} must be a whole number of at least {least}, got {value}")
+    optics = microscope or Microscope()
+    check_type(optics, Microscope, "microscope", "lfrender.volume.microscope.Microscope is one")
+    lattice = calibration.lattice
+    scale = optics.scale(_rim_radius(calibration), lattice.pitch)
+    grey = _to_light(pixels, calibration)
+    used = choose_pixels(grey, calibration, scale.flat_radius, scale.pupil_radius)
+    if not used.values.any():
+        raise ValueError("flat is dark: no pixel within a microimage has a value above 0")
+    depths = _depths(depth_range, planes, scale, lattice.pitch, used.reach)
+    slopes = depths * scale.slope_per_depth
+    grid = VoxelGrid.over(lattice, slopes, voxels, used.reach)
+    shape = (planes, *grid.inner)
+    if start is not None:
+        check_type(start, Volume, "start", "reconstruct_volume makes one")
+    if start is not None and (start.data.shape != shape or not np.allclose(start.slopes, slopes)):
+        raise ValueError("start must be a volume on the same grid: of the same camera, depth_range, planes and voxels")
+    projector = grid.projector(used, lattice, scale)
+    before = None if start is None else grid.pad(start.data)
+    variance = measure_variance(grey, calibration)
+    found, fit = deconvolve(projector, used, variance, steps, before, progress)
+    blur_planes(found, grid.null_space(used, lattice))
+    data = grid.crop(found)
+    spacing = grid.spacing * scale.pixel
+    first = grid.first * scale.pixel
+    return Volume(
+        data,
+        (float(depths[1] - depths[0]), spacing, spacing),
+        (float(depths[0]), first, first),
+        scale.unit,
+        slopes,
+        lattice.pitch * scale.pixel,
+        fit,
+        _warnings(data, optics, calibration),
+    )
+
+
+def _to_light(pixels: NDArray, calibration: Calibration) -> NDArray[np.float32]:
+    """(H, W) mean over the channels, as floats that are 1 at white.
+
+    Flats of 8 bits are taken for linear, as sensors of microscopes give them, unless the camera
+    tells otherwise.
+    """
+    light = pixels.astype(np.float32)
+    if pixels.dtype.kind != "f":
+        light /= np.float32(np.iinfo(pixels.dtype).max)
+    if calibration.encoded:
+        light *= light
+    return light.mean(2, dtype=np.float32)
+
+
+def _rim_radius(calibration: Calibration) -> float:
+    """Radius [px] at which a microimage has half the light of its middle; at most half the
+    pitch."""
+    lattice = calibration.lattice
+    if calibration.vignetting is None:
+        return lattice.radius
+    radii = np.arange(0.0, lattice.pitch / 2, 0.05)
+    lit = calibration.vignetting.at(radii) >= 0.5
+    return float(radii[lit].max(initial=lattice.radius))
+
+
+def _depths(
+    given: tuple[float, float] | None, planes: int, scale: Scale, pitch: float, reach: float
+) -> NDArray[np.float64]:
+    """(planes,) depth of each plane."""
+    widest = _DEFAULT_REACH * pitch / scale.slope_per_depth
+    first, last = (-widest, widest) if given is None else (float(end) for end in given)
+    if not (np.isfinite([first, last]).all() and first < last):
+        given_ends = f"{first:g} and {last:g}"
+        raise ValueError(f"depth_range must be two numbers, the smaller first, got {given_ends}")
+    farthest = max(abs(first), abs(last)) * scale.slope_per_depth
+    if farthest * reach < pitch / 2:
+        unit = " um" if scale.unit == "um" else ""
+        least = pitch / (2 * reach) / scale.slope_per_depth
+        raise ValueError(
+            f"depth_range lies within {least:.3g}{unit} of the native plane, where one place is "
+            "resolved for each microlens ('lfrender render --traditional' draws it); give a wider one"
+        )
+    if farthest > 4 * pitch:
+        unit = "um" if scale.unit == "um" else "(slopes k)"
+        limit = 4 * pitch / scale.slope_per_depth
+        raise ValueError(
+            f"depth_range reaches {first:g} to {last:g} {unit}, but beyond {limit:.3g} a pixel "
+            "averages over four microlenses; give a narrower one, or check the optics"
+        )
+    return np.linspace(first, last, planes)
+
+
+def _warnings(
+    data: NDArray[np.float32],
+    optics: Microscope,
+    calibration: Calibration,
+) -> tuple[str, ...]:
+    """What a user should know before relying on a volume."""
+    warnings = list(calibration.warnings)
+    if not optics.metric:
+        missing = f"without {optics.missing()} the volume is in pixels of the flat, its depth in slopes k = -D / s"
+        if optics.na is None:
+            missing += ", and rays are paraxial: at a high NA, depths are bent"
+        warnings.append(missing)
+    if calibration.gain_map is None and calibration.vignetting is None:
+        warnings.append("the camera does not know the light of its microimages; calibrate it on a white image")
+    light = data.sum((1, 2), dtype=float)
+    much = _MUCH_LIGHT * np.median(light)
+    ends = [name for name, at in (("first", 0), ("last", -1)) if light[at] > much]
+    if ends:
+        where = " and the ".join(ends)
+        warnings.append(f"much light lies on the {where} plane: the specimen may reach beyond the range")
+    return tuple(warnings)

@@ -1,0 +1,141 @@
+"""Richardson-Lucy deconvolution (Richardson 1972, Lucy 1974), weighted by light, until the noise of
+the flat is met.
+
+The volume that makes the flat most likely under photon noise is approached in steps that keep it
+positive:
+
+    V <- V * A^T(w y / (w A V)) / A^T(w),
+
+with the flat y, the forward model A and the light w of its pixels. Later steps fit noise. They end
+where the misfit is that of the noise (discrepancy principle of Morozov), or where it hardly falls
+any more, since the model has errors too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from .pixels import FlatPixels
+from .projection import Projector
+
+__all__ = ["Fit", "deconvolve"]
+
+#: Misfit, in variances of the noise, is said to hardly fall any more if a step lowers it by less
+#: than this share. Ray-traced shells: correlation with the truth 0.88 at 0.02, 0.89 at 0.01, at
+#: twice the steps.
+_LEAST_GAIN = 0.01
+#: Steps before which directions are not balanced, and after which they stay as they are.
+_BALANCED_STEPS = range(2, 7)
+# Voxels seen with less than this share of the light of the best seen one of their plane stay 0.
+_LEAST_SEEN = 1e-3
+# Of the mean light of a direction: that much evidence for 1 is added to each, so that dark
+# directions stay near 1.
+_PRIOR = 0.1
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well the flat that a volume predicts agrees with the flat that was taken.
+
+    Parameters
+    ----------
+    residual : float
+        RMS of the difference, over the RMS of the flat.
+    noise : float
+        The same of the noise of the flat alone.
+    steps : int
+    reason : str
+        Why there were no more steps.
+
+    Examples
+    --------
+    >>> from lfrender.volume.richardson_lucy import Fit
+    >>> Fit(0.05, 0.04, 30, "the residual hardly falls any more").steps
+    30
+    """
+
+    residual: float
+    noise: float
+    steps: int
+    reason: str
+
+
+def deconvolve(
+    projector: Projector,
+    pixels: FlatPixels,
+    variance: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    steps: int,
+    start: NDArray[np.float32] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[NDArray[np.float32], Fit]:
+    """The volume (n, h, w) that the pixels show, before the last box of the projector smooths it,
+    and the fit.
+
+    `variance` is that of pixels with the given values; `start` the volume before the first step, an
+    even one by default; `progress` is called after each of at most `steps` steps.
+    """
+    values, light = pixels.values, pixels.light
+    norm = _seen(projector, light)
+    mean = float(values.sum(dtype=float) / light.sum(dtype=float))
+    volume = np.full(norm.shape, max(mean, 1e-12) / len(norm), np.float32)
+    if start is not None:
+        np.maximum(start, _LEAST_SEEN * volume, out=volume)
+    volume[norm == 0] = 0
+    floor = np.float32(1e-6 * max(mean, 1e-12))
+    reason = f"{steps} steps were done"
+    before = np.inf
+    done = 0
+    for done in range(1, steps + 1):
+        predicted = np.maximum(light * projector.forward(volume), floor)
+        if done in _BALANCED_STEPS:
+            balance = _balance_directions(pixels, predicted)
+            light = light * balance
+            predicted *= balance
+            norm = _seen(projector, light)
+        misfit = float(np.mean((values - predicted) ** 2 / variance(predicted), dtype=float))
+        if misfit <= 1:
+            reason = "the residual is that of the noise"
+            break
+        if done > _BALANCED_STEPS.stop and misfit > (1 - _LEAST_GAIN) * before:
+            reason = "the residual hardly falls any more"
+            break
+        before = misfit
+        projector.multiply(volume, light * values / predicted, norm)
+        if progress is not None:
+            progress(done, steps)
+    else:
+        predicted = light * projector.forward(volume)
+    size = float(np.sqrt(np.mean(values**2, dtype=float)))
+    residual = float(np.sqrt(np.mean((values - predicted) ** 2, dtype=float)))
+    noise = float(np.sqrt(np.mean(variance(predicted), dtype=float)))
+    return volume, Fit(residual / size, noise / size, done, reason)
+
+
+def _seen(projector: Projector, light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Light that each voxel gives to the flat; 0 where that is next to nothing."""
+    norm = projector.adjoint(light)
+    least = _LEAST_SEEN * norm.max(axis=(1, 2), keepdims=True)
+    norm[norm < least] = 0
+    return norm
+
+
+def _balance_directions(pixels: FlatPixels, predicted: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(p,) factor for the light of each pixel, alike in all microimages.
+
+    Summed over all lenses, every direction sees the same light of a specimen. Where the flat and
+    its prediction differ in that sum, the white image was lit otherwise than the specimen lights
+    the aperture, as by the longer way of slanted rays through a volume.
+    """
+    count = pixels.side**2
+    shape = (pixels.side, pixels.side)
+    taken = np.bincount(pixels.bins, pixels.values, count).reshape(shape)
+    expected = np.bincount(pixels.bins, predicted, count).reshape(shape)
+    used = np.bincount(pixels.bins, minlength=count) > 0
+    evidence = _PRIOR * expected.sum() / used.sum()
+    ratio = (uniform_filter(taken, 3) + evidence) / (uniform_filter(expected, 3) + evidence)
+    return ratio.ravel()[pixels.bins].astype(np.float32)
