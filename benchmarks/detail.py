@@ -26,7 +26,7 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import resample
 from lfrender.data.depth_map import default_scale
-from lfrender.detail.blur import sure_discs
+from lfrender.detail.blur import choose_blur, sure_discs
 
 from .pictures import _SCENES, _SIZE
 from .truth_flats import _REFERENCE, SCALES
@@ -158,7 +158,7 @@ def _rows(case: _Case) -> Iterator[str]:
         plain = [_psnr(images[0], wanted, mask) for mask in masks]
         gained = [_psnr(images[1], wanted, mask) - before for mask, before in zip(masks, plain, strict=True)]
         ratio = float(np.nanmedian(depth.patch_size)) / pitch
-        disc = float(sure_discs(case.camera, np.array([ratio])).mean())
+        disc = float(sure_discs(choose_blur(case.camera, depth), np.array([ratio])).mean())
         others = _baselines(images[0], disc * scale / (abs(ratio) * pitch))
         gained += [_psnr(other, wanted, masks[0]) - plain[0] for other in others]
         cells = ["" if np.isnan(gain) else f"{gain:+.2f}" for gain in gained]
