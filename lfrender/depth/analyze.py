@@ -113,5 +113,4 @@ def analyze(
     if inside is not None:
         depth = embed_region(depth, small_part, small, inside)
     depth = rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
-    blur = find_lens_blur(lambda p: flat[p[1] : p[3], p[0] : p[2]], calibration, depth.patch_size)
-    return replace(depth, lens_blur=blur)
+    return replace(depth, lens_blur=find_lens_blur(flat, (0, 0), calibration, depth.patch_size))

@@ -21,9 +21,9 @@ __all__ = [
 ]  # fmt: skip
 
 #: [px] Disc of the largest patches where the camera file does not tell it: eleven ray-traced flats have 2.4 to 6 px.
-TYPICAL_DISC = 2.0
-#: [px^2] Area of the square that blurs as much as what `prefilter_flat` leaves of bilinear interpolation.
-READING = 0.3
+TYPICAL_DISC = 2.2
+#: [px^2] The same for interpolation, which `prefilter_flat` does not undo at high frequencies; discs hide it.
+READING = 0.35
 
 
 def choose_blur(calibration: Calibration, depth: DepthMap) -> LensBlur | None:
@@ -52,8 +52,8 @@ def squares_to_average(
 
     Pixels, discs and reading have averaged the rest already. By least squares for scenes whose power falls with the
     third power of frequency, the square is `(L - v) (1 + v / 3 L)`: `L` is the pixel's own area less that of a pixel of
-    the flat, and `v` the area of the square with the variance of the discs. That was found for pixels of 1.2 to 8 px
-    and discs up to 4 px. `full` is the scale of the largest patches, whose disc is `TYPICAL_DISC` if nothing tells it.
+    the flat, and `v` the area of the square that blurs as the discs do. That was found for pixels of 1.2 to 8 px and
+    discs up to 4 px. `full` is the scale of the largest patches, whose disc is `TYPICAL_DISC` if nothing tells it.
     """
     pitch = calibration.lattice.pitch
     discs = np.abs(ratios)[None] * (TYPICAL_DISC * pitch / full)
@@ -65,7 +65,7 @@ def squares_to_average(
         shares = np.stack([np.interp(ratios, WEIGHT_RATIOS, one) for one in weights])
     else:
         shares = np.ones(discs.shape)
-    averaged = READING + 0.75 * (shares * discs**2).sum(0) / shares.sum(0)
+    averaged = np.maximum(0.7 * (shares * discs**2).sum(0) / shares.sum(0), READING)
     left = np.maximum((ratios * pitch / scale) ** 2 - 1, 1e-9)
     return np.asarray(np.maximum(left - averaged, 0) * (1 + averaged / (3 * left)))
 

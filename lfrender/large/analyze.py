@@ -33,7 +33,7 @@ from ..flat.texture import estimate_noise, find_texture, sample_statistics
 from ..flat.validation import match_exposure
 from ..runtime.choices import Preset, Shortcut, check_choice
 from ..sequence.workers import Workers
-from .tiles import LensTile, Rectangle, TileReader, lens_tiles, lens_windows
+from .tiles import LensTile, TileReader, lens_tiles, lens_windows
 
 __all__ = ["analyze_large"]
 
@@ -117,10 +117,8 @@ def _find_lens_blur(reader: TileReader, calibration: Calibration, depth: DepthMa
     centres = calibration.lattice.centres()
     inside = ((centres > low) & (centres < high)).all(1)
 
-    def look(part: Rectangle) -> NDArray[Any]:
-        return pixels[part[1] - top : part[3] - top, part[0] - left : part[2] - left]
-
-    return find_lens_blur(look, calibration, np.where(inside, depth.patch_size, np.float32(np.nan)))
+    sizes = np.where(inside, depth.patch_size, np.float32(np.nan))
+    return find_lens_blur(pixels, (left, top), calibration, sizes)
 
 
 @dataclass(frozen=True)

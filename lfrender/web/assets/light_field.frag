@@ -261,7 +261,7 @@ void main() {
   float s = sizeAt(X), side = abs(s) * spacing / pitch, left = max(side * side - 1.0, 0.0);
   if (left > 0.0 && !crossesEdge(X, s)) {
     // As `squares_to_average` of the renderer.
-    float wide = disc.x * s + disc.y, averaged = reading + 0.75 * wide * wide;
+    float wide = disc.x * s + disc.y, averaged = max(0.7 * wide * wide, reading);
     left = max(left - averaged, 0.0) * (1.0 + averaged / (3.0 * left));
   }
   int across = left < 0.25 ? 1 : int(ceil(sqrt(left / 1.5 + 1.0)));
