@@ -227,11 +227,12 @@ def measure_lens_blur(
 
     Examples
     --------
+    On this small flat, too few lenses show the same place.
+
     >>> import lfrender
     >>> flat, camera, depth = lfrender.data.example()
     >>> grey = (flat.mean(2) / 255) ** 2
-    >>> blur = measure_lens_blur(lambda p: grey[p[1] : p[3], p[0] : p[2]], camera, depth.patch_size, 9.0)
-    >>> bool((blur.discs >= 0).all())
+    >>> measure_lens_blur(lambda p: grey[p[1] : p[3], p[0] : p[2]], camera, depth.patch_size, 9.0) is None
     True
     """
     pitch, types, rims = calibration.lattice.pitch, calibration.lens_types, calibration.lens_blur

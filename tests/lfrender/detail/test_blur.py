@@ -40,8 +40,8 @@ def test_an_output_pixel_is_averaged_over_its_own_area_less_what_the_lens_averag
     ratio = np.array([-0.3])
     whole, less = (float(squares_to_average(camera(), blur, ratio, 2.25, 9.0)[0]) for blur in (sharp, blurred))
     assert whole == pytest.approx(4**2 - 1, abs=0.4)
-    # A disc of 4 px has the variance of a square of 12 px^2.
-    assert 2.0 < less < 4.5
+    # A disc of 4 px counts as a square of 11.2 px^2.
+    assert 4.0 < less < 5.5
 
 
 def test_what_is_averaged_changes_steadily_with_the_scale():
