@@ -56,6 +56,8 @@ def _random_cases(first: int, last: int) -> Iterator[_Known]:
         distance = 1 / (1 / np.array(camera.microlens_focal_lengths) - 1 / camera.sensor_distance)
         slope = camera.sensor_distance / camera.mla_distance
         focus = (camera.sensor_distance / distance - slope) / (1 + slope)
+        # As lens types are ordered: from focus at the largest patches to that at the smallest.
+        focus = focus[np.argsort(-np.abs(focus))]
         yield _Known(name, shot.flat, shot.white, camera.fill * lattice.pitch, focus)
 
 

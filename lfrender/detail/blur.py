@@ -13,7 +13,7 @@ from scipy.special import j1
 from lfcal import Calibration, LensBlur
 
 from ..data.depth_map import DepthMap
-from ..flat.lens_type_weights import WEIGHT_RATIOS, focus_weights
+from ..flat.lens_type_weights import type_shares
 
 __all__ = [
     "READING", "TYPICAL_DISC", "choose_blur", "disc_transfer", "interpolation_transfer", "squares_to_average",
@@ -60,12 +60,8 @@ def squares_to_average(
     if blur is not None:
         found, errors = blur.at(ratios)
         discs = np.where(errors < TYPICAL_DISC / 2, found, discs)
-    weights = focus_weights(calibration.lens_types)[1]
-    if len(weights) == len(discs):
-        shares = np.stack([np.interp(ratios, WEIGHT_RATIOS, one) for one in weights])
-    else:
-        shares = np.ones(discs.shape)
-    averaged = np.maximum(0.7 * (shares * discs**2).sum(0) / shares.sum(0), READING)
+    shares = type_shares(calibration.lens_types, ratios, len(discs))
+    averaged = np.maximum(0.7 * (shares * discs**2).sum(0), READING)
     left = np.maximum((ratios * pitch / scale) ** 2 - 1, 1e-9)
     return np.asarray(np.maximum(left - averaged, 0) * (1 + averaged / (3 * left)))
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, LensBlur
 
-from ..flat.lens_type_weights import focus_weights
+from ..flat.lens_type_weights import type_shares
 from .blur import disc_transfer, interpolation_transfer, squares_to_average, sure_discs
 
 __all__ = ["SMOOTHING", "DetailFilters", "make_filters"]
@@ -130,10 +130,7 @@ class _Levels:
         lattice, size = calibration.lattice, np.abs(ratios)
         grown = scale / (size * lattice.pitch)
         discs = sure_discs(blur, ratios).T * grown[:, None]
-        weights = focus_weights(calibration.lens_types)[1]
-        at = np.rint((np.clip(ratios, -1, 1) + 1) / 2 * (weights.shape[1] - 1)).astype(int)
-        shares = weights[:, at].T.astype(float) if len(weights) == discs.shape[1] else np.ones(discs.shape)
-        shares /= shares.sum(1, keepdims=True)
+        shares = type_shares(calibration.lens_types, ratios, discs.shape[1]).T
         averaged = _averaged_views(size, calibration, reach)
         apart = np.sqrt(squares_to_average(calibration, blur, ratios, scale, full)) * grown
         even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)

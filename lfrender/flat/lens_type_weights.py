@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lfcal import LensTypes
 
-__all__ = ["WEIGHT_RATIOS", "focus_weights"]
+__all__ = ["WEIGHT_RATIOS", "focus_weights", "type_shares"]
 
 #: The `s / D` at which weights are tabulated.
 WEIGHT_RATIOS = np.linspace(-1, 1, 401)
@@ -26,3 +26,12 @@ def focus_weights(types: LensTypes | None) -> tuple[NDArray[np.int8], NDArray[np
     distance = np.abs(WEIGHT_RATIOS - types.focus[:, None]) + _SHARP
     # Writable as above: for read-only arrays, kernels are compiled anew.
     return types.cell.copy(), ((distance.min(0) / distance) ** 2).astype(np.float32)
+
+
+def type_shares(types: LensTypes | None, ratios: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """(count, n) shares of the types in pictures at these `s / D`, whose sum is 1; alike if they have equal weight."""
+    weights = focus_weights(types)[1]
+    if len(weights) != count:
+        return np.full((count, len(ratios)), 1 / count)
+    shares = np.stack([np.interp(ratios, WEIGHT_RATIOS, one) for one in weights])
+    return shares / shares.sum(0)
