@@ -23,10 +23,10 @@ from scipy.ndimage import distance_transform_edt
 
 import lfcal
 import lfrender
-from data_synth import SCENES, Camera, simulate
+from data_synth import SCENES, Camera, Capture, simulate
 from data_synth.metrics import resample
 from lfrender.data.depth_map import default_scale
-from lfrender.detail.blur import sure_discs
+from lfrender.detail.blur import choose_blur, sure_discs
 
 from .pictures import _SCENES, _SIZE
 from .truth_flats import _REFERENCE, SCALES
@@ -35,7 +35,7 @@ _RESOLVABLE = 0.75
 _LEAST_PIXELS = 500  # of a class, below which its figure is left out
 
 
-class _Case(NamedTuple):
+class Case(NamedTuple):
     name: str
     flat: NDArray[Any]
     camera: lfcal.Calibration
@@ -44,26 +44,27 @@ class _Case(NamedTuple):
     size: NDArray[np.float32]  # true patch size on the grid of the reference
 
 
-def _truth_cases(folder: Path) -> Iterator[_Case]:
+def truth_cases(folder: Path) -> Iterator[Case]:
     for path in sorted(folder.iterdir()):
         if path.is_dir():
             flat, reference = lfcal.read_flat(path / "flat.png"), lfcal.read_flat(path / "reference.png")
             size = np.load(path / "reference_depth.npz")["disparity_px"].astype(np.float32)
-            yield _Case(path.name, flat, lfcal.calibrate(flat), reference, _REFERENCE, size)
+            yield Case(path.name, flat, lfcal.calibrate(flat), reference, _REFERENCE, size)
 
 
-def _simulated_cases() -> Iterator[_Case]:
+def _simulated_cases() -> Iterator[Case]:
     for name, how in _SCENES.items():
         camera = Camera.design(size=_SIZE, **how.camera)
         shot = simulate(SCENES[how.scene](camera, **how.arguments), camera, samples=64, seed=7, **how.stored)
         truth = shot.truth
         found = lfcal.calibrate(shot.white, kind="white")
-        yield _Case(
+        yield Case(
             name, shot.flat, found, truth.reference, truth.reference_affine, truth.reference_patch_size.astype("f4")
         )
 
 
-def _random_case(seed: int, quality: int | None = None) -> _Case:
+def random_shot(seed: int) -> tuple[str, Camera, Capture]:
+    """Name, camera and capture of a random scene before a random camera."""
     rng = np.random.default_rng(seed)
     kind = ("plane", "slope", "house", "clutter", "plane", "slope", "clutter")[seed % 7]
     several = seed % 7 >= 4 and seed % 2 == 0
@@ -80,10 +81,16 @@ def _random_case(seed: int, quality: int | None = None) -> _Case:
     well = np.exp(rng.uniform(np.log(600), np.log(30000)))
     form: dict[str, Any] = {"bits": 16, "gamma": False} if seed % 5 == 3 else {}
     shot = simulate(scene, camera, samples=96, seed=seed, noise=(well, 5), **form)
-    flat, reference, name = shot.flat, shot.truth.reference, f"{seed}: {kind}, D = {pitch:.0f} px"
+    return f"{seed}: {kind}, D = {pitch:.0f} px" + (", three types" if several else ""), camera, shot
+
+
+def random_case(seed: int, quality: int | None = None) -> Case:
+    """The capture of `random_shot`, of some seeds as JPEG or in gray."""
+    name, _, shot = random_shot(seed)
+    flat, reference = shot.flat, shot.truth.reference
     if seed % 4 == 1:
         quality = quality or (50, 75)[seed // 4 % 2]
-    if quality and not form:
+    if quality and flat.dtype == np.uint8:
         coded = cv2.imencode(".jpg", flat[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         flat = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))[..., ::-1]
         name += f", JPEG {quality}"
@@ -91,10 +98,10 @@ def _random_case(seed: int, quality: int | None = None) -> _Case:
         flat, reference = (np.rint(np.mean(one, 2)).astype(one.dtype) for one in (flat, reference))
         name += ", gray"
     found, size = lfcal.calibrate(shot.white, kind="white"), shot.truth.reference_patch_size.astype("f4")
-    return _Case(name + ", three types" * several, flat, found, reference, shot.truth.reference_affine, size)
+    return Case(name, flat, found, reference, shot.truth.reference_affine, size)
 
 
-def _classes(case: _Case, wanted: NDArray[Any], inside: NDArray[np.bool_], picture: lfrender.Rendering) -> list[Any]:
+def _classes(case: Case, wanted: NDArray[Any], inside: NDArray[np.bool_], picture: lfrender.Rendering) -> list[Any]:
     """Masks: all, beside depth edges, blank, and the border, which the others leave out."""
     shape, pitch = picture.image.shape[:2], case.camera.lattice.pitch
     v, u = np.mgrid[: shape[0], : shape[1]]
@@ -142,7 +149,7 @@ def _baselines(image: NDArray[Any], diameter: float) -> list[NDArray[Any]]:
     return [np.stack(one, -1) for one in found] + [restoration.denoise_tv_chambolle(image, 0.01, channel_axis=-1)]
 
 
-def _rows(case: _Case) -> Iterator[str]:
+def _rows(case: Case) -> Iterator[str]:
     depth = lfrender.analyze(case.flat, case.camera)
     pitch = case.camera.lattice.pitch
     for scale in (*(share * pitch for share in SCALES), default_scale(depth)):
@@ -158,7 +165,7 @@ def _rows(case: _Case) -> Iterator[str]:
         plain = [_psnr(images[0], wanted, mask) for mask in masks]
         gained = [_psnr(images[1], wanted, mask) - before for mask, before in zip(masks, plain, strict=True)]
         ratio = float(np.nanmedian(depth.patch_size)) / pitch
-        disc = float(sure_discs(case.camera, np.array([ratio])).mean())
+        disc = float(sure_discs(choose_blur(case.camera, depth), np.array([ratio])).mean())
         others = _baselines(images[0], disc * scale / (abs(ratio) * pitch))
         gained += [_psnr(other, wanted, masks[0]) - plain[0] for other in others]
         cells = ["" if np.isnan(gain) else f"{gain:+.2f}" for gain in gained]
@@ -166,10 +173,10 @@ def _rows(case: _Case) -> Iterator[str]:
 
 
 def _main() -> None:
-    cases = _truth_cases(Path(sys.argv[1])) if sys.argv[1:] else _simulated_cases()
+    cases = truth_cases(Path(sys.argv[1])) if sys.argv[1:] else _simulated_cases()
     if len(sys.argv) > 2:
         first, end, *quality = map(int, sys.argv[1:])
-        cases = (_random_case(seed, *quality) for seed in range(first, end))
+        cases = (random_case(seed, *quality) for seed in range(first, end))
     columns = "scene", "pixels per pitch", "off [dB]", "natural", "edges", "blank", "border"
     print(f"| {' | '.join((*columns, 'Wiener', 'R.-L.', 'TV'))} |\n|{'---|' * 10}")
     for case in cases:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .images.stream import FlatSource, open_flat, subtract_dark
     from .lattice.lattice import Lattice
     from .lattice.stated import state_lattice
+    from .lens_blur.captures import measure_lens_blur
     from .metric.calibrate import calibrate_metric, locate_board
     from .metric.result import BoardPose, MetricCalibration
     from .pipeline import calibrate
@@ -27,8 +28,8 @@ __all__ = [
     "Assessment", "Board", "BoardError", "BoardPose", "Calibration", "CalibrationError", "CameraCheck",
     "CameraFileError", "Finding", "FlatError", "FlatSource", "Lattice", "LensBlur", "LensTypes", "LightFieldError",
     "MetricCalibration", "Optics", "OutputError", "assess", "calibrate", "calibrate_metric", "check_camera",
-    "check_fit", "compare", "count_pages", "load", "locate_board", "open_flat", "read_flat", "show",
-    "state_lattice", "subtract_dark",
+    "check_fit", "compare", "count_pages", "load", "locate_board", "measure_lens_blur", "open_flat", "read_flat",
+    "show", "state_lattice", "subtract_dark",
 ]  # fmt: skip
 
 # Imported at first use, since `--help` needs none of it. No module may bear the name of a function here, or importing
@@ -48,6 +49,7 @@ _HOMES = {
     "images.stream": ("FlatSource", "open_flat", "subtract_dark"),
     "lattice.lattice": ("Lattice",),
     "lattice.stated": ("state_lattice",),
+    "lens_blur.captures": ("measure_lens_blur",),
     "metric.calibrate": ("calibrate_metric", "locate_board"),
     "metric.result": ("BoardPose", "MetricCalibration"),
     "pipeline": ("calibrate",),

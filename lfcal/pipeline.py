@@ -112,6 +112,10 @@ def calibrate(
     camera = replace(camera, white_level=estimate_white_level(flats), mosaic=mosaic)
     for flat in flats:
         camera = camera.with_mosaic_of(flat)
+    if camera.source == "white" and camera.confidence >= SURE_CONFIDENCE:
+        from .lens_blur.rims import measure_rims
+
+        camera = replace(camera, lens_blur=measure_rims(flats[0], camera))
     return camera
 
 

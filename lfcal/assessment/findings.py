@@ -13,8 +13,8 @@ from ..camera.calibration import Calibration
 from ..gain.gain_map import nearest_half
 from ..images.preprocessing import luminance
 from ..images.stack import estimate_white_level, measure_overexposure
+from ..lens_blur.microimages import MicroimageField
 from .alignment import Alignment
-from .microimages import MicroimageField
 from .result import Finding
 
 __all__ = ["FINDINGS", "Seen", "find_exposure", "find_rotation", "find_tilt", "unmeasured"]
@@ -135,6 +135,8 @@ def _find_distance(seen: Seen) -> Finding:
     A microlens of the aperture `A` that is focused at `s` blurs the pupil over a disc of the diameter `A |s| / D`.
     """
     pitch, blurs, known = seen.camera.lattice.pitch, seen.field.blur, seen.camera.lens_blur
+    if known is not None and not known.tells_aperture:
+        known = None
     value, error = (float(np.mean([getattr(blur, name) for blur in blurs])) for name in ("value", "error"))
     aperture = pitch if known is None else known.aperture
     sizes = [blur.value * pitch / aperture for blur in blurs]

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from ..camera.calibration import Calibration
 from ..images.stack import check_flats
+from ..lens_blur.microimages import measure_microimages
 from ..pipeline import SURE_CONFIDENCE, calibrate
 from ..runtime.errors import FlatError
 from .alignment import measure_alignment
 from .findings import FINDINGS, Seen, find_rotation, unmeasured
-from .microimages import measure_microimages
 from .result import Assessment, Finding
 
 __all__ = ["assess"]

@@ -90,10 +90,11 @@ class LensTypes(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class LensBlur(Frozen):
-    """Discs of defocus of the microlenses at some depths, and the aperture and focus that explain them.
+    """The disc over which each type of microlens blurs, at any depth.
 
-    A microlens blurs a place of patch size `s` over a disc of `A |s / D - f|`. On a flat of one depth the disc is known
-    much better than aperture and focus.
+    A microlens with the aperture `A` that is in focus at `s / D = f` blurs a place of patch size `s` over a disc with
+    the diameter `A |s / D - f|`. The rims of microimages are images of the main lens' pupil, which lies at `s = 0`:
+    their blur is the disc there.
 
     Parameters
     ----------
@@ -102,15 +103,16 @@ class LensBlur(Frozen):
     focus, focus_error : (types,) float64 [s / D]
         Where each type is in focus, `f`.
     ratios : (depths,) float64
-        `s / D` at which discs were measured.
+        `s / D` at which discs were measured; 0 for rims.
     discs, disc_errors : (types, depths) float64 [px]
         Diameters of the discs and their standard errors.
 
     Examples
     --------
-    >>> blur = LensBlur(6.0, 1.2, [0.1], [0.1], [-0.3], [[2.4]], [[0.2]])
-    >>> blur.discs.shape
-    (1, 1)
+    >>> rims = LensBlur(6.0, 1.2, [0.1], [0.1], [0.0], [[0.6]], [[0.2]])
+    >>> discs, errors = rims.at([-0.3, 0.1])
+    >>> discs.round(2), errors.round(2)
+    (array([[2.4, 0. ]]), array([[0.41, 0.23]]))
     """
 
     aperture: float
@@ -134,6 +136,25 @@ class LensBlur(Frozen):
             if values.shape != shape or not np.isfinite(values).all() or (name == "disc_errors" and values.min() <= 0):
                 raise ValueError(f"{name} of the blur must be {shape} finite numbers, errors positive, got {values}")
             self._set(**{name: values})
+
+    @property
+    def tells_aperture(self) -> bool:
+        """Whether the aperture is known to half of itself: rims alone do not tell it."""
+        return self.aperture_error < self.aperture / 2
+
+    def at(self, ratios: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(types, n) diameters of the discs at these `s / D` (n,), and their standard errors [px].
+
+        Each is extrapolated by the aperture from the measured disc that leaves the smallest error.
+        """
+        wanted = check_numbers(ratios, "ratios")
+        away = wanted - self.ratios[:, None]
+        known = self.discs * np.sign(self.ratios - self.focus[:, None])
+        discs = known[..., None] + self.aperture * away
+        errors = np.hypot(self.disc_errors[..., None], self.aperture_error * away)
+        nearest = errors.argmin(1)[:, None]
+        found = np.take_along_axis(discs, nearest, 1)[:, 0]
+        return np.abs(found), np.take_along_axis(errors, nearest, 1)[:, 0]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as in a camera file."""

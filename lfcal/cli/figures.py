@@ -5,7 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from ..camera.calibration import Calibration
+    from ..camera.lens_types import LensBlur
     from ..camera.optics import Optics
 
 __all__ = ["describe", "describe_optics", "summarise"]
@@ -64,8 +67,23 @@ def summarise(camera: Calibration) -> list[str]:
     lenses = f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
     sentences = [f"{lenses}: a {shape} lattice turned by {rotation:.2f} degrees.", f"{told}."]
     if camera.lens_blur is not None:
-        discs, ratios = camera.lens_blur.discs, camera.lens_blur.ratios
-        wide = f"{discs.min():.1f} to {discs.max():.1f}" if discs.size > 1 else f"{discs.min():.1f}"
-        depths = f"from {ratios.min():.2f} to {ratios.max():.2f}" if len(ratios) > 1 else f"= {ratios[0]:.2f}"
-        sentences.append(f"Microlenses blur over discs of {wide} px at s / D {depths}.")
+        sentences.append(_describe_blur(camera.lens_blur))
     return sentences
+
+
+def _describe_blur(blur: LensBlur) -> str:
+    """Where the microlenses are in focus, and how wide their discs are, by lens type."""
+    if not blur.tells_aperture:
+        ratio = float(min(blur.ratios, key=abs))
+        where = "Rims of microimages" if ratio == 0 else f"Places at s = {ratio:.2f} D"
+        discs = _list_types(f"{disc:.1f}" for disc in blur.at([ratio])[0][:, 0])
+        return f"{where} are blurred over {discs} px; what microlenses blur elsewhere is measured on each capture."
+    ratio = float(max(blur.ratios, key=lambda one: abs(one - blur.focus).max()))
+    foci = _list_types(f"{focus:.2f}" for focus in blur.focus)
+    discs = _list_types(f"{disc:.1f}" for disc in blur.at([ratio])[0][:, 0])
+    return f"Microlenses are in focus at s = {foci} D; their blur is {discs} px at {ratio:.2f} D."
+
+
+def _list_types(figures: Iterable[str]) -> str:
+    """Figures of the lens types, in their order."""
+    return " / ".join(figures)

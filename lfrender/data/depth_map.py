@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Calibration, CalibrationError, FlatSource, LightFieldError, Optics
+from lfcal import Calibration, CalibrationError, FlatSource, LensBlur, LightFieldError, Optics
 from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 from lfcal.runtime.output_file import atomic_write
@@ -108,6 +109,9 @@ class DepthMap(Frozen):
         Fingerprint of the flat that it was made from; None where that is unknown.
     centres : (n, 2) float32 [px] or None
         Of the microimages, for plots; None in files of earlier versions.
+    lens_blur : LensBlur or None
+        Discs of the microlenses as the capture shows them (`lfcal.measure_lens_blur`), None where the camera file tells
+        them or too few lenses show the same place.
 
     Examples
     --------
@@ -132,6 +136,7 @@ class DepthMap(Frozen):
     frame_state: FrameState = field(default_factory=FrameState, repr=False, compare=False)
     flat_samples: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
     centres: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
+    lens_blur: LensBlur | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_type(self.surface, Surface, "surface", "lfrender.data.surface.Surface makes one")
@@ -267,6 +272,8 @@ class DepthMap(Frozen):
         values = {name: value for name in (*_SAVED, *_OPTIONAL) if (value := getattr(self, name)) is not None}
         values |= {"drawn": self.filled_patch_size, "surface": surface.patch_size, "surface_first": surface.first}
         values |= {"saved_by": np.array(list(saved), str), "saved": np.array(list(saved.values()), np.float64)}
+        if self.lens_blur is not None:
+            values |= {"lens_blur": json.dumps(self.lens_blur.to_dict())}
         if state.reference is not None and state.kept is not None:
             # Without it, many small changes would pass once the depth has been loaded again.
             values |= {"kept": state.kept, **{f"kept_{name}": of for name, of in state.reference._asdict().items()}}
@@ -289,6 +296,8 @@ class DepthMap(Frozen):
             more: dict[str, Any] = {
                 name: data[name].astype(np.float32) for name in _OPTIONAL if name in data and data[name].size
             }
+            if "lens_blur" in data:
+                more["lens_blur"] = LensBlur.from_dict(json.loads(str(data["lens_blur"])))
             if "kept" in data:
                 reference = LocalMatch(*(data[f"kept_{name}"] for name in LocalMatch._fields))
                 more["frame_state"] = FrameState(reference, data["kept"])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from ..data.depth_map import DepthMap, sample_flat
+from ..flat.lens_blur import find_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from ..runtime.choices import Preset, Shortcut, check_choice
 from .edges.locate_edges import locate_edges
@@ -100,8 +101,9 @@ def analyze(
         if inside is not None:
             raise ValueError("give either roi or previous, not both")
         return replace(
-            update_depth(flat, calibration, preset, shortcuts, edges, *previous), flat_samples=sample_flat(flat)
-        )
+            update_depth(flat, calibration, preset, shortcuts, edges, *previous), flat_samples=sample_flat(flat),
+            lens_blur=previous[-1].lens_blur,
+        )  # fmt: skip
     gray, small, factor = prepare_flat(flat, calibration, preset)
     small_part = small
     if inside is not None:
@@ -110,4 +112,5 @@ def analyze(
     depth = locate_edges(gray, small_part, depth) if edges else depth
     if inside is not None:
         depth = embed_region(depth, small_part, small, inside)
-    return rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
+    depth = rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
+    return replace(depth, lens_blur=find_lens_blur(flat, (0, 0), calibration, depth.patch_size))

@@ -14,10 +14,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration
+from lfcal import Calibration, LensBlur
 
-from ..flat.lens_type_weights import focus_weights
-from .blur import disc_transfer, interpolation_transfer, sure_discs
+from ..flat.lens_type_weights import type_shares
+from .blur import disc_transfer, interpolation_transfer, squares_to_average, sure_discs
 
 __all__ = ["SMOOTHING", "DetailFilters", "make_filters"]
 
@@ -51,19 +51,20 @@ class DetailFilters:
 
 
 def make_filters(
-    calibration: Calibration, noise: float, scale: float, reach: float, blur: float, depths: tuple[float, float],
+    calibration: Calibration, blur: LensBlur | None, noise: float, scale: float, reach: float, full: float,
+    depths: tuple[float, float],
 ) -> DetailFilters:  # fmt: skip
     """The filters for a blended picture of `scale` pixels per pitch whose patch sizes lie between `depths` [px].
 
-    `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged; microlenses average over the
-    share `blur` of a pixel's side already, the picture is averaged over the rest.
+    `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged; `full` is the scale of the
+    largest patches.
     """
     # Filters are computed for 14 powers of detail [white^2] and 16 |s / D| of either sign, and tabulated more finely.
     powers, levels = np.geomspace(1e-8, 0.015, 14), np.geomspace(0.06, 0.8, 16)
     step, per_ratio, per_octave = levels[1] / levels[0], 60.0, 2.0
     of_level = np.concatenate([-levels, levels])
     some = _is_near(of_level, step, np.array(depths) / calibration.lattice.pitch)
-    known, wanted, grain = _Levels.of(of_level[some], noise, calibration, scale, reach, blur).sums()
+    known, wanted, grain = _Levels.of(of_level[some], noise, calibration, blur, scale, reach, full).sums()
     fine = np.arange(round(levels[-1] * per_ratio) + 1) / per_ratio
     at = np.log(np.maximum(fine, levels[0]) / levels[0]) / np.log(step)
     near = np.concatenate([at, at + len(levels)])
@@ -123,17 +124,15 @@ class _Levels:
 
     @classmethod
     def of(
-        cls, ratios: _Table, noise: float, calibration: Calibration, scale: float, reach: float, blur: float
-    ) -> _Levels:
+        cls, ratios: _Table, noise: float, calibration: Calibration, blur: LensBlur | None, scale: float, reach: float,
+        full: float,
+    ) -> _Levels:  # fmt: skip
         lattice, size = calibration.lattice, np.abs(ratios)
         grown = scale / (size * lattice.pitch)
-        discs = sure_discs(calibration, ratios).T * grown[:, None]
-        weights = focus_weights(calibration.lens_types)[1]
-        at = np.rint((np.clip(ratios, -1, 1) + 1) / 2 * (weights.shape[1] - 1)).astype(int)
-        shares = weights[:, at].T.astype(float) if len(weights) == discs.shape[1] else np.ones(discs.shape)
-        shares /= shares.sum(1, keepdims=True)
+        discs = sure_discs(blur, ratios).T * grown[:, None]
+        shares = type_shares(calibration.lens_types, ratios, discs.shape[1]).T
         averaged = _averaged_views(size, calibration, reach)
-        apart = np.sqrt(np.maximum(1 - blur**2 - grown**2, 0.0))
+        apart = np.sqrt(squares_to_average(calibration, blur, ratios, scale, full)) * grown
         even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)
         return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None])
 

@@ -9,21 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-from ..flat.gray_flat import trusted_radius, white_level
+from ..flat.gray_flat import grey_light, trusted_radius
 
-__all__ = ["Look", "is_encoded", "measure_noise"]
+__all__ = ["Look", "measure_noise"]
 
 #: Pixels (h, w, C) of the part `left, top, right, bottom` of a flat.
 Look = Callable[[tuple[int, int, int, int]], NDArray]
-
-
-def is_encoded(dtype: DTypeLike, calibration: Calibration) -> bool:
-    """Whether values are about the square root of light: as the camera file tells, else those of 8 bits are."""
-    return np.dtype(dtype) == np.uint8 if calibration.encoded is None else calibration.encoded
 
 
 def measure_noise(look: Look, calibration: Calibration) -> float:
@@ -40,8 +35,7 @@ def measure_noise(look: Look, calibration: Calibration) -> float:
     if not len(some):
         return 0.0
     boxes = np.stack([look((x - half, y - half, x + half + 1, y + half + 1)) for x, y in some.tolist()])
-    light = boxes / np.float32(white_level(boxes, calibration))
-    grey = (light * light if is_encoded(boxes.dtype, calibration) else light).mean(3, dtype=np.float32)
+    grey = grey_light(boxes, calibration)
     rough = np.diff(np.diff(grey, 2, 1), 2, 2)
     # The sum of the squared weights of both second differences.
     variance = (rough**2).mean((1, 2)) / 6**2 / np.maximum(grey.mean((1, 2)), 0.01)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from lfcal import Calibration, Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
@@ -14,8 +14,8 @@ from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
 
 __all__ = [
-    "GrayFlat", "correction_cell", "correction_tables", "downsample", "downsample_lattice", "has_uneven_lenses",
-    "make_gray_flat", "trusted_radius", "white_level",
+    "GrayFlat", "correction_cell", "correction_tables", "downsample", "downsample_lattice", "grey_light",
+    "has_uneven_lenses", "is_encoded", "make_gray_flat", "trusted_radius", "white_level",
 ]  # fmt: skip
 
 # More would amplify noise at the rim of a microimage rather than the picture.
@@ -211,6 +211,17 @@ def _average_light(light: NDArray[np.float32], factor: int) -> NDArray[np.float3
     height, width = (n // factor for n in light.shape)
     whole = light[: height * factor, : width * factor]
     return np.ascontiguousarray(whole.reshape(height, factor, width, factor).mean((1, 3)))
+
+
+def is_encoded(dtype: DTypeLike, calibration: Calibration) -> bool:
+    """Whether values are about the square root of light: as the camera file tells, else those of 8 bits are."""
+    return np.dtype(dtype) == np.uint8 if calibration.encoded is None else calibration.encoded
+
+
+def grey_light(pixels: NDArray, calibration: Calibration) -> NDArray[np.float32]:
+    """(...) mean light over the channels of pixels (..., C), with white as one."""
+    light = pixels / np.float32(white_level(pixels, calibration))
+    return (light * light if is_encoded(pixels.dtype, calibration) else light).mean(-1, dtype=np.float32)
 
 
 def trusted_radius(calibration: Calibration) -> float:

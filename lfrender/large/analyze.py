@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, FlatSource, Lattice
+from lfcal import Calibration, FlatSource, Lattice, LensBlur
 
 from ..data.depth_map import DepthMap, sample_flat
 from ..data.surface import Surface
@@ -28,6 +28,7 @@ from ..depth.surface.scene_grid import grid_shape
 from ..depth.validity.textureless import find_textureless
 from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
+from ..flat.lens_blur import find_lens_blur
 from ..flat.texture import estimate_noise, find_texture, sample_statistics
 from ..flat.validation import match_exposure
 from ..runtime.choices import Preset, Shortcut, check_choice
@@ -35,6 +36,9 @@ from ..sequence.workers import Workers
 from .tiles import LensTile, TileReader, lens_tiles, lens_windows
 
 __all__ = ["analyze_large"]
+
+# [px] Side of the middle of a flat that the blur of the microlenses is measured on.
+_BLUR_PART = 2048
 
 
 def analyze_large(
@@ -96,7 +100,25 @@ def analyze_large(
     depth = _analyze_tiles(flat, workers, list(tiles), progress)
     # Those of a colour filter mosaic are not those of the flat in colour.
     raw = calibration.mosaic is not None and len(source.shape) == 2
-    return rescale_depth(depth, calibration.lattice, flat.factor, flat_samples=None if raw else sample_flat(source))
+    samples = None if raw else sample_flat(source)
+    depth = rescale_depth(depth, calibration.lattice, flat.factor, flat_samples=samples)
+    return replace(depth, lens_blur=_find_lens_blur(reader, calibration, depth))
+
+
+def _find_lens_blur(reader: TileReader, calibration: Calibration, depth: DepthMap) -> LensBlur | None:
+    """The blur that the middle of the flat shows."""
+    size, pitch = np.array(calibration.image_size), calibration.lattice.pitch
+    first = np.maximum(size - _BLUR_PART, 0) // 2
+    end = np.minimum(first + _BLUR_PART, size)
+    left, top = first.tolist()
+    pixels = reader.read((left, top, *end.tolist()))
+    # Microimages that the border of the part cuts are left out.
+    low, high = np.where(first > 0, first + pitch, -1), np.where(end < size, end - pitch, size)
+    centres = calibration.lattice.centres()
+    inside = ((centres > low) & (centres < high)).all(1)
+
+    sizes = np.where(inside, depth.patch_size, np.float32(np.nan))
+    return find_lens_blur(pixels, (left, top), calibration, sizes)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from lfcal.runtime.errors import check_type
 from ..data.depth_map import DEPTH_ADVICE, DepthMap, default_scale
 from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
+from ..detail.blur import choose_blur
 from ..flat.validation import check_flat
 from .renderer import REFOCUS_REACH, Renderer
 from .warped_surface import virtual_depth
@@ -86,6 +87,7 @@ def refocus(
     renderer = Renderer(
         calibration, constant_surface(patch_size), check_scale(scale, lattice.pitch), abs(patch_size), True,
         reach=REFOCUS_REACH, agreement=1e3, aperture=aperture,
+        lens_blur=None if depth is None else choose_blur(calibration, depth),
     )  # fmt: skip
     image, valid = renderer.draw(pixels, dtype=pixels.dtype)
     return finish_picture(image, valid, renderer.grid.affine(), renderer.scale, flat, calibration)

@@ -16,6 +16,7 @@ from ..data.rendering import Part, Rendering, check_patch_size, check_scale, fin
 from ..data.surface import constant_surface
 from ..depth.analyze import analyze
 from ..depth.region import check_region
+from ..detail.blur import choose_blur
 from ..detail.noise import measure_noise
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from ..runtime.choices import Detail, check_choice
@@ -164,4 +165,5 @@ def make_renderer(
     blend = patch_size is None if blend is None else blend
     if noise is None and blend and depth is not None and detail != "off":
         noise = measure_noise(look, calibration)
-    return Renderer(calibration, surface, scale, full, blend, reach=reach, noise=noise)
+    blur = None if depth is None else choose_blur(calibration, depth)
+    return Renderer(calibration, surface, scale, full, blend, reach=reach, lens_blur=blur, noise=noise)

@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from lfcal import Calibration
+from lfcal import Calibration, LensBlur
 
 from ..data.rendering import Part, PictureGrid, convert_to_dtype
 from ..data.surface import Surface, edge_step, sample_surface_at
+from ..detail.blur import squares_to_average
 from ..detail.filters import DetailFilters, make_filters
-from ..detail.noise import is_encoded
 from ..detail.restore import HALO, choose_filters, find_places, restore_detail
-from ..flat.gray_flat import white_level
+from ..flat.gray_flat import is_encoded, white_level
+from ..flat.lens_type_weights import WEIGHT_RATIOS
 from ..flat.prefilter import prefilter_flat
 from ..runtime.buffers import allocate_pooled
 from .blend.blend_pixels import blend_pixels
@@ -30,7 +31,7 @@ from .blend.records import ONE_SAMPLE, Flat, Grid, Lenses, Output, Weighting, ta
 from .fixed_patch import render_patches, shows_patches
 from .warped_surface import Viewpoint
 
-__all__ = ["AGREEMENT", "BLUR", "REACH", "REFOCUS_REACH", "VIEW_REACH", "Renderer"]
+__all__ = ["AGREEMENT", "REACH", "REFOCUS_REACH", "VIEW_REACH", "Renderer"]
 
 #: Lenses farther from a scene point add little but blur [pitch].
 REACH = 1.7
@@ -38,8 +39,6 @@ REACH = 1.7
 VIEW_REACH = 1.3
 #: The same of `refocus`, the widest blur: as many lenses as the kernel mixes [pitch].
 REFOCUS_REACH = 3.0
-#: Side of the square over which microlenses average the largest patches [px]; as good as measuring it on the flat.
-BLUR = 1.5
 #: Difference from the mean colour at which a lens counts a quarter [white]; ghosts exceed it.
 AGREEMENT = 0.2
 
@@ -62,6 +61,7 @@ class Renderer:
     aperture: float = 1.0  # part of the radius of microimages that is read
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
     lit: LitFlat | None = None  # of the whole flat, if several pictures are drawn from it
+    lens_blur: LensBlur | None = None  # of the lens types
     noise: float | None = None  # [white] of the flat, as `measure_noise`: detail is restored against it
 
     @property
@@ -109,13 +109,8 @@ class Renderer:
         assert self.noise is not None
         sizes = self.surface.patch_size
         depths = float(sizes.min()), float(sizes.max())
-        filters = make_filters(self.calibration, self.noise, self.scale, self.reach, self._blur, depths)
+        filters = make_filters(self.calibration, self.lens_blur, self.noise, self.scale, self.reach, self.full, depths)
         return filters, choose_filters(filters, self.surface, self.grid)
-
-    @property
-    def _blur(self) -> float:
-        """Share of a pixel's side over which microlenses average already."""
-        return BLUR * self.scale / self.full
 
     def _draw_plain(
         self, pixels: NDArray[Any], corner: tuple[int, int], part: Part, dtype: np.dtype[Any]
@@ -171,7 +166,7 @@ class Renderer:
             np.float32(self.aperture * lattice.radius + self._aside),
             np.array([*self.viewpoint.offset, radius * radius], np.float32),
             np.float32(self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0),
-            np.float32(self._blur**2),
+            self._squares,
         )
         flat = Flat(lit.pixels, lit.shown, np.array(corner), np.array(lattice.image_size))
         if self.blend and self._is_packable(pixels) and not self._is_coarse:
@@ -197,8 +192,13 @@ class Renderer:
     @property
     def _is_coarse(self) -> bool:
         """Whether most pixels are the mean of several samples, which `blend_rows` leaves out."""
-        side = float(np.median(np.abs(self.surface.patch_size[::8, ::8]))) / self.scale
-        return bool(side * side * (1 - self._blur**2) - 1 > ONE_SAMPLE**2)
+        ratio = float(np.median(self.surface.patch_size[::8, ::8])) / self.calibration.lattice.pitch
+        return bool(np.interp(ratio, WEIGHT_RATIOS, self._squares) > ONE_SAMPLE)
+
+    @cached_property
+    def _squares(self) -> NDArray[np.float32]:
+        left = squares_to_average(self.calibration, self.lens_blur, WEIGHT_RATIOS, self.scale, self.full)
+        return left.astype(np.float32)
 
     @cached_property
     def _lenses(self) -> tuple[Lenses, NDArray[np.int64]]:

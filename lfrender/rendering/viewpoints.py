@@ -14,6 +14,7 @@ from lfcal.runtime.errors import check_type
 from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.rendering import Rendering, check_scale, finish_picture
 from ..depth.analyze import analyze
+from ..detail.blur import choose_blur
 from ..flat.validation import check_flat
 from .blend.lit_flat import LitFlat
 from .renderer import Renderer
@@ -109,7 +110,7 @@ def _prepare(
     full = default_scale(depth)
     scale = check_scale(full if scale is None else scale, lattice.pitch)
     middle = lattice.pitch / (still_depth(depth) if still is None else still)
-    renderer = Renderer(calibration, depth.surface, scale, full, True)
+    renderer = Renderer(calibration, depth.surface, scale, full, True, lens_blur=choose_blur(calibration, depth))
     return _draw(flat, pixels, renderer, [Viewpoint(place, middle) for place in places])
 
 

@@ -15,6 +15,7 @@ from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
+from ..detail.blur import READING, TYPICAL_DISC, choose_blur
 from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
 from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import focus_weights
@@ -22,7 +23,7 @@ from ..flat.validation import check_flat
 from ..output.depth_picture import colour_scale, magnification_limits
 from ..rendering.blend.lit_flat import dilate_mask
 from ..rendering.blend.occlusion import project_surface
-from ..rendering.renderer import AGREEMENT, BLUR, REACH, REFOCUS_REACH, VIEW_REACH
+from ..rendering.renderer import AGREEMENT, REACH, REFOCUS_REACH, VIEW_REACH
 from ..rendering.traditional import traditional
 from ..rendering.warped_surface import Viewpoint, virtual_depth
 from .report_pictures import encode_picture
@@ -156,12 +157,21 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
             "shape": list(surface.patch_size.shape), "first": list(surface.first), "spacing": surface.spacing,
             "edge": edge, "virtual": [float(virtual.min()), float(virtual.max())],
         },
-        "blur": BLUR, "scale": default_scale(depth), "agreement": AGREEMENT, "planes": ends, "plane": middle,
+        "blur": _blur_line(calibration, depth), "scale": default_scale(depth),
+        "agreement": AGREEMENT, "planes": ends, "plane": middle,
         "reach": {"sharp": REACH, "aside": VIEW_REACH, "wide": REFOCUS_REACH},
         "overlay": {
             "limits": list(magnification_limits(depth.magnification)), "ramp": _base64(colour_scale("turbo"), np.uint8)
         },
     }  # fmt: skip
+
+
+def _blur_line(calibration: Calibration, depth: DepthMap) -> dict[str, Any]:
+    """Slope and offset [px] of the disc over the patch size, as a mean of the lens types; `None` if it is not known."""
+    known, line = choose_blur(calibration, depth), None
+    if known is not None and known.tells_aperture:
+        line = [known.aperture / calibration.lattice.pitch, -known.aperture * float(known.focus.mean())]
+    return {"line": line, "typical": TYPICAL_DISC, "reading": READING}
 
 
 def _planes(depth: DepthMap) -> tuple[list[float], float]:

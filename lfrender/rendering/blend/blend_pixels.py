@@ -13,7 +13,7 @@ from lfcal.runtime.kernels import kernel
 
 from ...data.surface import patch_size_at
 from ...flat.lens_graph import nearest_index
-from .records import OCCLUDED, ONE_SAMPLE, RIM
+from .records import FARTHEST_SAMPLE, OCCLUDED, ONE_SAMPLE, RIM
 
 __all__ = ["blend_pixels", "count_samples"]
 
@@ -33,17 +33,24 @@ def _crosses_edge(surface, depth, x, y, s, half):
 
 
 @njit(error_model="numpy")
-def count_samples(surface, depth, x, y, s, spacing, scale, blurred):
-    """Samples along a side of an output pixel, and how far they are apart [px].
+def count_samples(surface, depth, x, y, s, grid, pitch, squares):
+    """Samples along a side of an output pixel, and how far they are apart [px of the scene].
 
-    They cover what microlenses and pixels of the flat have not averaged already; all of the pixel at depth edges.
+    Their variance about the middle is that of the square that is left to average (`Weighting.squares`), whatever their
+    number; of the whole pixel at depth edges.
     """
-    side = abs(s) / scale
-    samples, share = max(int(np.ceil(side + 1 - ONE_SAMPLE)), 1), 1.0
-    if samples > 1 and not _crosses_edge(surface, depth, x, y, s, 0.5 * spacing):
-        share = np.sqrt(max(1 - blurred - 1 / (side * side), 0.0))
-        samples = max(int(np.ceil(side * share + 1 - ONE_SAMPLE)), 1)
-    return samples, share * spacing / samples
+    side = abs(s) / grid.scale
+    if side <= 1:
+        return 1, 0.0
+    last = len(squares) - 1
+    left = squares[min(max(int((s / pitch + 1) * (0.5 * last) + 0.5), 0), last)]
+    if _crosses_edge(surface, depth, x, y, s, 0.5 * grid.spacing):
+        left = side * side
+    if left < ONE_SAMPLE:
+        return 1, 0.0
+    samples = int(np.ceil(np.sqrt(left / FARTHEST_SAMPLE + 1)))
+    apart = np.sqrt(left / (samples * samples - 1))
+    return samples, apart * grid.spacing / side
 
 
 # Numba counts references each time that an array is taken out of a tuple or handed on: the loop over samples and lenses
@@ -75,7 +82,7 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
             centre_x, centre_y = first[0] + (start[0] + u) * spacing, first[1] + (start[1] + v) * spacing
             s = patch_size_at(surface, depth, np.float32(centre_x), np.float32(centre_y))
             samples, apart = count_samples(
-                surface, depth, centre_x, centre_y, s, spacing, grid.scale, weighting.blurred
+                surface, depth, centre_x, centre_y, s, grid, pitch, weighting.squares
             )  # fmt: skip
             total[:] = 0
             seen = 0

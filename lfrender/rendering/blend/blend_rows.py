@@ -14,7 +14,7 @@ from numba import njit
 from lfcal.runtime.kernels import FAST, kernel
 
 from .blend_pixels import count_samples
-from .records import OCCLUDED, ONE_SAMPLE, RIM
+from .records import OCCLUDED, RIM
 
 __all__ = ["blend_rows"]
 
@@ -246,7 +246,7 @@ def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting,
     cells = int(_SECTION * spacing / depth.spacing) + 4
     memory = _allocate(len(lenses.shares), cells, across * beside * pieces, flat.pixels)
     t2, per_channel = weighting.tolerance * weighting.tolerance, np.float32(1 / channels)
-    largest = ONE_SAMPLE * grid.scale
+    largest = grid.scale
     for v in range(begin, end):
         y = grid.first[1] + (start[1] + v) * spacing
         for section in range(0, columns, _SECTION):
@@ -267,7 +267,7 @@ def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting,
                 if abs(sizes[k]) > largest:
                     x = grid.first[0] + (column + k) * spacing
                     samples, _ = count_samples(
-                        surface, depth, x, y, sizes[k], spacing, grid.scale, weighting.blurred
+                        surface, depth, x, y, sizes[k], grid, lenses.pitch, weighting.squares
                     )  # fmt: skip
                     left[v, section + k] = samples > 1
                 valid[v, section + k] = totals[k] > 0

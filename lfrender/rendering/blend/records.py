@@ -13,15 +13,18 @@ from ...flat.lens_graph import lens_displacements, lens_offsets
 from ...flat.lens_type_weights import focus_weights
 
 __all__ = [
-    "OCCLUDED", "ONE_SAMPLE", "RIM", "Flat", "Grid", "Lenses", "Light", "Output", "Weighting", "tabulate_lenses",
+    "FARTHEST_SAMPLE", "OCCLUDED", "ONE_SAMPLE", "RIM", "Flat", "Grid", "Lenses", "Light", "Output", "Weighting",
+    "tabulate_lenses",
 ]  # fmt: skip
 
 #: The weight of a lens falls from this at its centre with the squared distance, and is still above 0 at the rim.
 RIM = np.float32(1.02)
 #: Factor for a pixel that shows another depth than the surface has: it counts only if all do.
 OCCLUDED = np.float32(1e-4)
-#: Output pixels up to so much larger than those of the flat are sampled once.
-ONE_SAMPLE = np.float32(1.05)
+#: [px^2 of the flat] Output pixels are sampled once if a smaller square is left to average.
+ONE_SAMPLE = np.float32(0.25)
+#: [px^2 of the flat] Square of the largest distance between samples: pixels and interpolation leave little to alias.
+FARTHEST_SAMPLE = np.float32(1.5)
 
 
 class Flat(NamedTuple):
@@ -78,7 +81,7 @@ class Weighting(NamedTuple):
     widest: Any  # float32 [px]: lenses are read up to so far from their centres, the viewpoint included
     viewpoint: Any  # (3,) float32: x, y [px] and squared radius [px^2] up to which lenses are read about it
     tolerance: Any  # float32: difference from the mean colour at which a lens counts a quarter; 0: nearest lens alone
-    blurred: Any  # float32: square of the share of an output pixel's side over which microlenses average already
+    squares: Any  # (r,) float32 [px^2]: area of the flat that is left to average over s / D from -1 to 1
 
 
 class Output(NamedTuple):

@@ -77,7 +77,8 @@ uniform float spacing;              // between pixels, in X
 uniform vec3 offsets[128];          // of lenses from the nearest one, and their least distance from X
 uniform int offsetCount;
 uniform vec2 moved;                 // what was added to X for the viewpoint
-uniform float blurred;
+uniform vec2 disc;                  // slope and offset of the disc of defocus over s
+uniform float reading;              // what interpolation averages, as an area of the flat
 uniform float reach, agreement;        // of places out of their own depth ...
 uniform float reachOwn, agreementOwn;  // ... and of those that are drawn at it
 uniform float rows;                 // of the picture
@@ -257,15 +258,15 @@ void main() {
     result = vec4(overlay > 0.0 ? mix(mean, magnificationColour(X), overlay) : mean, 1.0);
     return;
   }
-  float s = sizeAt(X), side = abs(s) * spacing / pitch;
-  int across = max(int(ceil(side - 0.05)), 1);
-  float apart = 1.0;
-  if (across > 1 && !crossesEdge(X, s)) {
-    apart = sqrt(max(1.0 - blurred - 1.0 / (side * side), 0.0));
-    across = max(int(ceil(side * apart - 0.05)), 1);
+  float s = sizeAt(X), side = abs(s) * spacing / pitch, left = max(side * side - 1.0, 0.0);
+  if (left > 0.0 && !crossesEdge(X, s)) {
+    // As `squares_to_average` of the renderer.
+    float wide = disc.x * s + disc.y, averaged = max(0.7 * wide * wide, reading);
+    left = max(left - averaged, 0.0) * (1.0 + averaged / (3.0 * left));
   }
+  int across = left < 0.25 ? 1 : int(ceil(sqrt(left / 1.5 + 1.0)));
   across = min(across, int(most));
-  apart *= spacing / float(across);
+  float apart = across == 1 ? 0.0 : sqrt(left / float(across * across - 1)) * spacing / side;
   vec4 total = vec4(0.0);
   // At the border, some places are seen by far lenses alone.
   for (int turn = 0; turn < 2 && total.a == 0.0; turn++) {

@@ -154,7 +154,7 @@ export class Renderer {
   draw(settings, width, height, first, spacing, target = null, window = {}) {
     const { gl, scene } = this, { pitch } = scene, sharp = settings.mode === "sharp", tiles = settings.mode === "tiles";
     const range = settings.mode === "range", wide = range || settings.mode === "focus", { x = 0, y = 0, clip, mask } = window;
-    const plane = sharp ? 0 : settings.plane, q = settings.q, aside = Math.hypot(...q) > 0, scale = pitch / spacing;
+    const plane = sharp ? 0 : settings.plane, q = settings.q, aside = Math.hypot(...q) > 0;
     const still = pitch / settings.plane, moved = q.map(n => n * still);
     const warped = aside && this.canWarp && (sharp || range || settings.overlay > 0) && this.warpSurface(q, still);
     // Beyond a range places are drawn as at its nearer end, at the full resolution of that depth.
@@ -174,7 +174,7 @@ export class Renderer {
       ringStep: scene.rings.step, origin: scene.origin,
       radius: scene.radius * (wide ? settings.aperture : 1), plane, between: range ? settings.range : [1, 0],
       corner: [x, y], exposure: 2 ** (settings.brightness ?? 0),
-      first: first.map((n, k) => n + moved[k]), moved, spacing, blurred: (scene.blur * scale / full) ** 2,
+      first: first.map((n, k) => n + moved[k]), moved, spacing, disc: scene.blur.line ?? [scene.blur.typical / full, 0], reading: scene.blur.reading,
       reach: pitch * (wide ? scene.reach.wide : scene.reach.sharp), reachOwn: pitch * (aside ? scene.reach.aside : scene.reach.sharp),
       agreement: tiles ? 0 : ANY_COLOUR, agreementOwn: scene.agreement, rows: height, overlay: settings.overlay,
       most: settings.most ?? MOST_SAMPLES,

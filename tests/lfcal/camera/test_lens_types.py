@@ -53,6 +53,18 @@ def test_impossible_blur_is_refused():
 
 def test_blur_is_printed_in_a_plain_sentence():
     camera = lfcal.Calibration(lfcal.Lattice([10, 10], [[20, 0], [0, 20]], (200, 100), 9))
-    blur = lfcal.LensBlur(5.0, 0.5, [0.1], [0.02], [-0.3, -0.1], np.ones((1, 2)), np.full((1, 2), 0.1))
-    sentence = "Microlenses blur over discs of 1.0 to 1.0 px at s / D from -0.30 to -0.10."
+    blur = lfcal.LensBlur(5.0, 0.5, [0.1], [0.02], [-0.3, -0.1], [[2.0, 1.0]], np.full((1, 2), 0.1))
+    sentence = "Microlenses are in focus at s = 0.10 D; their blur is 2.0 px at -0.30 D."
     assert sentence in summarise(replace(camera, lens_blur=blur))
+    rims = lfcal.LensBlur(6.0, 20.0, [0.1], [0.1], [0.0], [[0.6]], [[0.2]])
+    assert any(
+        text.startswith("Rims of microimages are blurred over 0.6 px")
+        for text in summarise(replace(camera, lens_blur=rims))
+    )
+
+
+def test_discs_at_other_depths_follow_from_the_aperture():
+    blur = lfcal.LensBlur(10.0, 1.0, [0.1], [0.02], [0.0, -0.4], [[1.0, 5.2]], [[0.1, 0.2]])
+    discs, errors = blur.at([0.0, -0.1, 0.1, 0.3, -0.4])
+    np.testing.assert_allclose(discs, [[1.0, 2.0, 0.0, 2.0, 5.2]], atol=1e-9)
+    np.testing.assert_allclose(errors, [[0.1, np.hypot(0.1, 0.1), np.hypot(0.1, 0.1), np.hypot(0.1, 0.3), 0.2]])

@@ -1,37 +1,51 @@
-"""Discs that are undone: those that the camera file surely tells."""
+"""Discs that are undone are the smallest possible ones; output pixels are averaged over what is left of their area."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from data_synth import Camera
 from lfcal import LensBlur, LensTypes
-from lfrender.detail.blur import sure_discs
+from lfrender.detail.blur import choose_blur, squares_to_average, sure_discs
 
 RATIOS = np.array([-0.4, -0.2])
+BLUR = LensBlur(8.0, 1.0, [0.0], [0.1], [-0.2, -0.4], [[1.0, 3.0]], [[0.5, 0.5]])
 
 
 def camera(types=None):
     return replace(Camera.design(size=(480, 400), pitch=30.0).calibration(), lens_types=types)
 
 
-def test_a_known_disc_counts_without_its_doubt():
-    blur = LensBlur(8.0, 1.0, [0.0], [0.1], [-0.2, -0.4], [[1.0, 3.0]], [[0.5, 0.5]])
-    found = sure_discs(replace(camera(), lens_blur=blur), RATIOS)
-    np.testing.assert_allclose(found, [[3.0 - 0.84 * 0.5, 1.0 - 0.84 * 0.5]])
-
-
-def test_of_several_types_the_sharpest_shows_how_soft_the_scene_is():
-    i, j = np.mgrid[:3, :3]
-    known = camera(LensTypes((i - j) % 3))
-    assert not sure_discs(known, RATIOS).any()
-    blur = LensBlur(8.0, 1.0, [0.1] * 3, [0.1] * 3, [-0.3], [[2.0], [3.0], [5.0]], [[1e-9]] * 3)
-    found = sure_discs(replace(known, lens_blur=blur), RATIOS)
-    np.testing.assert_allclose(found[:, 0], [0, np.sqrt(5), np.sqrt(21)], atol=1e-4)
+def test_a_known_disc_counts_without_its_error():
+    np.testing.assert_allclose(sure_discs(BLUR, RATIOS), [[2.5, 0.5]])
+    assert not sure_discs(None, RATIOS).any()
 
 
 def test_a_blur_of_another_number_of_types_is_not_taken():
-    blur = LensBlur(8.0, 1.0, [0.1] * 2, [0.1] * 2, [-0.3], [[2.0], [3.0]], [[0.1]] * 2)
-    assert not sure_discs(replace(camera(), lens_blur=blur), RATIOS).any()
+    class Depth:
+        lens_blur = BLUR
+
+    assert choose_blur(camera(), Depth) is BLUR
+    i, j = np.mgrid[:3, :3]
+    assert choose_blur(camera(LensTypes((i - j) % 3)), Depth) is None
+
+
+def test_an_output_pixel_is_averaged_over_its_own_area_less_what_the_lens_averaged():
+    sharp = LensBlur(9.0, 0.1, [-0.3], [0.01], [-0.3], [[0.0]], [[0.05]])
+    blurred = LensBlur(9.0, 0.1, [0.04], [0.01], [-0.3], [[4.0]], [[0.05]])
+    # At s = -9 px, four pixels of the flat lie along a pixel of 2.25 per pitch.
+    ratio = np.array([-0.3])
+    whole, less = (float(squares_to_average(camera(), blur, ratio, 2.25, 9.0)[0]) for blur in (sharp, blurred))
+    assert whole == pytest.approx(4**2 - 1, abs=0.4)
+    # A disc of 4 px counts as a square of 11.2 px^2.
+    assert 4.0 < less < 5.5
+
+
+def test_what_is_averaged_changes_steadily_with_the_scale():
+    scales = np.geomspace(2, 9, 200)
+    left = [float(squares_to_average(camera(), None, np.array([-0.3]), scale, 9.0)[0]) for scale in scales]
+    assert np.abs(np.diff(left)).max() < 0.6
+    assert left[-1] == 0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -24,8 +22,8 @@ def smooth(image):
 def restored(image, dtype=np.float32):
     """As from a camera whose discs of defocus are 2.5 px, at one pixel of the picture for each of the flat."""
     blur = LensBlur(8.0, 1.0, [0.0], [0.1], [SIZE / PITCH], [[DISC]], [[1e-6]])
-    calibration = replace(Camera.design(size=(480, 400), pitch=PITCH, rotation=3.0).calibration(), lens_blur=blur)
-    filters = make_filters(calibration, 0.001, -SIZE, 1.7, 0.0, (SIZE, SIZE))
+    calibration = Camera.design(size=(480, 400), pitch=PITCH, rotation=3.0).calibration()
+    filters = make_filters(calibration, blur, 0.001, -SIZE, 1.7, -SIZE, (SIZE, SIZE))
     kinds = np.full((1, 1), round(-SIZE / PITCH * filters.per_ratio), np.uint16)
     rows, columns = (np.zeros(n, np.int64) for n in image.shape[:2])
     places = Places(kinds, rows, columns)

@@ -11,7 +11,7 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
 from lfcal import LensTypes
-from lfrender.flat.lens_type_weights import WEIGHT_STEPS, focus_weights
+from lfrender.flat.lens_type_weights import WEIGHT_RATIOS, focus_weights
 
 FOCUS = (-0.5, -0.33, -0.17)
 CELL = [[(i - j) % 3 for j in range(3)] for i in range(3)]
@@ -54,6 +54,6 @@ def test_types_of_unknown_focus_have_equal_weights(three_types):
 
 def test_a_type_has_weight_1_where_it_is_in_focus():
     _, shares = focus_weights(LensTypes(CELL, True, np.array(FOCUS)))
-    at = [round((f + 1) * (WEIGHT_STEPS - 1) / 2) for f in FOCUS]
+    at = [round((f + 1) * (len(WEIGHT_RATIOS) - 1) / 2) for f in FOCUS]
     assert np.diag(shares[:, at]) == pytest.approx(1)
     assert (shares[:, at] - np.eye(3) < 0.2).all()

@@ -97,8 +97,9 @@ class _Tile(NamedTuple):
     weight: Array  # (m,)
 
 
-def measure_microimages(flat: NDArray[Any], camera: Calibration) -> MicroimageField | None:
-    """Size and sharpness of the microimages of a white image; None where they cannot be measured.
+def measure_microimages(flat: NDArray[Any], camera: Calibration, most: int = 5) -> MicroimageField | None:
+    """Size and sharpness of the microimages of a white image, in at most so many tiles each way; None where they cannot
+    be measured.
 
     Values of 8 bits of which nobody knows whether they are linear are taken as explains the microimages better, or as
     both where that does not tell.
@@ -106,7 +107,7 @@ def measure_microimages(flat: NDArray[Any], camera: Calibration) -> MicroimageFi
     unknown = camera.encoded is None and flat.dtype == np.uint8
     model, starts = _Model.of(camera), []
     for encoded in (True, False) if unknown else (bool(camera.encoded),):
-        if tiles := _average_tiles(flat, camera, encoded, model.count):
+        if tiles := _average_tiles(flat, camera, encoded, model.count, most):
             usual = model.start(0.93 * nearest_half(camera.lattice))
             round_one, straight = ((m, *m.fit(tiles[0], usual), tiles) for m in (model, replace(model, straight=True)))
             starts.append(straight if straight[2] < 0.8 * round_one[2] else round_one)
@@ -223,13 +224,13 @@ def _blurred_edge(depth: Array, blur: Array | float, width: float) -> Array:
     return seen
 
 
-def _average_tiles(flat: NDArray[Any], camera: Calibration, encoded: bool, count: int) -> list[_Tile]:
-    """Mean microimages of up to 25 tiles of the flat, that of the middle first."""
+def _average_tiles(flat: NDArray[Any], camera: Calibration, encoded: bool, count: int, most: int) -> list[_Tile]:
+    """Mean microimages of the tiles of the flat, that of the middle first."""
     lattice, types = camera.lattice, camera.lens_types
     cell = Cell.of(lattice)
     indices, centres = select_whole_lenses(lattice, cell.circumradius + 2)
     kinds = np.zeros(len(indices), np.int64) if types is None else types.of(indices).astype(np.int64)
-    number = int(np.clip(np.sqrt(len(indices) / (30 * count)), 1, 5 if count == 1 else 4))
+    number = int(np.clip(np.sqrt(len(indices) / (30 * count)), 1, most if count == 1 else min(most, 4)))
     which = (centres / lattice.image_size * number).astype(int)
     tiles = []
     for at in sorted(product(range(number), repeat=2), key=lambda at: np.hypot(*(2 * np.array(at) - number + 1))):

@@ -1,0 +1,88 @@
+"""Pictures of twelve scales against their references: `python -m benchmarks.coarse ../shared/truth | FIRST LAST`.
+
+PSNR [dB] from 0.06 to 0.3 pitches a pixel, with `detail="off"` and with `"natural"`, each with the depth of `balanced`
+and with the true one. The reference is averaged over the area of an output pixel, part by part, so that scales that fit
+its own pixels are no easier than others. With two numbers, the random cameras and scenes of `benchmarks.detail`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+import lfrender
+from data_synth.metrics import compare_pictures, resample
+from lfrender.data.surface import Surface
+from lfrender.runtime.choices import Detail
+
+from .detail import Case, random_case, truth_cases
+
+__all__ = ["main"]
+
+_STEPS = (0.06, 0.07, 0.08, 0.10, 0.12, 0.14, 0.16, 0.18, 0.20, 0.23, 0.26, 0.30)  # [pitch] per pixel
+_RESOLVABLE = 0.75  # [pitch]
+
+
+def average_areas(
+    reference: NDArray[Any], affine: NDArray[np.float64], shape: tuple[int, int], wanted: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Exact means of the pixels of a reference, each even over its own square, over those of another grid."""
+    mean = reference / (np.iinfo(reference.dtype).max if reference.dtype.kind in "ui" else 1.0)
+    for axis, k in ((1, 0), (0, 1)):
+        sums = np.insert(np.cumsum(mean, axis), 0, 0, axis)
+        edges = wanted[k, k] * (np.arange(shape[axis] + 1) - 0.5) + wanted[k, 2]
+        place = np.clip((edges - affine[k, 2]) / affine[k, k] + 0.5, 0, mean.shape[axis])
+        whole = np.minimum(place.astype(int), mean.shape[axis] - 1)
+        broad = [1] * mean.ndim
+        broad[axis] = -1
+        share = (place - whole).reshape(broad)
+        until = np.take(sums, whole, axis) * (1 - share) + np.take(sums, whole + 1, axis) * share
+        mean = np.diff(until, axis=axis) / np.maximum(np.diff(place), 1e-9).reshape(broad)
+    return np.asarray(mean)
+
+
+def _true_depth(case: Case, depth: lfrender.DepthMap) -> lfrender.DepthMap:
+    nearest = distance_transform_edt(~np.isfinite(case.size), return_distances=False, return_indices=True)
+    first = float(case.affine[0, 2]), float(case.affine[1, 2])
+    surface = Surface(np.ascontiguousarray(case.size[tuple(nearest)]), first, float(case.affine[0, 0]))
+    return replace(depth, surface=surface)
+
+
+def _psnr(case: Case, depth: lfrender.DepthMap, scale: float, detail: Detail) -> float:
+    picture = lfrender.render(case.flat, case.camera, depth, scale=scale, detail=detail)
+    shape = picture.valid.shape
+    beyond = ~(np.abs(case.size) < _RESOLVABLE * case.camera.lattice.pitch)
+    lost, inside = resample(beyond * 1.0, case.affine, shape, picture.affine)
+    border = int(np.ceil(picture.scale))
+    inner = np.zeros(shape, bool)
+    inner[border:-border, border:-border] = True
+    image = picture.image / np.float64(np.iinfo(picture.image.dtype).max)
+    wanted = average_areas(case.reference, case.affine, shape, picture.affine)
+    return compare_pictures(image, wanted.reshape(image.shape), inside & inner & picture.valid & (lost == 0)).psnr
+
+
+def main(arguments: list[str]) -> None:
+    """Print a row for each flat, kind of depth and detail."""
+    cases: Iterator[Case]
+    if len(arguments) > 1:
+        cases = (random_case(seed) for seed in range(int(arguments[0]), int(arguments[1]) + 1))
+    else:
+        cases = truth_cases(Path(arguments[0]))
+    print(f"| flat | depth | detail | {' | '.join(f'{step:.2f}' for step in _STEPS)} |\n|{'---|' * (len(_STEPS) + 3)}")
+    for case in cases:
+        own = lfrender.analyze(case.flat, case.camera)
+        for name, depth in (("balanced", own), ("true", _true_depth(case, own))):
+            for detail in get_args(Detail):
+                found = [_psnr(case, depth, step * case.camera.lattice.pitch, detail) for step in _STEPS]
+                print(f"| {case.name} | {name} | {detail} | {' | '.join(f'{one:.1f}' for one in found)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

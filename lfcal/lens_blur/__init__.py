@@ -1,0 +1,2 @@
+"""The discs over which microlenses blur: from rims of white images (`rims`, `microimages`) and from captures
+(`captures`)."""

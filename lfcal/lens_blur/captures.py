@@ -1,0 +1,276 @@
+"""Measure the discs of the microlenses on a capture, from what pairs of lenses see of the same places.
+
+The mean product of the spectra of two lenses of one type has neither the noise of their pixels nor what aliases in
+them: the power of the scene is left, times that of the pixel and of the disc. Scenes of all scales (power laws) and of
+all softness (Gaussian) are tried; a disc is told from softness by how fast power vanishes towards the zero of its
+transfer function. Discs that some scene explains as well are not excluded: the error reaches to the smallest of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.calibration import Calibration
+from ..camera.lens_types import LensBlur
+from ..lattice.lattice import Lattice
+
+__all__ = ["measure_lens_blur"]
+
+_Array = NDArray[np.float64]
+#: Grey light (h, w) of the part `left, top, right, bottom` of a flat, with white as one.
+_Light = Callable[[tuple[int, int, int, int]], NDArray[Any]]
+
+#: [px] Discs that are tried.
+_DISCS = np.linspace(0, 9, 91)
+#: Power falls with frequency to one of these powers.
+_SLOPES = np.arange(1.6, 4.5, 0.2)
+#: [px] Standard deviations of the softness of scenes.
+_SOFT = np.concatenate([[0, 0.15, 0.25, 0.33], np.geomspace(0.4, 3.2, 40)])
+#: Relative error of the model, of real textures beside power laws.
+_MODEL_ERROR = 0.07
+#: Difference of the squared misfit up to which discs are possible.
+_LIMIT = 3.0
+#: Pairs that are read at most of each type, of all ranges of depth.
+_MOST_PAIRS = 1500
+#: Pairs that a mean spectrum needs.
+_LEAST_PAIRS = 60
+#: Ranges of depth are parted at steps of this [s / D], at most so many.
+_RANGE = 0.03
+_MOST_RANGES = 6
+#: [pitch] Difference of the patch sizes of lenses that show one surface.
+_ALIKE = 0.03
+#: [px] Half sides of windows.
+_NARROWEST, _WIDEST = 4, 12
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Lenses that show the same place, and where on the flat [px] each does."""
+
+    size: _Array  # (n,) [px] patch size
+    kind: NDArray[np.int64]  # (n,) lens type
+    first: _Array  # (n, 2)
+    second: _Array  # (n, 2)
+    apart: _Array  # (n, 2) from the centre of the first lens to that of the second
+
+    def __len__(self) -> int:
+        return len(self.size)
+
+    def __getitem__(self, some: NDArray[Any]) -> _Pairs:
+        return _Pairs(self.size[some], self.kind[some], self.first[some], self.second[some], self.apart[some])
+
+
+def _find_pairs(calibration: Calibration, patch_size: _Array) -> _Pairs:
+    """The nearest lenses of one type and nearly one depth."""
+    lattice, types = calibration.lattice, calibration.lens_types
+    index, centres = lattice.indices(), lattice.centres()
+    kinds = np.zeros(len(index), np.int64) if types is None else types.of(index).astype(np.int64)
+    # Each step once, not there and back.
+    steps = np.array([step for step in product(range(-3, 4), repeat=2) if step > (0, 0)])
+    if types is not None:
+        steps = np.array([step for step in steps if (types.of(index + step) == kinds).all()])
+    lengths = np.hypot(*(steps @ lattice.basis).T)
+    low = index.min(0) - 3
+    rows = np.full(index.max(0) - low + 4, -1)
+    rows[tuple((index - low).T)] = np.arange(len(index))
+    first, second = [], []
+    for step in steps[lengths < 1.05 * lengths.min()]:
+        other = rows[tuple((index + step - low).T)]
+        difference = np.abs(patch_size - patch_size[other])
+        alike = np.flatnonzero((other >= 0) & (difference < _ALIKE * lattice.pitch))
+        first.append(alike)
+        second.append(other[alike])
+    one, two = np.concatenate(first), np.concatenate(second)
+    size = (patch_size[one] + patch_size[two]) / 2
+    resolved = np.abs(size) > 1
+    one, two, size = one[resolved], two[resolved], size[resolved]
+    apart = centres[two] - centres[one]
+    moved = apart * (size / lattice.pitch)[:, None] / 2
+    return _Pairs(size, kinds[one], centres[one] - moved, centres[two] + moved, apart)
+
+
+class _Spectrum(NamedTuple):
+    ratio: float  # median s / D
+    kind: int
+    power: _Array  # (rings,) mean product of the spectra [white^2]
+    error: _Array  # its standard error
+    side: int  # [px] of the windows
+
+
+def _parts_by_depth(pairs: _Pairs, pitch: float) -> Iterator[_Pairs]:
+    """The pairs of each type, in ranges of depth."""
+    for kind in np.unique(pairs.kind):
+        own = np.flatnonzero(pairs.kind == kind)
+        order = own[np.argsort(pairs.size[own], kind="stable")]
+        low, high = np.quantile(pairs.size[own] / pitch, (0.05, 0.95))
+        count = min(round((high - low) / _RANGE) + 1, _MOST_RANGES)
+        for part in np.array_split(order, count):
+            yield pairs[part[:: max(1, len(order) // _MOST_PAIRS)]]
+
+
+def _measure_spectrum(light: _Light, lattice: Lattice, radius: float, pairs: _Pairs) -> _Spectrum | None:
+    if len(pairs) < _LEAST_PAIRS:
+        return None
+    # The square windows lie half the shift between the two lenses from their centres.
+    shift = float(np.median(np.hypot(*(pairs.second - pairs.first - pairs.apart).T)))
+    half = int(min((radius - shift / 2) / np.sqrt(2), _WIDEST))
+    side = 2 * half
+    if half < _NARROWEST:
+        return None
+    corners = np.rint(np.stack([pairs.first, pairs.second])).astype(int) - half
+    inside = np.flatnonzero(((corners >= 0) & (corners + side <= lattice.image_size)).all((0, 2)))
+    if len(inside) < _LEAST_PAIRS:
+        return None
+    pairs, corners = pairs[inside], corners[:, inside]
+    window, rings, _ = _analysis(side)
+    transformed = []
+    for corner in corners:
+        grey = np.stack([light((x, y, x + side, y + side)) for x, y in corner.tolist()])
+        mean = (grey * window).sum((1, 2), keepdims=True) / window.sum()
+        transformed.append(np.fft.fft2((grey - mean) * window))
+    # Windows lie on whole pixels: what is left of the shift turns the phase.
+    away = (pairs.second - corners[1]) - (pairs.first - corners[0])
+    turn_x, turn_y = np.exp(2j * np.pi * np.fft.fftfreq(side) * away.T[..., None])
+    crossed = transformed[1] * transformed[0].conj() * turn_x[:, None, :] * turn_y[:, :, None]
+    each = crossed.real.reshape(len(pairs), -1) @ rings
+    ratio = float(np.median(pairs.size)) / lattice.pitch
+    return _Spectrum(ratio, int(pairs.kind[0]), each.mean(0), each.std(0) / np.sqrt(len(pairs)), side)
+
+
+@lru_cache(4)
+def _analysis(side: int) -> tuple[_Array, _Array, NDArray[np.int64]]:
+    """Window (side, side), weights (pixels, rings) of means over rings, and the ring of each frequency."""
+    window = np.hanning(side + 2)[1:-1]
+    along = np.fft.fftfreq(side)
+    ring = np.rint(np.hypot(along[:, None], along) * side).astype(int)
+    weights = (ring.reshape(-1, 1) == np.arange(1, side // 2 + 1)).astype(float)
+    return window[:, None] * window, weights / weights.sum(0), ring
+
+
+@lru_cache(4)
+def _blurred_scenes(side: int) -> _Array:
+    """(slopes, soft, discs, rings): power in windows of scenes of these kinds, blurred by disc and pixel."""
+    window, weights, _ = _analysis(side)
+    finer = 4
+    wide = finer * side
+    leak = np.abs(np.fft.fft2(window, (wide, wide))) ** 2
+    spread = np.fft.fft2(leak / leak.sum())
+    along = np.fft.fftfreq(wide)
+    frequency = np.hypot(along[:, None], along)
+    pixel = (np.sinc(along)[:, None] * np.sinc(along)) ** 2
+    radius = np.rint(frequency * wide).astype(int)
+    radial = np.arange(radius.max() + 1) / wide
+    response = np.zeros((weights.shape[1], len(radial)))
+    for k, weight in enumerate(weights.T):
+        chosen = np.zeros((wide, wide))
+        chosen[::finer, ::finer] = weight.reshape(side, side)
+        reached = np.fft.ifft2(np.fft.fft2(chosen) * spread).real * pixel
+        response[k] = np.bincount(radius.ravel(), reached.ravel(), len(radial))
+    scene = np.maximum(radial, 0.35 / side) ** -_SLOPES[:, None]
+    soft = np.exp(-((2 * np.pi * radial * _SOFT[:, None]) ** 2))
+    disc = _disc_transfer(radial * _DISCS[:, None]) ** 2
+    seen = np.einsum("kf,pf,sf,df->psdk", response, scene, soft, disc, optimize=True)
+    return seen.astype(np.float32)
+
+
+def _disc_transfer(periods: _Array) -> _Array:
+    """Transfer function of a uniform disc, at periods across its diameter."""
+    from scipy.special import j1
+
+    phase = np.pi * np.maximum(periods, 1e-9)
+    return np.asarray(2 * j1(phase) / phase)
+
+
+def _misfit(seen: _Spectrum) -> _Array:
+    """(discs,) squared misfit of the best scene for each disc."""
+    model = _blurred_scenes(seen.side)[..., 1:]
+    power, error = np.float32(seen.power[1:] / seen.power[1]), np.float32(seen.error[1:] / seen.power[1])
+    weight = 1 / ((_MODEL_ERROR * power) ** 2 + error**2)
+    for _ in range(2):
+        level = (model * power * weight).sum(-1) / (model * model * weight).sum(-1)
+        fitted = level[..., None] * model
+        weight = 1 / ((_MODEL_ERROR * np.maximum(fitted, np.abs(power))) ** 2 + error**2)
+    # Outliers count less (Charbonnier).
+    each = 2 * (np.sqrt(1 + (power - fitted) ** 2 * weight) - 1)
+    misfit = each.sum(-1).min((0, 1)).astype(np.float64)
+    # Where no scene fits, misfits count less (R. T. Birge 1932).
+    return np.asarray(misfit / max(1.0, misfit.min() / (len(seen.power) - 3)))
+
+
+def measure_lens_blur(
+    light: _Light, calibration: Calibration, patch_size: NDArray[Any], radius: float
+) -> LensBlur | None:
+    """The discs of all lens types at the depths of a capture; None where too few lenses show the same place.
+
+    Parameters
+    ----------
+    light : function of (left, top, right, bottom)
+        Gives the grey light (h, w) of this part of the flat, with white as one.
+    calibration : Calibration
+        Rims whose blur its `lens_blur` tells are taken into account.
+    patch_size : (n,) float [px]
+        Of all lenses, NaN where unresolved.
+    radius : float [px]
+        Up to which microimages are read.
+
+    Returns
+    -------
+    LensBlur or None
+        The likeliest discs. Errors reach to the smallest disc that explains the capture nearly as well.
+
+    Examples
+    --------
+    On this small flat, too few lenses show the same place.
+
+    >>> import lfrender
+    >>> flat, camera, depth = lfrender.data.example()
+    >>> grey = (flat.mean(2) / 255) ** 2
+    >>> measure_lens_blur(lambda p: grey[p[1] : p[3], p[0] : p[2]], camera, depth.patch_size, 9.0) is None
+    True
+    """
+    pitch, types, rims = calibration.lattice.pitch, calibration.lens_types, calibration.lens_blur
+    pairs = _find_pairs(calibration, np.asarray(patch_size, np.float64))
+    if len(pairs) < _LEAST_PAIRS:
+        return None
+    apertures = pitch * np.geomspace(0.03, 1.0, 50)[:, None]
+    foci = np.linspace(-0.8, 0.8, 81)
+    cost = np.zeros((1 if types is None else types.count, len(apertures), len(foci)))
+    for part in _parts_by_depth(pairs, pitch):
+        seen = _measure_spectrum(light, calibration.lattice, radius, part)
+        if seen is not None:
+            discs = apertures * np.abs(seen.ratio - foci)
+            cost[seen.kind] += np.interp(discs, _DISCS, _misfit(seen))
+    if not cost.any():
+        return None
+    if rims is not None and len(rims.focus) == len(cost):
+        known, errors = rims.at([0.0])
+        cost += ((apertures * np.abs(foci) - known[..., None]) / np.maximum(errors[..., None], 0.05)) ** 2
+    # The aperture is common to all types: each adds the misfit of its best focus.
+    cost += (cost.min(2).sum(0) - cost.min(2))[..., None]
+    ratios = np.unique(np.quantile(pairs.size / pitch, np.linspace(0.02, 0.98, 9)).round(3))
+    return _summarise(cost, apertures, foci, ratios)
+
+
+def _summarise(cost: _Array, apertures: _Array, foci: _Array, ratios: _Array) -> LensBlur:
+    """The blur from the misfit (types, apertures, foci)."""
+    allowed = cost <= cost.min((1, 2), keepdims=True) + _LIMIT
+    best = np.array([np.unravel_index(one.argmin(), one.shape) for one in cost])
+    discs, errors = np.empty((2, len(cost), len(ratios)))
+    for k, ratio in enumerate(ratios):
+        tried = apertures * np.abs(ratio - foci)
+        discs[:, k] = tried[tuple(best.T)]
+        errors[:, k] = discs[:, k] - [tried[one].min() for one in allowed]
+    wide = np.broadcast_to(apertures, cost.shape[1:])
+    spread = [(np.ptp(wide[one]) / 2, np.ptp(np.broadcast_to(foci, one.shape)[one]) / 2) for one in allowed]
+    aperture_error, focus_error = np.array(spread).T
+    return LensBlur(
+        float(apertures[best[0, 0], 0]), float(aperture_error.max()), foci[best[:, 1]], focus_error, ratios, discs,
+        np.maximum(errors, 0.05),
+    )  # fmt: skip

@@ -1,0 +1,42 @@
+"""The blur of the rims of microimages in a white image: the disc of each lens type at `s = 0`.
+
+A rim is the image of the main lens' pupil, which every microlens sees at `s = 0`: its blur is that of an edge there,
+aperture times focus. Neither of them follows from rims alone.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.calibration import Calibration
+from ..camera.lens_types import LensBlur
+from .microimages import measure_microimages
+
+__all__ = ["measure_rims"]
+
+#: Tiles of the flat each way; as many as errors need.
+_TILES = 2
+#: [pitch] Aperture until scenes or boards tell it: 0.14 to 0.5 in simulated cameras.
+_APERTURE = 0.3
+
+
+def measure_rims(flat: NDArray[Any], camera: Calibration) -> LensBlur | None:
+    """The discs at `s = 0` from a white image (h, w) or (h, w, C); None where its microimages have no rims.
+
+    The error of the aperture is a pitch, so that no other depth has a disc that is sure.
+    """
+    field = measure_microimages(flat, camera, _TILES)
+    if field is None:
+        return None
+    aperture = _APERTURE * camera.lattice.pitch
+    discs = np.array([[blur.value] for blur in field.blur])
+    errors = np.array([[blur.error] for blur in field.blur])
+    if not np.isfinite(errors).all():
+        return None
+    focus = discs[:, 0] / aperture
+    return LensBlur(
+        aperture, camera.lattice.pitch, focus, np.maximum(focus, 0.1), np.zeros(1), discs, np.maximum(errors, 0.05)
+    )
