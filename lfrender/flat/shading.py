@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
@@ -27,6 +28,14 @@ __all__ = ["LARGEST_SHADING", "remove_shading"]
 LARGEST_SHADING = 0.02
 
 
+@njit(error_model="numpy", fastmath=FAST, inline="always")
+def _ends_of_row(y, x, radius, left, right, across):
+    """First column of a row, `y` from the middle of a disc about column x, between two others, and the end of them."""
+    half = np.sqrt(max(radius * radius - y * y, np.float32(0)))
+    first = max(left, 0, int(np.ceil(x - half)))
+    return first, max(first, min(right, across, int(np.floor(x + half)) + 1))
+
+
 @kernel(error_model="numpy", fastmath=FAST, share=lambda _, centres, *__: len(centres))
 def _subtract_shading(begin, end, image, centres, wanted, near, weights, contrast, radius, strips, out):
     """Subtract the common pattern from the `wanted` lenses; `near` (n, k) are rows of the lenses that share theirs.
@@ -36,6 +45,7 @@ def _subtract_shading(begin, end, image, centres, wanted, near, weights, contras
     """
     height, across = image.shape
     values, middle, complete, half = strips
+    pixels, into = image.reshape(-1), out.reshape(-1)
     width = 2 * half + 1
     size = np.uint64(width * width)
     shade = np.empty(size, np.float32)
@@ -56,23 +66,26 @@ def _subtract_shading(begin, end, image, centres, wanted, near, weights, contras
         if total == 0:
             continue
         left, top, cx, cy = middle[lens, 0] - half, middle[lens, 1] - half, centres[lens, 0], centres[lens, 1]
-        low_y, end_y = max(top, 0), min(top + width, height)
-        low_x, end_x = max(left, 0), min(left + width, across)
+        low_y, end_y = max(top, 0, int(np.ceil(cy - radius))), min(top + width, height, int(np.floor(cy + radius)) + 1)
         energy, count = np.float32(0), 0
         for y in range(low_y, end_y):
-            for x in range(low_x, end_x):
-                if square(x - cx) + square(y - cy) <= radius * radius:
-                    energy += square(shade[(y - top) * width + x - left])
-                    count += 1
+            first, last = _ends_of_row(np.float32(y) - cy, cx, radius, left, left + width, across)
+            at = np.uint64((y - top) * width + first - left)
+            for k in range(np.uint64(last - first)):
+                energy += shade[at + k] * shade[at + k]
+            count += last - first
         energy = energy / (max(count, 1) * total * total) + np.float32(1e-9)
         # An average must have twice the energy of one of unrelated pictures to be common.
         share = max(np.float32(0), 1 - np.float32(2) * expected / (total * total * energy))
         largest2 = np.float32(LARGEST_SHADING * LARGEST_SHADING)
         share *= largest2 / (largest2 + energy) / total
+        if share == 0:
+            continue
         for y in range(low_y, end_y):
-            for x in range(low_x, end_x):
-                if square(x - cx) + square(y - cy) <= radius * radius:
-                    out[y, x] = image[y, x] - share * shade[(y - top) * width + x - left]
+            first, last = _ends_of_row(np.float32(y) - cy, cx, radius, left, left + width, across)
+            at, place = np.uint64((y - top) * width + first - left), np.uint64(y * across + first)
+            for k in range(np.uint64(last - first)):
+                into[place + k] = pixels[place + k] - share * shade[at + k]
 
 
 def _steps_to_same_type(lattice: Lattice) -> NDArray[np.int64]:
