@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import FAST, kernel, square
 
+from ...flat.lens_graph import dilate_mask
 from ...flat.microimages import copy_box
 from ...flat.texture import Texture
 from ..matching.cost_volume import match_cost
@@ -24,6 +25,9 @@ from ..presets import Preset
 from ..same_surface import TOLERANCE, same_surface
 
 __all__ = ["find_second_layer"]
+
+# A second depth costs less than the first one by this much, for the pixels that the first one does not explain.
+_LOWER = 0.1
 
 # A microimage with what lies about it, `stride` rows and columns; work memory of (stride^2,) float32 for this and
 # another one, their squared differences, the differences that are none, and how many views show and confirm each pixel.
@@ -40,7 +44,7 @@ def _sum_window(values, p, stride):
     )
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _square_differences(own, there, stride, fx, fy, out):
     """Squared difference of a microimage, `stride` pixels a row, from the bilinear interpolation of another."""
     one, down, below = np.uint64(1), np.uint64(stride), np.uint64(stride + 1)
@@ -51,7 +55,7 @@ def _square_differences(own, there, stride, fx, fy, out):
         out[k] = e * e
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _count_views(squares, limits, start, count, stride, showing, confirming):
     """Count a view of `count` windows from place `start` on, and those that differ by no more than their limit."""
     first, one, none = np.uint64(start), np.float32(1), np.float32(0)
@@ -61,7 +65,7 @@ def _count_views(squares, limits, start, count, stride, showing, confirming):
         confirming[p] += one if _sum_window(squares, p, stride) <= limits[p] else none
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _row_of(y, x, radius, low, high):
     """First column of row `y` [px from the centre] of a disc about column `x`, between two others, and how many."""
     half = radius * radius - y * y
@@ -72,7 +76,7 @@ def _row_of(y, x, radius, low, high):
     return first, min(high, int(np.floor(x + half))) + 1 - first
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step, floor, xs, ys, places):
     """Gather columns, rows and places in the flat of those pixels of a lens that fewer than half of the neighbours that
     show them confirm at patch size `s`, by windows of 3 x 3 pixels that differ by less than their variance and a
@@ -235,15 +239,26 @@ def find_second_layer(
     # fifth of that of its lens. A neighbour that shows 1.5 % of a microimage counts half.
     floors = 4 * noise2 + np.float32(0.2) * matcher.statistics.contrast**2
     half = np.float32(0.015 * np.pi * gray.radius**2)
-    _match_unexplained(
-        gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), neighbours.all,
-        (first / factor).astype(np.float32), matcher.statistics.mean, floors, wanted, shifts, 2 * noise2, half,
-        preset.row_step, cost,
-    )  # fmt: skip
+    small = (first / factor).astype(np.float32)
+    lens = np.arange(len(first))
+    at_first = np.abs(shifts - small[:, None]).argmin(1)
+
+    def match(lenses: NDArray[np.bool_]) -> None:
+        _match_unexplained(
+            gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), neighbours.all, small,
+            matcher.statistics.mean, floors, lenses, shifts, 2 * noise2, half, preset.row_step, cost,
+        )  # fmt: skip
+
+    # A branch runs through one lens after the other: the lenses beside those of a sample that show one are matched too.
+    sample = wanted & (neighbours.indices % 2 == 0).all(1)
+    match(sample)
+    lower = cost.min(1) < cost[lens, at_first] - _LOWER
+    beside = wanted & ~sample & dilate_mask(sample & lower, neighbours.all)
+    match(beside)
+    wanted = sample | beside
     total = aggregate_costs(cost, neighbours, matcher.slope_price, 0.35)
-    best, lens = total.argmin(1), np.arange(len(first))
-    at_first = np.abs(shifts - first[:, None] / factor).argmin(1)
-    matched = cost[lens, best] < cost[lens, at_first] - 0.1
+    best = total.argmin(1)
+    matched = cost[lens, best] < cost[lens, at_first] - _LOWER
     found = ((shifts[best] + fit_parabola(total, best) * matcher.step) * factor).astype(np.float32)
     gap, rows = TOLERANCE * texture.flat.pitch, neighbours.all
     new = wanted & matched & ~same_surface(found, first, gap)
