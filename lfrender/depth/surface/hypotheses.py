@@ -19,7 +19,7 @@ _MAX_VIEWS = 6
 _UNKNOWN = 0.5
 
 
-@njit(error_model="numpy", fastmath=FAST)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _sample(pixels, width, px, py, out):
     """Fill `out` with 3 x 3 samples about (px, py), a pixel apart, their mean and their variance."""
     i, j = int(px), int(py)
@@ -39,7 +39,7 @@ def _sample(pixels, width, px, py, out):
     out[9], out[10] = mean, max(squares / 9 - mean * mean, np.float32(0))
 
 
-@njit(error_model="numpy", fastmath=FAST)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _compare(own, other, half, floor):
     """Mismatch of two views."""
     squares, apart = np.float32(0), own[9] - other[9]
@@ -48,7 +48,7 @@ def _compare(own, other, half, floor):
     return (squares / 9 + half) / (own[10] + other[10] + floor + apart * apart)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def view_mismatch(image, near_x, near_y, count, x, y, slope, radius, floor, samples, costs):
     """Mean mismatch of the better part of the views of scene point (x, y) with one of the most central, and their
     number.
@@ -95,7 +95,7 @@ MAX_HYPOTHESES = 5
 _X, _Y, _TRUST, _SIZE = range(4)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _gather_table(table, around, lookup, low, ring, i, j, lens, out):
     """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there are."""
     count = 0
@@ -109,7 +109,7 @@ def _gather_table(table, around, lookup, low, ring, i, j, lens, out):
 
 
 # Python's error model checks every division for zero, which prevents vector loops.
-@njit(fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _mean_around(table, count, x, y, vote2):
     """Weighted mean of the first depths of the `count` lenses around a scene point; NaN if there are none."""
     weight = total = np.float32(0.0)
@@ -125,7 +125,7 @@ def _mean_around(table, count, x, y, vote2):
     return total / weight if count > 0 else np.float32(np.nan)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _find_voters(table, count, x, y, vote2, distance, voters, shares):
     """Squared distances of the `count` lenses around a scene point, those that vote for its depth, and their weights;
     how many, and the range of their depths."""
@@ -149,7 +149,7 @@ def _find_voters(table, count, x, y, vote2, distance, voters, shares):
     return found, high - low
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _find_central(table, count, distance, near, near_x, near_y):
     """Centres of the nearest of the `count` lenses around a scene point, in order; returns how many."""
     most = len(near)
@@ -169,7 +169,7 @@ def _find_central(table, count, distance, near, near_x, near_y):
     return found
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _sort_votes(table, count, voters, shares, sizes, weights):
     """Depths of `count` voters sorted by patch size, and their weights; the second-best match has a tenth of a vote."""
     number = 0
@@ -187,7 +187,7 @@ def _sort_votes(table, count, voters, shares, sizes, weights):
     return number
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _cluster_votes(number, sizes, weights, gap, depths, shares):
     """Means and weights of clusters of sorted votes, within one `gap`, the weightiest first; their number."""
     most = len(depths)
@@ -211,7 +211,7 @@ def _cluster_votes(number, sizes, weights, gap, depths, shares):
     return found
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _keep_coarse(coarse, v, u, gap, depths, weights, count):
     """Keep those of `count` hypotheses that a value of twice the spacing about point (v, u) has; all if none has."""
     kept = 0
@@ -226,7 +226,7 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
     return kept if kept else count
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _measure_mismatch(image, near_x, near_y, central, x, y, pitch, radius, floor, everyone, depths, costs, samples,
                       views):  # fmt: skip
     """Turn the weights of hypotheses in `costs`, out of `everyone`, into their mismatch plus the price of few votes."""
