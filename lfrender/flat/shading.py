@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
@@ -20,20 +19,12 @@ from lfcal.runtime.kernels import FAST, kernel, square
 from ..runtime.buffers import allocate_pooled
 from .gray_flat import GrayFlat
 from .lens_graph import count_neighbours, neighbour_rows
-from .microimages import extract_strips
+from .microimages import extract_strips, row_of_disc
 
 __all__ = ["LARGEST_SHADING", "remove_shading"]
 
 #: [white] contrast of shading; a stronger common pattern is more likely the scene's.
 LARGEST_SHADING = 0.02
-
-
-@njit(error_model="numpy", fastmath=FAST, inline="always")
-def _ends_of_row(y, x, radius, left, right, across):
-    """First column of a row, `y` from the middle of a disc about column x, between two others, and the end of them."""
-    half = np.sqrt(max(radius * radius - y * y, np.float32(0)))
-    first = max(left, 0, int(np.ceil(x - half)))
-    return first, max(first, min(right, across, int(np.floor(x + half)) + 1))
 
 
 @kernel(error_model="numpy", fastmath=FAST, share=lambda _, centres, *__: len(centres))
@@ -66,14 +57,15 @@ def _subtract_shading(begin, end, image, centres, wanted, near, weights, contras
         if total == 0:
             continue
         left, top, cx, cy = middle[lens, 0] - half, middle[lens, 1] - half, centres[lens, 0], centres[lens, 1]
+        low_x, high_x = max(left, 0), min(left + width, across) - 1
         low_y, end_y = max(top, 0, int(np.ceil(cy - radius))), min(top + width, height, int(np.floor(cy + radius)) + 1)
         energy, count = np.float32(0), 0
         for y in range(low_y, end_y):
-            first, last = _ends_of_row(np.float32(y) - cy, cx, radius, left, left + width, across)
+            first, number = row_of_disc(np.float32(y) - cy, cx, radius, low_x, high_x)
             at = np.uint64((y - top) * width + first - left)
-            for k in range(np.uint64(last - first)):
+            for k in range(np.uint64(number)):
                 energy += shade[at + k] * shade[at + k]
-            count += last - first
+            count += number
         energy = energy / (max(count, 1) * total * total) + np.float32(1e-9)
         # An average must have twice the energy of one of unrelated pictures to be common.
         share = max(np.float32(0), 1 - np.float32(2) * expected / (total * total * energy))
@@ -82,9 +74,9 @@ def _subtract_shading(begin, end, image, centres, wanted, near, weights, contras
         if share == 0:
             continue
         for y in range(low_y, end_y):
-            first, last = _ends_of_row(np.float32(y) - cy, cx, radius, left, left + width, across)
+            first, number = row_of_disc(np.float32(y) - cy, cx, radius, low_x, high_x)
             at, place = np.uint64((y - top) * width + first - left), np.uint64(y * across + first)
-            for k in range(np.uint64(last - first)):
+            for k in range(np.uint64(number)):
                 into[place + k] = pixels[place + k] - share * shade[at + k]
 
 

@@ -95,12 +95,12 @@ MAX_HYPOTHESES = 5
 _X, _Y, _TRUST, _SIZE = range(4)
 
 
-@njit(error_model="numpy", forceinline=True)
-def _gather_table(table, around, lookup, low, ring, i, j, lens, out):
+@njit(error_model="numpy")
+def _gather_table(table, lookup, low, ring, i, j, out):
     """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there are."""
     count = 0
     for r in range(len(ring)):
-        other = around[lens, r] if lens >= 0 else lens_at(lookup, low, i + ring[r, 0], j + ring[r, 1])
+        other = lens_at(lookup, low, i + ring[r, 0], j + ring[r, 1])
         if other >= 0:
             for k in range(len(out)):
                 out[k, count] = table[other, k]
@@ -109,7 +109,7 @@ def _gather_table(table, around, lookup, low, ring, i, j, lens, out):
 
 
 # Python's error model checks every division for zero, which prevents vector loops.
-@njit(fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(fastmath=FAST, error_model="numpy")
 def _mean_around(table, count, x, y, vote2):
     """Weighted mean of the first depths of the `count` lenses around a scene point; NaN if there are none."""
     weight = total = np.float32(0.0)
@@ -125,7 +125,7 @@ def _mean_around(table, count, x, y, vote2):
     return total / weight if count > 0 else np.float32(np.nan)
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy")
 def _find_voters(table, count, x, y, vote2, distance, voters, shares):
     """Squared distances of the `count` lenses around a scene point, those that vote for its depth, and their weights;
     how many, and the range of their depths."""
@@ -149,7 +149,7 @@ def _find_voters(table, count, x, y, vote2, distance, voters, shares):
     return found, high - low
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy")
 def _find_central(table, count, distance, near, near_x, near_y):
     """Centres of the nearest of the `count` lenses around a scene point, in order; returns how many."""
     most = len(near)
@@ -169,7 +169,7 @@ def _find_central(table, count, distance, near, near_x, near_y):
     return found
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy")
 def _sort_votes(table, count, voters, shares, sizes, weights):
     """Depths of `count` voters sorted by patch size, and their weights; the second-best match has a tenth of a vote."""
     number = 0
@@ -187,7 +187,7 @@ def _sort_votes(table, count, voters, shares, sizes, weights):
     return number
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy")
 def _cluster_votes(number, sizes, weights, gap, depths, shares):
     """Means and weights of clusters of sorted votes, within one `gap`, the weightiest first; their number."""
     most = len(depths)
@@ -211,7 +211,7 @@ def _cluster_votes(number, sizes, weights, gap, depths, shares):
     return found
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy")
 def _keep_coarse(coarse, v, u, gap, depths, weights, count):
     """Keep those of `count` hypotheses that a value of twice the spacing about point (v, u) has; all if none has."""
     kept = 0
@@ -254,17 +254,16 @@ def _measure_mismatch(image, near_x, near_y, central, x, y, pitch, radius, floor
         costs[k] += 2 * views[k]
 
 
-@kernel(error_model="numpy", share=lambda *given: given[7].shape[1])
+@kernel(error_model="numpy", share=lambda *given: given[6].shape[1])
 def propose_hypotheses(
-    begin, end, image, table, around, agreeing, lenses: LensArray, grid: PointGrid, floor, depths, costs, wanted, coarse
+    begin, end, image, table, agreeing, lenses: LensArray, grid: PointGrid, floor, depths, costs, wanted, coarse
 ):
     """Depth hypotheses of each `wanted` scene point in `depths`, their cost in `costs`, both (most, rows, columns).
 
     Where all lenses around agree there is one; the place after the last one stays NaN. Of the `coarse` surface of twice
     the spacing, (0, 0) if there is none, only hypotheses that one of its values about a point has are kept. `table` (n,
     6) float32 holds the centre of each lens, its weight, its patch size, second-best one and that of the second layer;
-    `around` (n, k) the rows of the lenses of the ring about each; around the `agreeing` ones (n,) all have one depth. A
-    squared difference of views up to `floor` is noise.
+    around the `agreeing` ones (n,) all have one depth. A squared difference of views up to `floor` is noise.
     """
     most, _, columns = depths.shape
     # Arrays are taken out of the tuple once: each access counts references.
@@ -293,7 +292,7 @@ def propose_hypotheses(
             lens = lens_at(lookup, low, i, j)
             # Consecutive points mostly lie in the cell of one lens.
             if i != around_i or j != around_j:
-                count = _gather_table(table, around, lookup, low, ring, i, j, lens, nearby)
+                count = _gather_table(table, lookup, low, ring, i, j, nearby)
                 around_i, around_j = i, j
             px, py = np.float32(x), np.float32(y)
             if lens >= 0 and agreeing[lens]:
