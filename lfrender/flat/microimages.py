@@ -21,7 +21,16 @@ from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
 from .gray_flat import GrayFlat
 
-__all__ = ["VECTOR_LENGTH", "OverlapMasks", "Strips", "copy_box", "extract_strips", "make_shift_masks", "overlap_range"]
+__all__ = [
+    "VECTOR_LENGTH",
+    "OverlapMasks",
+    "Strips",
+    "copy_box",
+    "extract_strips",
+    "make_shift_masks",
+    "overlap_range",
+    "row_of_disc",
+]
 
 #: Vector loops handle so many values at a time, the unwanted ones masked. Interpolation reads one beyond.
 VECTOR_LENGTH = 64
@@ -90,6 +99,17 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
         else:
             for k in range(np.uint64(wide)):
                 out[into + k] = pixels[np.uint64(at) + k]
+
+
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
+def row_of_disc(y, x, radius, low, high):
+    """First column of row `y` [px from the centre] of a disc about column `x`, between two others, and how many."""
+    half = radius * radius - y * y
+    if half < 0:
+        return low, 0
+    half = np.sqrt(half)
+    first = max(low, int(np.ceil(x - half)))
+    return first, max(min(high, int(np.floor(x + half))) + 1 - first, 0)
 
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda image, middle, *_: len(middle))

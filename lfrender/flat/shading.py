@@ -19,7 +19,7 @@ from lfcal.runtime.kernels import FAST, kernel, square
 from ..runtime.buffers import allocate_pooled
 from .gray_flat import GrayFlat
 from .lens_graph import count_neighbours, neighbour_rows
-from .microimages import extract_strips
+from .microimages import extract_strips, row_of_disc
 
 __all__ = ["LARGEST_SHADING", "remove_shading"]
 
@@ -36,6 +36,7 @@ def _subtract_shading(begin, end, image, centres, wanted, near, weights, contras
     """
     height, across = image.shape
     values, middle, complete, half = strips
+    pixels, into = image.reshape(-1), out.reshape(-1)
     width = 2 * half + 1
     size = np.uint64(width * width)
     shade = np.empty(size, np.float32)
@@ -56,23 +57,27 @@ def _subtract_shading(begin, end, image, centres, wanted, near, weights, contras
         if total == 0:
             continue
         left, top, cx, cy = middle[lens, 0] - half, middle[lens, 1] - half, centres[lens, 0], centres[lens, 1]
-        low_y, end_y = max(top, 0), min(top + width, height)
-        low_x, end_x = max(left, 0), min(left + width, across)
+        low_x, high_x = max(left, 0), min(left + width, across) - 1
+        low_y, end_y = max(top, 0, int(np.ceil(cy - radius))), min(top + width, height, int(np.floor(cy + radius)) + 1)
         energy, count = np.float32(0), 0
         for y in range(low_y, end_y):
-            for x in range(low_x, end_x):
-                if square(x - cx) + square(y - cy) <= radius * radius:
-                    energy += square(shade[(y - top) * width + x - left])
-                    count += 1
+            first, number = row_of_disc(np.float32(y) - cy, cx, radius, low_x, high_x)
+            at = np.uint64((y - top) * width + first - left)
+            for k in range(np.uint64(number)):
+                energy += shade[at + k] * shade[at + k]
+            count += number
         energy = energy / (max(count, 1) * total * total) + np.float32(1e-9)
         # An average must have twice the energy of one of unrelated pictures to be common.
         share = max(np.float32(0), 1 - np.float32(2) * expected / (total * total * energy))
         largest2 = np.float32(LARGEST_SHADING * LARGEST_SHADING)
         share *= largest2 / (largest2 + energy) / total
+        if share == 0:
+            continue
         for y in range(low_y, end_y):
-            for x in range(low_x, end_x):
-                if square(x - cx) + square(y - cy) <= radius * radius:
-                    out[y, x] = image[y, x] - share * shade[(y - top) * width + x - left]
+            first, number = row_of_disc(np.float32(y) - cy, cx, radius, low_x, high_x)
+            at, place = np.uint64((y - top) * width + first - left), np.uint64(y * across + first)
+            for k in range(np.uint64(number)):
+                into[place + k] = pixels[place + k] - share * shade[at + k]
 
 
 def _steps_to_same_type(lattice: Lattice) -> NDArray[np.int64]:

@@ -82,7 +82,7 @@ def _outline(x, y, left, top, size, radius, shape, work):
             work.right[row] = max(min(int(np.floor(x + half)), shape[1] - 2) + 1 - left, work.left[row])
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _is_settled(before, px, py, gap):
     """Whether the first round found one surface on all pixels within two of this one."""
     s, height, width = before[py, px], before.shape[0], before.shape[1]
@@ -118,7 +118,7 @@ def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lense
                 among[p] += near
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _keep_distinct(p, number, apart, work):
     """Drop the depths of a pixel that differ by less than `apart` from one that the surface has there; whether it has
     any."""

@@ -19,7 +19,7 @@ _DEPTHS = 8
 _VOTERS = 9
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _central_lenses(lenses, x, y, near, distance2):
     """Rows of the lenses nearest to scene point (x, y), the nearest first; returns how many there are."""
     centres, ring, found, most = lenses.centres, lenses.ring, 0, len(near)
@@ -40,7 +40,7 @@ def _central_lenses(lenses, x, y, near, distance2):
     return found
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _vote(pixels, centres, radius, pitch, gap, near, found, x, y, s):
     """Share of the lenses that show scene point (x, y) at depth `s`, and the mean patch size that they show."""
     slope, votes, voters, size = s / pitch, 0.0, 0.0, 0.0
@@ -61,10 +61,10 @@ def _vote(pixels, centres, radius, pitch, gap, near, found, x, y, s):
     return (votes / voters, size / votes) if votes > 0 else (0.0, s)
 
 
-@njit(error_model="numpy")
-def _list_depths(surface, v, first, end, reach, gap, depths):
-    """Depths of the surface within `reach` [grid values] of points `first` to `end` of row v, their own first; their
-    number."""
+@njit(error_model="numpy", forceinline=True)
+def _list_depths(surface, v, first, end, reach, gap, pitch, depths):
+    """Depths of the surface within `reach` [grid values] of points `first` to `end` of row v, the nearest to the camera
+    first; their number."""
     rows, columns = surface.shape
     depths[0], number = surface[v, first], 1
     for line in range(max(0, v - reach) - 1, min(rows, v + reach + 1)):
@@ -77,6 +77,12 @@ def _list_depths(surface, v, first, end, reach, gap, depths):
             if not known and number < _DEPTHS:
                 depths[number] = s
                 number += 1
+    for k in range(1, number):
+        s, at = depths[k], k
+        while at > 0 and depth_order(depths[at - 1], pitch) < depth_order(s, pitch):
+            depths[at] = depths[at - 1]
+            at -= 1
+        depths[at] = s
     return number
 
 
@@ -100,19 +106,18 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
             if u >= listed:
                 # Four points of a row share a list of depths.
                 listed = min(u + 4, surface.shape[1])
-                number = _list_depths(surface, v, u, listed, reach, gap, depths)
+                number = _list_depths(surface, v, u, listed, reach, gap, pitch, depths)
             found = _central_lenses(lenses, grid.first + u * grid.spacing, grid.first + v * grid.spacing, near,
                                     distance2)  # fmt: skip
             for part in range(fine * fine):
                 row, column = v * fine + part // fine, u * fine + part % fine
                 x = grid.first + ((column + 0.5) / fine - 0.5) * grid.spacing
                 y = grid.first + ((row + 0.5) / fine - 0.5) * grid.spacing
-                best, nearness = 0.0, -np.inf
+                best = 0.0
                 for k in range(number):
                     share, size = _vote(pixels, centres, radius, pitch, gap, near, found, x, y, depths[k])
-                    order = depth_order(size, pitch)
-                    if share > 0.5:
-                        if best <= 0.5 or order > nearness:
-                            out[row, column], best, nearness = size, share, order
-                    elif share > best:
+                    if share > best:
                         out[row, column], best = size, share
+                    # No other depth is both nearer and shown by most lenses.
+                    if share > 0.5:
+                        break

@@ -53,6 +53,8 @@ def locate_edges(gray: GrayFlat, lattice: Lattice, depth: DepthMap, where: NDArr
     measure_pixel_depths(gray.image, *shared, wanted, nothing, noise2, apart, first, moved)
     # Lenses some of whose pixels leave the surface are looked at again.
     pixels, again = first.copy(), moved > 0.02
+    # Elsewhere the pixels show the surface as it is.
+    several &= places_of_lenses(moved > 0, lattice, surface)
     measure_pixel_depths(gray.image, *shared, again, first, noise2, apart, pixels, moved)
     fused = refine_grid(values, FINER, gap)
     fuse_pixel_depths(pixels, lenses, values, grid, several, reach, fused)

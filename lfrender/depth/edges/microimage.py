@@ -33,13 +33,13 @@ class Microimage(NamedTuple):
     light: Any  # (p,) brightness
     among: Any  # (p,) uint8: depths that are possible; pixels with one are settled
     allowed: Any  # (p,) mismatch that noise and blur explain
-    wanted: Any  # (p,) 1: pixels that are compared with further lenses
     apart: Any  # (p,) squared difference to another lens
     mismatch: Any  # (p,) with it, of a patch
     seen: Any  # (p,) 1: pixels that the other lens shows
-    count: Any  # (p,) lenses that a pixel has been compared with
+    count: Any  # (p,) lenses that a pixel has been compared with, the most where it is not compared
     sum: Any  # (p,) of their mismatch
-    worst: Any  # (LEFT_OUT * p,) the largest of these, all largest ones first
+    worst: Any  # (p,) the largest of these
+    second: Any  # (p,) and the second largest
     value: Any  # (k, p) [px] patch size that each depth has there
     cost: Any  # (k, p)
     total: Any  # (k, p) sum of the paths of semi-global matching
@@ -63,7 +63,7 @@ def make_microimage(size):
     boxes = np.zeros((DEPTHS, n), np.float32)
     return Microimage(
         np.zeros(size, np.int64), np.zeros(size, np.int64), line, line.copy(), np.zeros(DEPTHS), np.zeros(size),
-        np.zeros((2, BINS)), np.zeros(stride, np.float32), box, np.zeros(n, np.uint8), box + np.float32(1), box.copy(),
-        box.copy(), box.copy(), box.copy(), box.copy(), box.copy(), np.zeros(LEFT_OUT * n, np.float32),
+        np.zeros((2, BINS)), np.zeros(stride, np.float32), box, np.zeros(n, np.uint8), box + np.float32(1),
+        box.copy(), box.copy(), box.copy(), box.copy(), box.copy(), box.copy(), box.copy(),
         boxes, boxes.copy(), boxes.copy(), np.zeros((DEPTHS, n), np.uint8), np.zeros((2, DEPTHS), np.float32),
     )  # fmt: skip

@@ -36,7 +36,7 @@ def _is_blank(light, size, stride, pitch, noise2):
     return True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _aggregate_line(number, gap, p, step, steps, work):
     """Add one path of semi-global matching to the total: `steps` pixels `step` apart, from p on."""
     previous, current, value, cost, total, among, light = (
@@ -120,16 +120,20 @@ def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, no
         for k in range(number):
             compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, known, work)
         _aggregate(size, stride, number, lenses.gap, work)
-    among, cost, present, total, value = work.among, work.cost, work.present, work.total, work.value
+    among, present, total, value, begins, ends = (
+        work.among, work.present, work.total, work.value, work.left, work.right
+    )  # fmt: skip
     every, moved = 0, 0
     for row in range(size):
-        for column in range(work.left[row], work.right[row]):
+        for column in range(begins[row], ends[row]):
             p, best = row * stride + column, 0
-            for k in range(1, number):
-                if among[p] == 1 or not choice:
-                    best = k if cost[k, p] < cost[best, p] else best
-                else:
+            if among[p] > 1:
+                for k in range(1, number):
                     best = k if total[k, p] < total[best, p] else best
+            else:
+                # Settled at the only depth that is possible.
+                for k in range(1, number):
+                    best = k if present[k, p] > 0 else best
             out[top + row, left + column] = value[best, p]
             every, moved = every + 1, moved + (present[best, p] != OWN)
     return moved / max(every, 1)

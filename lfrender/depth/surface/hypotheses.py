@@ -19,7 +19,7 @@ _MAX_VIEWS = 6
 _UNKNOWN = 0.5
 
 
-@njit(error_model="numpy", fastmath=FAST)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _sample(pixels, width, px, py, out):
     """Fill `out` with 3 x 3 samples about (px, py), a pixel apart, their mean and their variance."""
     i, j = int(px), int(py)
@@ -39,7 +39,7 @@ def _sample(pixels, width, px, py, out):
     out[9], out[10] = mean, max(squares / 9 - mean * mean, np.float32(0))
 
 
-@njit(error_model="numpy", fastmath=FAST)
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _compare(own, other, half, floor):
     """Mismatch of two views."""
     squares, apart = np.float32(0), own[9] - other[9]
@@ -48,7 +48,7 @@ def _compare(own, other, half, floor):
     return (squares / 9 + half) / (own[10] + other[10] + floor + apart * apart)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def view_mismatch(image, near_x, near_y, count, x, y, slope, radius, floor, samples, costs):
     """Mean mismatch of the better part of the views of scene point (x, y) with one of the most central, and their
     number.
@@ -96,11 +96,11 @@ _X, _Y, _TRUST, _SIZE = range(4)
 
 
 @njit(error_model="numpy")
-def _gather_table(table, around, lookup, low, ring, i, j, lens, out):
+def _gather_table(table, lookup, low, ring, i, j, out):
     """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there are."""
     count = 0
     for r in range(len(ring)):
-        other = around[lens, r] if lens >= 0 else lens_at(lookup, low, i + ring[r, 0], j + ring[r, 1])
+        other = lens_at(lookup, low, i + ring[r, 0], j + ring[r, 1])
         if other >= 0:
             for k in range(len(out)):
                 out[k, count] = table[other, k]
@@ -226,7 +226,7 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
     return kept if kept else count
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _measure_mismatch(image, near_x, near_y, central, x, y, pitch, radius, floor, everyone, depths, costs, samples,
                       views):  # fmt: skip
     """Turn the weights of hypotheses in `costs`, out of `everyone`, into their mismatch plus the price of few votes."""
@@ -254,17 +254,16 @@ def _measure_mismatch(image, near_x, near_y, central, x, y, pitch, radius, floor
         costs[k] += 2 * views[k]
 
 
-@kernel(error_model="numpy", share=lambda *given: given[7].shape[1])
+@kernel(error_model="numpy", share=lambda *given: given[6].shape[1])
 def propose_hypotheses(
-    begin, end, image, table, around, agreeing, lenses: LensArray, grid: PointGrid, floor, depths, costs, wanted, coarse
+    begin, end, image, table, agreeing, lenses: LensArray, grid: PointGrid, floor, depths, costs, wanted, coarse
 ):
     """Depth hypotheses of each `wanted` scene point in `depths`, their cost in `costs`, both (most, rows, columns).
 
     Where all lenses around agree there is one; the place after the last one stays NaN. Of the `coarse` surface of twice
     the spacing, (0, 0) if there is none, only hypotheses that one of its values about a point has are kept. `table` (n,
     6) float32 holds the centre of each lens, its weight, its patch size, second-best one and that of the second layer;
-    `around` (n, k) the rows of the lenses of the ring about each; around the `agreeing` ones (n,) all have one depth. A
-    squared difference of views up to `floor` is noise.
+    around the `agreeing` ones (n,) all have one depth. A squared difference of views up to `floor` is noise.
     """
     most, _, columns = depths.shape
     # Arrays are taken out of the tuple once: each access counts references.
@@ -293,7 +292,7 @@ def propose_hypotheses(
             lens = lens_at(lookup, low, i, j)
             # Consecutive points mostly lie in the cell of one lens.
             if i != around_i or j != around_j:
-                count = _gather_table(table, around, lookup, low, ring, i, j, lens, nearby)
+                count = _gather_table(table, lookup, low, ring, i, j, nearby)
                 around_i, around_j = i, j
             px, py = np.float32(x), np.float32(y)
             if lens >= 0 and agreeing[lens]:

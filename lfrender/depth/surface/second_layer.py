@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import FAST, kernel, square
 
-from ...flat.microimages import copy_box
+from ...flat.lens_graph import dilate_mask
+from ...flat.microimages import copy_box, row_of_disc
 from ...flat.texture import Texture
 from ..matching.cost_volume import match_cost
 from ..matching.matcher import Matcher, Neighbours, fit_parabola
@@ -24,6 +25,9 @@ from ..presets import Preset
 from ..same_surface import TOLERANCE, same_surface
 
 __all__ = ["find_second_layer"]
+
+# A second depth costs less than the first one by this much, for the pixels that the first one does not explain.
+_LOWER = 0.1
 
 # A microimage with what lies about it, `stride` rows and columns; work memory of (stride^2,) float32 for this and
 # another one, their squared differences, the differences that are none, and how many views show and confirm each pixel.
@@ -40,7 +44,7 @@ def _sum_window(values, p, stride):
     )
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _square_differences(own, there, stride, fx, fy, out):
     """Squared difference of a microimage, `stride` pixels a row, from the bilinear interpolation of another."""
     one, down, below = np.uint64(1), np.uint64(stride), np.uint64(stride + 1)
@@ -51,7 +55,7 @@ def _square_differences(own, there, stride, fx, fy, out):
         out[k] = e * e
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _count_views(squares, limits, start, count, stride, showing, confirming):
     """Count a view of `count` windows from place `start` on, and those that differ by no more than their limit."""
     first, one, none = np.uint64(start), np.float32(1), np.float32(0)
@@ -61,18 +65,7 @@ def _count_views(squares, limits, start, count, stride, showing, confirming):
         confirming[p] += one if _sum_window(squares, p, stride) <= limits[p] else none
 
 
-@njit(fastmath=FAST, error_model="numpy")
-def _row_of(y, x, radius, low, high):
-    """First column of row `y` [px from the centre] of a disc about column `x`, between two others, and how many."""
-    half = radius * radius - y * y
-    if half < 0:
-        return low, 0
-    half = np.sqrt(half)
-    first = max(low, int(np.ceil(x - half)))
-    return first, min(high, int(np.floor(x + half))) + 1 - first
-
-
-@njit(fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step, floor, xs, ys, places):
     """Gather columns, rows and places in the flat of those pixels of a lens that fewer than half of the neighbours that
     show them confirm at patch size `s`, by windows of 3 x 3 pixels that differ by less than their variance and a
@@ -108,7 +101,7 @@ def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step
             y = top + v
             if y < max(1, 1 - y0) or y > min(height - 2, height - 3 - y0):
                 continue
-            first, count = _row_of(y - by + ty, bx - tx, radius, low, high)
+            first, count = row_of_disc(y - by + ty, bx - tx, radius, low, high)
             if count > 0:
                 _count_views(squares, limits, v * stride + first - left, count, stride, showing, confirming)
     found = 0
@@ -116,7 +109,7 @@ def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step
         y = top + v
         if y < 1 or y > height - 2:
             continue
-        first, count = _row_of(y - ay, ax, radius, 1, width - 2)
+        first, count = row_of_disc(y - ay, ax, radius, 1, width - 2)
         for x in range(first, first + count):
             at = v * stride + x - left
             if showing[at] >= 2 and 2 * confirming[at] < showing[at]:
@@ -161,7 +154,7 @@ def _match_unexplained(
     begin, end, image, centres, radius, pitch, rows, first, means, floors, wanted, shifts, floor, half, row_step, out
 ):
     """Mismatch of the unexplained pixels of each `wanted` lens with the better half of its neighbours, at every shift;
-    those with too few are not wanted afterwards. A match over `half` pixels counts half."""
+    left alone where there are too few. A match over `half` pixels counts half."""
     # Windows reach a pixel beyond their middle.
     inner, none, most = radius - np.float32(1.0), np.float32(0.0), square(2 * int(radius) + 3)
     stride = 2 * (int(np.ceil(inner)) + 1) + 2
@@ -176,8 +169,7 @@ def _match_unexplained(
             flat, box, centres, lens, inner, first[lens], pitch, rows, row_step, floors[lens], xs, ys, places
         )
         # Fewer pixels hardly tell a depth.
-        wanted[lens] = number >= 4
-        if not wanted[lens]:
+        if number < 4:
             continue
         ax, ay = centres[lens, 0], centres[lens, 1]
         for k in range(len(shifts)):
@@ -235,18 +227,26 @@ def find_second_layer(
     # fifth of that of its lens. A neighbour that shows 1.5 % of a microimage counts half.
     floors = 4 * noise2 + np.float32(0.2) * matcher.statistics.contrast**2
     half = np.float32(0.015 * np.pi * gray.radius**2)
-    _match_unexplained(
-        gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), neighbours.all,
-        (first / factor).astype(np.float32), matcher.statistics.mean, floors, wanted, shifts, 2 * noise2, half,
-        preset.row_step, cost,
-    )  # fmt: skip
+    small = (first / factor).astype(np.float32)
+    lens = np.arange(len(first))
+    at_first = np.abs(shifts - small[:, None]).argmin(1)
+
+    # A branch runs through one lens after the other: the lenses beside those of a sample that show one are matched too.
+    sample = wanted & (neighbours.indices % 2 == 0).all(1)
+    lenses = sample
+    for _ in range(2):
+        _match_unexplained(
+            gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), neighbours.all, small,
+            matcher.statistics.mean, floors, lenses, shifts, 2 * noise2, half, preset.row_step, cost,
+        )  # fmt: skip
+        matched = cost.min(1) < cost[lens, at_first] - _LOWER
+        lenses = wanted & ~sample & dilate_mask(sample & matched, neighbours.all)
     total = aggregate_costs(cost, neighbours, matcher.slope_price, 0.35)
-    best, lens = total.argmin(1), np.arange(len(first))
-    at_first = np.abs(shifts - first[:, None] / factor).argmin(1)
-    matched = cost[lens, best] < cost[lens, at_first] - 0.1
+    best = total.argmin(1)
+    matched = cost[lens, best] < cost[lens, at_first] - _LOWER
     found = ((shifts[best] + fit_parabola(total, best) * matcher.step) * factor).astype(np.float32)
     gap, rows = TOLERANCE * texture.flat.pitch, neighbours.all
-    new = wanted & matched & ~same_surface(found, first, gap)
+    new = matched & ~same_surface(found, first, gap)
     # A neighbour must have the same depth, in either layer.
     beside = same_surface(np.where(new[rows], found[rows], np.nan), found[:, None], gap)
     beside |= same_surface(first[rows], found[:, None], gap)
