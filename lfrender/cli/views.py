@@ -162,6 +162,7 @@ def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
 def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
     """Raise an error if the views could not be written."""
     from ..output.formats import FORMATS, check_format
+    from ..output.posed_files import check_posed_folder
     from ..output.raw_video import check_raw_format
     from ..output.views import check_grid
 
@@ -177,7 +178,12 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
     elif given.suffix.startswith(".yuv"):
         check_raw_format(check_folder(output), given.suffix[1:])
     else:
-        check_grid(output, ".png" if given.poses else given.suffix, None if given.poses else dtype, inputs)
+        rows, columns = given.grid or (5, 5)
+        if given.poses:
+            check_grid(output, ".png", None, inputs)
+            check_posed_folder(output, given.poses, rows * columns)
+        else:
+            check_grid(output, given.suffix, dtype, inputs, (rows, columns))
 
 
 def _draw_views(capture: CaptureInput, given: Any, *flat_camera_depth: Any, offsets: list[Any]) -> Iterator[Rendering]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.arrays import to_eight_bits
 from lfcal.runtime.errors import check_type
-from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.output_file import atomic_write, refuse_leftovers
 
 from ..data.rendering import Rendering
 from .formats import FORMATS, EmbeddedMetadata, Page, PictureError, check_format
@@ -76,7 +77,8 @@ def write_stack(
 ) -> list[Path]:
     """Write pictures, at least one, as pages of one TIFF, or in other formats as numbered files, `NAME_01.png` ...
 
-    `settings` are further entries for the JSON text of each; the rest is as for `write_picture`.
+    `settings` are further entries for the JSON text of each; the rest is as for `write_picture`. OutputError if
+    numbered files of a longer stack are there already.
 
     Examples
     --------
@@ -97,6 +99,8 @@ def write_stack(
         _write(target, pages, embedded)
         return [target]
     paths = [target.with_stem(f"{target.stem}_{k + 1:0{digits}d}") for k in range(len(pictures))]
+    numbered = rf"{re.escape(target.stem)}_\d{{2,}}{re.escape(target.suffix)}"
+    refuse_leftovers(target.parent, numbered, [path.name for path in paths])
     for one, page in zip(paths, pages, strict=True):
         _write(one, [page], embedded)
     return paths

@@ -9,6 +9,7 @@ group. A run that was interrupted, or spread over many machines, therefore makes
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, calibrate, load
 from lfcal.runtime.errors import check_type
-from lfcal.runtime.output_file import atomic_write, make_folder
+from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthFileError, DepthMap, default_scale
 from ..data.rendering import PictureGrid, Rendering
@@ -126,6 +127,10 @@ class Job:
             self.output.start(overwrite, names)
         if self.depth_maps is not None:
             make_folder(self.depth_path_of("").parent)
+        if overwrite and names and self.output is None and self._settings_file.exists():
+            # Frames of an earlier run that this one leaves would be taken for pictures of this one by the next.
+            pictures = [self.path_of(name).name for name in names]
+            refuse_leftovers(self.folder, rf"[^.].*{re.escape(self.suffix)}", pictures)
         if overwrite:
             for file in (*self.hidden.glob("*.npz"), *self.hidden.glob("*.json")):
                 file.unlink()

@@ -14,7 +14,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError
-from lfcal.runtime.output_file import atomic_write, make_folder
+from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthMap
 from .templates import Markup, fill, read_asset
@@ -120,7 +120,11 @@ class FlatPages:
         return None if files is None else files.get(path)
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
-        """Write the pages of all flats; returns the path of the first."""
+        """Write the pages of all flats; returns the path of the first.
+
+        OutputError if the folder holds pages of more flats, from an earlier run.
+        """
+        refuse_leftovers(Path(folder), r"\d+\.html", self._pages)
         # Files that are sent over a network are worth the time of compression.
         self._options.setdefault("compression", 6)
         for number, name in enumerate(self._pages):
