@@ -68,6 +68,12 @@ def calibration_from_corners(
         sideways = sideways - slip * 0.5 * along / rows
     first = np.mean(corners, axis=0) - (down + across) / 2
     lattice = Lattice(first, reduce_basis([along, sideways + along / 2]), image_size, pitch / 2)
+    apart = np.hypot(*(lattice.steps @ lattice.basis).T)
+    gap = float(np.hypot(*(right_top - left_top - right_low + left_low)))
+    # Published corners are good to a few pixels: those of real cameras leave 9 px of 70 px, and lattices off by 0.6 %.
+    if gap > pitch / 2 or np.abs(apart / pitch - 1).max() > 0.1:
+        found = f"microimages {apart.min():.4g} to {apart.max():.4g} px apart, and a gap of {gap:.4g} px"
+        raise CameraFileError(f"the corner centres do not fit a diameter of {pitch:.4g} px: they give {found}")
     warning = "only the corner centres are published, good to a few pixels; calibrate on a flat for better"
     return Calibration(lattice, warnings=(warning,))
 

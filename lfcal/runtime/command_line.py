@@ -94,6 +94,8 @@ class _Command(cloup.Command):
                 similar = [str(path.with_name(name)) for name in get_close_matches(path.name, names, 2)]
                 ending = f"; did you mean {' or '.join(similar)}?" if similar else ""
                 raise click.ClickException(f"{path}: does not exist{ending}")
+            if not (path.is_file() or path.is_dir()):
+                raise click.ClickException(f"{path}: is a device or a pipe; give a file, or - for a pipe")
         return super().invoke(ctx)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, CalibrationError, FlatSource, LightFieldError, Optics
 from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
+from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import html_card
 
@@ -55,6 +57,9 @@ REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the mi
 DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
+# Of files that somebody has compressed: unpacked bytes over those of the file, and what is never too much [bytes].
+_LARGEST_RATIO = 50
+_SMALL = 1 << 26
 # Arrays and numbers of a file that bear the name of their field; derived ones are for other programs.
 _SAVED = (
     "patch_size", "standard_error", "confidence", "reason", "pitch", "image_size", "preset", "mode", "magnification",
@@ -279,7 +284,8 @@ class DepthMap(Frozen):
         remedy = "make one with 'lfrender analyze'"
         try:
             # np.load leaves a damaged file open if it opened it itself.
-            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            with open(open_regular(path), "rb") as stream, np.load(stream, allow_pickle=False) as file:
+                _check_unpacked_size(stream)
                 data = dict(file)
             version = int(data["version"])
             if version != _VERSION:
@@ -306,6 +312,15 @@ class DepthMap(Frozen):
         except Exception as error:
             text = " ".join(str(error).split())[:200] or type(error).__name__
             raise DepthFileError(f"{path}: not a whole depth file ({text}); {remedy}") from error
+
+
+def _check_unpacked_size(stream: Any) -> None:
+    """ValueError if an archive would unpack to far more than its own size: `save` does not compress."""
+    with ZipFile(stream) as archive:
+        unpacked = sum(entry.file_size for entry in archive.infolist())
+    size = os.fstat(stream.fileno()).st_size
+    if unpacked > max(_LARGEST_RATIO * size, _SMALL):
+        raise ValueError(f"its {size / 1e6:.1f} MB would unpack to {unpacked / 1e6:,.0f} MB")
 
 
 def check_depth(depth: DepthMap, calibration: Calibration) -> None:
