@@ -282,6 +282,8 @@ def lenslet(report: cl.Report, given: Any) -> None:
         write_picture(output, flat)
         camera.save(camera_file)
     (rows, columns), (width, height) = views.shape[:2], camera.image_size
+    if (problem := figures.few_pixels_problem(min(rows, columns))) is not None:
+        report.warn(problem)
     report.finish(
         {"flat": str(output), "camera": str(camera_file), "grid": [rows, columns], "size": [width, height]},
         f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and {camera_file}, in {report.took}.",
