@@ -246,7 +246,9 @@ class Session:
         finally:
             self._tried = time.monotonic()
         # A camera that is given tells nothing but the rotation: this frame need not be its white image.
-        found = assess(shot.pixels, calibration=replace(camera, source="scene") if self._given else camera).findings
+        found = assess(
+            shot.pixels, calibration=replace(camera, source="scene") if self._given else camera, white_level=shot.white
+        ).findings
         self.findings = [f"{name}: {finding}" for name, finding in found.items() if finding.measured]
         return camera
 
