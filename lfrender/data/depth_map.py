@@ -57,6 +57,8 @@ REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the mi
 DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
+# Distances of output pixels from one to its double: steps of 19 %, while the depth of a scene that stays moves by 1 %.
+_SPACINGS_PER_OCTAVE = 4
 # Of files that somebody has compressed: unpacked bytes over those of the file, and what is never too much [bytes].
 _LARGEST_RATIO = 50
 _SMALL = 1 << 26
@@ -335,7 +337,8 @@ def default_scale(depth: DepthMap) -> float:
     """Output pixels per pitch that keep the flat's resolution where patches are largest [px per pitch].
 
     Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as its patch has, for
-    98 % of the lenses.
+    98 % of the lenses. The distance of output pixels is rounded to 1, 1.19, 1.41, 1.68, 2, 2.38 ... px of the flat, so
+    that pictures of one camera have one size, whatever they show at about one depth.
 
     Examples
     --------
@@ -345,4 +348,8 @@ def default_scale(depth: DepthMap) -> float:
     """
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
-    return max(1.0, float(np.quantile(sizes.astype(float), 0.98))) if sizes.size else 1.0
+    if not sizes.size:
+        return 1.0
+    spacing = depth.pitch / float(np.quantile(sizes.astype(float), 0.98))
+    rounded = 2.0 ** (round(_SPACINGS_PER_OCTAVE * np.log2(spacing)) / _SPACINGS_PER_OCTAVE)
+    return max(1.0, depth.pitch / rounded)

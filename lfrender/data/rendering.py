@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -58,8 +59,9 @@ class PictureGrid:
     @property
     def size(self) -> tuple[int, int]:
         """Columns and rows."""
-        width, height = self.image_size
-        return max(1, round(width / self.spacing)), max(1, round(height / self.spacing))
+        # The last digits of the pitch do not decide what is done with halves.
+        columns, rows = (math.floor(length / self.spacing + 0.5 - 1e-6) for length in self.image_size)
+        return max(1, columns), max(1, rows)
 
     @property
     def whole(self) -> Part:
