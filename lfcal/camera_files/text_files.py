@@ -15,9 +15,12 @@ from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CameraFileError
 
-__all__ = ["Mode", "PublishedNumbers", "calibration_from_corners", "format_key_value", "parse_key_value"]
+__all__ = ["LARGEST", "Mode", "PublishedNumbers", "calibration_from_corners", "format_key_value", "parse_key_value"]
 
 _CORNERS = ("LeftTop", "RightTop", "LeftBottom", "RightBottom")
+
+#: Of the numbers of any camera file.
+LARGEST = 1e9
 
 Vector = NDArray[np.float64]
 Mode = Literal["telescopic", "binocular"]
@@ -35,6 +38,8 @@ class PublishedNumbers(dict[str, str]):
             value = np.nan
         if not np.isfinite(value):
             raise CameraFileError(f"'{name}' is {self[name].strip()!r}, not a number")
+        if abs(value) > LARGEST:
+            raise CameraFileError(f"'{name}' is {value:g}: larger than {LARGEST:g}")
         if value <= above:
             raise CameraFileError(f"{name} must be positive, got {value}")
         return value

@@ -26,12 +26,15 @@ from .errors import LightFieldError
 from .image_formats import IMAGE_FORMATS, identify_format
 
 __all__ = [
-    "InputPath", "OutputPath", "Pair", "Program", "Report", "command", "name_file_in_errors", "option",
+    "InputPath", "OutputPath", "Pair", "Program", "Report", "command", "echo", "name_file_in_errors", "option",
     "report_options", "several_inputs", "with_options",
 ]  # fmt: skip
 
 # Where the context of a command keeps its inputs, the file with what came from stdin, and that for stdout.
 _INPUTS, _STDIN, _STDOUT = "lfcal.inputs", "lfcal.stdin", "lfcal.stdout"
+
+# Control characters but for the ends of lines, and those that turn the direction of writing.
+_CONTROL = "[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]"
 
 
 class Program(cloup.Group):
@@ -80,7 +83,7 @@ class Program(cloup.Group):
             message = f"{error.filename}: {error.strerror}" if error.filename else str(error)
         except LightFieldError as error:
             message = str(error)
-        click.echo(f"{self.name}: {_name_pipes(' '.join(message.split()))}", err=True)
+        echo(f"{self.name}: {' '.join(message.split())}", err=True)
         sys.exit(2)
 
 
@@ -224,6 +227,15 @@ def _pipe_file(ctx: click.Context, name: str) -> Path:
     return Path(ctx.find_root().with_resource(tempfile.TemporaryDirectory(prefix="lfrender-pipe-"))) / name
 
 
+def echo(text: object, err: bool = False) -> None:
+    """Print a line in which texts of files and names cannot steer the terminal: control characters are shown as codes.
+
+    Files that stand for pipes are called `stdin` and `stdout`.
+    """
+    shown = re.sub(_CONTROL, lambda match: match[0].encode("unicode_escape").decode(), _name_pipes(str(text)))
+    click.echo(shown, err=err)
+
+
 def _name_pipes(text: str) -> str:
     """A text in which the files that stand for pipes are called `stdin` and `stdout`."""
     return re.sub(r"[^\s:'\"]*lfrender-pipe-[^/\\]+[/\\](stdin|stdout)\.\w+", r"\1", text)
@@ -270,7 +282,7 @@ class Report:
             # What an earlier run has done says nothing about the rate.
             before = done - 1 if before < 0 else before
             if remark and not self.quiet:
-                print(remark, file=sys.stderr, flush=True)
+                echo(remark, err=True)
             if shown is not None:
                 rate = (done - before) / (time.perf_counter() - start)
                 left = "" if count is None else f", {(count - done) / rate:.0f} s left"
@@ -328,17 +340,20 @@ class Report:
             found["seconds"] = {name: round(value, 4) for name, value in self.seconds.items()}
         if self.as_json:
             # NaN and infinity are null.
-            click.echo(_name_pipes(msgspec.json.encode(found, enc_hook=_built_in).decode()), err=_is_piped())
+            text = msgspec.json.encode(found, enc_hook=_built_in).decode()
+            # JSON has escapes for those below space, which this text has already; these ones it may hold as they are.
+            text = re.sub("[\x7f-\x9f]", lambda match: f"\\u{ord(match[0]):04x}", text)
+            echo(text, err=_is_piped())
             return
         for warning in found.pop("warnings"):
-            click.echo(_name_pipes(f"warning: {warning}"), err=True)
+            echo(f"warning: {warning}", err=True)
         width = max(map(len, found)) + 2
         table = (f"{name.replace('_', ' '):{width}}{_text(value, width)}" for name, value in found.items())
         for line in () if self.quiet else sentences or table:
             self._echo(line)
 
     def _echo(self, line: str) -> None:
-        click.echo(_name_pipes(line), err=self.as_json or _is_piped())
+        echo(line, err=self.as_json or _is_piped())
 
 
 @contextmanager

@@ -95,11 +95,11 @@ def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
                 pixels, calibration = one.calibrate(one.read(), *found)
                 depth = one.analyze(pixels, calibration)
         except (LightFieldError, OSError) as error:
-            click.echo(error, err=True)
+            cl.echo(error, err=True)
             raise
         found[:] = [calibration] if capture.camera is None else []
         for text in figures.capture_figures(calibration, depth)["warnings"]:
-            click.echo(f"warning: {one.flat}: {text}", err=True)
+            cl.echo(f"warning: {one.flat}: {text}", err=True)
         return pixels, calibration, depth
 
     return load

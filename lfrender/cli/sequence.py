@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lfcal import CameraFileError, FlatError
+from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_folder
 
 from .figures import percent
@@ -110,7 +111,7 @@ def _render(
         plans.append(plan)
         if not (report.quiet or report.as_json):
             rate = None if given.output not in films else given.fps or frames.rate or 25
-            click.echo(_describe(plan, given, rate), err=True)
+            cl.echo(_describe(plan, given, rate), err=True)
 
     render: Any = render_film if given.output in films else render_frames
     with (
@@ -127,7 +128,7 @@ def _render(
         except KeyboardInterrupt:
             if not report.quiet:
                 again = "the same command without --overwrite" if given.overwrite else "the same command"
-                click.echo(f"{len(results):,} of {frames.count:,} frames are done; {again} goes on", err=True)
+                cl.echo(f"{len(results):,} of {frames.count:,} frames are done; {again} goes on", err=True)
             raise
     return results, plans[0]
 
