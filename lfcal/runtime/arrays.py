@@ -15,7 +15,7 @@ __all__ = [
 ]  # fmt: skip
 
 # Of an array in a camera file [bytes]: the light of three million lenses has 6 MB.
-_LARGEST_BLOCK = 1 << 28
+LARGEST_BLOCK = 1 << 28
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -62,9 +62,9 @@ def decode_array(text: str, kind: str) -> NDArray[Any]:
     """A flat array of type `kind` from `encode_array`; ValueError where the text is damaged or unpacks to too much."""
     unpacker = zlib.decompressobj()
     try:
-        data = unpacker.decompress(base64.b64decode(text, validate=True), _LARGEST_BLOCK)
+        data = unpacker.decompress(base64.b64decode(text, validate=True), LARGEST_BLOCK)
         if unpacker.unconsumed_tail:
-            raise ValueError(f"a packed block has more than {_LARGEST_BLOCK / 1e6:.0f} MB")
+            raise ValueError(f"a packed block has more than {LARGEST_BLOCK / 1e6:.0f} MB")
         if not unpacker.eof:
             raise ValueError("a packed block is cut off")
         return np.frombuffer(data, kind)

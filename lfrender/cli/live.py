@@ -68,7 +68,7 @@ def live(report: cl.Report, given: Any) -> None:
         if not given.no_browser:
             click.launch(server.url)
         with suppress(KeyboardInterrupt):
-            server.serve_forever()
+            server.wait()
 
 
 def find_camera(capture: CaptureInput, shot: Shot) -> Calibration:

@@ -39,8 +39,8 @@ def view(capture: CaptureInput, given: Any) -> None:
     and each is analysed when it is looked at. The page is served to this machine alone until Ctrl-C. It needs a
     browser with WebGL 2.
     """
+    from ..web.server import WebServer, page_routes
     from ..web.viewer import FlatPages, write_viewer
-    from ..web.viewer_server import PageServer
 
     report, export, flats = capture.report, given.export, _find_flats(given.inputs)
     several, page = len(flats) > 1, export is not None and export.suffix != ""
@@ -65,7 +65,7 @@ def view(capture: CaptureInput, given: Any) -> None:
         closing = f"{path} in {report.took}: open it in a browser, or put it on a web page."
         report.finish({"page": str(path), **found}, *sentences, closing)
         return
-    with PageServer(pages, given.port) as server:
+    with WebServer(page_routes(pages), port=given.port) as server:
         if not several:
             with report.stage("prepare"):
                 pages.get("data/1/scene.json.js")
@@ -73,7 +73,7 @@ def view(capture: CaptureInput, given: Any) -> None:
         if not given.no_browser:
             click.launch(server.url)
         with suppress(KeyboardInterrupt):
-            server.serve_forever()
+            server.wait()
 
 
 def _find_flats(inputs: Iterable[Path]) -> list[Path]:

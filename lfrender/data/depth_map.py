@@ -60,8 +60,8 @@ _VERSION = 2
 # Distances of output pixels from one to its double: steps of 19 %, while the depth of a scene that stays moves by 1 %.
 _SPACINGS_PER_OCTAVE = 4
 # Of files that somebody has compressed: unpacked bytes over those of the file, and what is never too much [bytes].
-_LARGEST_RATIO = 50
-_SMALL = 1 << 26
+LARGEST_RATIO = 50
+SMALL = 1 << 26
 # Arrays and numbers of a file that bear the name of their field; derived ones are for other programs.
 _SAVED = (
     "patch_size", "standard_error", "confidence", "reason", "pitch", "image_size", "preset", "mode", "magnification",
@@ -321,7 +321,7 @@ def _check_unpacked_size(stream: Any) -> None:
     with ZipFile(stream) as archive:
         unpacked = sum(entry.file_size for entry in archive.infolist())
     size = os.fstat(stream.fileno()).st_size
-    if unpacked > max(_LARGEST_RATIO * size, _SMALL):
+    if unpacked > max(LARGEST_RATIO * size, SMALL):
         raise ValueError(f"its {size / 1e6:.1f} MB would unpack to {unpacked / 1e6:,.0f} MB")
 
 

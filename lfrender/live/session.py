@@ -33,8 +33,10 @@ from .grabber import Grabber
 from .recording import Recorder
 from .sources import Shot
 
-__all__ = ["KINDS", "Session", "View"]
+__all__ = ["COMMANDS", "KINDS", "Session", "View"]
 
+#: What `Session.command` does.
+COMMANDS = ("record", "stop", "snapshot", "calibrate")
 #: Pictures of a frame.
 KINDS = ("raw", "traditional", "sharp", "focus", "depth")
 # A picture that nobody has asked for during so long [s] is not made.

@@ -5,8 +5,10 @@ from __future__ import annotations
 import http.client
 import json
 import signal
+import socket
 import threading
 import time
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -199,7 +201,7 @@ def test_a_recording_that_the_disk_cannot_follow_skips_frames_and_says_so(tmp_pa
 
 
 def ask(server, path, method="GET", **headers):
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
     connection.request(method, path, headers={name.replace("_", "-"): value for name, value in headers.items()})
     response = connection.getresponse()
     content = response.read()
@@ -210,7 +212,6 @@ def ask(server, path, method="GET", **headers):
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
 def test_the_server_answers_its_page_alone_and_beyond_the_loopback_whoever_has_the_token(session, host):
     with LiveServer(session[0], "camera", host) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
         token = f"&token={server.token}" if server.token else ""
         assert ask(server, f"/?{token}")[0] == 200
         status, content = ask(server, f"/frame?kind=raw{token}")
@@ -221,13 +222,16 @@ def test_the_server_answers_its_page_alone_and_beyond_the_loopback_whoever_has_t
         # Pages of others cannot send the header.
         assert ask(server, f"/snapshot?{token}", "POST")[0] == 403
         assert ask(server, f"/snapshot?{token}", "POST", X_Lfrender="1")[0] == 200
+        assert ask(server, f"/delete?{token}", "POST", X_Lfrender="1")[0] == 404
         if host == "0.0.0.0":
             assert len(server.token) > 20
-            assert [ask(server, path)[0] for path in ("/", "/status", "/frame?kind=raw&token=no")] == [403] * 3
+            for path in ("/", "/status", "/frame?kind=raw&token=no"):
+                assert ask(server, path) == (403, b"open the address with its token, as 'lfrender live' prints it")
+            host = urlsplit(server.url).hostname
+            assert host != socket.gethostname() and socket.getaddrinfo(host, None, flags=socket.AI_NUMERICHOST)
         else:
             assert not server.token
             assert ask(server, "/", Host="elsewhere.example")[0] == 403
-        server.shutdown()
     assert len(list(session[0].folder.glob("snapshot-*.tif"))) == 1
 
 
