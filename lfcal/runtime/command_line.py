@@ -52,6 +52,17 @@ class Program(cloup.Group):
             ctx.fail(f"No such command {args[0]!r}. Did you mean '{self.others[0]} {args[0]}'?")
         return super().resolve_command(ctx, args)
 
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run as a process of its own, which Ctrl-C ends in any case."""
+        from .interrupts import handle_interrupts, leave_if_interrupted
+
+        handle_interrupts()
+        try:
+            return self.main(*args, **kwargs)
+        except SystemExit as end:
+            leave_if_interrupted(end.code if isinstance(end.code, int) else 0)
+            raise
+
     def main(self, *args: Any, **kwargs: Any) -> Any:
         if "numpy" not in sys.modules:
             # For matrices as small as ours, threads that wait for each other take several times as long.

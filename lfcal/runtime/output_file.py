@@ -11,7 +11,13 @@ from pathlib import Path
 
 from .errors import LightFieldError, check_path
 
-__all__ = ["OutputError", "atomic_write", "check_folder", "check_output", "make_folder", "refuse_leftovers"]
+__all__ = [
+    "OutputError", "atomic_write", "check_folder", "check_output", "discard_unfinished", "make_folder",
+    "refuse_leftovers",
+]  # fmt: skip
+
+# Temporary files that are being written.
+_UNFINISHED: set[Path] = set()
 
 
 class OutputError(LightFieldError, OSError):
@@ -41,6 +47,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 def _temporary(target: Path) -> Iterator[Path]:
     """An empty file beside another, which is removed in the end, if it is still there."""
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
+    _UNFINISHED.add(temporary)
     try:
         temporary.open("xb").close()
         yield temporary
@@ -50,6 +57,14 @@ def _temporary(target: Path) -> Iterator[Path]:
         raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error
     finally:
         # A missing or read-only folder is reported above.
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        _UNFINISHED.discard(temporary)
+
+
+def discard_unfinished() -> None:
+    """Remove the temporary files of this process, which ends without finishing them."""
+    for temporary in list(_UNFINISHED):
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
 
