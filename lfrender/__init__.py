@@ -43,6 +43,7 @@ _HOMES = {
     "Rendering": "data.rendering",
     "analyze": "depth.analyze",
     "analyze_large": "large.analyze",
+    "dense_depth": "data.dense_depth",  # documented there
     "focal_stack": "rendering.refocus",
     "open_frames": "sequence.frames",
     "refocus": "rendering.refocus",

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
+from ..runtime.page import html_table
 
 __all__ = ["Assessment", "Finding"]
 
@@ -129,6 +130,9 @@ class Assessment:
         lines = self.grouped()
         width = max(len(name) for name, finding in lines if finding.measured or "," not in name) + 2
         return "\n".join(f"{name:{width - 2}}  {finding}" for name, finding in lines)
+
+    def _repr_html_(self) -> str:
+        return html_table("Assessment", {name: str(finding) for name, finding in self.grouped()})
 
     def to_dict(self) -> dict[str, Any]:
         """All findings as plain numbers and strings, NaN where not measured."""

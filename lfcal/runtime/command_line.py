@@ -26,8 +26,8 @@ from .errors import LightFieldError
 from .image_formats import IMAGE_FORMATS, identify_format
 
 __all__ = [
-    "InputPath", "OutputPath", "Pair", "Program", "Report", "command", "echo", "name_file_in_errors", "option",
-    "report_options", "several_inputs", "with_options",
+    "ExposureValue", "InputPath", "OutputPath", "Pair", "Program", "Report", "command", "echo",
+    "name_file_in_errors", "option", "report_options", "several_inputs", "with_options",
 ]  # fmt: skip
 
 # Where the context of a command keeps its inputs, the file with what came from stdin, and that for stdout.
@@ -159,6 +159,26 @@ class Pair(click.ParamType):
         if not found and not isinstance(value, tuple):
             self.fail(f"must be {self.name} such as {self.example}, got {value!r}", param, ctx)
         return (int(found[1]), int(found[2])) if found else value
+
+
+class ExposureValue(click.ParamType):
+    """A brightness: a number of EV, or `auto`."""
+
+    name = "EV|auto"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        return self.name
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "auto":
+            return value
+        try:
+            number = float(re.sub(r"\s*EV$", "", str(value), flags=re.I))
+        except ValueError:
+            number = math.nan
+        if not abs(number) <= 16:
+            self.fail(f"must be auto, or a number of EV from -16 to 16, got {value!r}", param, ctx)
+        return number
 
 
 class InputPath(click.Path):

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from .inputs import CaptureInput
 
 __all__ = [
-    "capture_figures", "capture_sentences", "eight_bits_sentence", "few_pixels_problem", "percent", "picture_figures",
-    "picture_sentence", "rendering_settings",
+    "brightness_sentences", "capture_figures", "capture_sentences", "eight_bits_sentence", "few_pixels_problem",
+    "percent", "picture_figures", "picture_sentence", "rendering_settings",
 ]  # fmt: skip
 
 # Below this pitch [px] most lenses of a scene of several depths were left unresolved (HCI antinous, 9 px: 76 %).
@@ -130,6 +130,15 @@ def eight_bits_sentence(white: float | None, dtype: Any) -> str:
 
     top = 1 if np.dtype(dtype).kind == "f" else white or np.iinfo(dtype).max
     return f"Written with 8 bits: 0 to {top:g} became 0 to 255 in proportion, without a tone curve."
+
+
+def brightness_sentences(gain: float) -> list[str]:
+    """That a picture was made brighter or darker, if it was."""
+    if gain == 1:
+        return []
+    import math
+
+    return [f"Brightness times {gain:.3g} ({math.log2(gain):+.1f} EV); --exposure 0 leaves it as it is."]
 
 
 def picture_sentence(path: Any, picture: Rendering, what: str, took: str) -> str:

@@ -35,7 +35,7 @@ __all__ = ["live"]
 @cloup.option_group("Files", *(declare(name, "the first frame") for name in ("live_folder", "camera", "white")))
 @cloup.option_group("Frames", *(declare(name) for name in ("live_format", "live_rate", "mosaic")))
 @cloup.option_group("Depth analysis", declare("live_preset"))
-@cloup.option_group("Where to show it", *(declare(name) for name in ("host", "port", "no_browser")))
+@cloup.option_group("Where to show it", *(declare(name) for name in ("live_exposure", "host", "port", "no_browser")))
 @cl.report_options
 def live(report: cl.Report, given: Any) -> None:
     """Show a camera in the browser: raw, traditional, sharp, depth, in focus where you click.
@@ -58,7 +58,12 @@ def live(report: cl.Report, given: Any) -> None:
         grabber = Grabber(lambda: open_source(source, given.pixel_format, given.fps))
     known = bool(given.camera or given.white or capture.recording)
     session = Session(
-        grabber, lambda shot: find_camera(capture, shot), given.preset or "fast", given.output, given=known
+        grabber,
+        lambda shot: find_camera(capture, shot),
+        given.preset or "fast",
+        given.output,
+        given=known,
+        exposure="auto" if given.exposure is None else given.exposure,
     )
     with closing(session), LiveServer(session, source, given.host, given.port) as server:
         with report.stage("calibrate"):

@@ -39,7 +39,7 @@ __all__ = ["batch"]
     own={
         "Files": "depth_maps overwrite",
         "Which frames": "frames start end",
-        "What to draw": "scale frame_format eight_bits fps frame_views frame_aperture resize",
+        "What to draw": "scale frame_format eight_bits exposure fps frame_views frame_aperture resize",
         "Several processes": "workers scheduler",
     },
     refused={
@@ -121,7 +121,7 @@ def _render(
             for result in render(
                 frames, given.output, calibration, preset=capture.chosen_preset, scale=given.scale,
                 overwrite=given.overwrite, depth_maps=given.depth_maps, rate=given.fps, announce=announce,
-                **cluster, **further,
+                exposure=given.exposure, **cluster, **further,
             ):  # fmt: skip
                 results.append(result)
                 step(len(results), frames.count or None, result.message)

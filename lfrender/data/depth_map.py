@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile
 
 import numpy as np
@@ -22,6 +22,9 @@ from lfcal.runtime.page import html_card
 from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes
 from .surface import Surface
+
+if TYPE_CHECKING:
+    from .dense_depth import DenseDepth
 
 __all__ = [
     "BINOCULAR", "DEPTH_ADVICE", "MODES", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap",
@@ -228,6 +231,13 @@ class DepthMap(Frozen):
             raise CalibrationError("the camera file holds no optics; measure them with 'lfcal metric FLAT...'")
         check_depth(self, camera)
         return camera.optics, camera.lattice.centres()
+
+    def dense(self, scale: float | None = None, fill: bool = True) -> DenseDepth:
+        """Patch size, validity and error of every pixel of the picture, as `lfrender.data.dense_depth.dense_depth`."""
+        from .. import dense_depth
+
+        made: DenseDepth = dense_depth(self, scale, fill)
+        return made
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the magnification over the scene on Matplotlib axes, by default the current ones; returns them."""

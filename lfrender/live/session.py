@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, assess
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import Exposure, exposed_white, to_eight_bits, white_of
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering
@@ -62,6 +62,7 @@ class View:
     camera: Calibration | None = None
     depth: DepthMap | None = None
     sharp: Rendering | None = None
+    gain: float = 1.0  # of what is shown
     jpegs: dict[Any, bytes] = field(default_factory=dict)
     lock: Lock = field(default_factory=Lock)
 
@@ -74,19 +75,23 @@ class View:
         """The picture with 8 bits; `at` is the place in focus, as shares of width and height."""
         if self.camera is None or kind == "raw":
             white = self.camera.white_level if self.camera else None
-            return to_eight_bits(self.shot.pixels, self.shot.white or white)
+            return self.show(self.shot.pixels, self.shot.white or white)
         if kind == "traditional":
             picture = traditional(self.flat, self.camera)
         elif kind == "depth":
             assert self.depth is not None
-            picture = depth_picture(self.depth, _DEPTH_SCALE)
+            return np.asarray(depth_picture(self.depth, _DEPTH_SCALE))
         elif kind == "focus":
             place = tuple(share * length - 0.5 for share, length in zip(at, self.camera.image_size, strict=True))
             picture = refocus(self.flat, self.camera, position=place, depth=self.depth)  # type: ignore[arg-type]
         else:
             assert self.sharp is not None
             picture = self.sharp
-        return to_eight_bits(picture.image, picture.white)
+        return self.show(picture.image, picture.white)
+
+    def show(self, pixels: NDArray[Any], white: float | None) -> NDArray[np.uint8]:
+        """Pixels with 8 bits, brighter by the gain."""
+        return to_eight_bits(pixels, white_of(pixels, white) / self.gain)
 
     def jpeg(self, kind: str, at: Place = (0.5, 0.5)) -> bytes:
         """The same as a JPEG file; drawn once for all who ask."""
@@ -119,7 +124,7 @@ class Session:
     """Analyses and draws the newest frame of a source again and again, in a thread of its own.
 
     `find_camera` gives the camera of a frame, measured on it unless it is `given`; where it fails, the raw frames are
-    shown and it is tried again.
+    shown and it is tried again. Dim frames are shown brighter, by one gain until the next calibration (`exposure`).
     Recordings and snapshots go into `folder`.
     """
 
@@ -130,12 +135,14 @@ class Session:
         preset: Preset,
         folder: Path,
         given: bool = False,
+        exposure: Exposure = "auto",
     ) -> None:
         self.grabber, self.preset, self.folder = grabber, preset, folder
         self.camera: Calibration | None = None
         self.view: View | None = None
         self.latency, self.still, self.message, self.saved = 0.0, 0.0, "", ""
         self.scale: float | None = None
+        self._exposure, self._gain = exposure, 1.0
         self.findings: list[str] = []  # how the array is mounted
         self._find_camera, self._given, self._tried = find_camera, given, 0.0
         self._wanted: dict[str, float] = {}
@@ -230,7 +237,7 @@ class Session:
                     continue
                 # The same frame once more, with a picture that nobody has looked at before.
                 shot = self.view.shot
-            view = View(shot, shot.pixels)
+            view = View(shot, shot.pixels, gain=self._gain)
             try:
                 self.message = self._analyze(view)
             # What is wrong with one frame, such as its size, is said, and the next one is tried.
@@ -247,6 +254,8 @@ class Session:
             self.camera = camera = Calibration.from_dict(self._find_camera(shot).to_dict())
         finally:
             self._tried = time.monotonic()
+        white = shot.white or camera.white_level
+        self._gain = white_of(shot.pixels, white) / exposed_white(shot.pixels, white, self._exposure)
         # A camera that is given tells nothing but the rotation: this frame need not be its white image.
         found = assess(
             shot.pixels, calibration=replace(camera, source="scene") if self._given else camera, white_level=shot.white

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from lfcal import Calibration, Lattice
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import Exposure, to_eight_bits
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_folder, make_folder, refuse_leftovers
 
 from ..data.rendering import PICTURE_ADVICE, Rendering, check_pictures
 from ..depth.region import check_region
 from .formats import FORMATS, PictureError, check_format
-from .picture import write_picture
+from .picture import Brightness, default_exposure, write_picture
 
 __all__ = [
     "check_grid", "crop_view", "resize_view", "scale_for_size", "stereo_pair", "write_animation",
@@ -53,12 +53,19 @@ def _grid_name(index: int, columns: int) -> str:
 
 
 def write_grid(
-    folder: str | os.PathLike[str], pictures: Iterable[Rendering], columns: int, suffix: str = ".tif", **options: Any
+    folder: str | os.PathLike[str],
+    pictures: Iterable[Rendering],
+    columns: int,
+    suffix: str = ".tif",
+    *,
+    exposure: Exposure | None = None,
+    **options: Any,
 ) -> list[Path]:
     """Write views, `columns` in a row, as `row1_column1.tif` and so on, into a folder that is made if needed.
 
-    One of the `pictures` at a time is held in memory; `options` and errors are those of `write_picture`. OutputError
-    if views of an earlier run, which these do not replace, are in the folder.
+    One of the `pictures` at a time is held in memory. All have one gain, found on the first; `exposure`, `options` and
+    errors are those of `write_picture`. OutputError if views of an earlier run, which these do not replace, are in the
+    folder.
 
     Examples
     --------
@@ -71,9 +78,11 @@ def write_grid(
     """
     check_type(pictures, Iterable, "pictures", "give a list of pictures")
     target, paths = make_folder(folder), []
+    brightness = Brightness(default_exposure(f"view{suffix}") if exposure is None else exposure)
     for index, picture in enumerate(pictures):
         paths.append(target / (_grid_name(index, columns) + suffix))
-        write_picture(paths[-1], picture, **options)
+        shown = brightness.apply(picture) if isinstance(picture, Rendering) else picture
+        write_picture(paths[-1], shown, exposure=0.0, **options)
     refuse_leftovers(target, _GRID_FILES, [path.name for path in paths])
     return paths
 

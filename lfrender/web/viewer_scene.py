@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, LightFieldError
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import exposed_white, to_eight_bits
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
-from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
+from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
@@ -63,7 +63,7 @@ def viewer_scene(
     scene = _tables(calibration, depth, edge, pixels)
     scene |= {"title": title, "size": [width, height], "metric": calibration.optics is not None}
     scene["rings"] = {"step": step, "values": _base64(np.column_stack(rings), np.float32)}
-    with_occlusion, white = [], white_level(pixels, calibration)
+    with_occlusion, white = [], exposed_white(pixels, calibration.white_level)
     for name, (x, y) in places.items():
         part = _cut(codes, x, y, side)
         if part.any():
