@@ -11,18 +11,21 @@ from ..runtime.output_file import check_output
 
 __all__ = ["assess"]
 
-_INPUT, _LENGTH = cl.InputPath(), click.FloatRange(0, min_open=True)
+_INPUT, _MM, _UM = cl.InputPath(), cl.Quantity(after="mm"), cl.Quantity(after="[uµ]m")
 
 
 @cl.command("lfcal assess white.png", "lfcal assess white.png scene.png --f-number 4 --pixel 5.5 -o page.html")
 @click.argument("white", type=_INPUT)
 @click.argument("scene", type=_INPUT, required=False)
 @cl.option("-c --camera", _INPUT, "Camera file made from WHITE, which is not calibrated again then.")
-@cl.option("--f-number", _LENGTH, "Of the main lens as the sensor sees it: for tilts in degrees.", "N")
-@cl.option("--pupil", _LENGTH, "From the exit pupil of the main lens to the array [mm]; takes --pixel.", "MM")
-@cl.option("--pixel", _LENGTH, "Side of a pixel of the sensor [um].", "UM")
+@cl.option("--f-number", cl.Quantity("f *[/=]"), "Of the main lens as the sensor sees it: for tilts in degrees.", "N")
+@cl.option("--pupil", _MM, "From the exit pupil of the main lens to the array [mm]; takes --pixel.", "MM")
+@cl.option("--pixel", _UM, "Side of a pixel of the sensor [um].", "UM")
 @cl.option(
-    "--white-level", _LENGTH, "Largest value that pixels can have, 4095 of 12 bits; dim flats do not show it.", "N"
+    "--white-level",
+    cl.Quantity(),
+    "Largest value that pixels can have, 4095 of 12 bits; dim flats do not show it.",
+    "N",
 )
 @cl.option("-o --output", cl.OutputPath(), "Page with a drawing of each figure.", "PAGE.html")
 @cl.report_options

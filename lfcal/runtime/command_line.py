@@ -26,7 +26,7 @@ from .errors import LightFieldError
 from .image_formats import IMAGE_FORMATS, identify_format
 
 __all__ = [
-    "ExposureValue", "InputPath", "OutputPath", "Pair", "Program", "Report", "command", "echo",
+    "ExposureValue", "InputPath", "OutputPath", "Pair", "Program", "Quantity", "Report", "command", "echo",
     "name_file_in_errors", "option", "report_options", "several_inputs", "with_options",
 ]  # fmt: skip
 
@@ -99,7 +99,30 @@ class Program(cloup.Group):
 
 
 class _Command(cloup.Command):
-    """A command whose inputs must exist; for a misspelt name, similar ones are suggested."""
+    """A command whose inputs must exist; for a misspelt name, similar ones are suggested.
+
+    Options of several values take them as one word too, with commas; one of another command is told which.
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        several = {name: param.nargs for param in self.params for name in param.opts if param.nargs > 1}
+        words: list[str] = []
+        for word in args:
+            numbers = re.split(r"[,;]", word) if words and words[-1] in several else []
+            words += numbers if numbers and len(numbers) == several[words[-1]] else [word]
+        try:
+            return super().parse_args(ctx, words)
+        except click.NoSuchOption as error:
+            group = ctx.parent.command if ctx.parent else None
+            others = [
+                name
+                for name, other in getattr(group, "commands", {}).items()
+                if other is not self and any(error.option_name in param.opts for param in other.params)
+            ]
+            if others:
+                belongs = f"No such option: {error.option_name}; it belongs to {', '.join(others)}"
+                raise click.UsageError(belongs, ctx) from error
+            raise
 
     def invoke(self, ctx: click.Context) -> Any:
         for path in ctx.meta.get(_INPUTS, ()):
@@ -159,6 +182,19 @@ class Pair(click.ParamType):
         if not found and not isinstance(value, tuple):
             self.fail(f"must be {self.name} such as {self.example}, got {value!r}", param, ctx)
         return (int(found[1]), int(found[2])) if found else value
+
+
+class Quantity(click.FloatRange):
+    """A positive number, which may stand as on lenses and boards: `f/4`, `23mm`, `5.5 um`."""
+
+    def __init__(self, before: str = "", after: str = "") -> None:
+        super().__init__(0, min_open=True)
+        self._written = rf"\s*(?:{before})?\s*([-+.\d]+(?:e[-+]?\d+)?)\s*(?:{after})?\s*"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        found = re.fullmatch(self._written, str(value), re.I)
+        number: Any = found[1] if found else value
+        return super().convert(number, param, ctx)
 
 
 class ExposureValue(click.ParamType):
