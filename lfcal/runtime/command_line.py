@@ -33,6 +33,8 @@ __all__ = [
 # Where the context of a command keeps its inputs, the file with what came from stdin, and that for stdout.
 _INPUTS, _STDIN, _STDOUT = "lfcal.inputs", "lfcal.stdin", "lfcal.stdout"
 
+# Seconds between lines about a long step.
+_TOLD_EVERY = 30.0
 # Control characters but for the ends of lines, and those that turn the direction of writing.
 _CONTROL = "[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]"
 
@@ -376,12 +378,12 @@ class Report:
 
         if self.compile_seconds or is_compiled():
             return None
-        if not self.quiet and (not self.as_json or sys.stderr.isatty()):
+        if not self.quiet:
             about = "once per installation: a minute or two on two cores, more on a busy machine"
             self._echo(f"compiling kernels, {about} ...")
         start = time.perf_counter()
         with self.progress("compiling kernels") as step:
-            failed = compile_once(processes, step)
+            failed = compile_once(processes, step if self._shown or self.quiet else _tell_at_times(start))
         self.compile_seconds = time.perf_counter() - start
         return failed
 
@@ -432,6 +434,19 @@ def name_file_in_errors(path: str | os.PathLike[str]) -> Iterator[None]:
         if str(path) in str(error):
             raise
         raise type(error)(f"{path}: {error}") from error
+
+
+def _tell_at_times(start: float) -> Callable[[int, int], None]:
+    """Where nothing is a terminal: a line about the progress every half a minute, so that nobody thinks it hangs."""
+    told = start
+
+    def step(done: int, count: int) -> None:
+        nonlocal told
+        if time.perf_counter() - told >= _TOLD_EVERY:
+            told = time.perf_counter()
+            echo(f"compiling kernels: {done} of {count} after {told - start:.0f} s", err=True)
+
+    return step
 
 
 def _is_piped() -> bool:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from threading import Condition, Event, Lock, Thread
 from typing import Any
@@ -65,6 +66,27 @@ class View:
     gain: float = 1.0  # of what is shown
     jpegs: dict[Any, bytes] = field(default_factory=dict)
     lock: Lock = field(default_factory=Lock)
+
+    @cached_property
+    def light(self) -> dict[str, Any]:
+        """What the raw frame tells about exposure and focus.
+
+        Its pixels over 32 levels up to white, the share of those at white, and the sharpness of the middle third:
+        standard deviation of its Laplacian over its mean, which is largest in focus.
+        """
+        import cv2
+
+        pixels = self.shot.pixels
+        top = white_of(pixels, self.shot.white or (self.camera.white_level if self.camera else None))
+        height, width = pixels.shape[:2]
+        part = pixels[height // 3 : height - height // 3, width // 3 : width - width // 3].astype(np.float32)
+        grey = part if part.ndim == 2 else part.mean(2)
+        few = pixels[:: max(1, height // 500), :: max(1, width // 500)]
+        return {
+            "histogram": np.histogram(few, 32, (0, top))[0].tolist(),
+            "clipped": float((few >= top).mean()),
+            "sharpness": float(cv2.Laplacian(grey, cv2.CV_32F).std() / max(float(grey.mean()), 1e-9)),
+        }
 
     def has(self, kind: str) -> bool:
         """Whether the picture can be drawn; without a camera all are the raw frame."""
@@ -185,13 +207,14 @@ class Session:
         return f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
 
     def status(self) -> dict[str, Any]:
-        """Counts, the time from the arrival of a frame to its picture [s], and what is to be said."""
+        """Counts, the time from the arrival of a frame to its picture [s], its light, and what is to be said."""
         grabber, recorder, camera = self.grabber, self.grabber.recorder, self.camera
         return {
             "received": grabber.received, "lost": grabber.lost, "latency": self.latency, "still": self.still,
             "camera": "\n".join([self.about, *(camera.warnings if camera else ()), *self.findings]),
             "saved": self.saved, "recording": recorder and recorder.told,
             "message": grabber.message or (recorder and recorder.message) or self.message,
+            **(self.view.light if self.view else {}),
         }  # fmt: skip
 
     def command(self, name: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -218,3 +219,22 @@ def test_numbers_beyond_any_flat_are_one_sentence_without_lines_of_libraries(tmp
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.count("\n") == 1 and "numbers of at most 1e+09 are needed" in done.stderr
+
+
+@pytest.mark.parametrize("words", [[], ["--json"]])
+def test_compiling_is_told_where_nothing_is_a_terminal(monkeypatch, capsys, words):
+    monkeypatch.setattr(compile_ahead, "is_compiled", lambda: False)
+    monkeypatch.setattr(cl, "_TOLD_EVERY", 0.1)
+
+    def compile_once(processes, step):
+        for done in range(4):
+            time.sleep(0.06)
+            step(done, 4)
+
+    monkeypatch.setattr(compile_ahead, "compile_once", compile_once)
+    cl.Report(as_json=bool(words)).compile_kernels()
+    told = capsys.readouterr()
+    assert "compiling kernels, once per installation" in (told.err if words else told.out)
+    assert re.findall(r"compiling kernels: (\d) of 4 after 0 s", told.err) == ["1", "3"]
+    cl.Report(quiet=True).compile_kernels()
+    assert capsys.readouterr() == ("", "")

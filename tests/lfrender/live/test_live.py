@@ -10,6 +10,7 @@ import threading
 import time
 from urllib.parse import urlsplit
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -21,7 +22,7 @@ from lfrender.cli.main import main
 from lfrender.live.grabber import Grabber
 from lfrender.live.recording import Recorder, read_recording
 from lfrender.live.server import LiveServer
-from lfrender.live.session import Session, _in_colour
+from lfrender.live.session import Session, View, _in_colour
 from lfrender.live.sources import Shot, SourceError, open_source, to_flat
 
 
@@ -266,3 +267,16 @@ def test_a_gentl_producer_gives_frames():
         next(open_source(f"{producer}:none"))
     with pytest.raises(SourceError, match="Mono99"):
         next(open_source(producer, "Mono99"))
+
+
+def test_the_light_of_a_frame_tells_clipping_and_focus(house):
+    def light(pixels, **more):
+        return View(Shot(pixels, **more), pixels).light
+
+    sharp = light(house.flat)
+    assert sum(sharp["histogram"]) > 10_000 and len(sharp["histogram"]) == 32
+    assert sharp["sharpness"] > 1.5 * light(cv2.GaussianBlur(house.flat, (0, 0), 1.5))["sharpness"]
+    half = np.full((90, 90), 1000, np.uint16)
+    half[:, 45:] = 4095
+    assert light(half, white=4095.0)["clipped"] == pytest.approx(0.5, abs=0.02)
+    assert light(half)["clipped"] == 0
