@@ -12,11 +12,12 @@ import faulthandler
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from types import FrameType
 
 from .output_file import discard_unfinished
 
-__all__ = ["GRACE", "handle_interrupts", "leave_if_interrupted"]
+__all__ = ["GRACE", "end_by_interrupt", "handle_interrupts", "leave_if_interrupted"]
 
 #: Seconds that a command has after Ctrl-C to put away what it works on; after a second Ctrl-C it has none.
 GRACE = 3.0
@@ -30,6 +31,19 @@ def handle_interrupts() -> None:
     with contextlib.suppress(ValueError):  # not in the main thread
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, _interrupt)
+
+
+@contextlib.contextmanager
+def end_by_interrupt() -> Iterator[None]:
+    """Work that Ctrl-C ends as it should, such as serving a page: what follows, a recording for one, has time."""
+    global _interrupted
+    try:
+        yield
+    except KeyboardInterrupt:
+        _interrupted = False
+        faulthandler.cancel_dump_traceback_later()
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def leave_if_interrupted(code: int) -> None:

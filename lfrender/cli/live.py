@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -11,6 +11,7 @@ import click
 import cloup
 
 from lfcal.runtime import command_line as cl
+from lfcal.runtime.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import make_folder
 
 from .inputs import CaptureInput
@@ -72,7 +73,7 @@ def live(report: cl.Report, given: Any) -> None:
         report.finish(figures, f"{session.about}.", f"{server.url} until Ctrl-C.")
         if not given.no_browser:
             click.launch(server.url)
-        with suppress(KeyboardInterrupt):
+        with end_by_interrupt():
             server.wait()
 
 

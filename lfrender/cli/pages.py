@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import click
 
 from lfcal import LightFieldError
 from lfcal.runtime import command_line as cl
+from lfcal.runtime.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import check_output
 
 from . import figures
@@ -72,7 +72,7 @@ def view(capture: CaptureInput, given: Any) -> None:
         report.finish({"page": server.url, **found}, *sentences, f"{server.url} until Ctrl-C.")
         if not given.no_browser:
             click.launch(server.url)
-        with suppress(KeyboardInterrupt):
+        with end_by_interrupt():
             server.wait()
 
 

@@ -60,3 +60,35 @@ def test_an_interrupt_ends_the_process_though_a_thread_waits_for_ever(tmp_path, 
         finally:
             process.kill()
     assert os.listdir(tmp_path) == []
+
+
+SERVE = """
+import time
+import cloup
+from lfcal.runtime.command_line import Program
+from lfcal.runtime.interrupts import end_by_interrupt
+
+@cloup.group(cls=Program, name="program", others=("other", ()))
+def main():
+    pass
+
+@main.command()
+def serve():
+    with end_by_interrupt():
+        print("ready", flush=True)
+        time.sleep(60)
+    time.sleep(5)
+    print("recording is written")
+
+main(args=["serve"])
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
+def test_what_follows_an_interrupt_that_ends_a_page_has_time(tmp_path):
+    default = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
+    with subprocess.Popen([sys.executable, "-c", SERVE], stdout=subprocess.PIPE, preexec_fn=default) as process:
+        assert process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.read() == b"recording is written\n"
+        assert process.wait(timeout=30) == 0
