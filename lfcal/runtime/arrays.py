@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "LARGEST_BLOCK", "Array", "Booleans", "Exposure", "Floats", "Frozen", "Integers", "Singles", "brighten",
-    "decode_array", "encode_array", "exposed_white", "to_eight_bits", "white_of",
+    "decode_array", "encode_array", "exposure_gain", "to_eight_bits", "white_of",
 ]  # fmt: skip
 
 # Of an array in a camera file [bytes]: the light of three million lenses has 6 MB.
@@ -76,27 +76,26 @@ def decode_array(text: str, kind: str) -> NDArray[Any]:
 
 
 def white_of(pixels: NDArray, white: float | None = None) -> float:
-    """The value of white: `white`, or the largest of an integer type if that is less or none is given; 1 of floats."""
+    """The value of white: of integers `white`, or the largest of the type if it is less or None is given; else 1."""
     if pixels.dtype.kind == "f":
-        return white or 1.0
+        return 1.0
     largest = float(np.iinfo(pixels.dtype).max)
     return min(white or largest, largest)
 
 
-def exposed_white(pixels: NDArray, white: float | None = None, exposure: Exposure = "auto") -> float:
-    """The value that a brightened picture shows as white: that of white over the gain, `2 ** exposure`.
+def exposure_gain(pixels: NDArray, white: float | None = None, exposure: Exposure = "auto") -> float:
+    """The gain by which a picture is brightened: `2 ** exposure`, or by `"auto"` what its content asks for.
 
-    By `"auto"` a dim picture is brightened until 99.5 % of its values lie below 0.9 of white, a thousand times at most.
-    Bright ones, and those of 8 bits, which are made for display, are left as they are.
+    A dim picture is brightened until 99.5 % of its values lie below 0.9 of white, a thousand times at most. Bright
+    ones, and those of 8 bits, which are made for display, are left as they are.
     """
-    top = white_of(pixels, white)
     if exposure != "auto":
-        return top / 2**exposure
+        return float(2**exposure)
     if pixels.dtype == np.uint8:
-        return top
+        return 1.0
     step = max(1, int(np.sqrt(pixels.size / 1_000_000)))
     bright = float(np.percentile(np.nan_to_num(pixels[::step, ::step]), 99.5)) / 0.9
-    return min(top, max(bright, top / 1000))
+    return float(np.clip(white_of(pixels, white) / max(bright, 1e-12), 1, 1000))
 
 
 def brighten(pixels: NDArray, gain: float, white: float | None = None) -> NDArray:
@@ -109,10 +108,11 @@ def brighten(pixels: NDArray, gain: float, white: float | None = None) -> NDArra
     return np.rint(np.minimum(scaled, white_of(pixels, white))).astype(pixels.dtype)
 
 
-def to_eight_bits(pixels: NDArray, white: float | None = None) -> NDArray[np.uint8]:
-    """Pixels as uint8, 255 for white: `white`, by default the largest of the type, or 1 for floats."""
-    if pixels.dtype == np.uint8 and (white is None or white >= 255):
+def to_eight_bits(pixels: NDArray, white: float | None = None, gain: float = 1.0) -> NDArray[np.uint8]:
+    """Pixels times a gain as uint8, 255 for white as of `white_of`; those of 8 bits have white at 255."""
+    eight = pixels.dtype == np.uint8
+    if eight and gain == 1:
         return pixels
-    top = white_of(pixels, white)
-    scaled: NDArray[np.uint8] = np.rint(np.clip(np.nan_to_num(pixels) / top, 0, 1) * 255).astype(np.uint8)
+    share = np.nan_to_num(pixels) * (gain / (255.0 if eight else white_of(pixels, white)))
+    scaled: NDArray[np.uint8] = np.rint(np.clip(share, 0, 1) * 255).astype(np.uint8)
     return scaled

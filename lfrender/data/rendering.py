@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import LightFieldError
-from lfcal.runtime.arrays import Frozen, exposed_white
+from lfcal.runtime.arrays import Frozen, exposure_gain, white_of
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.page import html_card
 
@@ -231,7 +231,7 @@ class Rendering(Picture, Frozen):
         Dim pictures of more than 8 bits are shown brighter.
         """
         image = self.image
-        image = image / np.float32(exposed_white(image, self.white))
+        image = image * np.float32(exposure_gain(image, self.white) / white_of(image, self.white))
         height, width = image.shape[:2]
         corners = self.affine @ [-0.5, -0.5, 1], self.affine @ [width - 0.5, height - 0.5, 1]
         look: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 1}

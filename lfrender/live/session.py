@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, assess
-from lfcal.runtime.arrays import Exposure, exposed_white, to_eight_bits, white_of
+from lfcal.runtime.arrays import Exposure, exposure_gain, to_eight_bits, white_of
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering
@@ -113,7 +113,7 @@ class View:
 
     def show(self, pixels: NDArray[Any], white: float | None) -> NDArray[np.uint8]:
         """Pixels with 8 bits, brighter by the gain."""
-        return to_eight_bits(pixels, white_of(pixels, white) / self.gain)
+        return to_eight_bits(pixels, white, self.gain)
 
     def jpeg(self, kind: str, at: Place = (0.5, 0.5)) -> bytes:
         """The same as a JPEG file; drawn once for all who ask."""
@@ -278,7 +278,7 @@ class Session:
         finally:
             self._tried = time.monotonic()
         white = shot.white or camera.white_level
-        self._gain = white_of(shot.pixels, white) / exposed_white(shot.pixels, white, self._exposure)
+        self._gain = exposure_gain(shot.pixels, white, self._exposure)
         # A camera that is given tells nothing but the rotation: this frame need not be its white image.
         found = assess(
             shot.pixels, calibration=replace(camera, source="scene") if self._given else camera, white_level=shot.white

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.arrays import Exposure, brighten, exposed_white, to_eight_bits, white_of
+from lfcal.runtime.arrays import Exposure, brighten, exposure_gain, to_eight_bits
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, refuse_leftovers
 
@@ -142,8 +142,7 @@ class Brightness:
     def apply(self, picture: Rendering) -> Rendering:
         """A picture with the gain, in its type."""
         if self._exposure is not None:
-            white = white_of(picture.image, picture.white)
-            self.gain = white / exposed_white(picture.image, picture.white, self._exposure)
+            self.gain = exposure_gain(picture.image, picture.white, self._exposure)
             self._exposure = None
         return replace(picture, image=brighten(picture.image, self.gain, picture.white))
 

@@ -21,7 +21,7 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, calibrate, load
-from lfcal.runtime.arrays import Exposure, exposed_white, white_of
+from lfcal.runtime.arrays import Exposure, exposure_gain
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
@@ -292,7 +292,7 @@ class Job:
     def _save_settings(self, flat: NDArray[Any], depth: DepthMap) -> None:
         camera = self.camera(flat)
         if self.exposure is not None:
-            self.gain = white_of(flat, camera.white_level) / exposed_white(flat, camera.white_level, self.exposure)
+            self.gain = exposure_gain(flat, camera.white_level, self.exposure)
         self.scale = default_scale(depth) if self.scale is None else self.scale
         self.still, self.colours = still_depth(depth), magnification_limits(depth.magnification)
         settings = {**self._settings(), "scale": self.scale, "still": self.still, "colours": self.colours}

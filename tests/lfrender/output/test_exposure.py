@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import lfcal
 import lfrender
-from lfcal.runtime.arrays import brighten, exposed_white, to_eight_bits
+from lfcal.runtime.arrays import brighten, exposure_gain, to_eight_bits
 from lfrender.cli.main import main
 from lfrender.data.rendering import Rendering
 from lfrender.output.views import write_grid
@@ -26,12 +26,12 @@ def dim(brightest=0.04, kind=np.uint16):
 
 
 def test_only_dim_pictures_of_more_than_8_bits_are_exposed_by_their_content():
-    assert exposed_white(dim(0.04).image) == pytest.approx(0.04 * 65535 / 0.9, rel=0.02)
-    assert exposed_white(dim(0.04, np.float32).image) == pytest.approx(0.04 / 0.9, rel=0.02)
-    assert exposed_white(dim(0.95).image) == 65535
-    assert exposed_white(dim(0.04, np.uint8).image) == 255
-    assert exposed_white(dim(0.04).image, exposure=3.0) == 65535 / 8
-    assert exposed_white(np.zeros((9, 9), np.uint16)) > 0
+    assert exposure_gain(dim(0.04).image) == pytest.approx(0.9 / 0.04, rel=0.02)
+    assert exposure_gain(dim(0.04).image, 4095) == pytest.approx(0.9 * 4095 / (0.04 * 65535), rel=0.02)
+    assert exposure_gain(dim(0.04, np.float32).image, 4095) == pytest.approx(0.9 / 0.04, rel=0.02)
+    assert exposure_gain(dim(0.95).image) == exposure_gain(dim(0.04, np.uint8).image) == 1
+    assert exposure_gain(dim(0.04).image, exposure=3.0) == 8
+    assert exposure_gain(np.zeros((9, 9), np.uint16)) == 1000
 
 
 def test_a_gain_keeps_the_type_and_stops_at_white():
