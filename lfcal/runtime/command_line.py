@@ -64,6 +64,10 @@ class Program(cloup.Group):
         except SystemExit as end:
             leave_if_interrupted(end.code if isinstance(end.code, int) else 0)
             raise
+        except Exception:
+            # Libraries turn an interrupt while they are imported into errors of their own.
+            leave_if_interrupted(130)
+            raise
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         if "numpy" not in sys.modules:

@@ -92,3 +92,15 @@ def test_what_follows_an_interrupt_that_ends_a_page_has_time(tmp_path):
         process.send_signal(signal.SIGINT)
         assert process.stdout.read() == b"recording is written\n"
         assert process.wait(timeout=30) == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
+def test_an_error_that_a_library_makes_of_an_interrupt_is_no_traceback(tmp_path):
+    default = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
+    program = PROGRAM.format(unwind="raise ImportError('half imported') from None")
+    command = [sys.executable, "-c", program, str(tmp_path / "output.tif")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=default) as process:
+        assert process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) == 130
+        assert process.stderr.read() == b""
