@@ -13,17 +13,29 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from types import FrameType
 
 from .output_file import discard_unfinished
 
-__all__ = ["GRACE", "end_by_interrupt", "handle_interrupts", "leave_if_interrupted"]
+__all__ = ["GRACE", "end_by_interrupt", "handle_interrupts", "leave_if_interrupted", "run_program"]
 
 #: Seconds that a command has after Ctrl-C to put away what it works on; after a second Ctrl-C it has none.
 GRACE = 3.0
 _CODE = 130  # 128 and the number of the signal, as shells say it
 
 _interrupted = False
+
+
+def run_program(name: str) -> None:
+    """Load the command line of the package `name`, and run it; an interrupt meanwhile ends the process."""
+    handle_interrupts()
+    try:
+        main = import_module(f"{name}.cli.main").main
+    except BaseException:
+        leave_if_interrupted(_CODE)
+        raise
+    main(prog_name=name)
 
 
 def handle_interrupts() -> None:
