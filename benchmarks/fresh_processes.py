@@ -1,21 +1,25 @@
-"""Whether commands end: `python -m benchmarks.fresh_processes [COUNT] [--empty N] [--busy]`.
+"""Whether commands end: `python -m benchmarks.fresh_processes [COUNT] [--empty N] [--busy] [--interrupt]`.
 
 Renders a small simulated flat in COUNT fresh processes, two at a time: in every form that flats come in, with and
 without a camera file, and with the kernels compiled before; then in N pairs of processes, each pair with one empty
 cache. `--busy` keeps all cores busy meanwhile. Printed are the processes that did not end, ended later than 10 s after
-the median of their kind, or with a code or a traceback.
+the median of their kind, or with a code or a traceback. With `--interrupt` each gets a Ctrl-C at a random time of its
+run instead, and has 5 s to end; its output is to be whole or absent, with no temporary file beside it.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import random
+import signal
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import cycle, islice
 from pathlib import Path
@@ -23,11 +27,15 @@ from typing import Any
 
 import numpy as np
 
+import lfcal
+import lfrender
+
 from .first_run import make_flat
 
 _ROOT = Path(__file__).parents[1]
 _LATE = 10.0  # seconds after the median of a kind
 _HUNG = 600.0  # seconds
+_AT_ONCE = 5.0  # seconds
 
 
 @dataclass(frozen=True)
@@ -80,6 +88,36 @@ def _run(kind: str, name: str, arguments: list[str], flat: Path | None, cache: P
     return _Run(kind, name, time.perf_counter() - start, fault)
 
 
+def _interrupt(after: float, kind: str, name: str, arguments: list[str], flat: Path | None, cache: Path) -> _Run:
+    """Start a process, interrupt it `after` some seconds, and look at its output."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(_ROOT)}
+    output = Path(arguments[arguments.index("-o") + 1])
+    command = [sys.executable, "-m", "lfrender.cli.main", *arguments]
+    with (flat or Path(os.devnull)).open("rb") as stdin:
+        process = subprocess.Popen(command, env=environment, stdin=stdin, stderr=subprocess.PIPE, text=True)
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(after)
+    start = time.perf_counter()
+    process.send_signal(signal.SIGINT)
+    try:
+        process.wait(_HUNG / 10)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return _Run(kind, name, _HUNG / 10, "did not end")
+    seconds = time.perf_counter() - start
+    fault = "later than 5 s after the interrupt" if seconds > _AT_ONCE else ""
+    if output.exists():
+        try:
+            lfrender.DepthMap.load(output) if output.suffix == ".npz" else lfcal.read_flat(output)
+        except lfcal.LightFieldError as error:
+            fault = str(error)
+    elif process.returncode == 0:
+        fault = "ended with 0 and no output"
+    if list(output.parent.glob(f".{output.stem}.*")):
+        fault = "left a temporary file"
+    return _Run(kind, f"{name}, interrupted after {after:.1f} s, code {process.returncode}", seconds, fault)
+
+
 def _jobs(flats: dict[str, Path], camera: Path, folder: Path, cache: Path, count: int) -> list[tuple[Any, ...]]:
     """Arguments of `_run`: each form with and without camera, the first forms also from stdin."""
     kinds: list[tuple[str, str, list[str], Path | None]] = []
@@ -102,6 +140,7 @@ def main() -> None:
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--empty", type=int, default=2)
     parser.add_argument("--busy", action="store_true")
+    parser.add_argument("--interrupt", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -118,7 +157,13 @@ def main() -> None:
                 pair = _jobs(flats, camera, folder, folder / f"empty{number}", 2)
                 jobs += [("empty cache", *job[1:]) for job in pair]
             with ThreadPoolExecutor(2) as pool:
-                runs = list(pool.map(lambda job: _run(*job), jobs))
+                if options.interrupt:
+                    # Kernels are loaded or compiled once; then that is how long a run takes.
+                    longest, rng = max(_run(*job).seconds for job in jobs[:4]), random.Random(1)
+                    times = [rng.uniform(0.0, 1.1 * longest) for _ in jobs]
+                    runs = list(pool.map(lambda after, job: _interrupt(after, *job), times, jobs))
+                else:
+                    runs = list(pool.map(lambda job: _run(*job), jobs))
         finally:
             for process in busy:
                 process.kill()

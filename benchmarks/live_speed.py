@@ -11,7 +11,6 @@ from __future__ import annotations
 import http.client
 import itertools
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -52,8 +51,7 @@ def _measure(frames: list[NDArray[Any]], camera: lfcal.Calibration, picture: str
     session.start()
     latencies: list[float] = []
     with LiveServer(session, "benchmark") as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        client, after = http.client.HTTPConnection("127.0.0.1", server.server_port), 0
+        client, after = http.client.HTTPConnection("127.0.0.1", server.port), 0
         start, used, pictures = np.inf, 0.0, 0
         while time.monotonic() < start + seconds:
             client.request("GET", f"/frame?kind={picture}&after={after}")
@@ -67,7 +65,6 @@ def _measure(frames: list[NDArray[Any]], camera: lfcal.Calibration, picture: str
             else:
                 latencies.append(1e3 * session.latency)
         cores = (time.process_time() - used) / seconds
-        server.shutdown()
     session.close()
     memory = int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
     middle, most = np.quantile(latencies, [0.5, 0.95])

@@ -1,5 +1,12 @@
-"""`python -m lfcal`: the command line."""
+"""The program `lfcal`, and `python -m lfcal`: the command line, which Ctrl-C ends while it is loaded too."""
 
-from .cli.main import main
+from lfcal.runtime.interrupts import run_program
 
-main(prog_name="lfcal")
+
+def run() -> None:
+    """Run the command line in this process."""
+    run_program("lfcal")
+
+
+if __name__ == "__main__":
+    run()

@@ -51,6 +51,7 @@ _HOMES = {
     "Volume": "volume.volume",
     "analyze": "depth.analyze",
     "analyze_large": "large.analyze",
+    "dense_depth": "data.dense_depth",  # documented there
     "focal_stack": "rendering.refocus",
     "open_frames": "sequence.frames",
     "reconstruct_volume": "volume.reconstruct",

@@ -1,5 +1,12 @@
-"""`python -m lfrender`: the command line."""
+"""The program `lfrender`, and `python -m lfrender`: the command line, which Ctrl-C ends while it is loaded too."""
 
-from .cli.main import main
+from lfcal.runtime.interrupts import run_program
 
-main(prog_name="lfrender")
+
+def run() -> None:
+    """Run the command line in this process."""
+    run_program("lfrender")
+
+
+if __name__ == "__main__":
+    run()

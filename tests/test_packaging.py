@@ -45,3 +45,11 @@ def test_extras_are_named_by_the_errors_that_ask_for_them():
         for source in (ROOT / package).rglob("*.py"):
             named |= set(re.findall(r"lfrender\[(\w+)\]", source.read_text(encoding="utf-8")))
     assert named <= set(PROJECT["optional-dependencies"])
+
+
+def test_the_lowest_versions_are_those_of_the_project():
+    done = subprocess.run([sys.executable, ROOT / ".ci" / "lowest.py"], capture_output=True, text=True, check=True)
+    named = done.stdout.split()
+    assert [line.partition(",")[0] for line in named] == PROJECT["dependencies"]
+    assert "scipy>=1.11.1,<1.11.1.1" in named
+    assert "lowest_versions" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")

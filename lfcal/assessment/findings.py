@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
-from ..gain.gain_map import nearest_half
+from ..gain.gain_map import field_place, nearest_half
 from ..images.preprocessing import luminance
-from ..images.stack import estimate_white_level, measure_overexposure
-from ..lens_blur.microimages import MicroimageField
+from ..images.stack import measure_overexposure
+from ..lens_blur.microimages import LIGHT_FAULT, Field, MicroimageField
 from .alignment import Alignment
 from .result import Finding
 
-__all__ = ["FINDINGS", "Seen", "find_exposure", "find_rotation", "find_tilt", "unmeasured"]
+__all__ = ["FINDINGS", "Seen", "find_exposure", "find_range", "find_rotation", "find_tilt", "unmeasured"]
 
 Vector = NDArray[np.float64]
 # [standard errors] within which a value counts as zero, and from which on two measurements contradict each other.
@@ -38,6 +38,7 @@ class Seen(NamedTuple):
     f_number: float | None = None  # as seen from the sensor
     pupil: float | None = None  # [px] distance of the exit pupil
     pixel: float | None = None  # [mm]
+    top: float | None = None  # largest value that pixels can have, None where nobody knows
 
     def length(self, pixels: float) -> str:
         """A distance in the unit that is known."""
@@ -186,7 +187,7 @@ def _find_apertures(seen: Seen) -> Finding:
 
 def _find_vignetting(seen: Seen) -> Finding:
     """Where the main lens cuts microimages, and how the light falls towards the corners."""
-    gain, radius, level = seen.camera.gain_map, seen.field.radius.value, seen.field.level
+    gain, radius, level = seen.camera.gain_map, seen.field.radius.value, _lens_light(seen)
     if gain is None:
         return unmeasured("px", "the calibration has no gain map")
     corner = 1 - float(np.exp(min(level.bend, 0.0))) if np.isfinite(level.bend) else float("nan")
@@ -206,26 +207,59 @@ def _find_vignetting(seen: Seen) -> Finding:
     return Finding(depth, error, "px", verdict, advice if most > 0.3 * radius else "", details)
 
 
-def find_exposure(flat: NDArray[Any], camera: Calibration) -> Finding:
-    """Over- or under-exposed."""
-    if flat.dtype.kind != "u":
-        return unmeasured("%", "values that are no whole numbers have no largest one")
-    top = estimate_white_level([flat]) or float(np.iinfo(flat.dtype).max)
-    if camera.white_level is not None and flat.max() <= camera.white_level:
-        top = camera.white_level
+def find_range(flats: list[NDArray[Any]], white_level: float | None = None) -> float | None:
+    """Largest value that pixels of these flats of one sensor can have; None where neither they nor a user tell it.
+
+    Files of 16 bits hold sensors of 10, 12 or 14 bits too: of dim flats nobody knows which.
+    """
+    if white_level is not None:
+        return white_level
+    if any(flat.dtype.kind != "u" for flat in flats):
+        return None
+    if any(flat.dtype.itemsize == 1 for flat in flats):
+        return 255.0
+    if any(measure_overexposure(flat) > 0 for flat in flats):
+        return float(max(flat.max() for flat in flats))
+    return 65535.0 if max(flat.max() for flat in flats) >= 1 << 14 else None
+
+
+def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
+    """Over- or under-exposed, where the largest value `top` that pixels can have is known."""
+    brightest = float(flat.max())
+    if flat.dtype.kind == "f" and top is None:
+        return unmeasured("%", "values that are no whole numbers have no largest one; give the white level")
+    if top is None:
+        ranges = "10, 12, 14 or 16 bits"
+        return unmeasured(
+            "%", f"{ranges}, nothing tells which: the brightest pixel is {brightest:g}; give --white-level"
+        )
     bright = float(np.percentile(flat[:: max(1, len(flat) // 1000)], 99)) / top
-    clipped = measure_overexposure(flat)
-    told = partial(Finding, 100 * bright, 50 / top, "%", details={"clipped": clipped})
+    clipped = float((flat >= top).mean()) if brightest >= top else 0.0
+    told = partial(Finding, 100 * bright, 0.0, "%", details={"clipped": clipped, "white_level": top})
     if clipped > 0.02:
-        return told(f"over-exposed: {clipped:.0%} of the pixels are clipped", "expose less, by a half or more")
+        return told(f"over-exposed: {clipped:.0%} of the pixels are at {top:g}", "expose less, by a half or more")
     if bright < 0.25:
         longer = f"expose up to {0.8 / max(bright, 1e-4):.2g} times longer"
-        return told(f"under-exposed: bright pixels have {bright:.1%} of the largest value", longer)
-    return told("well exposed")
+        return told(f"under-exposed: bright pixels have {bright:.1%} of {top:g}", longer)
+    return told(f"of {top:g}: well exposed")
+
+
+def _lens_light(seen: Seen) -> Field:
+    """Logarithm of the light of the lenses over the field, in the values of the flat: what the page draws.
+
+    Where there is no gain map, that of the tiles. Half the difference of both is part of the error of the slope.
+    """
+    tiles, gain, lattice = seen.field.level, seen.camera.gain_map, seen.camera.lattice
+    if gain is None:
+        return Field(*tiles)
+    centres = lattice.centres()
+    found = Field.fit(field_place(centres, lattice), np.log(gain.light(centres, lattice)), LIGHT_FAULT)
+    apart = np.hypot(*(found.slope - tiles.slope)) / 2
+    return found._replace(slope_error=float(np.hypot(found.slope_error, apart)))
 
 
 def _find_evenness(seen: Seen) -> Finding:
-    level, size = seen.field.level, np.array(seen.camera.image_size)
+    level, size = _lens_light(seen), np.array(seen.camera.image_size)
     if not np.isfinite(level.slope_error):
         return unmeasured("%", "too few microimages")
     across = size / (np.hypot(*size) / 2)
@@ -301,7 +335,7 @@ FINDINGS: dict[str, tuple[Callable[[Seen], Finding], str, bool]] = {
     "distance": (_find_distance, "px", True),
     "apertures": (_find_apertures, "px", True),
     "vignetting": (_find_vignetting, "px", True),
-    "exposure": (lambda seen: find_exposure(seen.flat, seen.camera), "%", False),
+    "exposure": (lambda seen: find_exposure(seen.flat, seen.top), "%", False),
     "evenness": (_find_evenness, "%", True),
     "dirt": (_find_dirt, "places", False),
 }

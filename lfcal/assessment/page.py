@@ -25,7 +25,7 @@ def write_assessment(path: str | os.PathLike[str], found: Assessment, title: str
 
     check_output(path, {".html", ".htm"})
     findings = []
-    for name, finding in found.findings.items():
+    for name, finding in found.grouped():
         drawing = ""
         if name in _DRAWINGS and finding.measured:
             figure = Figure((4.4, 3.0), layout="constrained")
@@ -82,7 +82,12 @@ def _draw_vignetting(axes: Any, found: Assessment) -> None:
 
 def _draw_exposure(axes: Any, found: Assessment) -> None:
     axes.fill_between(np.linspace(0, 100, len(found.histogram)), found.histogram, step="mid", color=TYPE_COLOURS[0])
-    axes.set(xlabel="value [% of the largest]", yticks=[], yscale="symlog", title="pixels over their values")
+    axes.set(
+        xlabel="value [% of the largest that pixels can have, or have]",
+        yticks=[],
+        yscale="symlog",
+        title="pixels over their values",
+    )
 
 
 def _draw_evenness(axes: Any, found: Assessment) -> None:

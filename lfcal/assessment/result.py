@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
+from ..runtime.page import html_table
 
 __all__ = ["Assessment", "Finding"]
 
@@ -77,7 +78,7 @@ class Assessment:
     vignetting : Finding
         [px] that the main lens cuts off the microimages in the corners.
     exposure : Finding
-        [%] of the largest value that bright pixels have.
+        [%] of the largest value that pixels can have, which the verdict names, that bright pixels have.
     evenness : Finding
         [%] by which one side is brighter than the other.
     dirt : Finding
@@ -117,9 +118,21 @@ class Assessment:
         own = {one.name: getattr(self, one.name) for one in fields(self)[:8]}
         return own | {f"scene, {name}": finding for name, finding in self.scene.items()}
 
+    def grouped(self) -> list[tuple[str, Finding]]:
+        """All findings by their names; those that one reason kept from being measured are one, with all their names."""
+        groups: dict[str, tuple[list[str], Finding]] = {}
+        for name, finding in self.findings.items():
+            key = name if finding.measured else finding.verdict
+            groups.setdefault(key, ([], finding))[0].append(name)
+        return [(", ".join(names), finding) for names, finding in groups.values()]
+
     def __str__(self) -> str:
-        width = max(map(len, self.findings)) + 2
-        return "\n".join(f"{name:{width}}{finding}" for name, finding in self.findings.items())
+        lines = self.grouped()
+        width = max(len(name) for name, finding in lines if finding.measured or "," not in name) + 2
+        return "\n".join(f"{name:{width - 2}}  {finding}" for name, finding in lines)
+
+    def _repr_html_(self) -> str:
+        return html_table("Assessment", {name: str(finding) for name, finding in self.grouped()})
 
     def to_dict(self) -> dict[str, Any]:
         """All findings as plain numbers and strings, NaN where not measured."""

@@ -1,4 +1,4 @@
-"""What a scene capture shows of how a camera is set up: whether the array has moved, modes, depth, focus of types."""
+"""What a scene capture shows of how a camera is set up: whether the array has moved, exposure, focus of lens types."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from ..camera.calibration import Calibration
 from ..display.fit_check import check_camera, check_fit
 from ..images.preprocessing import sqrt_luminance
 from ..lens_types.classify import find_lens_types
-from ..lens_types.coarse_disparity import estimate_coarse_disparity
-from ..lens_types.lens_sample import sample_lenses
 from .findings import find_exposure, unmeasured
 from .result import Finding
 
@@ -22,11 +20,10 @@ __all__ = ["assess_scene"]
 _STEP = 0.05
 
 
-def assess_scene(scene: NDArray[Any], camera: Calibration) -> dict[str, Finding]:
-    """Findings on a scene, given the camera as its white image shows it."""
-    found = {"place": _find_shift(scene, camera), "exposure": find_exposure(scene, camera)}
+def assess_scene(scene: NDArray[Any], camera: Calibration, top: float | None) -> dict[str, Finding]:
+    """Findings on a scene, given the camera as its white image shows it; `top` is as for `find_exposure`."""
+    found = {"place": _find_shift(scene, camera), "exposure": find_exposure(scene, top)}
     picture, types = sqrt_luminance(scene), camera.lens_types
-    found["depth"] = _find_depth(picture, camera)
     if types is not None:
         again = find_lens_types(picture, camera.lattice, False)
         focus = None if again is None or again.count != types.count else again.focus
@@ -47,18 +44,3 @@ def _find_shift(scene: NDArray[Any], camera: Calibration) -> Finding:
     verdict = problem or "the microimages are where the white image has them"
     # What is shown in microimages moves the fit.
     return Finding(fit.max_offset, fit.limit / 2, "px", verdict, "take a new white image" if problem else "")
-
-
-def _find_depth(picture: NDArray[np.float32], camera: Calibration) -> Finding:
-    ratio = estimate_coarse_disparity(picture, sample_lenses(camera.lattice))
-    known = ratio[np.isfinite(ratio)]
-    if len(known) < 100:
-        return unmeasured("s / D", "too few lenses show how far they differ from their neighbours")
-    low, middle, high = map(float, np.quantile(known, (0.02, 0.5, 0.98)))
-    telescopic, binocular = (float((way * known > 1.5 * _STEP).mean()) for way in (1, -1))
-    share = {"telescopic": telescopic, "binocular": binocular, "resolved": len(known) / len(ratio)}
-    verdict = (
-        f"s from {low:+.2f} D to {high:+.2f} D, {telescopic:.0%} telescopic and {binocular:.0%} binocular, seen "
-        f"coarsely in {share['resolved']:.0%} of the lenses; 'lfrender analyze' measures each"
-    )
-    return Finding(middle, _STEP / 2, "s / D", verdict, details={"from": low, "to": high, **share})

@@ -15,7 +15,7 @@ from ..lens_blur.microimages import measure_microimages
 from ..pipeline import SURE_CONFIDENCE, calibrate
 from ..runtime.errors import FlatError
 from .alignment import measure_alignment
-from .findings import FINDINGS, Seen, find_rotation, unmeasured
+from .findings import FINDINGS, Seen, find_range, find_rotation, unmeasured
 from .result import Assessment, Finding
 
 __all__ = ["assess"]
@@ -29,6 +29,7 @@ def assess(
     f_number: float | None = None,
     pupil: float | None = None,
     pixel: float | None = None,
+    white_level: float | None = None,
 ) -> Assessment:
     """Tell how a microlens array is mounted on its sensor, and what to turn.
 
@@ -47,6 +48,8 @@ def assess(
         From the exit pupil of the main lens to the array; by default that of the optics of the calibration.
     pixel : float, optional [mm]
         Side of a pixel.
+    white_level : float, optional
+        Largest value that pixels can have, 4095 for a sensor of 12 bits; by default as far as the flats show it.
 
     Raises
     ------
@@ -61,9 +64,9 @@ def assess(
     >>> sample = lfrender.data.house(size=(400, 300), samples=2)
     >>> found = lfcal.assess(sample.white, f_number=4)
     >>> found.exposure.verdict
-    'well exposed'
+    'of 255: well exposed'
     """
-    for name, value in (("f_number", f_number), ("pupil", pupil), ("pixel", pixel)):
+    for name, value in (("f_number", f_number), ("pupil", pupil), ("pixel", pixel), ("white_level", white_level)):
         if value is not None and not 0 < value < np.inf:
             raise ValueError(f"{name} must be a positive number, got {value!r}")
     flat, *others = check_flats(white)
@@ -77,6 +80,7 @@ def assess(
             raise FlatError(f"{name} is {given}, the camera is for {own}; give flats of one camera")
     if camera.optics is not None:
         pixel, pupil = pixel or camera.optics.pixel, pupil or camera.optics.mla_distance
+    top = find_range([flat] if shown is None else [flat, shown], white_level)
     alignment, field = measure_alignment(camera), None
     found = {"rotation": find_rotation(alignment, camera)}
     if camera.source == "white":
@@ -88,14 +92,14 @@ def assess(
             found[name] = unmeasured(unit, "the microimages show no rims")
         else:
             distance = pupil / pixel if pupil and pixel else None
-            found[name] = find(Seen(flat, camera, alignment, field, f_number, distance, pixel))
+            found[name] = find(Seen(flat, camera, alignment, field, f_number, distance, pixel, top))
     told: dict[str, Any] = {name: _without_advice(one, camera) for name, one in found.items()}
-    top = camera.white_level or (float(np.iinfo(flat.dtype).max) if flat.dtype.kind == "u" else float(flat.max()))
-    told["histogram"] = np.histogram(flat[:: max(1, len(flat) // 1000)], 256, (0, max(top, 1e-9)))[0]
+    shown_range = (0, max(top or float(flat.max()), 1e-9))
+    told["histogram"] = np.histogram(flat[:: max(1, len(flat) // 1000)], 256, shown_range)[0]
     if shown is not None:
         from .scene import assess_scene
 
-        told["scene"] = assess_scene(shown, camera)
+        told["scene"] = assess_scene(shown, camera, top)
     return Assessment(**told, calibration=camera, microimages=field)
 
 

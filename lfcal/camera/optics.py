@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.arrays import Frozen
 from ..runtime.errors import CameraFileError, check_numbers, check_path
+from ..runtime.input_file import read_text
 from ..runtime.output_file import atomic_write
 
 __all__ = ["OPTICS_PARAMETERS", "Optics", "object_slopes", "turn_to_array"]
@@ -241,9 +242,9 @@ class Optics(Frozen):
         """
         file = check_path(path)
         try:
-            data = json.loads(file.read_text(encoding="utf-8"))
+            data = json.loads(read_text(file))
             return cls.from_dict(data["optics"] if isinstance(data, dict) and data.get("optics") else data)
-        except (OSError, KeyError, ValueError, TypeError) as error:
+        except (OSError, KeyError, ValueError, TypeError, RecursionError) as error:
             reason = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             if isinstance(error, OSError):
                 reason = f"cannot be read as optics ({error.strerror or error})"

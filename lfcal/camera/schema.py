@@ -18,6 +18,8 @@ __all__ = ["check_plausible", "check_together", "read_fields"]
 
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _Point = tuple[_Number, _Number]
+# Light over that of the brightest place, or its natural logarithm: measured ones lie between -0.3 and 1.1.
+_MOST_LIGHT = 10.0
 
 
 class _Lattice(Struct):
@@ -67,6 +69,25 @@ def check_together(camera: Calibration, pitch: float | None) -> None:
         raise _misfit("lattice.pitch", f"{pitch:.6g} px are not the {lattice.pitch:.6g} px of lattice.basis")
     lengths = {"gain_map.radius": gain.radius, "gain_map.step": gain.step} if gain else {}
     _check_lengths(lattice, lengths | ({"vignetting.step": vignetting.step} if vignetting else {}))
+    if vignetting is not None:
+        _check_largest("vignetting.profile", vignetting.profile, _MOST_LIGHT)
+    if gain is not None:
+        side = max(lattice.image_size)
+        _check_largest("gain_map.profile", gain.profile, _MOST_LIGHT)
+        _check_largest("gain_map.dark", gain.stray_light, _MOST_LIGHT)
+        _check_largest("gain_map.types.light", gain.type_light, _MOST_LIGHT)
+        _check_largest("gain_map.level", gain.level, _MOST_LIGHT)
+        _check_largest("gain_map.own", gain.lens_gain, 100)
+        _check_largest("gain_map.shade", gain.shading, 100)
+        _check_largest("gain_map.rim", gain.rim, side)
+        # A disc as large as that cuts along a straight line.
+        _check_largest("gain_map.cut", gain.cut, 100 * side)
+
+
+def _check_largest(field: str, values: Any, largest: float) -> None:
+    found = float(np.abs(values).max(initial=0))
+    if not found <= largest:
+        raise _misfit(field, f"{found:.3g} is not between -{largest:g} and {largest:g}")
 
 
 def check_plausible(lattice: Lattice) -> None:

@@ -20,6 +20,7 @@ from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.robust_fit import fit_affine
 from ..runtime.errors import CameraFileError
+from .text_files import LARGEST
 
 __all__ = ["format_centre_table", "parse_centre_table"]
 
@@ -91,8 +92,9 @@ def _read_columns(text: str) -> dict[str, Array]:
         elif not is_remark:
             raise ValueError(f"line {number} is neither numbers nor a header with x and y")
     names = names or list(_COLUMNS[: len(rows[0])] if rows else _COLUMNS)
-    if any(len(row) != len(names) for row in rows) or len(rows) < 3 or not np.isfinite(rows).all():
-        raise ValueError(f"at least three lines of {len(names)} finite numbers are needed: {', '.join(names)}")
+    if any(len(row) != len(names) for row in rows) or len(rows) < 3 or not (np.abs(rows) <= LARGEST).all():
+        numbers = f"{len(names)} numbers of at most {LARGEST:g}"
+        raise ValueError(f"at least three lines of {numbers} are needed: {', '.join(names)}")
     table = dict(zip(names, np.array(rows).T, strict=True))
     if "diameter" in table:
         table["radius"] = table["diameter"] / 2

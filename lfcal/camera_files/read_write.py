@@ -19,6 +19,7 @@ from ..camera.calibration import Calibration
 from ..camera.schema import check_plausible
 from ..runtime.errors import CameraFileError, check_path
 from ..runtime.image_formats import IMAGE_SUFFIXES
+from ..runtime.input_file import read_text
 from ..runtime.output_file import atomic_write, check_output
 from .centre_table import format_centre_table, parse_centre_table
 from .text_files import Mode, format_key_value, parse_key_value
@@ -83,7 +84,7 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
     """
     source = check_path(path)
     try:
-        text = source.read_text(encoding="utf-8-sig")
+        text = read_text(source)
     except (OSError, UnicodeDecodeError) as error:
         problem = f"cannot be read as a camera file ({error})"
         if source.suffix.lower() in IMAGE_SUFFIXES and source.exists():

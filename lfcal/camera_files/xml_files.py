@@ -30,9 +30,12 @@ def parse_xml(text: str, size: tuple[int, int]) -> Calibration:
 
     try:
         root = fromstring(text)
+        texts = dict(_texts(root))
+    except RecursionError as error:
+        raise CameraFileError("not a camera file: its elements are nested too deeply") from error
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise CameraFileError(f"not valid XML ({error})") from error
-    numbers = PublishedNumbers(_texts(root))
+    numbers = PublishedNumbers(texts)
     if root.tag == "RayCalibData":
         types = [PublishedNumbers(_texts(element)) for element in root.findall("lens_type")]
         return _parse_raytrix(numbers, types, size)

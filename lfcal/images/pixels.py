@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
+from ..runtime.opencv_log import silent_opencv
 
 __all__ = [
     "MAX_PIXELS", "check_only_page", "check_page", "check_size", "checked_pixels", "decode_picture",
@@ -132,13 +133,8 @@ def decode_with_opencv(data: bytes, grey: bool = False) -> NDArray[Any]:
     """Pixels of any file that OpenCV reads, RGB without alpha; a `grey` file may have alpha."""
     import cv2
 
-    log = cv2.utils.logging
-    level = log.getLogLevel()
-    log.setLogLevel(log.LOG_LEVEL_SILENT)
-    try:
+    with silent_opencv():
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    finally:
-        log.setLogLevel(level)
     if pixels is None:
         raise FlatError("damaged image file: its pixels cannot be decoded")
     check_size(pixels.shape[1], pixels.shape[0])

@@ -22,7 +22,7 @@ from ..images.preprocessing import luminance
 from ..lattice.cell import Cell
 from ..lattice.lens_subset import select_whole_lenses
 
-__all__ = ["Field", "MicroimageField", "measure_microimages"]
+__all__ = ["LIGHT_FAULT", "Field", "MicroimageField", "measure_microimages"]
 
 Array = NDArray[np.float64]
 _ACROSS_PIXEL = ((-(0.15**0.5), 5 / 18), (0.0, 8 / 18), (0.15**0.5, 5 / 18))
@@ -34,7 +34,7 @@ _SIDES_FAULT = 0.15
 # Of the diameter of the blur: [1] its share; [px] of a disc of 1 px, as pixels hide small ones.
 _BLUR_SHARE = 0.04
 _BLUR_FAULT = 0.25
-_LIGHT_FAULT = 0.002  # of the logarithm of the light
+LIGHT_FAULT = 0.002  # of the logarithm of the light
 
 
 class Field(NamedTuple):
@@ -291,6 +291,6 @@ def _fit_tiles(model: _Model, tiles: list[_Tile], start: Array) -> MicroimageFie
     return MicroimageField(
         place, radii, Field.fit(place, radii.mean(1), _RADIUS_FAULT, float(of_shape)),
         tuple(Field.fit(place, values, fault) for values, fault in zip(blurs.T, faults, strict=True)),
-        Field.fit(place, np.log([tile.level for tile in tiles]), _LIGHT_FAULT),
+        Field.fit(place, np.log([tile.level for tile in tiles]), LIGHT_FAULT),
         (np.hypot(*middle.offset[own].T), middle.light[own], model.light(middle, start)[own]),
     )  # fmt: skip

@@ -20,6 +20,7 @@ from ..camera.calibration import Calibration
 from ..camera.optics import Optics, object_slopes, turn_to_array
 from ..runtime.arrays import Array
 from ..runtime.errors import CameraFileError
+from ..runtime.input_file import read_text
 from ..runtime.output_file import atomic_write
 from .result import MetricCalibration
 
@@ -131,7 +132,7 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
         return [float(v) for v in (values[0] if values and isinstance(values[0], list) else values)]
 
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        data = json.loads(read_text(path))
         lengths = (float(data["main_lens"]["f"]), float(data["D"]), float(data["d"]), float(data["sensor"]["scale"]))
         far, bent = lengths[1], data.get("distortions_inverse", {})
         k1, k2, k3 = (k * far ** (2 * n + 2) for n, k in enumerate(row(bent.get("radial", (0, 0, 0)))))
@@ -146,7 +147,7 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
         )
     except OSError as error:
         raise CameraFileError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
         raise CameraFileError(
             f"{path}: not the intrinsics of libpleno ({type(error).__name__}: {error}); give its intrinsics.js"
         ) from error

@@ -14,6 +14,7 @@ from ..camera.calibration import Calibration
 from ..camera.optics import Optics
 from ..runtime.arrays import Array, Booleans, Frozen
 from ..runtime.output_file import atomic_write
+from ..runtime.page import html_table
 from .bundle_adjustment import Adjusted, Observations
 from .camera_model import INTERNAL, SHAPE
 
@@ -128,6 +129,12 @@ class MetricCalibration(Frozen):
 
     def __repr__(self) -> str:
         return f"MetricCalibration({len(self.poses)} poses, {len(self.residual)} corners, {self.rms:.3f} px RMS)"
+
+    def _repr_html_(self) -> str:
+        optics, names = self.optics, ("focal length", "main lens to microlenses", "microlenses to sensor")
+        lengths = (optics.focal_length, optics.mla_distance, optics.sensor_distance)
+        figures = {name: f"{length:.4g} mm" for name, length in zip(names, lengths, strict=True)}
+        return html_table(repr(self), figures, [*self.warnings, *self.degeneracies])
 
     @property
     def optics(self) -> Optics:

@@ -26,12 +26,17 @@ from .errors import LightFieldError
 from .image_formats import IMAGE_FORMATS, identify_format
 
 __all__ = [
-    "InputPath", "OutputPath", "Pair", "Program", "Report", "command", "name_file_in_errors", "option",
-    "report_options", "several_inputs", "with_options",
+    "ExposureValue", "InputPath", "OutputPath", "Pair", "Program", "Quantity", "Report", "command", "echo",
+    "name_file_in_errors", "option", "report_options", "several_inputs", "with_options",
 ]  # fmt: skip
 
 # Where the context of a command keeps its inputs, the file with what came from stdin, and that for stdout.
 _INPUTS, _STDIN, _STDOUT = "lfcal.inputs", "lfcal.stdin", "lfcal.stdout"
+
+# Seconds between lines about a long step.
+_TOLD_EVERY = 30.0
+# Control characters but for the ends of lines, and those that turn the direction of writing.
+_CONTROL = "[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]"
 
 
 class Program(cloup.Group):
@@ -48,6 +53,21 @@ class Program(cloup.Group):
         if args[0] in self.others[1]:
             ctx.fail(f"No such command {args[0]!r}. Did you mean '{self.others[0]} {args[0]}'?")
         return super().resolve_command(ctx, args)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run as a process of its own, which Ctrl-C ends in any case."""
+        from .interrupts import handle_interrupts, leave_if_interrupted
+
+        handle_interrupts()
+        try:
+            return self.main(*args, **kwargs)
+        except SystemExit as end:
+            leave_if_interrupted(end.code if isinstance(end.code, int) else 0)
+            raise
+        except Exception:
+            # Libraries turn an interrupt while they are imported into errors of their own.
+            leave_if_interrupted(130)
+            raise
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         if "numpy" not in sys.modules:
@@ -80,12 +100,35 @@ class Program(cloup.Group):
             message = f"{error.filename}: {error.strerror}" if error.filename else str(error)
         except LightFieldError as error:
             message = str(error)
-        click.echo(f"{self.name}: {_name_pipes(' '.join(message.split()))}", err=True)
+        echo(f"{self.name}: {' '.join(message.split())}", err=True)
         sys.exit(2)
 
 
 class _Command(cloup.Command):
-    """A command whose inputs must exist; for a misspelt name, similar ones are suggested."""
+    """A command whose inputs must exist; for a misspelt name, similar ones are suggested.
+
+    Options of several values take them as one word too, with commas; one of another command is told which.
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        several = {name: param.nargs for param in self.params for name in param.opts if param.nargs > 1}
+        words: list[str] = []
+        for word in args:
+            numbers = re.split(r"[,;]", word) if words and words[-1] in several else []
+            words += numbers if numbers and len(numbers) == several[words[-1]] else [word]
+        try:
+            return super().parse_args(ctx, words)
+        except click.NoSuchOption as error:
+            group = ctx.parent.command if ctx.parent else None
+            others = [
+                name
+                for name, other in getattr(group, "commands", {}).items()
+                if other is not self and any(error.option_name in param.opts for param in other.params)
+            ]
+            if others:
+                belongs = f"No such option: {error.option_name}; it belongs to {', '.join(others)}"
+                raise click.UsageError(belongs, ctx) from error
+            raise
 
     def invoke(self, ctx: click.Context) -> Any:
         for path in ctx.meta.get(_INPUTS, ()):
@@ -94,6 +137,8 @@ class _Command(cloup.Command):
                 similar = [str(path.with_name(name)) for name in get_close_matches(path.name, names, 2)]
                 ending = f"; did you mean {' or '.join(similar)}?" if similar else ""
                 raise click.ClickException(f"{path}: does not exist{ending}")
+            if not (path.is_file() or path.is_dir()):
+                raise click.ClickException(f"{path}: is a device or a pipe; give a file, or - for a pipe")
         return super().invoke(ctx)
 
 
@@ -143,6 +188,39 @@ class Pair(click.ParamType):
         if not found and not isinstance(value, tuple):
             self.fail(f"must be {self.name} such as {self.example}, got {value!r}", param, ctx)
         return (int(found[1]), int(found[2])) if found else value
+
+
+class Quantity(click.FloatRange):
+    """A positive number, which may stand as on lenses and boards: `f/4`, `23mm`, `5.5 um`."""
+
+    def __init__(self, before: str = "", after: str = "") -> None:
+        super().__init__(0, min_open=True)
+        self._written = rf"\s*(?:{before})?\s*([-+.\d]+(?:e[-+]?\d+)?)\s*(?:{after})?\s*"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        found = re.fullmatch(self._written, str(value), re.I)
+        number: Any = found[1] if found else value
+        return super().convert(number, param, ctx)
+
+
+class ExposureValue(click.ParamType):
+    """A brightness: a number of EV, or `auto`."""
+
+    name = "EV|auto"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        return self.name
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "auto":
+            return value
+        try:
+            number = float(re.sub(r"\s*EV$", "", str(value), flags=re.I))
+        except ValueError:
+            number = math.nan
+        if not abs(number) <= 16:
+            self.fail(f"must be auto, or a number of EV from -16 to 16, got {value!r}", param, ctx)
+        return number
 
 
 class InputPath(click.Path):
@@ -222,6 +300,15 @@ def _pipe_file(ctx: click.Context, name: str) -> Path:
     return Path(ctx.find_root().with_resource(tempfile.TemporaryDirectory(prefix="lfrender-pipe-"))) / name
 
 
+def echo(text: object, err: bool = False) -> None:
+    """Print a line in which texts of files and names cannot steer the terminal: control characters are shown as codes.
+
+    Files that stand for pipes are called `stdin` and `stdout`.
+    """
+    shown = re.sub(_CONTROL, lambda match: match[0].encode("unicode_escape").decode(), _name_pipes(str(text)))
+    click.echo(shown, err=err)
+
+
 def _name_pipes(text: str) -> str:
     """A text in which the files that stand for pipes are called `stdin` and `stdout`."""
     return re.sub(r"[^\s:'\"]*lfrender-pipe-[^/\\]+[/\\](stdin|stdout)\.\w+", r"\1", text)
@@ -268,7 +355,7 @@ class Report:
             # What an earlier run has done says nothing about the rate.
             before = done - 1 if before < 0 else before
             if remark and not self.quiet:
-                print(remark, file=sys.stderr, flush=True)
+                echo(remark, err=True)
             if shown is not None:
                 rate = (done - before) / (time.perf_counter() - start)
                 left = "" if count is None else f", {(count - done) / rate:.0f} s left"
@@ -295,12 +382,12 @@ class Report:
 
         if self.compile_seconds or is_compiled():
             return None
-        if not self.quiet and (not self.as_json or sys.stderr.isatty()):
+        if not self.quiet:
             about = "once per installation: a minute or two on two cores, more on a busy machine"
             self._echo(f"compiling kernels, {about} ...")
         start = time.perf_counter()
         with self.progress("compiling kernels") as step:
-            failed = compile_once(processes, step)
+            failed = compile_once(processes, step if self._shown or self.quiet else _tell_at_times(start))
         self.compile_seconds = time.perf_counter() - start
         return failed
 
@@ -326,17 +413,20 @@ class Report:
             found["seconds"] = {name: round(value, 4) for name, value in self.seconds.items()}
         if self.as_json:
             # NaN and infinity are null.
-            click.echo(_name_pipes(msgspec.json.encode(found, enc_hook=_built_in).decode()), err=_is_piped())
+            text = msgspec.json.encode(found, enc_hook=_built_in).decode()
+            # JSON has escapes for those below space, which this text has already; these ones it may hold as they are.
+            text = re.sub("[\x7f-\x9f]", lambda match: f"\\u{ord(match[0]):04x}", text)
+            echo(text, err=_is_piped())
             return
         for warning in found.pop("warnings"):
-            click.echo(_name_pipes(f"warning: {warning}"), err=True)
+            echo(f"warning: {warning}", err=True)
         width = max(map(len, found)) + 2
         table = (f"{name.replace('_', ' '):{width}}{_text(value, width)}" for name, value in found.items())
         for line in () if self.quiet else sentences or table:
             self._echo(line)
 
     def _echo(self, line: str) -> None:
-        click.echo(_name_pipes(line), err=self.as_json or _is_piped())
+        echo(line, err=self.as_json or _is_piped())
 
 
 @contextmanager
@@ -348,6 +438,19 @@ def name_file_in_errors(path: str | os.PathLike[str]) -> Iterator[None]:
         if str(path) in str(error):
             raise
         raise type(error)(f"{path}: {error}") from error
+
+
+def _tell_at_times(start: float) -> Callable[[int, int], None]:
+    """Where nothing is a terminal: a line about the progress every half a minute, so that nobody thinks it hangs."""
+    told = start
+
+    def step(done: int, count: int) -> None:
+        nonlocal told
+        if time.perf_counter() - told >= _TOLD_EVERY:
+            told = time.perf_counter()
+            echo(f"compiling kernels: {done} of {count} after {told - start:.0f} s", err=True)
+
+    return step
 
 
 def _is_piped() -> bool:

@@ -11,7 +11,13 @@ from pathlib import Path
 
 from .errors import LightFieldError, check_path
 
-__all__ = ["OutputError", "atomic_write", "check_folder", "check_output", "make_folder"]
+__all__ = [
+    "OutputError", "atomic_write", "check_folder", "check_output", "discard_unfinished", "make_folder",
+    "refuse_leftovers",
+]  # fmt: skip
+
+# Temporary files that are being written.
+_UNFINISHED: set[Path] = set()
 
 
 class OutputError(LightFieldError, OSError):
@@ -41,6 +47,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 def _temporary(target: Path) -> Iterator[Path]:
     """An empty file beside another, which is removed in the end, if it is still there."""
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
+    _UNFINISHED.add(temporary)
     try:
         temporary.open("xb").close()
         yield temporary
@@ -50,6 +57,14 @@ def _temporary(target: Path) -> Iterator[Path]:
         raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error
     finally:
         # A missing or read-only folder is reported above.
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        _UNFINISHED.discard(temporary)
+
+
+def discard_unfinished() -> None:
+    """Remove the temporary files of this process, which ends without finishing them."""
+    for temporary in list(_UNFINISHED):
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
 
@@ -84,6 +99,21 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
         problem = f"unknown output format '{target.suffix}'; for a folder leave out the ending, or make it first"
         raise OutputError(f"{target}: {problem}")
     return target
+
+
+def refuse_leftovers(folder: Path, pattern: str, names: Collection[str]) -> None:
+    """Refuse a folder in which files of an earlier run would stay beside the new ones, as if they were one result.
+
+    `pattern` is a regular expression of the names that such results have, `names` are the new files. OutputError if
+    other files match; nothing is removed.
+    """
+    if not folder.is_dir():
+        return
+    found = (path.name for path in folder.iterdir() if re.fullmatch(pattern, path.name))
+    left = sorted(name for name in found if name not in names)
+    if left:
+        problem = f"holds {left[0]} of an earlier run, {len(left)} files that this run does not replace"
+        raise OutputError(f"{folder}: {problem}; delete them, or give another folder")
 
 
 def make_folder(path: str | os.PathLike[str], parents: bool = False) -> Path:

@@ -12,7 +12,7 @@ from typing import Any
 
 from .output_file import atomic_write
 
-__all__ = ["html_card", "to_svg", "write_page"]
+__all__ = ["html_card", "html_table", "to_svg", "write_page"]
 
 
 def write_page(path: str | os.PathLike[str], template: Path, **values: Any) -> None:
@@ -40,10 +40,15 @@ def html_card(title: str, figures: Mapping[str, str], plot: Callable[[Any], Any]
     plot(figure.subplots())
     figure.savefig(stream, format="png")
     data = base64.b64encode(stream.getvalue()).decode()
-    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in figures.items())
-    lines = "".join(f"<p>&#9888; {escape(line)}</p>" for line in warnings)
     return (
         "<div style='display:flex;flex-wrap:wrap;gap:1.2em;align-items:flex-start'>"
         f"<img alt='{escape(title)}' style='width:400px' src='data:image/png;base64,{data}'>"
-        f"<div><b>{escape(title)}</b><table>{rows}</table>{lines}</div></div>"
+        f"{html_table(title, figures, warnings)}</div>"
     )
+
+
+def html_table(title: str, figures: Mapping[str, str], warnings: Sequence[str] = ()) -> str:
+    """HTML of a table of figures, with warnings below."""
+    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in figures.items())
+    lines = "".join(f"<p>&#9888; {escape(line)}</p>" for line in warnings)
+    return f"<div><b>{escape(title)}</b><table>{rows}</table>{lines}</div>"

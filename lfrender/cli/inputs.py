@@ -192,20 +192,27 @@ class CaptureInput:
         return depth
 
     def write(
-        self, output: Path, pictures: list[Rendering], settings: list[dict[str, Any]], eight_bits: bool, **options: Any
+        self, given: Any, pictures: list[Rendering], settings: list[dict[str, Any]], **options: Any
     ) -> tuple[list[Path], list[str]]:
         """Write a picture, with `options`, a stack or an animation; the files, and what is to be said about their bits.
+
+        The values `given` are those of `output`, `eight_bits` and `exposure`.
 
         Animations go there and back again.
         """
         from ..output.formats import read_metadata
+        from ..output.picture import Brightness, default_exposure, needs_eight_bits, write_picture, write_stack
         from ..output.picture import eight_bits as to_eight_bits
-        from ..output.picture import needs_eight_bits, write_picture, write_stack
 
+        output = given.output
         first, stated, embedded = pictures[0], [], read_metadata(self.flat)
-        if first.image.dtype.name != "uint8" and (eight_bits or needs_eight_bits(output, first)):
+        brightness = Brightness(default_exposure(output) if given.exposure is None else given.exposure)
+        pictures = [brightness.apply(picture) for picture in pictures]
+        settings = [{**entries, **brightness.entries} for entries in settings]
+        if first.image.dtype.name != "uint8" and (given.eight_bits or needs_eight_bits(output, first)):
             stated = [figures.eight_bits_sentence(first.white, first.image.dtype)]
             pictures = [to_eight_bits(picture) for picture in pictures]
+        stated += figures.brightness_sentences(brightness.gain)
         with self.report.stage("write"):
             if output.suffix.lower() in MOVING:
                 from ..sequence.film_file import write_moving

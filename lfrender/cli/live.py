@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -11,6 +11,7 @@ import click
 import cloup
 
 from lfcal.runtime import command_line as cl
+from lfcal.runtime.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import make_folder
 
 from .inputs import CaptureInput
@@ -35,7 +36,7 @@ __all__ = ["live"]
 @cloup.option_group("Files", *(declare(name, "the first frame") for name in ("live_folder", "camera", "white")))
 @cloup.option_group("Frames", *(declare(name) for name in ("live_format", "live_rate", "mosaic")))
 @cloup.option_group("Depth analysis", declare("live_preset"))
-@cloup.option_group("Where to show it", *(declare(name) for name in ("host", "port", "no_browser")))
+@cloup.option_group("Where to show it", *(declare(name) for name in ("live_exposure", "host", "port", "no_browser")))
 @cl.report_options
 def live(report: cl.Report, given: Any) -> None:
     """Show a camera in the browser: raw, traditional, sharp, depth, in focus where you click.
@@ -58,7 +59,12 @@ def live(report: cl.Report, given: Any) -> None:
         grabber = Grabber(lambda: open_source(source, given.pixel_format, given.fps))
     known = bool(given.camera or given.white or capture.recording)
     session = Session(
-        grabber, lambda shot: find_camera(capture, shot), given.preset or "fast", given.output, given=known
+        grabber,
+        lambda shot: find_camera(capture, shot),
+        given.preset or "fast",
+        given.output,
+        given=known,
+        exposure="auto" if given.exposure is None else given.exposure,
     )
     with closing(session), LiveServer(session, source, given.host, given.port) as server:
         with report.stage("calibrate"):
@@ -67,8 +73,8 @@ def live(report: cl.Report, given: Any) -> None:
         report.finish(figures, f"{session.about}.", f"{server.url} until Ctrl-C.")
         if not given.no_browser:
             click.launch(server.url)
-        with suppress(KeyboardInterrupt):
-            server.serve_forever()
+        with end_by_interrupt():
+            server.wait()
 
 
 def find_camera(capture: CaptureInput, shot: Shot) -> Calibration:

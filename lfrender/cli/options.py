@@ -90,6 +90,8 @@ TABLE = {
     # How to write it.
     "eight_bits": _row("--8bit eight_bits", bool,
         "Write 8 bits a channel, in proportion: 0 to white become 0 to 255. JPEG and WebP do so by themselves."),
+    "exposure": _row("--exposure", cl.ExposureValue(),
+        "Brighten by so many EV, or dim pictures by their content. [default: auto for JPEG, WebP, GIF and MP4]"),
     "alpha": _row("--alpha", bool, "Make pixels that no lens has seen transparent (not in JPEG)."),
     "compress": _row("--compress", bool, "Write a TIFF in deflated tiles: smaller and slower."),
     "tile": _row("--tile", click.IntRange(16),
@@ -151,6 +153,8 @@ TABLE = {
         "What a GenICam camera is set to: Mono8, Mono12, BayerRG8, ... [default: as it is]", metavar="FORMAT"),
     "live_rate": _row("--fps", click.FloatRange(0, 1000, min_open=True),
         "Frames a second of files. [default: of the video, or 10]"),
+    "live_exposure": _row("--exposure", cl.ExposureValue(),
+        "Show frames brighter by so many EV. [default: auto: dim ones by their content, until the next calibration]"),
     "live_preset": _row("--preset", _PRESET, "How much time the depth analysis may take. [default: fast]"),
     # Several processes.
     "workers": _row("--workers", click.IntRange(1), "Work in so many processes of this machine (needs Dask)."),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import click
 
 from lfcal import LightFieldError
 from lfcal.runtime import command_line as cl
+from lfcal.runtime.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import check_output
 
 from . import figures
@@ -39,8 +39,8 @@ def view(capture: CaptureInput, given: Any) -> None:
     and each is analysed when it is looked at. The page is served to this machine alone until Ctrl-C. It needs a
     browser with WebGL 2.
     """
+    from ..web.server import WebServer, page_routes
     from ..web.viewer import FlatPages, write_viewer
-    from ..web.viewer_server import PageServer
 
     report, export, flats = capture.report, given.export, _find_flats(given.inputs)
     several, page = len(flats) > 1, export is not None and export.suffix != ""
@@ -65,15 +65,15 @@ def view(capture: CaptureInput, given: Any) -> None:
         closing = f"{path} in {report.took}: open it in a browser, or put it on a web page."
         report.finish({"page": str(path), **found}, *sentences, closing)
         return
-    with PageServer(pages, given.port) as server:
+    with WebServer(page_routes(pages), port=given.port) as server:
         if not several:
             with report.stage("prepare"):
                 pages.get("data/1/scene.json.js")
         report.finish({"page": server.url, **found}, *sentences, f"{server.url} until Ctrl-C.")
         if not given.no_browser:
             click.launch(server.url)
-        with suppress(KeyboardInterrupt):
-            server.serve_forever()
+        with end_by_interrupt():
+            server.wait()
 
 
 def _find_flats(inputs: Iterable[Path]) -> list[Path]:
@@ -95,11 +95,11 @@ def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
                 pixels, calibration = one.calibrate(one.read(), *found)
                 depth = one.analyze(pixels, calibration)
         except (LightFieldError, OSError) as error:
-            click.echo(error, err=True)
+            cl.echo(error, err=True)
             raise
         found[:] = [calibration] if capture.camera is None else []
         for text in figures.capture_figures(calibration, depth)["warnings"]:
-            click.echo(f"warning: {one.flat}: {text}", err=True)
+            cl.echo(f"warning: {one.flat}: {text}", err=True)
         return pixels, calibration, depth
 
     return load

@@ -27,7 +27,7 @@ __all__ = ["render"]
     output=("PICTURE", "Picture to write: .tif, .png, .jpg, ...", ".png"),
     own={
         "What to draw": "patch_size blend traditional scale edges detail",
-        "How to write it": "eight_bits alpha compress tile",
+        "How to write it": "eight_bits exposure alpha compress tile",
         "Several processes": "workers scheduler",
     },
 )
@@ -75,7 +75,7 @@ def render(capture: CaptureInput, given: Any) -> None:
             picture = run(pixels, calibration, depth, roi=capture.roi, **drawing)
     drawn = None if traditional else depth
     settings = figures.rendering_settings(drawn, patch_size, given.detail)
-    _, stated = capture.write(output, [picture], [settings], given.eight_bits, **stored)
+    _, stated = capture.write(given, [picture], [settings], **stored)
     what = "a pixel per microlens" if traditional else "sharp at every depth"
     if patch_size is not None:
         what = f"of one patch size, {patch_size:g} px{', mixed from all lenses' if given.blend else ''}"
@@ -107,8 +107,9 @@ def _check(capture: CaptureInput, given: Any) -> bool:
     in_tiles = not whole and (on_cluster or given.tile is not None or plain or is_large(capture.flat))
     if in_tiles and given.edges:
         raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
-    if in_tiles and given.eight_bits:
-        raise click.UsageError("--8bit is for flats that are drawn as a whole: write the pixels as they are")
+    for option, value in (("--8bit", given.eight_bits), ("--exposure", given.exposure)):
+        if in_tiles and value:
+            raise click.UsageError(f"{option} is for flats that are drawn as a whole: write the pixels as they are")
     return bool(in_tiles)
 
 

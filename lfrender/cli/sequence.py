@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lfcal import CameraFileError, FlatError
+from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_folder
 
 from .figures import percent
@@ -38,7 +39,7 @@ __all__ = ["batch"]
     own={
         "Files": "depth_maps overwrite",
         "Which frames": "frames start end",
-        "What to draw": "scale frame_format eight_bits fps frame_views frame_aperture resize",
+        "What to draw": "scale frame_format eight_bits exposure fps frame_views frame_aperture resize",
         "Several processes": "workers scheduler",
     },
     refused={
@@ -110,7 +111,7 @@ def _render(
         plans.append(plan)
         if not (report.quiet or report.as_json):
             rate = None if given.output not in films else given.fps or frames.rate or 25
-            click.echo(_describe(plan, given, rate), err=True)
+            cl.echo(_describe(plan, given, rate), err=True)
 
     render: Any = render_film if given.output in films else render_frames
     with (
@@ -120,14 +121,14 @@ def _render(
             for result in render(
                 frames, given.output, calibration, preset=capture.chosen_preset, scale=given.scale,
                 overwrite=given.overwrite, depth_maps=given.depth_maps, rate=given.fps, announce=announce,
-                **cluster, **further,
+                exposure=given.exposure, **cluster, **further,
             ):  # fmt: skip
                 results.append(result)
                 step(len(results), frames.count or None, result.message)
         except KeyboardInterrupt:
             if not report.quiet:
                 again = "the same command without --overwrite" if given.overwrite else "the same command"
-                click.echo(f"{len(results):,} of {frames.count:,} frames are done; {again} goes on", err=True)
+                cl.echo(f"{len(results):,} of {frames.count:,} frames are done; {again} goes on", err=True)
             raise
     return results, plans[0]
 

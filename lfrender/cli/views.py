@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -34,7 +35,7 @@ _PICTURES = 24
     "lfrender refocus flat.png -c camera.json -o stack.tif --stack 12",
     "lfrender refocus flat.png -o focus.mp4",
     output=("PICTURE", "Picture to write: .tif, .jpg, ...; or .gif, .mp4: from far to near and back.", ".png"),
-    own={"What to draw": "at patch_sizes stack focus_aperture scale eight_bits"},
+    own={"What to draw": "at patch_sizes stack focus_aperture scale eight_bits exposure"},
 )
 def refocus(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT in focus at one depth, out of focus before and behind.
@@ -73,7 +74,7 @@ def refocus(capture: CaptureInput, given: Any) -> None:
             pictures = [run(pixels, calibration, one, position=at, **drawing)]
         pictures = [_cut(picture, capture, calibration) for picture in pictures]
     settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
-    paths, stated = capture.write(output, pictures, settings, given.eight_bits)
+    paths, stated = capture.write(given, pictures, settings)
     one_file = len(paths) == 1
     what = f"{len(pictures)} depths" if len(pictures) > 1 else "in focus at one depth"
     named = output if one_file else f"{paths[0]} to {paths[-1].name}"
@@ -100,7 +101,7 @@ def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) ->
     output=("FOLDER|FILE", "Folder of a grid, or one file."),
     own={
         "What to draw: a grid of views in a folder, or one file": "grid stereo animation quilt poses optics",
-        "How to draw it": "view_aperture scale resize grid_format eight_bits",
+        "How to draw it": "view_aperture scale resize grid_format eight_bits exposure",
     },
 )
 def views(capture: CaptureInput, given: Any) -> None:
@@ -112,7 +113,7 @@ def views(capture: CaptureInput, given: Any) -> None:
     for option, value in (("--grid", given.grid), ("--poses", given.poses)):
         at_most_one(option, value, *others)
     at_most_one("--resize", given.resize, "--scale", given.scale)
-    for option, value in (("--resize", given.resize), ("--roi", capture.roi)):
+    for option, value in (("--resize", given.resize), ("--roi", capture.roi), ("--exposure", given.exposure)):
         at_most_one(option, value, "--poses", given.poses)
     report, output, still = capture.report, given.output, given.grid or given.stereo or given.quilt or given.poses
     if given.animation is None and output.suffix.lower() in MOVING and not still:
@@ -124,15 +125,17 @@ def views(capture: CaptureInput, given: Any) -> None:
     depth = capture.analyze(pixels, calibration)
     offsets = _offsets(given, given.aperture * calibration.lattice.radius)
     found: dict[str, Any] = {"views": str(output), "offsets": offsets}
+    given.gain, given.settings = 1.0, {"rendering": "views", "aperture": given.aperture, "preset": depth.preset}
     stated: list[str] = []
     with report.stage("render and write"), report.progress("views") as step, option_errors():
         if given.poses:
             found |= _write_posed(given, pixels, calibration, depth, offsets, partial(_counted, step))
         else:
             drawn = _draw_views(capture, given, pixels, calibration, depth, offsets=offsets)
-            stated = _write_views(capture, given, _counted(step, drawn, len(offsets)), depth.preset)
+            stated = _write_views(capture, given, _counted(step, drawn, len(offsets)))
     if pixels.dtype.name != "uint8" and (given.eight_bits or _holds_eight_bits(given)):
         stated.append(figures.eight_bits_sentence(calibration.white_level, pixels.dtype))
+    stated += figures.brightness_sentences(given.gain)
     report.finish(
         {**found, **figures.capture_figures(calibration, depth)},
         *figures.capture_sentences(capture, calibration, depth),
@@ -162,6 +165,7 @@ def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
 def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
     """Raise an error if the views could not be written."""
     from ..output.formats import FORMATS, check_format
+    from ..output.posed_files import check_posed_folder
     from ..output.raw_video import check_raw_format
     from ..output.views import check_grid
 
@@ -177,19 +181,30 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
     elif given.suffix.startswith(".yuv"):
         check_raw_format(check_folder(output), given.suffix[1:])
     else:
-        check_grid(output, ".png" if given.poses else given.suffix, None if given.poses else dtype, inputs)
+        rows, columns = given.grid or (5, 5)
+        if given.poses:
+            check_grid(output, ".png", None, inputs)
+            check_posed_folder(output, given.poses, rows * columns)
+        else:
+            check_grid(output, given.suffix, dtype, inputs, (rows, columns))
 
 
 def _draw_views(capture: CaptureInput, given: Any, *flat_camera_depth: Any, offsets: list[Any]) -> Iterator[Rendering]:
     from .. import views as run
-    from ..output.picture import eight_bits
+    from ..output.picture import Brightness, default_exposure, eight_bits, needs_eight_bits
     from ..output.views import resize_view, scale_for_size
 
     camera, size = flat_camera_depth[1], given.resize
+    shown = given.output if given.output.suffix else Path(f"view{given.suffix}")
+    exposure = default_exposure(shown) if given.exposure is None else given.exposure
+    brightness = Brightness(exposure)
     scale = given.scale if size is None else scale_for_size(camera, size)
     for picture in run(*flat_camera_depth, offsets=offsets, scale=scale):
         picture = _cut(picture if size is None else resize_view(picture, size), capture, camera)
-        yield eight_bits(picture) if given.eight_bits else picture
+        picture = brightness.apply(picture)
+        given.gain = brightness.gain
+        given.settings.update(brightness.entries)
+        yield eight_bits(picture) if given.eight_bits or needs_eight_bits(shown, picture) else picture
 
 
 def _holds_eight_bits(given: Any) -> bool:
@@ -201,7 +216,7 @@ def _holds_eight_bits(given: Any) -> bool:
     return suffix not in (".mkv", ".mov") if given.animation else kind is not None and kind.pixel_types == ("uint8",)
 
 
-def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering], preset: str) -> list[str]:
+def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering]) -> list[str]:
     """Write the views; returns what is to be said about them."""
     from ..output.formats import read_metadata
     from ..output.picture import write_picture
@@ -210,8 +225,7 @@ def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering
     from ..sequence.film_file import write_moving
 
     output = given.output
-    settings = {"rendering": "views", "aperture": given.aperture, "preset": preset}
-    options: dict[str, Any] = {"settings": settings, "embedded": read_metadata(capture.flat)}
+    options: dict[str, Any] = {"settings": given.settings, "embedded": read_metadata(capture.flat)}
     if given.animation:
         write_moving(output, pictures)
     elif given.quilt:
@@ -276,6 +290,8 @@ def lenslet(report: cl.Report, given: Any) -> None:
         write_picture(output, flat)
         camera.save(camera_file)
     (rows, columns), (width, height) = views.shape[:2], camera.image_size
+    if (problem := figures.few_pixels_problem(min(rows, columns))) is not None:
+        report.warn(problem)
     report.finish(
         {"flat": str(output), "camera": str(camera_file), "grid": [rows, columns], "size": [width, height]},
         f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and {camera_file}, in {report.took}.",

@@ -7,7 +7,8 @@ import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,12 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, CalibrationError, FlatSource, LensBlur, LightFieldError, Optics
 from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
+from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import html_card
 
 from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes
 from .surface import Surface
+
+if TYPE_CHECKING:
+    from .dense_depth import DenseDepth
 
 __all__ = [
     "BINOCULAR", "DEPTH_ADVICE", "MODES", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap",
@@ -56,6 +61,11 @@ REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the mi
 DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
+# Distances of output pixels from one to its double: steps of 19 %, while the depth of a scene that stays moves by 1 %.
+_SPACINGS_PER_OCTAVE = 4
+# Of files that somebody has compressed: unpacked bytes over those of the file, and what is never too much [bytes].
+LARGEST_RATIO = 50
+SMALL = 1 << 26
 # Arrays and numbers of a file that bear the name of their field; derived ones are for other programs.
 _SAVED = (
     "patch_size", "standard_error", "confidence", "reason", "pitch", "image_size", "preset", "mode", "magnification",
@@ -227,6 +237,13 @@ class DepthMap(Frozen):
         check_depth(self, camera)
         return camera.optics, camera.lattice.centres()
 
+    def dense(self, scale: float | None = None, fill: bool = True) -> DenseDepth:
+        """Patch size, validity and error of every pixel of the picture, as `lfrender.data.dense_depth.dense_depth`."""
+        from .. import dense_depth
+
+        made: DenseDepth = dense_depth(self, scale, fill)
+        return made
+
     def plot(self, ax: Any = None) -> Any:
         """Draw the magnification over the scene on Matplotlib axes, by default the current ones; returns them."""
         from matplotlib.colors import LogNorm
@@ -286,7 +303,8 @@ class DepthMap(Frozen):
         remedy = "make one with 'lfrender analyze'"
         try:
             # np.load leaves a damaged file open if it opened it itself.
-            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            with open(open_regular(path), "rb") as stream, np.load(stream, allow_pickle=False) as file:
+                _check_unpacked_size(stream)
                 data = dict(file)
             version = int(data["version"])
             if version != _VERSION:
@@ -317,6 +335,15 @@ class DepthMap(Frozen):
             raise DepthFileError(f"{path}: not a whole depth file ({text}); {remedy}") from error
 
 
+def _check_unpacked_size(stream: Any) -> None:
+    """ValueError if an archive would unpack to far more than its own size: `save` does not compress."""
+    with ZipFile(stream) as archive:
+        unpacked = sum(entry.file_size for entry in archive.infolist())
+    size = os.fstat(stream.fileno()).st_size
+    if unpacked > max(LARGEST_RATIO * size, SMALL):
+        raise ValueError(f"its {size / 1e6:.1f} MB would unpack to {unpacked / 1e6:,.0f} MB")
+
+
 def check_depth(depth: DepthMap, calibration: Calibration) -> None:
     """Raise a TypeError if these are something else, a CalibrationError if they do not belong to each other."""
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
@@ -329,7 +356,8 @@ def default_scale(depth: DepthMap) -> float:
     """Output pixels per pitch that keep the flat's resolution where patches are largest [px per pitch].
 
     Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as its patch has, for
-    98 % of the lenses.
+    98 % of the lenses. The distance of output pixels is rounded to 1, 1.19, 1.41, 1.68, 2, 2.38 ... px of the flat, so
+    that pictures of one camera have one size, whatever they show at about one depth.
 
     Examples
     --------
@@ -339,4 +367,8 @@ def default_scale(depth: DepthMap) -> float:
     """
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
-    return max(1.0, float(np.quantile(sizes.astype(float), 0.98))) if sizes.size else 1.0
+    if not sizes.size:
+        return 1.0
+    spacing = depth.pitch / float(np.quantile(sizes.astype(float), 0.98))
+    rounded = 2.0 ** (round(_SPACINGS_PER_OCTAVE * np.log2(spacing)) / _SPACINGS_PER_OCTAVE)
+    return max(1.0, depth.pitch / rounded)

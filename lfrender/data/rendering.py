@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import LightFieldError
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Frozen, exposure_gain, white_of
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.page import html_card
 
@@ -58,8 +60,9 @@ class PictureGrid:
     @property
     def size(self) -> tuple[int, int]:
         """Columns and rows."""
-        width, height = self.image_size
-        return max(1, round(width / self.spacing)), max(1, round(height / self.spacing))
+        # The last digits of the pitch do not decide what is done with halves.
+        columns, rows = (math.floor(length / self.spacing + 0.5 - 1e-6) for length in self.image_size)
+        return max(1, columns), max(1, rows)
 
     @property
     def whole(self) -> Part:
@@ -140,6 +143,15 @@ class Picture:
         """The pixels first, then arrays (h, w) about each of them, by name."""
         raise NotImplementedError
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows, columns and, if there are several, channels of the pixels."""
+        return next(iter(self._layers().values())).shape
+
+    def __getitem__(self, key: Any) -> Any:
+        """Pixels, as of an array."""
+        return next(iter(self._layers().values()))[key]
+
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
         pixels = next(iter(self._layers().values()))
         return np.array(pixels, dtype) if copy else np.asarray(pixels, dtype)
@@ -192,6 +204,9 @@ class Rendering(Picture, Frozen):
     ((47, 62, 3), 6.0)
     >>> (picture.affine @ [0, 0, 1]).round().tolist()  # where the first pixel lies on the flat
     [1.0, 1.0]
+    >>> picture.shape, picture[10:20, 5].shape  # as an array
+    ((47, 62, 3), (10, 3))
+    >>> picture.save("picture.png")  # doctest: +SKIP
     """
 
     image: NDArray
@@ -204,11 +219,19 @@ class Rendering(Picture, Frozen):
     def _layers(self) -> dict[str, NDArray]:
         return {"image": self.image, "valid": self.valid}
 
+    def save(self, path: str | os.PathLike[str], **options: Any) -> None:
+        """Write the picture to a file, as `lfrender.write_picture`, with its options and errors."""
+        from .. import write_picture
+
+        write_picture(path, self, **options)
+
     def plot(self, ax: Any = None) -> Any:
-        """Draw the picture over scene coordinates on Matplotlib axes, by default the current ones; returns them."""
+        """Draw the picture over scene coordinates on Matplotlib axes, by default the current ones; returns them.
+
+        Dim pictures of more than 8 bits are shown brighter.
+        """
         image = self.image
-        if image.dtype.kind == "u":
-            image = image / np.float32(self.white or np.iinfo(image.dtype).max)
+        image = image * np.float32(exposure_gain(image, self.white) / white_of(image, self.white))
         height, width = image.shape[:2]
         corners = self.affine @ [-0.5, -0.5, 1], self.affine @ [width - 0.5, height - 0.5, 1]
         look: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 1}

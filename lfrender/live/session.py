@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from threading import Condition, Event, Lock, Thread
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, assess
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import Exposure, exposure_gain, to_eight_bits, white_of
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering
@@ -33,8 +34,10 @@ from .grabber import Grabber
 from .recording import Recorder
 from .sources import Shot
 
-__all__ = ["KINDS", "Session", "View"]
+__all__ = ["COMMANDS", "KINDS", "Session", "View"]
 
+#: What `Session.command` does.
+COMMANDS = ("record", "stop", "snapshot", "calibrate")
 #: Pictures of a frame.
 KINDS = ("raw", "traditional", "sharp", "focus", "depth")
 # A picture that nobody has asked for during so long [s] is not made.
@@ -60,8 +63,30 @@ class View:
     camera: Calibration | None = None
     depth: DepthMap | None = None
     sharp: Rendering | None = None
+    gain: float = 1.0  # of what is shown
     jpegs: dict[Any, bytes] = field(default_factory=dict)
     lock: Lock = field(default_factory=Lock)
+
+    @cached_property
+    def light(self) -> dict[str, Any]:
+        """What the raw frame tells about exposure and focus.
+
+        Its pixels over 32 levels up to white, the share of those at white, and the sharpness of the middle third:
+        standard deviation of its Laplacian over its mean, which is largest in focus.
+        """
+        import cv2
+
+        pixels = self.shot.pixels
+        top = white_of(pixels, self.shot.white or (self.camera.white_level if self.camera else None))
+        height, width = pixels.shape[:2]
+        part = pixels[height // 3 : height - height // 3, width // 3 : width - width // 3].astype(np.float32)
+        grey = part if part.ndim == 2 else part.mean(2)
+        few = pixels[:: max(1, height // 500), :: max(1, width // 500)]
+        return {
+            "histogram": np.histogram(few, 32, (0, top))[0].tolist(),
+            "clipped": float((few >= top).mean()),
+            "sharpness": float(cv2.Laplacian(grey, cv2.CV_32F).std() / max(float(grey.mean()), 1e-9)),
+        }
 
     def has(self, kind: str) -> bool:
         """Whether the picture can be drawn; without a camera all are the raw frame."""
@@ -72,19 +97,23 @@ class View:
         """The picture with 8 bits; `at` is the place in focus, as shares of width and height."""
         if self.camera is None or kind == "raw":
             white = self.camera.white_level if self.camera else None
-            return to_eight_bits(self.shot.pixels, self.shot.white or white)
+            return self.show(self.shot.pixels, self.shot.white or white)
         if kind == "traditional":
             picture = traditional(self.flat, self.camera)
         elif kind == "depth":
             assert self.depth is not None
-            picture = depth_picture(self.depth, _DEPTH_SCALE)
+            return np.asarray(depth_picture(self.depth, _DEPTH_SCALE))
         elif kind == "focus":
             place = tuple(share * length - 0.5 for share, length in zip(at, self.camera.image_size, strict=True))
             picture = refocus(self.flat, self.camera, position=place, depth=self.depth)  # type: ignore[arg-type]
         else:
             assert self.sharp is not None
             picture = self.sharp
-        return to_eight_bits(picture.image, picture.white)
+        return self.show(picture.image, picture.white)
+
+    def show(self, pixels: NDArray[Any], white: float | None) -> NDArray[np.uint8]:
+        """Pixels with 8 bits, brighter by the gain."""
+        return to_eight_bits(pixels, white, self.gain)
 
     def jpeg(self, kind: str, at: Place = (0.5, 0.5)) -> bytes:
         """The same as a JPEG file; drawn once for all who ask."""
@@ -117,7 +146,7 @@ class Session:
     """Analyses and draws the newest frame of a source again and again, in a thread of its own.
 
     `find_camera` gives the camera of a frame, measured on it unless it is `given`; where it fails, the raw frames are
-    shown and it is tried again.
+    shown and it is tried again. Dim frames are shown brighter, by one gain until the next calibration (`exposure`).
     Recordings and snapshots go into `folder`.
     """
 
@@ -128,12 +157,14 @@ class Session:
         preset: Preset,
         folder: Path,
         given: bool = False,
+        exposure: Exposure = "auto",
     ) -> None:
         self.grabber, self.preset, self.folder = grabber, preset, folder
         self.camera: Calibration | None = None
         self.view: View | None = None
         self.latency, self.still, self.message, self.saved = 0.0, 0.0, "", ""
         self.scale: float | None = None
+        self._exposure, self._gain = exposure, 1.0
         self.findings: list[str] = []  # how the array is mounted
         self._find_camera, self._given, self._tried = find_camera, given, 0.0
         self._wanted: dict[str, float] = {}
@@ -176,13 +207,14 @@ class Session:
         return f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
 
     def status(self) -> dict[str, Any]:
-        """Counts, the time from the arrival of a frame to its picture [s], and what is to be said."""
+        """Counts, the time from the arrival of a frame to its picture [s], its light, and what is to be said."""
         grabber, recorder, camera = self.grabber, self.grabber.recorder, self.camera
         return {
             "received": grabber.received, "lost": grabber.lost, "latency": self.latency, "still": self.still,
             "camera": "\n".join([self.about, *(camera.warnings if camera else ()), *self.findings]),
             "saved": self.saved, "recording": recorder and recorder.told,
             "message": grabber.message or (recorder and recorder.message) or self.message,
+            **(self.view.light if self.view else {}),
         }  # fmt: skip
 
     def command(self, name: str) -> None:
@@ -228,7 +260,7 @@ class Session:
                     continue
                 # The same frame once more, with a picture that nobody has looked at before.
                 shot = self.view.shot
-            view = View(shot, shot.pixels)
+            view = View(shot, shot.pixels, gain=self._gain)
             try:
                 self.message = self._analyze(view)
             # What is wrong with one frame, such as its size, is said, and the next one is tried.
@@ -245,8 +277,12 @@ class Session:
             self.camera = camera = Calibration.from_dict(self._find_camera(shot).to_dict())
         finally:
             self._tried = time.monotonic()
+        white = shot.white or camera.white_level
+        self._gain = exposure_gain(shot.pixels, white, self._exposure)
         # A camera that is given tells nothing but the rotation: this frame need not be its white image.
-        found = assess(shot.pixels, calibration=replace(camera, source="scene") if self._given else camera).findings
+        found = assess(
+            shot.pixels, calibration=replace(camera, source="scene") if self._given else camera, white_level=shot.white
+        ).findings
         self.findings = [f"{name}: {finding}" for name, finding in found.items() if finding.measured]
         return camera
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from lfcal import FlatError, LightFieldError
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, VIDEO_FORMATS
+from lfcal.runtime.opencv_log import set_opencv_log
 
 from ..sequence.frames import open_frames
 
@@ -102,7 +103,7 @@ def _read_opencv(name: str) -> Iterator[Shot]:
 
     # What is wrong is said once, by this program.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    set_opencv_log(0)
     if name.isdigit():
         device = cv2.VideoCapture(int(name))
     elif " ! " in name:

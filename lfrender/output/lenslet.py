@@ -22,8 +22,8 @@ __all__ = ["lenslet_image", "lenslet_views", "read_view_grid"]
 def lenslet_image(views: ArrayLike) -> tuple[NDArray[Any], Calibration]:
     """The flat of a regular array that shows views (rows, columns, h, w) or (rows, columns, h, w, 3), and its camera.
 
-    A view of row `v`, column `u` is `flat[v::rows, u::columns]`. Where neighbouring views are displaced by `d` px, the
-    patch size is `1 / d` px.
+    A view of row `v`, column `u` is `flat[v::rows, u::columns]`. Where things move by `d` px to the right from a view
+    to the one on its right, the patch size is `1 / d` px: an HCI disparity, which counts to the left, is `-d`.
 
     Examples
     --------

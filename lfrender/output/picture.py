@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -13,14 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import Exposure, brighten, exposure_gain, to_eight_bits
 from lfcal.runtime.errors import check_type
-from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.output_file import atomic_write, refuse_leftovers
 
 from ..data.rendering import Rendering
 from .formats import FORMATS, EmbeddedMetadata, Page, PictureError, check_format
 
-__all__ = ["PictureError", "describe", "eight_bits", "needs_eight_bits", "with_alpha", "write_picture", "write_stack"]
+__all__ = [
+    "Brightness", "PictureError", "default_exposure", "describe", "eight_bits", "needs_eight_bits", "with_alpha",
+    "write_picture", "write_stack",
+]  # fmt: skip
 
 _NO_METADATA = EmbeddedMetadata()
 
@@ -33,6 +37,7 @@ def write_picture(
     settings: Mapping[str, Any] | None = None,
     embedded: EmbeddedMetadata = _NO_METADATA,
     compress: bool = False,
+    exposure: Exposure | None = None,
 ) -> None:
     """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr; whole or not at all.
 
@@ -55,6 +60,10 @@ def write_picture(
         Colour profile (not in OpenEXR) and EXIF data (not in TIFF and OpenEXR) to put into the file.
     compress : bool
         Write a TIFF in deflated tiles instead of plain rows: smaller, and slower to write. Above 4 GB it is a BigTIFF.
+    exposure : float or "auto", optional [EV]
+        Brighten a rendering by one gain, which the JSON text names; `"auto"` does so to a dim one of more than 8 bits,
+        by its brightest places. The default is `"auto"` for JPEG and WebP, which are made to be looked at, and none for
+        all others.
 
     Examples
     --------
@@ -64,7 +73,8 @@ def write_picture(
     ...     lfcal.read_flat(f"{folder}/grey.png").shape
     (20, 30)
     """
-    _write(Path(path), [_page(path, picture, settings, alpha)], embedded, compress)
+    brightness = Brightness(default_exposure(path) if exposure is None else exposure)
+    _write(Path(path), [_page(path, picture, settings, brightness, alpha)], embedded, compress)
 
 
 def write_stack(
@@ -76,7 +86,8 @@ def write_stack(
 ) -> list[Path]:
     """Write pictures, at least one, as pages of one TIFF, or in other formats as numbered files, `NAME_01.png` ...
 
-    `settings` are further entries for the JSON text of each; the rest is as for `write_picture`.
+    `settings` are further entries for the JSON text of each; the rest is as for `write_picture`. OutputError if
+    numbered files of a longer stack are there already.
 
     Examples
     --------
@@ -92,11 +103,15 @@ def write_stack(
     if not pictures:
         raise PictureError(f"{path}: a stack needs at least one picture")
     target, digits = Path(path), max(2, len(str(len(pictures))))
-    pages = [_page(target, *pair) for pair in zip(pictures, settings or [{}] * len(pictures), strict=True)]
+    brightness = Brightness(default_exposure(target))
+    several = zip(pictures, settings or [{}] * len(pictures), strict=True)
+    pages = [_page(target, picture, entries, brightness) for picture, entries in several]
     if FORMATS[target.suffix.lower()].stack:
         _write(target, pages, embedded)
         return [target]
     paths = [target.with_stem(f"{target.stem}_{k + 1:0{digits}d}") for k in range(len(pictures))]
+    numbered = rf"{re.escape(target.stem)}_\d{{2,}}{re.escape(target.suffix)}"
+    refuse_leftovers(target.parent, numbered, [path.name for path in paths])
     for one, page in zip(paths, pages, strict=True):
         _write(one, [page], embedded)
     return paths
@@ -118,6 +133,30 @@ def eight_bits(picture: Any) -> Any:
     return replace(picture, image=to_eight_bits(picture.image, picture.white), white=None)
 
 
+class Brightness:
+    """One gain for all pictures of a result, found on the first: `exposure` is in EV, `"auto"`, or None for no gain."""
+
+    def __init__(self, exposure: Exposure | None = None, gain: float = 1.0) -> None:
+        self._exposure, self.gain = exposure, gain
+
+    def apply(self, picture: Rendering) -> Rendering:
+        """A picture with the gain, in its type."""
+        if self._exposure is not None:
+            self.gain = exposure_gain(picture.image, picture.white, self._exposure)
+            self._exposure = None
+        return replace(picture, image=brighten(picture.image, self.gain, picture.white))
+
+    @property
+    def entries(self) -> dict[str, float]:
+        """What a file says of it."""
+        return {} if self.gain == 1 else {"exposure_gain": self.gain}
+
+
+def default_exposure(path: str | os.PathLike[str]) -> Exposure | None:
+    """`"auto"` for formats that are made to be looked at; None, no gain, for those that are made for work."""
+    return "auto" if Path(path).suffix.lower() in (".jpg", ".jpeg", ".webp", ".gif", ".mp4") else None
+
+
 def describe(affine: NDArray[np.float64] | None, settings: Mapping[str, Any] | None) -> str:
     """The JSON text of a picture."""
     known = {} if affine is None else {"affine": affine.tolist()}
@@ -130,8 +169,17 @@ def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
     return np.dstack([pixels, np.where(np.broadcast_to(valid, pixels.shape[:2]), opaque, 0).astype(pixels.dtype)])
 
 
-def _page(path: str | os.PathLike[str], picture: Any, settings: Mapping[str, Any] | None, alpha: bool = False) -> Page:
+def _page(
+    path: str | os.PathLike[str],
+    picture: Any,
+    settings: Mapping[str, Any] | None,
+    brightness: Brightness,
+    alpha: bool = False,
+) -> Page:
     """Pixels and JSON text of a picture, if the format of `path` can hold them."""
+    if isinstance(picture, Rendering):
+        picture = brightness.apply(picture)
+        settings = {**(settings or {}), **brightness.entries}
     picture = eight_bits(picture) if needs_eight_bits(path, picture) else picture
     pixels = np.asarray(getattr(picture, "image", picture))
     if pixels.shape[2:] not in ((), (3,)) or pixels.ndim < 2 or not pixels.size:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, Optics, OutputError
 from lfcal.runtime.arrays import to_eight_bits
-from lfcal.runtime.output_file import atomic_write, make_folder
+from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
@@ -27,7 +27,15 @@ from .picture import write_picture
 from .poses import Array, ViewCamera, ViewRig, view_rig
 from .raw_video import check_raw_format, frame_bytes, yuv_frame
 
-__all__ = ["POSE_FORMATS", "write_posed_views"]
+__all__ = ["POSE_FORMATS", "check_posed_folder", "write_posed_views"]
+
+_VIEW_FILES = r"view_\d{3,}\..+"
+# Names of the masks, as each program looks for them.
+_MASK_NAMES = {"nerfstudio": "{}.png", "colmap": "{}.png.png"}
+
+
+def _view_name(number: int) -> str:
+    return f"view_{number:03d}"
 
 
 class _Posed(NamedTuple):
@@ -39,6 +47,16 @@ class _Posed(NamedTuple):
     camera: ViewCamera
     known: NDArray[np.bool_]  # (h, w) pixels that were seen, at a finite distance
     centre: list[float]  # principal point where pixel (0, 0) reaches from 0 to 1
+
+
+def check_posed_folder(folder: str | os.PathLike[str], kind: PoseFormat, count: int) -> None:
+    """OutputError if a folder holds posed views of an earlier run, of which `count` new ones would leave some."""
+    views = [_view_name(number) for number in range(count)]
+    mask = _MASK_NAMES.get(kind, "")
+    kept = {f"{view}{suffix}" for view in views for suffix in (".png", ".exr", ".tif")}
+    refuse_leftovers(Path(folder) / "images", _VIEW_FILES, kept)
+    refuse_leftovers(Path(folder) / "depth", _VIEW_FILES, kept)
+    refuse_leftovers(Path(folder) / "masks", _VIEW_FILES, [mask.format(view) for view in views])
 
 
 def write_posed_views(
@@ -53,6 +71,7 @@ def write_posed_views(
 ) -> ViewRig:
     """Write views with intrinsics, extrinsics, depth and masks; OutputError or PictureError if that fails.
 
+    Views of an earlier run that these do not replace are an OutputError too.
     The folder is made where it does not exist; `kind` is `"nerfstudio"`, `"colmap"` or `"rvs"`. The views are as
     `views_with_depth` yields them for `offsets` and `still`; the rest is as for `view_rig`.
 
@@ -71,6 +90,7 @@ def write_posed_views(
     """
     if kind not in POSE_FORMATS:
         raise OutputError(f"{folder}: poses are written for {', '.join(POSE_FORMATS)}, not {kind!r}")
+    check_posed_folder(folder, kind, len(offsets))
     if kind == "rvs":
         check_raw_format(folder, "yuv")
     target, drawn, posed = make_folder(folder), list(views), []
@@ -82,7 +102,7 @@ def write_posed_views(
         distance = rig.depth(number, sizes, places + np.array(offset) * (depth.pitch / still))
         known = picture.valid & np.isfinite(distance) & (distance > 0)
         centre = [at + 0.5 for at in rig.cameras[number].principal_point]
-        posed.append(_Posed(f"view_{number:03d}", picture, distance, rig.cameras[number], known, centre))
+        posed.append(_Posed(_view_name(number), picture, distance, rig.cameras[number], known, centre))
     POSE_FORMATS[kind](target, posed, rig)
     return rig
 
@@ -111,7 +131,7 @@ def _write_text(path: Path, text: str) -> None:
 
 def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`transforms.json`: axes x right, y up, z backwards, pixel (0, 0) from 0 to 1."""
-    step, frames = _write_files(folder, views, "{}.png"), []
+    step, frames = _write_files(folder, views, _MASK_NAMES["nerfstudio"]), []
     names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
     for name, _, _, camera, _, centre in views:
         x, y, z = camera.position.tolist()
@@ -127,7 +147,8 @@ def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
 
 def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as COLMAP names them."""
-    step, sparse = _write_files(folder, views, "{}.png.png"), make_folder(folder / "sparse" / "0", parents=True)
+    step = _write_files(folder, views, _MASK_NAMES["colmap"])
+    sparse = make_folder(folder / "sparse" / "0", parents=True)
     points, colours, pixels = _tracks(views)
     seen = np.isfinite(pixels[..., 0])
     # Each picture counts the points that it shows, from 0.
@@ -180,6 +201,7 @@ def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8
 def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the depths of each view."""
     cameras: list[dict[str, Any]] = []
+    written: list[str] = []
     for number, (_, picture, depth, camera, known, centre) in enumerate(views):
         texture = yuv_frame(picture.image, "yuv420p10", picture.white)
         width, height, (x, y, z) = texture.width, texture.height, camera.position.tolist()
@@ -191,6 +213,7 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
         planes = {"texture": (10, frame_bytes(texture)), "depth": (16, whole.tobytes() + grey.tobytes())}
         for kind, (bits, data) in planes.items():
             path = folder / f"v{number:02d}_{kind}_{width}x{height}_yuv420p{bits}le.yuv"
+            written.append(path.name)
             with atomic_write(path) as temporary:
                 temporary.write_bytes(data)
         cameras.append(
@@ -199,6 +222,7 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
             | {"Projection": "Perspective", "Focal": list(camera.focal), "Principle_point": centre}
             | {"BitDepthColor": 10, "BitDepthDepth": 16, "ColorSpace": "YUV420", "DepthColorSpace": "YUV420"}
         )
+    refuse_leftovers(folder, r"v\d{2,}_(texture|depth)_.+\.yuv", written)
     about = {"Converted_by": "lfrender", "Unit": rig.unit}
     model = {"Version": "2.0", "Content_name": folder.name, "Fps": 1, "Frames_number": 1, "Informative": about}
     _write_text(folder / "cameras.json", json.dumps(model | {"cameras": cameras}, indent=1))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.output_file import atomic_write, make_folder
+from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 from lfcal.runtime.video import convert_frame, parse_pixel_format
 
 from .formats import FORMATS, PictureError, check_package
@@ -81,7 +81,8 @@ def write_view_videos(
 ) -> list[Path]:
     """Write each view, row by row, as raw video of one frame, `v000-1920x1080.yuv` and so on.
 
-    OutputError or PictureError if the folder or a file cannot be written.
+    OutputError or PictureError if the folder or a file cannot be written, or holds views of an earlier run that these
+    do not replace.
     """
     name = check_raw_format(folder, pixel_format)
     make_folder(folder)
@@ -91,4 +92,5 @@ def write_view_videos(
         paths.append(Path(folder) / view_name(number, frame.width, frame.height))
         with atomic_write(paths[-1]) as temporary:
             temporary.write_bytes(frame_bytes(frame))
+    refuse_leftovers(Path(folder), r"v\d{3,}-\d+x\d+\.yuv", [path.name for path in paths])
     return paths

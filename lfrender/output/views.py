@@ -11,34 +11,61 @@ from typing import Any
 import numpy as np
 
 from lfcal import Calibration, Lattice
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import Exposure, to_eight_bits
 from lfcal.runtime.errors import check_type
-from lfcal.runtime.output_file import atomic_write, check_folder, make_folder
+from lfcal.runtime.output_file import atomic_write, check_folder, make_folder, refuse_leftovers
 
 from ..data.rendering import PICTURE_ADVICE, Rendering, check_pictures
 from ..depth.region import check_region
 from .formats import FORMATS, PictureError, check_format
-from .picture import write_picture
+from .picture import Brightness, default_exposure, write_picture
 
 __all__ = [
     "check_grid", "crop_view", "resize_view", "scale_for_size", "stereo_pair", "write_animation",
     "write_grid", "write_quilt",
 ]  # fmt: skip
 
+# Names of the files of a grid, as a regular expression.
+_GRID_FILES = r"row\d+_column\d+\.\w+"
 
-def check_grid(folder: str | os.PathLike[str], suffix: str, dtype: Any = None, inputs: Iterable[Any] = ()) -> None:
-    """Raise an error if a folder of views could not be made, before the views are drawn; as `check_format`."""
+
+def check_grid(
+    folder: str | os.PathLike[str],
+    suffix: str,
+    dtype: Any = None,
+    inputs: Iterable[Any] = (),
+    grid: tuple[int, int] | None = None,
+) -> None:
+    """Raise an error if a folder of views could not be made, before the views are drawn; as `check_format`.
+
+    Files of an earlier run that a `grid` of (rows, columns) would not replace are an OutputError.
+    """
     target = check_folder(folder)
     inside = target if target.is_dir() else target.parent
     check_format(inside / f"view{suffix}", "picture", dtype=dtype, inputs=inputs)
+    if grid is not None:
+        rows, columns = grid
+        refuse_leftovers(target, _GRID_FILES, [_grid_name(k, columns) + suffix for k in range(rows * columns)])
+
+
+def _grid_name(index: int, columns: int) -> str:
+    return f"row{index // columns + 1}_column{index % columns + 1}"
 
 
 def write_grid(
-    folder: str | os.PathLike[str], pictures: Iterable[Rendering], columns: int, suffix: str = ".tif", **options: Any
+    folder: str | os.PathLike[str],
+    pictures: Iterable[Rendering],
+    columns: int,
+    suffix: str = ".tif",
+    *,
+    exposure: Exposure | None = None,
+    **options: Any,
 ) -> list[Path]:
     """Write views, `columns` in a row, as `row1_column1.tif` and so on, into a folder that is made if needed.
 
-    One of the `pictures` at a time is held in memory; `options` and errors are those of `write_picture`.
+    One of the `pictures` at a time is held in memory. All have one gain, found on the first; `exposure`, `options` and
+    errors are those of `write_picture`. OutputError if views of an earlier run, which these do not replace, are in the
+    folder.
 
     Examples
     --------
@@ -51,9 +78,12 @@ def write_grid(
     """
     check_type(pictures, Iterable, "pictures", "give a list of pictures")
     target, paths = make_folder(folder), []
+    brightness = Brightness(default_exposure(f"view{suffix}") if exposure is None else exposure)
     for index, picture in enumerate(pictures):
-        paths.append(target / f"row{index // columns + 1}_column{index % columns + 1}{suffix}")
-        write_picture(paths[-1], picture, **options)
+        paths.append(target / (_grid_name(index, columns) + suffix))
+        shown = brightness.apply(picture) if isinstance(picture, Rendering) else picture
+        write_picture(paths[-1], shown, exposure=0.0, **options)
+    refuse_leftovers(target, _GRID_FILES, [path.name for path in paths])
     return paths
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,6 +19,7 @@ from ..depth.analyze import analyze
 from ..depth.region import check_region
 from ..detail.blur import choose_blur
 from ..detail.noise import measure_noise
+from ..flat.capture import complete_capture
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from ..runtime.choices import Detail, check_choice
 from .redraw import redraw
@@ -28,8 +30,8 @@ __all__ = ["expand_roi", "make_renderer", "render"]
 
 
 def render(
-    flat: NDArray,
-    calibration: Calibration,
+    flat: NDArray | str | os.PathLike[str],
+    calibration: Calibration | None = None,
     depth: DepthMap | None = None,
     *,
     patch_size: float | None = None,
@@ -46,9 +48,10 @@ def render(
 
     Parameters
     ----------
-    flat : (H, W) or (H, W, C) array, uint8, uint16 or float
-    calibration : Calibration
-        Of the same image size.
+    flat : (H, W) or (H, W, C) array, uint8, uint16 or float, or path-like
+        A raw mosaic of colour filters is demosaicked.
+    calibration : Calibration, optional
+        Of the same image size; by default the flat itself is calibrated.
     depth : DepthMap, optional
         Of this flat; analysed first if it is not given.
     patch_size : float, optional [px]
@@ -86,6 +89,7 @@ def render(
     >>> render(flat, camera, patch_size=-5).image.shape
     (75, 100)
     """
+    flat, calibration = complete_capture(flat, calibration)
     pixels = check_flat(flat, calibration)
     if depth is not None:
         check_type(depth, DepthMap, "depth", DEPTH_ADVICE)

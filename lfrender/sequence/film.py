@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lfcal import Calibration, OutputError
+from lfcal.runtime.arrays import Exposure
 from lfcal.runtime.errors import check_type
 
 from ..output.formats import check_format
+from ..output.picture import default_exposure
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..runtime.choices import Preset
 from .film_file import film_results
@@ -54,6 +56,7 @@ def render_frames(
     group: int = 5,
     client: Any = None,
     threads: int | None = None,
+    exposure: Exposure | None = None,
 ) -> Generator[FrameResult, None, None]:
     """Render the frames of a sequence into a folder, one picture a frame.
 
@@ -83,6 +86,8 @@ def render_frames(
         on. Raw video appears once the last result has been taken; a frame that fails shows the one before it.
     eight_bits : bool
         Write pictures with 8 bits a channel, 0 to white in proportion; JPEG and WebP have no more anyway.
+    exposure : float or "auto", optional [EV]
+        As for `write_picture`; all pictures have one gain, which `"auto"` takes of the first frame.
     depth_maps : path-like, optional
         Folder for the depth map of each frame, `FRAME.npz`, or a film of depth pictures: magnification in the colours
         of `lfrender analyze --picture`, blue and red at the ends of the first frame for all.
@@ -122,7 +127,10 @@ def render_frames(
         if film.exists() and not overwrite:
             raise OutputError(f"{film}: is there already; give another output, or render it again (--overwrite)")
     dark = None if known.dark is None else str(known.dark)
-    job = Job(place, calibration, preset, scale, suffix, views, eight_bits, dark, known.encoded, maps)
+    exposure = default_exposure(f"picture{suffix}") if exposure is None else exposure
+    job = Job(
+        place, calibration, preset, scale, suffix, views, eight_bits, dark, known.encoded, maps, exposure=exposure
+    )  # fmt: skip
     job.start(overwrite, known.names)
     results = _render(job, frames, known.names, overwrite, segment, group, announce, Workers(client, threads, 2))
     if film is None:
@@ -191,9 +199,11 @@ def render_film(
     output = Path(path).absolute()
     check_format(output, "film", inputs=frames.files)
     checkpoint = Checkpoint(output)
+    if options.get("exposure") is None:
+        options["exposure"] = default_exposure(output)
     camera = None if calibration is None else calibration.to_dict()
     files = [file_identity(file) for file in (*frames.files, frames.dark)]
-    key = fingerprint(files, str(frames.chosen), camera, preset, scale)
+    key = fingerprint(files, str(frames.chosen), camera, preset, scale, options["exposure"])
     # One that was begun with `overwrite` may be finished without.
     if overwrite or checkpoint.find("film", key) is None:
         if output.exists() and not overwrite:
@@ -202,7 +212,8 @@ def render_film(
         checkpoint.keep("film", key)
     results = film_results(
         render_frames(
-            frames, checkpoint.folder, calibration, preset=preset, scale=scale, rate=rate, **options,
+            frames, checkpoint.folder, calibration, preset=preset, scale=scale, rate=rate,
+            **options,
         ),
         output, checkpoint.folder, Fraction(rate or frames.rate or 25), lambda result: result.path,
         cache(lambda: load_camera(checkpoint.folder).white_level), rendering="all in focus", preset=preset,

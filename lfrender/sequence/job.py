@@ -9,6 +9,7 @@ group. A run that was interrupted, or spread over many machines, therefore makes
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
@@ -20,8 +21,9 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, calibrate, load
+from lfcal.runtime.arrays import Exposure, exposure_gain
 from lfcal.runtime.errors import check_type
-from lfcal.runtime.output_file import atomic_write, make_folder
+from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthFileError, DepthMap, default_scale
 from ..data.rendering import PictureGrid, Rendering
@@ -29,7 +31,7 @@ from ..depth.analyze import analyze
 from ..flat.demosaicing import demosaic
 from ..output.depth_picture import depth_picture, magnification_limits
 from ..output.formats import EmbeddedMetadata, check_format, read_metadata
-from ..output.picture import eight_bits, write_picture
+from ..output.picture import Brightness, eight_bits, write_picture
 from ..rendering.render import render
 from ..rendering.viewpoints import still_depth
 from ..runtime.choices import Preset
@@ -104,6 +106,8 @@ class Job:
     colours: tuple[float, float] | None = None  # magnification at the ends of the colours of depth pictures
     stopped: bool = False  # nobody takes the results of further frames
     output: ViewOutput | None = None  # files of views
+    exposure: Exposure | None = None
+    gain: float = 1.0  # of all pictures, by `exposure` and the first frame
     _keys: dict[str, _Reference] = field(default_factory=dict)  # the last two, of neighbouring segments
 
     def __post_init__(self) -> None:
@@ -126,6 +130,10 @@ class Job:
             self.output.start(overwrite, names)
         if self.depth_maps is not None:
             make_folder(self.depth_path_of("").parent)
+        if overwrite and names and self.output is None and self._settings_file.exists():
+            # Frames of an earlier run that this one leaves would be taken for pictures of this one by the next.
+            pictures = [self.path_of(name).name for name in names]
+            refuse_leftovers(self.folder, rf"[^.].*{re.escape(self.suffix)}", pictures)
         if overwrite:
             for file in (*self.hidden.glob("*.npz"), *self.hidden.glob("*.json")):
                 file.unlink()
@@ -135,14 +143,21 @@ class Job:
     def _settings(self) -> dict[str, Any]:
         """What pictures of one folder have in common, beside their camera and scale; as JSON returns it."""
         views = None if self.views is None else {**asdict(self.views), "format": self.suffix}
-        common = {"preset": self.preset, "eight_bits": self.eight_bits, "dark": self.dark, "views": views}
+        common: dict[str, Any] = {
+            "preset": self.preset,
+            "eight_bits": self.eight_bits,
+            "dark": self.dark,
+            "views": views,
+        }
+        common["exposure"] = self.exposure
         return dict(json.loads(json.dumps(common)))
 
     def _resume(self) -> None:
         camera = load_camera(self.folder)
         try:
             settings = json.loads(self._settings_file.read_text(encoding="utf-8"))
-            scale, self.still, self.colours = (settings.pop(name) for name in ("scale", "still", "colours"))
+            found = [settings.pop(name) for name in ("scale", "still", "colours", "gain")]
+            scale, self.still, self.colours, self.gain = found
             same = settings == self._settings() and self.scale in (None, scale)
         except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
             raise OutputError(f"{self.hidden}: damaged ({error}); render everything again (--overwrite)") from error
@@ -240,7 +255,7 @@ class Job:
         if not file.exists():
             depth = self._analyze(flat, None if earlier is None else self._key(earlier))
             if not self._settings_file.exists():
-                self._save_settings(self.camera(flat), depth)
+                self._save_settings(flat, depth)
             depth.save(file)
         self._remember(_Reference(frame.name, flat, self._load_depth(frame)))
 
@@ -274,15 +289,24 @@ class Job:
             what = "left by another version, or damaged; render everything again (--overwrite)"
             raise OutputError(f"{file}: {what}") from error
 
-    def _save_settings(self, camera: Calibration, depth: DepthMap) -> None:
+    def _save_settings(self, flat: NDArray[Any], depth: DepthMap) -> None:
+        camera = self.camera(flat)
+        if self.exposure is not None:
+            self.gain = exposure_gain(flat, camera.white_level, self.exposure)
         self.scale = default_scale(depth) if self.scale is None else self.scale
         self.still, self.colours = still_depth(depth), magnification_limits(depth.magnification)
         settings = {**self._settings(), "scale": self.scale, "still": self.still, "colours": self.colours}
+        settings["gain"] = self.gain
         camera.save(self.hidden / "camera.json")
         # As a continued run will have it.
         self.calibration = load_camera(self.folder)
         with atomic_write(self._settings_file) as temporary:
             temporary.write_text(json.dumps(settings), encoding="utf-8")
+
+    def _shown(self, picture: Rendering) -> Rendering:
+        """A picture as it is written."""
+        shown: Rendering = Brightness(None, self.gain).apply(picture)
+        return eight_bits(shown) if self.eight_bits else shown
 
     def first_of_group(self, frame: Frame, flat: NDArray[Any] | None, key: Frame) -> _Reference:
         """The first frame of a group with flat, depth and picture; it may be the key frame of its segment itself."""
@@ -309,13 +333,13 @@ class Job:
         if self.output is not None:
             assert self.views is not None and self.still is not None
             pictures = self.views.draw(flat, self.camera(flat), depth, self.scale, self.still)
-            self.output.write(number, frame.name, map(eight_bits, pictures) if self.eight_bits else pictures)
+            self.output.write(number, frame.name, map(self._shown, pictures))
         else:
             picture = first.picture if own and first.picture else self._draw(flat, depth, first)
-            settings = {"rendering": "all in focus", "preset": self.preset}
+            settings: dict[str, Any] = {"rendering": "all in focus", "preset": self.preset}
             embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
-            shown = eight_bits(picture) if self.eight_bits else picture
-            write_picture(path, shown, settings=settings, embedded=embedded)
+            settings |= {} if self.gain == 1 else {"exposure_gain": self.gain}
+            write_picture(path, self._shown(picture), settings=settings, embedded=embedded, exposure=0.0)
         return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, float(depth.saved.get("still", 0)))
 
 

@@ -112,7 +112,7 @@ class ViewOutput:
         unfinished.mkdir()
         for view, picture in enumerate(pictures):
             path = unfinished / f"image_{view + 1:03d}{self.suffix}"
-            write_picture(path, picture, settings={"rendering": "views", "view": view})
+            write_picture(path, picture, settings={"rendering": "views", "view": view}, exposure=0.0)
         shutil.rmtree(self.folder / name, ignore_errors=True)
         os.replace(unfinished, self.folder / name)
 

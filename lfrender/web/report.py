@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import MODES, REASONS, DepthMap
@@ -75,18 +75,20 @@ def write_report(
     grid = PictureGrid(lattice.image_size, lattice.pitch, min(12.0, 1100 * lattice.pitch / columns))
     maps = lens_maps(depth, lattice, grid.affine(), grid.size[::-1])
     charts = {name: picture_url(picture, ".png") for name, picture in maps.items()}
+    raw = to_eight_bits(flat, calibration.white_level, exposure_gain(flat, calibration.white_level))
     shown = {
         "all_in_focus": pictures.sharp.image,
         **{name: picture.image for name, picture in pictures.fixed.items()},
         "traditional": pictures.traditional.image,
         **(compare or {}),
-        "flat": reduce_picture(to_eight_bits(flat, calibration.white_level), min(1.0, 1120 / flat.shape[1])),
+        "flat": reduce_picture(raw, min(1.0, 1120 / flat.shape[1])),
     }
+    gain = exposure_gain(pictures.sharp.image, calibration.white_level)
     panels = calibration_panels(flat, calibration)
     crop = flat_part(flat, _most_detail(pictures), 7 * calibration.lattice.pitch)
     # Mail programs and browsers accept pages of 15 MB.
     room = 14_500_000 - sum(map(len, [*charts.values(), further, panels, crop["url"]]))
-    urls, size = data_urls(shown, room, calibration.white_level)
+    urls, size = data_urls(shown, room, calibration.white_level, gain)
     names = {"all_in_focus": "all in focus", "traditional": "traditional"}
     names |= {name: f"one patch size, {name}" for name in pictures.fixed} | {name: name for name in compare or {}}
     height, width = pictures.sharp.image.shape[:2]

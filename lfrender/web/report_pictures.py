@@ -46,13 +46,18 @@ def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> R
     return ReportPictures(sharp, traditional(flat, calibration), fixed, sizes)
 
 
-def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None = None) -> tuple[dict[str, str], float]:
+def data_urls(
+    pictures: Mapping[str, ArrayLike], most: int, white: float | None = None, gain: float = 1.0
+) -> tuple[dict[str, str], float]:
     """Pictures (h, w) or (h, w, 3) as WebP in data URLs of at most `most` characters in all, and their scale.
 
     All have the same quality, the best that fits, and below that the same reduction of width and height. `white` is the
-    white level of integer pictures of more than 8 bits; by default the largest value of their type.
+    white level of integer pictures of more than 8 bits, by default the largest value of their type, which `gain`
+    brightens.
     """
-    shown = {name: to_eight_bits(np.asarray(picture), white) for name, picture in pictures.items()}
+    arrays = {name: np.asarray(picture) for name, picture in pictures.items()}
+    # Those of 8 bits are as they are to be shown.
+    shown = {name: to_eight_bits(one, white, 1.0 if one.dtype == np.uint8 else gain) for name, one in arrays.items()}
     urls: dict[str, str] = {}
     for size, quality in ((1.0, 92), (1.0, 78), (0.5, 85), (0.25, 85), (0.125, 80)):
         # WebP holds at most so many pixels in a row.

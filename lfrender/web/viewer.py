@@ -14,7 +14,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError
-from lfcal.runtime.output_file import atomic_write, make_folder
+from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthMap
 from .templates import Markup, fill, read_asset
@@ -83,7 +83,7 @@ def write_viewer(
 
 
 class FlatPages:
-    """Viewers of several flats, each of which leads to the one before and the next: for `PageServer`, or a folder.
+    """Viewers of several flats, each of which leads to the one before and the next: for `page_routes`, or a folder.
 
     The pages are there at once. A flat is loaded when its page asks for its data, then the next one, one at a time. The
     page of one of several flats that cannot be loaded says why.
@@ -120,7 +120,11 @@ class FlatPages:
         return None if files is None else files.get(path)
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
-        """Write the pages of all flats; returns the path of the first."""
+        """Write the pages of all flats; returns the path of the first.
+
+        OutputError if the folder holds pages of more flats, from an earlier run.
+        """
+        refuse_leftovers(Path(folder), r"\d+\.html", self._pages)
         # Files that are sent over a network are worth the time of compression.
         self._options.setdefault("compression", 6)
         for number, name in enumerate(self._pages):

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, LightFieldError
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
 from ..detail.blur import READING, TYPICAL_DISC, choose_blur
-from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
+from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
@@ -64,17 +64,18 @@ def viewer_scene(
     scene = _tables(calibration, depth, edge, pixels)
     scene |= {"title": title, "size": [width, height], "metric": calibration.optics is not None}
     scene["rings"] = {"step": step, "values": _base64(np.column_stack(rings), np.float32)}
-    with_occlusion, white = [], white_level(pixels, calibration)
+    white = calibration.white_level
+    with_occlusion, gain = [], exposure_gain(pixels, white)
     for name, (x, y) in places.items():
         part = _cut(codes, x, y, side)
         if part.any():
             with_occlusion.append(name)
             coded = np.dstack([part >> 8, part & 255, _cut(central_codes, x, y, side)]).astype(np.uint8)
             yield f"occlusion-{name}.png", encode_picture(coded, ".png", compression)
-        shown = to_eight_bits(_cut(even, x, y, side), white)
+        shown = to_eight_bits(_cut(even, x, y, side), white, gain)
         yield f"flat-{name}.png", encode_picture(shown, ".png", compression)
     plain = traditional(flat, calibration)
-    yield "traditional.png", encode_picture(to_eight_bits(plain.image, white), ".png", compression)
+    yield "traditional.png", encode_picture(to_eight_bits(plain.image, white, gain), ".png", compression)
     scene["traditional"] = {"first": plain.affine[:, 2].tolist(), "shape": plain.image.shape[:2]}
     columns, rows = (int(n) + 1 for n in list(places)[-1].split("-"))
     scene["tiles"] = {"side": side, "columns": columns, "rows": rows, "occlusion": with_occlusion}

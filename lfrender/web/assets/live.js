@@ -47,6 +47,18 @@ function choose(next) {
   picture.className = kind === "raw" ? "" : "focus";
 }
 
+let sharpest = 0;
+
+function showLight({ histogram, clipped, sharpness }) {
+  // Roots, so that few bright pixels are seen beside many dark ones.
+  const most = Math.sqrt(Math.max(...histogram, 1));
+  const bars = histogram.map((n, k) => `M${k} 10h1v-${((10 * Math.sqrt(n)) / most).toFixed(2)}h-1z`);
+  document.querySelector("#histogram path").setAttribute("d", bars.join(""));
+  find("clipped").textContent = `${(100 * clipped).toFixed(clipped > 0 && clipped < 0.01 ? 2 : 0)} %`;
+  sharpest = Math.max(sharpest, sharpness);
+  find("sharpness").textContent = `${((100 * sharpness) / sharpest).toFixed(0)} % of the best so far`;
+}
+
 function showStatus(status) {
   // Rates are those of the last few seconds.
   past.push({ ...status, pictures, time: performance.now() });
@@ -61,6 +73,7 @@ function showStatus(status) {
   find("lost").textContent = status.lost.toLocaleString("en");
   find("latency").textContent = `${(1000 * status.latency).toFixed(0)} ms`;
   find("still").textContent = `${(100 * status.still).toFixed(0)} % as before`;
+  if (status.histogram) showLight(status);
   const recording = status.recording, button = find("record");
   button.dataset.command = recording ? "stop" : "record";
   button.textContent = recording ? "Stop recording" : "Record raw frames";

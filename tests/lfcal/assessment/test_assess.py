@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import lfcal
 from data_synth import Camera, tracing
 from lfcal.assessment.alignment import measure_alignment
-from lfcal.assessment.findings import Seen, find_tilt
+from lfcal.assessment.findings import Seen, find_exposure, find_range, find_tilt
 from lfcal.cli.main import main
 
 
@@ -91,11 +91,50 @@ def test_of_a_scene_nothing_is_told_that_takes_a_white_image(house):
     assert "white image" in found.apertures.verdict
 
 
-def test_a_scene_tells_modes_and_that_the_array_has_not_moved(house):
+def test_what_one_reason_keeps_from_being_measured_is_one_line(house):
+    camera = replace(house.truth.calibration, source="scene")
+    first, second = str(lfcal.assess(house.flat, calibration=camera)).splitlines()
+    assert first.startswith("rotation  ")
+    names = "tilt, distance, apertures, vignetting, exposure, evenness, dirt"
+    assert second.startswith(f"{names}  not measured: this takes a white image")
+
+
+def test_a_scene_tells_that_the_array_has_not_moved_and_leaves_depth_to_the_analysis(house):
     camera = replace(house.truth.calibration, source="scene")
     found = lfcal.assess(house.white, house.flat, calibration=camera).scene
     assert found["place"].advice == "" and np.isfinite(found["place"].value)
-    assert found["depth"].details["telescopic"] > 0.3
+    assert "depth" not in found
+
+
+def dim(brightest):
+    """A flat of 16 bits with values up to the brightest."""
+    ramp = np.linspace(0, brightest, 100)
+    return np.tile(ramp, (100, 1)).astype(np.uint16)
+
+
+def test_the_exposure_of_a_dim_scene_refers_to_a_range_that_is_known():
+    scene, white = dim(2735), dim(38652)
+    # Alone it could be three quarters of 12 bits or a twenty-fifth of 16.
+    assert find_range([scene]) is None
+    unknown = find_exposure(scene, find_range([scene]))
+    assert np.isnan(unknown.value) and "the brightest pixel is 2735; give --white-level" in unknown.verdict
+    # The white image of the sensor shows that it has all 16 bits.
+    known = find_exposure(scene, find_range([white, scene]))
+    assert known.value == pytest.approx(100 * 2735 / 65535, rel=0.02) and "of 65535" in known.verdict
+    assert "expose up to 19 times longer" in known.advice
+    stated = find_exposure(scene, find_range([scene], 4095))
+    assert stated.value == pytest.approx(66.8, rel=0.02) and stated.verdict == "of 4095: well exposed"
+    clipped = np.minimum(dim(6000), 4095)
+    assert "over-exposed" in find_exposure(clipped, find_range([clipped])).verdict
+
+
+def test_the_evenness_is_that_of_the_light_that_the_page_draws(tilted, assessed):
+    gain, lattice = assessed.calibration.gain_map, assessed.calibration.lattice
+    level = np.array([0.0, 0.2, 0.1])
+    uneven = replace(assessed.calibration, gain_map=replace(gain, level=level))
+    found = lfcal.assess(tilted[1], calibration=uneven)
+    light = uneven.gain_map.light(lattice.centres(), lattice)
+    assert found.evenness.value == pytest.approx(100 * (light.max() / light.min() - 1), rel=0.08)
 
 
 def test_flats_of_two_sizes_are_refused(tilted, assessed):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import lfcal
 import lfcal.cli.main
 import lfrender.cli.main
 from lfcal import FlatError
@@ -191,3 +193,48 @@ def test_a_terminal_shows_stage_steps_rate_and_remaining_time_unless_quiet():
     assert on_a_terminal(WORK.format(quiet=True)) == ""
     done = subprocess.run([sys.executable, "-c", WORK.format(quiet=False)], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_texts_of_camera_files_cannot_steer_the_terminal(tmp_path):
+    camera = lfcal.Calibration(
+        lfcal.Lattice([40, 40], [[20, 0], [10, 17.3]], (400, 300), 9),
+        warnings=("\x1b]0;title\x07\x1b[31mred \x9b2J \u202etxt.exe",),
+        source="\x1b[2Jwhite",
+    )
+    camera.save(tmp_path / "camera.json")
+    path = str(tmp_path / "camera.json")
+    told = CliRunner().invoke(PROGRAMS["lfcal"], ["info", path])
+    assert told.exit_code == 0
+    for text in (told.stdout, told.stderr):
+        assert not set(text) - set("\n") & {chr(k) for k in (*range(32), *range(127, 160), 0x202E)}
+    assert r"\x1b[2Jwhite" in told.stdout and r"warning: \x1b]0;title\x07" in told.stderr
+    figures = CliRunner().invoke(PROGRAMS["lfcal"], ["info", path, "--json"]).stdout
+    assert "\x9b" not in figures and json.loads(figures)["warnings"] == list(camera.warnings)
+
+
+@pytest.mark.parametrize("text", ["x,y\n1e300,5\n3,9\n4,1\n", "i,j,x,y\n1,1,1e160,1\n1,2,1e160,2\n2,1,3e160,1\n"])
+def test_numbers_beyond_any_flat_are_one_sentence_without_lines_of_libraries(tmp_path, text):
+    (tmp_path / "centres.csv").write_text(text)
+    command = [sys.executable, "-m", "lfcal", "info", str(tmp_path / "centres.csv"), "--size", "90x90"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.count("\n") == 1 and "numbers of at most 1e+09 are needed" in done.stderr
+
+
+@pytest.mark.parametrize("words", [[], ["--json"]])
+def test_compiling_is_told_where_nothing_is_a_terminal(monkeypatch, capsys, words):
+    monkeypatch.setattr(compile_ahead, "is_compiled", lambda: False)
+    monkeypatch.setattr(cl, "_TOLD_EVERY", 0.1)
+
+    def compile_once(processes, step):
+        for done in range(4):
+            time.sleep(0.06)
+            step(done, 4)
+
+    monkeypatch.setattr(compile_ahead, "compile_once", compile_once)
+    cl.Report(as_json=bool(words)).compile_kernels()
+    told = capsys.readouterr()
+    assert "compiling kernels, once per installation" in (told.err if words else told.out)
+    assert re.findall(r"compiling kernels: (\d) of 4 after 0 s", told.err) == ["1", "3"]
+    cl.Report(quiet=True).compile_kernels()
+    assert capsys.readouterr() == ("", "")

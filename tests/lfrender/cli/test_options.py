@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 
+import click
 import numpy as np
 import pytest
 import tifffile
 from click.testing import CliRunner
 
 import lfcal
+from lfcal.runtime.command_line import Quantity
 from lfrender.cli.main import main
 
 COMMANDS = {
@@ -90,3 +92,31 @@ def test_the_part_that_is_drawn_lies_on_the_whole_picture(files, tmp_path):
         assert width < pictures["whole"].shape[1] and height < pictures["whole"].shape[0]
         there = pictures["whole"][y : y + height, x : x + width]
         np.testing.assert_array_equal(pictures["part"][:, :width], there)
+
+
+def test_an_option_of_another_command_names_it():
+    done = CliRunner().invoke(main, ["render", "flat.png", "-o", "p.png", "--stack", "5"])
+    assert done.exit_code == 2
+    assert done.stderr == "lfrender: No such option: --stack; it belongs to refocus. See 'lfrender render --help'.\n"
+    done = CliRunner().invoke(main, ["render", "flat.png", "-o", "p.png", "--nothing"])
+    assert "No such option" in done.stderr and "belongs" not in done.stderr
+
+
+@pytest.mark.parametrize("place", [["30", "20"], ["30,20"], ["30;20"]])
+def test_a_place_is_two_words_or_one_with_a_comma(house_files, tmp_path, place):
+    words = ["refocus", str(house_files / "flat.png"), "-c", str(house_files / "camera.json"), "--preset", "fast"]
+    done = CliRunner().invoke(main, [*words, "--at", *place, "-o", str(tmp_path / "p.tif"), "--scale", "4"])
+    assert done.exit_code == 0, done.output
+    with tifffile.TiffFile(tmp_path / "p.tif") as tiff:
+        assert json.loads(tiff.pages.first.description)["at"] == [30, 20]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "text", "value"),
+    [("f *[/=]", "", "f/4", 4.0), ("f *[/=]", "", "2.8", 2.8), ("", "mm", "23mm", 23.0), ("", "[uµ]m", "5.5 µm", 5.5)],
+)
+def test_numbers_stand_as_on_lenses_and_boards(before, after, text, value):
+    assert Quantity(before, after).convert(text, None, None) == value
+    for wrong in ("-3", "0", "f/", "4 inches"):
+        with pytest.raises(click.BadParameter):
+            Quantity(before, after).convert(wrong, None, None)

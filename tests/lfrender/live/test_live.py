@@ -5,9 +5,12 @@ from __future__ import annotations
 import http.client
 import json
 import signal
+import socket
 import threading
 import time
+from urllib.parse import urlsplit
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -19,7 +22,7 @@ from lfrender.cli.main import main
 from lfrender.live.grabber import Grabber
 from lfrender.live.recording import Recorder, read_recording
 from lfrender.live.server import LiveServer
-from lfrender.live.session import Session, _in_colour
+from lfrender.live.session import Session, View, _in_colour
 from lfrender.live.sources import Shot, SourceError, open_source, to_flat
 
 
@@ -199,7 +202,7 @@ def test_a_recording_that_the_disk_cannot_follow_skips_frames_and_says_so(tmp_pa
 
 
 def ask(server, path, method="GET", **headers):
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
     connection.request(method, path, headers={name.replace("_", "-"): value for name, value in headers.items()})
     response = connection.getresponse()
     content = response.read()
@@ -210,7 +213,6 @@ def ask(server, path, method="GET", **headers):
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
 def test_the_server_answers_its_page_alone_and_beyond_the_loopback_whoever_has_the_token(session, host):
     with LiveServer(session[0], "camera", host) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
         token = f"&token={server.token}" if server.token else ""
         assert ask(server, f"/?{token}")[0] == 200
         status, content = ask(server, f"/frame?kind=raw{token}")
@@ -221,13 +223,16 @@ def test_the_server_answers_its_page_alone_and_beyond_the_loopback_whoever_has_t
         # Pages of others cannot send the header.
         assert ask(server, f"/snapshot?{token}", "POST")[0] == 403
         assert ask(server, f"/snapshot?{token}", "POST", X_Lfrender="1")[0] == 200
+        assert ask(server, f"/delete?{token}", "POST", X_Lfrender="1")[0] == 404
         if host == "0.0.0.0":
             assert len(server.token) > 20
-            assert [ask(server, path)[0] for path in ("/", "/status", "/frame?kind=raw&token=no")] == [403] * 3
+            for path in ("/", "/status", "/frame?kind=raw&token=no"):
+                assert ask(server, path) == (403, b"open the address with its token, as 'lfrender live' prints it")
+            host = urlsplit(server.url).hostname
+            assert host != socket.gethostname() and socket.getaddrinfo(host, None, flags=socket.AI_NUMERICHOST)
         else:
             assert not server.token
             assert ask(server, "/", Host="elsewhere.example")[0] == 403
-        server.shutdown()
     assert len(list(session[0].folder.glob("snapshot-*.tif"))) == 1
 
 
@@ -262,3 +267,16 @@ def test_a_gentl_producer_gives_frames():
         next(open_source(f"{producer}:none"))
     with pytest.raises(SourceError, match="Mono99"):
         next(open_source(producer, "Mono99"))
+
+
+def test_the_light_of_a_frame_tells_clipping_and_focus(house):
+    def light(pixels, **more):
+        return View(Shot(pixels, **more), pixels).light
+
+    sharp = light(house.flat)
+    assert sum(sharp["histogram"]) > 10_000 and len(sharp["histogram"]) == 32
+    assert sharp["sharpness"] > 1.5 * light(cv2.GaussianBlur(house.flat, (0, 0), 1.5))["sharpness"]
+    half = np.full((90, 90), 1000, np.uint16)
+    half[:, 45:] = 4095
+    assert light(half, white=4095.0)["clipped"] == pytest.approx(0.5, abs=0.02)
+    assert light(half)["clipped"] == 0

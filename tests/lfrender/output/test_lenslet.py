@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 import lfcal
 import lfrender
@@ -74,3 +76,39 @@ def test_a_lattice_that_is_found_rather_than_stated_gives_the_whole_microimages(
     np.testing.assert_array_equal(found, lenslet_views(flat[:, 2:], lfcal.Calibration(lattice)))
     assert found.shape == (4, 6, 10, 11)
     np.testing.assert_array_equal(found[:, 0], views[:, 2, :, :-1])
+
+
+def _views_of_a_plane(disparity, side):
+    """Views (side, side, h, w) of a random texture, displaced as the HCI benchmark defines its disparity."""
+    rng = np.random.default_rng(3)
+    texture = gaussian_filter(rng.standard_normal((160, 180)), 1.0)
+    texture = (texture - texture.min()) / np.ptp(texture)
+    row, column = np.mgrid[:60, :80].astype(float)
+    middle = (side - 1) / 2
+    views = np.empty((side, side, 60, 80), np.uint8)
+    for v, u in np.ndindex(side, side):
+        # What is at x in the middle view is at x - (u - middle) d in the view of column u.
+        places = [row + 50 + (v - middle) * disparity, column + 50 + (u - middle) * disparity]
+        views[v, u] = np.rint(255 * np.clip(map_coordinates(texture, places), 0, 1))
+    return views
+
+
+@pytest.mark.parametrize("disparity", [0.3, -0.4])
+def test_an_hci_disparity_is_the_negative_reciprocal_of_the_patch_size(disparity):
+    depth = lfrender.analyze(*lenslet_image(_views_of_a_plane(disparity, 13)), preset="fast")
+    assert np.nanmedian(depth.patch_size) == pytest.approx(-1 / disparity, abs=0.02)
+    text = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
+    assert "is a patch size of `-1 / d` px" in text
+
+
+@pytest.mark.parametrize(("side", "warned"), [(9, True), (13, False)])
+def test_arrays_of_few_pixels_a_lens_are_warned_of(tmp_path, side, warned):
+    write_grid(tmp_path / "views", _views_of_a_plane(0.3, side).reshape(-1, 60, 80), side, ".png")
+    made = run(tmp_path / "views", "-o", tmp_path / "flat.png")
+    drawn = CliRunner().invoke(
+        main,
+        ["render", *map(str, (tmp_path / "flat.png", "-c", tmp_path / "flat.json", "-o", tmp_path / "picture.png"))],
+    )
+    assert (made.exit_code, drawn.exit_code) == (0, 0)
+    for done in (made, drawn):
+        assert (f"microimages of {side} px are small for depth" in done.stderr) == warned

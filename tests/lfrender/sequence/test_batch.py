@@ -98,13 +98,18 @@ def test_a_run_uses_the_camera_as_its_file_has_it_so_that_a_continued_one_has_th
     assert not np.array_equal(camera.gain_map.profile, stored.profile)
 
 
-def test_other_settings_are_refused_unless_everything_is_rendered_again(sequence, whole):
+def test_other_settings_are_refused_unless_everything_is_rendered_again(sequence, whole, tmp_path):
     with pytest.raises(lfcal.OutputError, match="overwrite"):
         _run(sequence, whole[0], scale=3.0)
     frames, camera = sequence
     one = lfrender.open_frames([frames / "f8.png"])
-    list(lfrender.render_frames(one, whole[0], camera, preset="fast", scale=3.0, overwrite=True))
-    assert tifffile.imread(whole[0] / "f8.tif").shape[1] == pytest.approx(3.0 * 520 / 20.3, abs=1)
+    again = {"preset": "fast", "scale": 3.0, "overwrite": True}
+    # The next run would keep the other four, of another scale.
+    with pytest.raises(lfcal.OutputError, match=r"holds f10\.tif of an earlier run, 4 files"):
+        list(lfrender.render_frames(one, whole[0], camera, **again))
+    list(lfrender.render_frames(one, tmp_path, camera, preset="fast", scale=4.0))
+    list(lfrender.render_frames(one, tmp_path, camera, **again))
+    assert tifffile.imread(tmp_path / "f8.tif").shape[1] == pytest.approx(3.0 * 520 / 20.3, abs=1)
 
 
 def test_frames_of_16_bits_are_written_with_8_where_that_is_asked_for(house, tmp_path):

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 
 import pytest
 
 import lfcal
 import lfrender
+from lfrender.web.server import WebServer, page_routes
 from lfrender.web.viewer import FlatPages
-from lfrender.web.viewer_server import PageServer
 
 from ._browser import READY, errors, start_browser, wait_for
 
@@ -35,11 +34,8 @@ def served(captured):
     flat, camera, depth = captured
     optics = lfcal.Optics(focal_length=50, mla_distance=58, sensor_distance=0.7, pixel=0.005)
     scene = flat, replace(camera, optics=optics), depth
-    server = PageServer(FlatPages(["house.png"], lambda _: scene, tile=256))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield server
-    server.shutdown()
-    server.server_close()
+    with WebServer(page_routes(FlatPages(["house.png"], lambda _: scene, tile=256))) as server:
+        yield server
 
 
 @pytest.fixture

@@ -1,0 +1,39 @@
+"""Reading text files that may come from anybody: regular files only, and no larger than such files can be."""
+
+from __future__ import annotations
+
+import os
+import stat
+
+from .errors import check_path
+
+__all__ = ["LARGEST_TEXT", "open_regular", "read_text"]
+
+#: Of camera files [bytes]: a table of the three million microimages of a flat of 500 megapixels has half of it.
+LARGEST_TEXT = 1 << 28
+
+
+def open_regular(path: str | os.PathLike[str]) -> int:
+    """A file descriptor for reading; OSError unless it is of a regular file. A pipe without a writer is not waited for.
+
+    Examples
+    --------
+    >>> open_regular(os.devnull)
+    Traceback (most recent call last):
+    OSError: is no regular file but a device, a pipe or a folder
+    """
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(check_path(path), flags)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError("is no regular file but a device, a pipe or a folder")
+    return descriptor
+
+
+def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
+    """The text of a file in UTF-8, with or without a byte order mark; OSError if it has more than `largest` bytes."""
+    with open(open_regular(path), encoding="utf-8-sig") as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > largest:
+            raise OSError(f"has {size / 1e6:,.0f} MB, more than any such file")
+        return stream.read()
