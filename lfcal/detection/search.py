@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 from typing import Any
 
 import cv2
@@ -110,7 +110,13 @@ def _search(features: FlatFeatures, hint: LatticeHint | None, thorough: bool = F
     """Candidates of all periods, or of those up to a certain one, the most probable first."""
     found: list[Candidate] = []
     tried: list[Floats] = []
-    periods = chain(find_periods(features), _find_more_periods(features, tried))
+    found_periods = find_periods(features)
+    periods = chain(
+        islice(found_periods, 1),
+        _find_finer_periods(features, tried),
+        found_periods,
+        _find_more_periods(features, tried),
+    )
     if hint is not None:
         periods = chain(periods, hint.bases())
     for period in periods:
@@ -128,6 +134,19 @@ def _search(features: FlatFeatures, hint: LatticeHint | None, thorough: bool = F
         if any(one.evidence.is_certain for one in found):
             break
     return sorted(found, key=lambda one: -one.evidence.rank)
+
+
+def _find_finer_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[Floats]:
+    """The two lattices that explain the flat best of those with two or three lenses in each cell of the first basis.
+
+    An array of several lens types repeats exactly with a cell of several lenses only.
+    """
+    for a, b in tried[:1]:
+        halves = [(a / 2, b), (a, b / 2), ((a + b) / 2, b)]
+        thirds = [(a / 3, b), (a, b / 3), ((a + b) / 3, b), ((a + 2 * b) / 3, b)]
+        finer = [reduce_basis(np.array(pair)) for pair in (*halves, *thirds)]
+        finer = [basis for basis in finer if np.hypot(*basis.T).min() >= _SHORTEST]
+        yield from sorted(finer, key=lambda basis: -CellMaps.measure(features, basis).explained())[:2]
 
 
 def _find_more_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[Floats]:
