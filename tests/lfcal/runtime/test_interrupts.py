@@ -29,8 +29,8 @@ def work():
     lock.acquire()
     ThreadPoolExecutor(1).submit(lock.acquire)  # the interpreter would join it for ever
     with atomic_write(Path(sys.argv[2])):
-        print("ready", flush=True)
         try:
+            print("ready", flush=True)
             time.sleep(60)
         finally:
             {unwind}
