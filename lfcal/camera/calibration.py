@@ -134,10 +134,11 @@ class Calibration(Frozen):
     def with_mosaic(self, mosaic: Mosaic | None, guessed: bool = False) -> Calibration:
         """The camera with these colour filters, and a warning if they are guessed."""
         warnings = [text for text in self.warnings if "look exchanged, name the filters" not in text]
-        if guessed:
+        if guessed and mosaic is not None:
+            other = mosaic.translate(str.maketrans("RB", "BR"))
             warnings.append(
                 f"the flat is seen through colour filters, taken for {mosaic}: where green is was measured, red and "
-                "blue are a guess; if they look exchanged, name the filters (--mosaic RGGB, BGGR, GRBG or GBRG)"
+                f"blue are a guess; if they look exchanged, name the filters (--mosaic {other})"
             )
         return replace(self, mosaic=mosaic, mosaic_guessed=guessed, warnings=tuple(warnings))
 

@@ -18,13 +18,19 @@ __all__ = ["check_mosaic", "equalise_mosaic", "find_mosaic", "remove_mosaic"]
 
 
 def check_mosaic(mosaic: str | None, flat: NDArray[Any]) -> None:
-    """ValueError where `mosaic` is no name of one, FlatError where the flat is in colour already."""
+    """ValueError where `mosaic` is no name of one, FlatError where the flat is in colour, or green lies elsewhere."""
     if mosaic is None:
         return
     if mosaic not in MOSAICS:
         raise ValueError(f"mosaic must be one of {', '.join(MOSAICS)} or None, got {mosaic!r}")
     if flat.ndim == 3:
         raise FlatError(f"the flat is in colour, so it has no {mosaic} mosaic any more; give it without 'mosaic'")
+    measured = find_mosaic(flat)
+    if measured is not None and (measured[0] == "G") != (mosaic[0] == "G"):
+        other = measured.translate(str.maketrans("RB", "BR"))
+        raise FlatError(
+            f"the filters are stated as {mosaic}, but green lies as in {measured} and {other}; give one of these"
+        )
 
 
 def find_mosaic(flat: NDArray[Any]) -> Mosaic | None:

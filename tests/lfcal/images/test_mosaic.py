@@ -57,6 +57,12 @@ def test_a_mosaic_of_a_colour_picture_or_of_unknown_name_is_refused(whites):
         lfcal.calibrate(image, mosaic="RGBG")
 
 
+def test_filters_stated_against_the_measured_green_are_refused_with_the_two_that_fit(whites):
+    image, _ = whites.white_image(whites.turned(whites.HEXAGON, 14.3, 3), (300, 260))
+    with pytest.raises(lfcal.FlatError, match="stated as GRBG, but green lies as in"):
+        lfcal.calibrate(_filtered(image, "RGGB"), mosaic="GRBG")
+
+
 @pytest.mark.parametrize("mosaic", ["RGGB", "BGGR", "GRBG", "GBRG"])
 def test_where_green_is_is_measured_on_a_scene_and_neither_noise_nor_jpeg_hide_it(mosaic):
     camera = Camera.design((300, 260), 23.0, "hex", 3.0).replace(mosaic=mosaic, filters=(0.9, 1.0, 0.9))
