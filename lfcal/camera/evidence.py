@@ -172,9 +172,12 @@ class Evidence:
 
     def by_shape(self) -> float:
         """How far the average cell proves lenses, 0 to 1: its shape, and circles or gaps that never change."""
-        windows = _ramp(self.content, 0.5, 2.0) * self._shows_scene()
+        scene = self._shows_scene()
+        windows = _ramp(self.content, 0.5, 2.0) * scene
         shape = _ramp(self.shape, 0.75, 0.97) * max(_ramp(self.circles, 0.0, 1.0), windows)
         shape *= 0.6 + 0.4 * _ramp(self.roundness, 0.5, 0.95)
+        # Gaps may be bright beside a scene, but not in a white image.
+        shape *= max(_ramp(self.light, 0.0, 0.3), scene)
         return _ramp(shape * self._edges(), 0.1, 0.7)
 
     def _edges(self) -> float:
@@ -183,11 +186,11 @@ class Evidence:
 
     def _content_proof(self) -> float:
         """How far parallax proves lenses, 0 to 1: neighbours of a scene match, in cells that have an outline."""
-        outline = _ramp(self.outline, 0.0, 0.5)
-        outlined = max(_ramp(self.shape, 0.55, 0.8), _ramp(self.circles, 0.2, 0.6), outline)
+        shape = _ramp(self.shape, 0.55, 0.8) * _ramp(self.circles, 0.02, 0.12)
+        outlined = max(shape, _ramp(self.circles, 0.1, 0.4), _ramp(self.outline, 0.1, 0.6))
         symmetric = _ramp(self.roundness, 0.1, 0.5)
         match = _ramp(self.parallax, 0.3, 1.0) * (1 - _ramp(self.halves, 0.015, 0.05))
-        return match * self._shows_scene() * (outlined + symmetric) / 2
+        return match * self._shows_scene() * outlined * (0.6 + 0.4 * symmetric)
 
     def _shows_scene(self) -> float:
         """How far cells show a scene, 0 to 1: neighbours have about one tone, and more than noise."""

@@ -36,7 +36,7 @@ _ALL_CENTRES = 8
 _LARGE = 3e6
 _HALVED = 11.0
 #: [px] pitch at half the size from which on it shows all, and probability of a lattice that is taken then.
-_CLEAR, _LIKELY = 16.0, 0.9
+_CLEAR, _LIKELY = 16.0, 0.5
 
 
 @dataclass(frozen=True)
