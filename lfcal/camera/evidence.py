@@ -172,7 +172,8 @@ class Evidence:
 
     def by_shape(self) -> float:
         """How far the average cell proves lenses, 0 to 1: its shape, and circles or gaps that never change."""
-        scene = self._shows_scene()
+        # What neighbours share is no noise.
+        scene = self._shows_scene() * _ramp(self.parallax, 0.2, 0.35)
         windows = _ramp(self.content, 0.5, 2.0) * scene
         shape = _ramp(self.shape, 0.75, 0.97) * max(_ramp(self.circles, 0.0, 1.0), windows)
         shape *= 0.6 + 0.4 * _ramp(self.roundness, 0.5, 0.95)

@@ -97,7 +97,7 @@ def mesh(
     >>> import lfrender
     >>> surface = mesh(*lfrender.data.example(), points_per_pitch=4)
     >>> surface.faces.shape[1], surface.visual.material.baseColorTexture.size
-    (3, (74, 55))
+    (3, (71, 54))
     """
     try:
         from trimesh import Trimesh

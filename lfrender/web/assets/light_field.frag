@@ -258,11 +258,11 @@ void main() {
     result = vec4(overlay > 0.0 ? mix(mean, magnificationColour(X), overlay) : mean, 1.0);
     return;
   }
-  float s = sizeAt(X), side = abs(s) * spacing / pitch, left = max(side * side - 1.0, 0.0);
-  if (left > 0.0 && !crossesEdge(X, s)) {
-    // As `squares_to_average` of the renderer.
-    float wide = disc.x * s + disc.y, averaged = max(0.7 * wide * wide, reading);
-    left = max(left - averaged, 0.0) * (1.0 + averaged / (3.0 * left));
+  float s = sizeAt(X), side = abs(s) * spacing / pitch, left = 0.0;
+  if (side > 1.0) {
+    // As `count_samples` and `squares_to_average` of the renderer.
+    float own = side * side - 1.0, wide = disc.x * s + disc.y, averaged = max(0.7 * wide * wide, reading);
+    left = crossesEdge(X, s) ? side * side : max(own - averaged, 0.0) * (1.0 + averaged / (3.0 * own));
   }
   int across = left < 0.25 ? 1 : int(ceil(sqrt(left / 1.5 + 1.0)));
   across = min(across, int(most));

@@ -24,7 +24,6 @@ CAMERA = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
         lambda wrong: lfcal.calibrate_metric([FLAT] * 3, wrong, Board(9, 6, 7.0)),
         lambda wrong: lfcal.locate_board(FLAT, wrong, Board(9, 6, 7.0)),
         lambda wrong: lfrender.analyze(FLAT, wrong),
-        lambda wrong: lfrender.render(FLAT, wrong, patch_size=5),
         lambda wrong: lfrender.refocus(FLAT, wrong, 5.0),
         lambda wrong: lfrender.traditional(FLAT, wrong),
         lambda wrong: list(lfrender.views(FLAT, wrong, None, offsets=[(0, 0)])),

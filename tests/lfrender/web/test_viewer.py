@@ -20,6 +20,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 import lfcal
 import lfrender
 from lfcal.lattice.distortion import Distortion
+from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 from lfrender.cli.main import main
 from lfrender.data.depth_map import DepthMap
 from lfrender.data.surface import Surface
@@ -59,11 +60,12 @@ def test_a_plane_in_focus_is_that_of_the_renderer(page, captured, plane, apertur
 
 def test_everything_in_focus_and_tiles_are_those_of_the_renderer(page, captured):
     flat, camera, depth = captured
-    for scale in (None, 4.0):
-        assert (
-            np.mean(off(page, lfrender.render(flat, camera, depth, scale=scale, detail="off"), mode="sharp") <= 2)
-            > 0.9995
-        )
+    # At depth edges of coarse pictures a few pixels differ by up to 10 levels.
+    for scale, least in ((None, 0.9995), (4.0, 0.99)):
+        picture = lfrender.render(flat, camera, depth, scale=scale, detail="off")
+        difference = off(page, picture, mode="sharp")
+        assert np.mean(difference <= 2) > least
+        assert difference.max() <= 12
     page.execute_script("lightField.set({ mode: 'tiles' })")
     wait_for(page, "lightField.renderer.textures.plainTiles")
     crisp = lfrender.render(flat, camera, patch_size=FAR)
@@ -100,7 +102,9 @@ def test_a_flat_with_distortion_lens_types_and_sixteen_bits_is_drawn_as_the_rend
         (lfrender.refocus(flat, camera, FAR), {"mode": "focus", "plane": FAR}),
         (lfrender.render(flat, camera, depth, detail="off"), {"mode": "sharp"}),
     ):
-        eight = replace(picture, image=picture.image / 257)
+        # The page shows dim flats brightened.
+        shown = to_eight_bits(picture.image, camera.white_level, exposure_gain(flat, camera.white_level))
+        eight = replace(picture, image=shown)
         assert np.mean(off(browser, eight, **settings) <= 2) > 0.9995
     assert errors(browser) == []
 
