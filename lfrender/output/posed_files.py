@@ -1,7 +1,8 @@
 """Views with their cameras, depth and masks, in the forms of programs for many views.
 
-nerfstudio: `transforms.json`; COLMAP: a sparse model as text, with points and the views that see each; rvs: the camera
-file of MPEG's view synthesis (RVS, TMIV) with raw video. Each camera stands in the axes that its program has.
+nerfstudio: `transforms.json`; COLMAP: a sparse model as text, with points and the views that see each, and the maps
+that its stereo fusion reads; rvs: the camera file of MPEG's view synthesis (RVS, TMIV) with raw video. Each camera
+stands in the axes that its program has.
 """
 
 from __future__ import annotations
@@ -57,6 +58,9 @@ def check_posed_folder(folder: str | os.PathLike[str], kind: PoseFormat, count: 
     refuse_leftovers(Path(folder) / "images", _VIEW_FILES, kept)
     refuse_leftovers(Path(folder) / "depth", _VIEW_FILES, kept)
     refuse_leftovers(Path(folder) / "masks", _VIEW_FILES, [mask.format(view) for view in views])
+    for maps in ("depth_maps", "normal_maps"):
+        kept = {f"{view}.png.geometric.bin" for view in views}
+        refuse_leftovers(Path(folder) / "stereo" / maps, _VIEW_FILES, kept)
 
 
 def write_posed_views(
@@ -148,7 +152,7 @@ def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
 def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as COLMAP names them."""
     step = _write_files(folder, views, _MASK_NAMES["colmap"])
-    sparse = make_folder(folder / "sparse" / "0", parents=True)
+    _write_fusion_maps(folder / "stereo", views)
     points, colours, pixels = _tracks(views)
     seen = np.isfinite(pixels[..., 0])
     # Each picture counts the points that it shows, from 0.
@@ -166,9 +170,51 @@ def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     for point, (place, colour) in enumerate(zip(points.tolist(), colours.tolist(), strict=True)):
         track = " ".join(f"{view + 1} {order[point][view]}" for view in np.flatnonzero(seen[:, point]).tolist())
         lines.append("{} {:.9g} {:.9g} {:.9g} {} {} {} {:.3g} ".format(point + 1, *place, *colour, rig.error) + track)
-    for name, text in (("cameras", cameras), ("images", images), ("points3D", lines)):
-        _write_text(sparse / f"{name}.txt", "\n".join(text))
+    # Programs that read models look into the first folder, stereo fusion into the second.
+    for sparse in (make_folder(folder / "sparse" / "0", parents=True), folder / "sparse"):
+        for name, text in (("cameras", cameras), ("images", images), ("points3D", lines)):
+            _write_text(sparse / f"{name}.txt", "\n".join(text))
     _write_text(folder / "depth" / "unit.txt", f"16-bit files times {step:.9g} {rig.unit}")
+
+
+def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
+    """Depth and normals of the views as `colmap stereo_fusion` reads them; OutputError if there are those of others.
+
+    Stereo fusion knows no distortion: for cameras that have some, nothing is written.
+    """
+    if any(any(view.camera.distortion) for view in views):
+        for maps in ("depth_maps", "normal_maps"):
+            refuse_leftovers(folder / maps, _VIEW_FILES, [])
+        return
+    depths = make_folder(folder / "depth_maps", parents=True)
+    normals = make_folder(folder / "normal_maps")
+    for view in views:
+        name = f"{view.name}.png.geometric.bin"
+        _write_matrix(depths / name, np.where(view.known, view.depth, 0)[None])
+        _write_matrix(normals / name, np.where(view.known, _normals(view), 0))
+    _write_text(folder / "fusion.cfg", "\n".join(f"{view.name}.png" for view in views))
+
+
+def _write_matrix(path: Path, planes: NDArray[Any]) -> None:
+    """Write (channels, h, w) values as COLMAP writes a `Mat<float>`: sizes as text, then one plane after the other."""
+    channels, height, width = planes.shape
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(f"{width}&{height}&{channels}&".encode() + planes.astype("<f4").tobytes())
+
+
+def _normals(view: _Posed) -> Array:
+    """(3, h, w) unit normals of the surface that a view shows, towards its camera, in the axes of the camera."""
+    rows, columns = np.indices(view.depth.shape)
+    slopes = view.camera.slopes(np.column_stack([columns.ravel(), rows.ravel()]))
+    rays = np.hstack([slopes, np.ones((len(slopes), 1))]).reshape(*view.depth.shape, 3)
+    points = rays * np.where(view.known, view.depth, np.nan)[..., None]
+    down, right = np.gradient(points, axis=(0, 1))
+    normals = np.cross(down, right)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    # Beside pixels of unknown depth the surface is taken to face the camera.
+    facing = -rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    found = np.where(length > 0, normals / np.where(length > 0, length, 1), facing)
+    return np.moveaxis(found, -1, 0)
 
 
 def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8], Array]:

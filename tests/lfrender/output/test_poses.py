@@ -169,6 +169,55 @@ def test_views_show_the_same_detail_along_a_track(colmap):
     assert len(shifts) > 150 and np.mean(np.abs(shifts).max(1) > 0) < 0.03, "share moved by a pixel"
 
 
+def matrix(path):
+    """(h, w, channels) of a file of COLMAP, read as its documentation reads it."""
+    data = path.read_bytes()
+    width, height, channels = (int(word) for word in data.split(b"&", 3)[:3])
+    values = np.frombuffer(data.split(b"&", 3)[3], "<f4")
+    return values.reshape((width, height, channels), order="F").transpose(1, 0, 2)
+
+
+def test_depth_maps_for_stereo_fusion_hold_the_depth_of_the_views(colmap):
+    folder, rig = colmap
+    for number, camera in enumerate(rig.cameras):
+        depth = matrix(folder / f"stereo/depth_maps/view_{number:03d}.png.geometric.bin")[..., 0]
+        assert depth.shape == camera.size[::-1]
+        exact = cv2.imread(str(folder / f"depth/view_{number:03d}.png"), cv2.IMREAD_UNCHANGED)
+        step = float((folder / "depth" / "unit.txt").read_text().split()[3])
+        np.testing.assert_allclose(depth, exact * step, atol=0.51 * step)
+    # The marks of the points: each lies in its pixel at the depth of the model.
+    lines = (folder / "sparse/points3D.txt").read_text().splitlines()
+    points = np.array([line.split()[1:4] for line in lines], float)
+    u, v = np.rint(rig.cameras[4].project(points)).astype(int).T
+    middle = matrix(folder / "stereo/depth_maps/view_004.png.geometric.bin")[..., 0]
+    np.testing.assert_allclose(middle[v, u], points[:, 2] - rig.cameras[4].position[2], rtol=1e-5)
+
+
+def test_normals_for_stereo_fusion_are_units_towards_the_camera(colmap):
+    folder, rig = colmap
+    depth = matrix(folder / "stereo/depth_maps/view_004.png.geometric.bin")[..., 0]
+    normals = matrix(folder / "stereo/normal_maps/view_004.png.geometric.bin")
+    v, u = np.nonzero(depth)
+    rays = np.column_stack([rig.cameras[4].slopes(np.column_stack([u, v])), np.ones(len(u))])
+    assert (np.sum(normals[v, u] * rays, 1) < 0).all()
+    np.testing.assert_allclose(np.linalg.norm(normals[v, u], axis=1), 1, atol=1e-5)
+
+
+def test_colmap_fuses_the_views_into_the_surfaces_that_they_show(colmap, tmp_path):
+    pycolmap = pytest.importorskip("pycolmap", reason="the foreign reader of COLMAP models is not installed")
+    folder, rig = colmap
+    fused = pycolmap.stereo_fusion(str(tmp_path), str(folder))
+    points = np.array([point.xyz for point in fused.points3D.values()])
+    assert len(points) > 1000
+    middle = matrix(folder / "stereo/depth_maps/view_004.png.geometric.bin")[..., 0]
+    height, width = middle.shape
+    pixels = np.rint(rig.cameras[4].project(points)).astype(int)
+    inside = ((pixels >= 0) & (pixels < [width, height])).all(1)
+    u, v = pixels[inside].T
+    apart = np.abs((points[inside, 2] - rig.cameras[4].position[2]) / middle[v, u] - 1)
+    assert np.median(apart[middle[v, u] > 0]) < 0.01
+
+
 def test_rvs_files_hold_disparity_between_the_depths_that_they_state(tmp_path):
     pytest.importorskip("av", reason="raw video is written by PyAV (lfrender[video])")
     camera, capture = shot()
