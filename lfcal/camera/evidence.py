@@ -178,7 +178,7 @@ class Evidence:
         shape = _ramp(self.shape, 0.75, 0.97) * max(_ramp(self.circles, 0.0, 1.0), windows)
         shape *= 0.6 + 0.4 * _ramp(self.roundness, 0.5, 0.95)
         # Gaps may be bright beside a scene, but not in a white image.
-        shape *= max(_ramp(self.light, 0.0, 0.3), scene)
+        shape *= max(_ramp(self.light, 0.0, 0.05), scene)
         return _ramp(shape * self._edges(), 0.1, 0.7)
 
     def _edges(self) -> float:

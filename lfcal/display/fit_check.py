@@ -29,6 +29,8 @@ _REMEDY = "give the camera of this flat, or calibrate on it"
 _SHIFT, _STRETCH = 0.06, 0.033
 # Least probability of a lattice that a camera is compared with.
 _LIKELY = 0.5
+# The same at the basis of the camera: what repeats there is hardly anything else.
+_LIKELY_AT_BASIS = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +325,7 @@ def _find_lattices(picture: Singles, given: Lattice) -> Iterator[Lattice]:
 
     with suppress(CalibrationError, np.linalg.LinAlgError):
         own = measure_basis(picture, given)
-        if own and own[0].evidence.probability > _LIKELY:
+        if own and own[0].evidence.probability > _LIKELY_AT_BASIS:
             yield own[0].lattice
     for found in find_candidates(picture)[:3]:
         if found.evidence.probability > _LIKELY:
