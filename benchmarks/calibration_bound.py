@@ -1,8 +1,10 @@
-"""Errors of `lfcal.calibrate` on white images beside the Cramer-Rao bound: `python -m benchmarks.calibration_bound`.
+"""Errors of `lfcal.calibrate` on white images beside the Cramer-Rao bound: `python -m
+benchmarks.calibration_bound`.
 
-The standard cases, or those whose name contains an argument; with `--random N [SEED]` so many random ones, with
-`--cut N [SEED]` cut ones with edges of other kinds. Rows end with `beyond` where an error is beyond what is promised,
-with `doubt` where the calibration says that another disc may be the lens.
+The standard cases, or those whose name contains an argument; with `--random N [SEED]` so many
+random ones, with `--cut N [SEED]` cut ones with edges of other kinds. Rows end with `beyond` where
+an error is beyond what is promised, with `doubt` where the calibration says that another disc may
+be the lens.
 """
 
 from __future__ import annotations
@@ -24,7 +26,11 @@ def centre_error(camera: lfcal.Calibration, truth: WhiteImage) -> float:
     found = camera.lattice.centres()
     index = truth.index_of(found)
     distinct = len(np.unique(index, axis=0)) == len(found)
-    if not distinct or abs(abs(np.linalg.det(camera.lattice.basis)) / abs(np.linalg.det(truth.basis)) - 1) > 0.05:
+    if (
+        not distinct
+        or abs(abs(np.linalg.det(camera.lattice.basis)) / abs(np.linalg.det(truth.basis)) - 1)
+        > 0.05
+    ):
         return float("inf")
     return float(np.sqrt(((found - truth.centres(index)) ** 2).sum(1).mean()))
 
@@ -45,11 +51,16 @@ def main(arguments: list[str]) -> None:
             int(arguments[1]), int(arguments[2]) if len(arguments) > 2 else 0
         )
     else:
-        cases = {name: truth for name, truth in standard_cases().items() if " ".join(arguments) in name}
+        cases = {
+            name: truth for name, truth in standard_cases().items() if " ".join(arguments) in name
+        }
     beyond = 0
-    print(f"{'case':48s} {'bound px':>9s} {'error px':>9s} {'ratio':>7s} {'stated':>9s} {'s':>5s} kind")
+    print(
+        f"{'case':48s} {'bound px':>9s} {'error px':>9s} {'ratio':>7s} {'stated':>9s} {'s':>5s} kind"
+    )
     for name, truth in cases.items():
-        image, bound = truth.image(), truth.bound()
+        image = truth.image()
+        bound = truth.bound()
         start = time.perf_counter()
         try:
             camera = lfcal.calibrate(image)
@@ -60,7 +71,11 @@ def main(arguments: list[str]) -> None:
         spent = time.perf_counter() - start
         error_px = centre_error(camera, truth)
         errors = camera.errors
-        stated = np.nan if errors is None else float(np.sqrt((errors.of_centres(camera.lattice) ** 2).mean()))
+        stated = (
+            np.nan
+            if errors is None
+            else float(np.sqrt((errors.of_centres(camera.lattice) ** 2).mean()))
+        )
         doubtful = any("overlap of two discs" in text for text in camera.warnings)
         missed = not error_px <= promised(truth, bound)
         beyond += missed

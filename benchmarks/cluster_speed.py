@@ -1,10 +1,12 @@
-"""Speed of a sequence on worker processes: `python -m benchmarks.cluster_speed [--count N] [--workers N] [FRAME ...]`.
+"""Speed of a sequence on worker processes: `python -m benchmarks.cluster_speed [--count N]
+[--workers N] [FRAME ...]`.
 
-60 frames of a ray-traced scene with noise, part of which moves, or the `.npy` frames given over and over, are rendered
-by one worker process and by two, each with one thread. Printed are seconds from the first frame to the last picture,
-once with workers that have just been started and once, with other frames, with workers that have their kernels loaded;
-the CPU seconds that the busiest worker has taken meanwhile, which tell on a machine with other work to do; and the
-ratios of both numbers of workers. Pictures of all runs are compared bit for bit.
+60 frames of a ray-traced scene with noise, part of which moves, or the `.npy` frames given over and
+over, are rendered by one worker process and by two, each with one thread. Printed are seconds from
+the first frame to the last picture, once with workers that have just been started and once, with
+other frames, with workers that have their kernels loaded; the CPU seconds that the busiest worker
+has taken meanwhile, which tell on a machine with other work to do; and the ratios of both numbers
+of workers. Pictures of all runs are compared bit for bit.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.sequence.cluster import connect, render_frames_on
 
-_SIZE, _PITCH = (900, 700), 23.2
+_SIZE = (900, 700)
+_PITCH = 23.2
 _NOISE = 1.5
 # Rows of the flat that move, as a share of all.
 _MOVING = 0.25
@@ -37,7 +40,9 @@ def _scene() -> tuple[NDArray[Any], lfcal.Calibration]:
 
 
 def _write(folder: Path, flats: list[NDArray[Any]], count: int, seed: int) -> None:
-    """Write so many frames, each with its own noise, in which a part comes from other places each time."""
+    """Write so many frames, each with its own noise, in which a part comes from other places each
+    time.
+    """
     folder.mkdir()
     rng = np.random.default_rng(seed)
     for k in range(count):
@@ -45,12 +50,18 @@ def _write(folder: Path, flats: list[NDArray[Any]], count: int, seed: int) -> No
         if len(flats) == 1:
             rows = int(_MOVING * len(flat))
             flat[:rows] = flat[k % rows : k % rows + rows]
-            flat = np.clip(np.rint(flat + rng.normal(0, _NOISE, flat.shape)), 0, 255).astype(np.uint8)
+            flat = np.clip(np.rint(flat + rng.normal(0, _NOISE, flat.shape)), 0, 255).astype(
+                np.uint8
+            )
         tifffile.imwrite(folder / f"f{k:03d}.tif", flat, photometric="rgb")
 
 
-def _timed(workers: int, folder: Path, camera: lfcal.Calibration, preset: str) -> list[tuple[float, float]]:
-    """Wall and CPU seconds that the frames of `a` and then those of `b` take on newly started workers."""
+def _timed(
+    workers: int, folder: Path, camera: lfcal.Calibration, preset: str
+) -> list[tuple[float, float]]:
+    """Wall and CPU seconds that the frames of `a` and then those of `b` take on newly started
+    workers.
+    """
     seconds = []
     with connect(workers, None) as client:
         for name in ("a", "b"):
@@ -58,7 +69,9 @@ def _timed(workers: int, folder: Path, camera: lfcal.Calibration, preset: str) -
             before = client.run(time.process_time)
             start = time.perf_counter()
             results = list(
-                render_frames_on(client, frames, folder / f"{name}{workers}", camera, preset=preset, threads=1)
+                render_frames_on(
+                    client, frames, folder / f"{name}{workers}", camera, preset=preset, threads=1
+                )
             )
             wall = time.perf_counter() - start
             after = client.run(time.process_time)
@@ -71,8 +84,12 @@ def _timed(workers: int, folder: Path, camera: lfcal.Calibration, preset: str) -
 
 def main(arguments: list[str] | None = None) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("frames", nargs="*", type=Path, help="frames of one camera (.npy), else a ray-traced scene")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "frames", nargs="*", type=Path, help="frames of one camera (.npy), else a ray-traced scene"
+    )
     parser.add_argument("--count", type=int, default=60, help="number of frames")
     parser.add_argument("--workers", type=int, default=2, help="to be compared with one")
     parser.add_argument("--preset", default="balanced")
@@ -87,26 +104,40 @@ def main(arguments: list[str] | None = None) -> None:
         folder = Path(name)
         for seed, part in enumerate(("a", "b")):
             _write(folder / part, flats, given.count, seed)
-        # Kernels are compiled, or loaded, and everything is in the file cache before the clock starts.
-        list(lfrender.render_frames(lfrender.open_frames([folder / "b"]), folder / "b0", camera, preset=given.preset))
+        # Kernels are compiled, or loaded, and everything is in the file cache before the clock
+        # starts.
+        list(
+            lfrender.render_frames(
+                lfrender.open_frames([folder / "b"]), folder / "b0", camera, preset=given.preset
+            )
+        )
         height, width = flats[0].shape[:2]
-        print(f"{given.count} frames of {width} x {height} px, preset {given.preset}, one thread a worker")
-        print(f"{'workers':>8s} {'started s':>10s} {'CPU s':>7s} {'warm s':>8s} {'CPU s':>7s} {'ms a frame':>11s}")
+        print(
+            f"{given.count} frames of {width} x {height} px, preset {given.preset}, one thread a worker"
+        )
+        print(
+            f"{'workers':>8s} {'started s':>10s} {'CPU s':>7s} {'warm s':>8s} {'CPU s':>7s} {'ms a frame':>11s}"
+        )
         times = {}
         for workers in (1, given.workers):
             times[workers] = _timed(workers, folder, camera, given.preset)
             (first, first_cpu), (second, second_cpu) = times[workers]
             each = 1e3 * second / given.count
             print(
-                f"{workers:8d} {first:10.2f} {first_cpu:7.2f} {second:8.2f} {second_cpu:7.2f} {each:11.1f}", flush=True
+                f"{workers:8d} {first:10.2f} {first_cpu:7.2f} {second:8.2f} {second_cpu:7.2f} {each:11.1f}",
+                flush=True,
             )
         ratios = np.array(times[1]) / times[given.workers]
         for name, (wall, cpu) in zip(("just started", "warm"), ratios, strict=True):
-            print(f"{given.workers} workers, {name}: {wall:.2f} times as fast as one, by CPU time {cpu:.2f} times")
+            print(
+                f"{given.workers} workers, {name}: {wall:.2f} times as fast as one, by CPU time {cpu:.2f} times"
+            )
         for path in sorted((folder / "b0").glob("*.tif")):
             for workers in times:
                 if path.read_bytes() != (folder / f"b{workers}" / path.name).read_bytes():
-                    raise SystemExit(f"{path.name}: {workers} workers make another picture than one process")
+                    raise SystemExit(
+                        f"{path.name}: {workers} workers make another picture than one process"
+                    )
         print("pictures are those of one process, bit for bit")
 
 

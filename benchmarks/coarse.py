@@ -1,8 +1,10 @@
-"""Pictures of twelve scales against their references: `python -m benchmarks.coarse ../shared/truth | FIRST LAST`.
+"""Pictures of twelve scales against their references: `python -m benchmarks.coarse ../shared/truth
+| FIRST LAST`.
 
-PSNR [dB] from 0.06 to 0.3 pitches a pixel, with `detail="off"` and with `"natural"`, each with the depth of `balanced`
-and with the true one. The reference is averaged over the area of an output pixel, part by part, so that scales that fit
-its own pixels are no easier than others. With two numbers, the random cameras and scenes of `benchmarks.detail`.
+PSNR [dB] from 0.06 to 0.3 pitches a pixel, with `detail="off"` and with `"natural"`, each with the
+depth of `balanced` and with the true one. The reference is averaged over the area of an output
+pixel, part by part, so that scales that fit its own pixels are no easier than others. With two
+numbers, the random cameras and scenes of `benchmarks.detail`.
 """
 
 from __future__ import annotations
@@ -26,14 +28,32 @@ from .detail import Case, random_case, truth_cases
 
 __all__ = ["main"]
 
-_STEPS = (0.06, 0.07, 0.08, 0.10, 0.12, 0.14, 0.16, 0.18, 0.20, 0.23, 0.26, 0.30)  # [pitch] per pixel
+_STEPS = (
+    0.06,
+    0.07,
+    0.08,
+    0.10,
+    0.12,
+    0.14,
+    0.16,
+    0.18,
+    0.20,
+    0.23,
+    0.26,
+    0.30,
+)  # [pitch] per pixel
 _RESOLVABLE = 0.75  # [pitch]
 
 
 def average_areas(
-    reference: NDArray[Any], affine: NDArray[np.float64], shape: tuple[int, int], wanted: NDArray[np.float64]
+    reference: NDArray[Any],
+    affine: NDArray[np.float64],
+    shape: tuple[int, int],
+    wanted: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Exact means of the pixels of a reference, each even over its own square, over those of another grid."""
+    """Exact means of the pixels of a reference, each even over its own square, over those of
+    another grid.
+    """
     mean = reference / (np.iinfo(reference.dtype).max if reference.dtype.kind in "ui" else 1.0)
     for axis, k in ((1, 0), (0, 1)):
         sums = np.insert(np.cumsum(mean, axis), 0, 0, axis)
@@ -49,9 +69,13 @@ def average_areas(
 
 
 def _true_depth(case: Case, depth: lfrender.DepthMap) -> lfrender.DepthMap:
-    nearest = distance_transform_edt(~np.isfinite(case.size), return_distances=False, return_indices=True)
+    nearest = distance_transform_edt(
+        ~np.isfinite(case.size), return_distances=False, return_indices=True
+    )
     first = float(case.affine[0, 2]), float(case.affine[1, 2])
-    surface = Surface(np.ascontiguousarray(case.size[tuple(nearest)]), first, float(case.affine[0, 0]))
+    surface = Surface(
+        np.ascontiguousarray(case.size[tuple(nearest)]), first, float(case.affine[0, 0])
+    )
     return replace(depth, surface=surface)
 
 
@@ -65,7 +89,9 @@ def _psnr(case: Case, depth: lfrender.DepthMap, scale: float, detail: Detail) ->
     inner[border:-border, border:-border] = True
     image = picture.image / np.float64(np.iinfo(picture.image.dtype).max)
     wanted = average_areas(case.reference, case.affine, shape, picture.affine)
-    return compare_pictures(image, wanted.reshape(image.shape), inside & inner & picture.valid & (lost == 0)).psnr
+    return compare_pictures(
+        image, wanted.reshape(image.shape), inside & inner & picture.valid & (lost == 0)
+    ).psnr
 
 
 def main(arguments: list[str]) -> None:
@@ -75,13 +101,20 @@ def main(arguments: list[str]) -> None:
         cases = (random_case(seed) for seed in range(int(arguments[0]), int(arguments[1]) + 1))
     else:
         cases = truth_cases(Path(arguments[0]))
-    print(f"| flat | depth | detail | {' | '.join(f'{step:.2f}' for step in _STEPS)} |\n|{'---|' * (len(_STEPS) + 3)}")
+    print(
+        f"| flat | depth | detail | {' | '.join(f'{step:.2f}' for step in _STEPS)} |\n|{'---|' * (len(_STEPS) + 3)}"
+    )
     for case in cases:
         own = lfrender.analyze(case.flat, case.camera)
         for name, depth in (("balanced", own), ("true", _true_depth(case, own))):
             for detail in get_args(Detail):
-                found = [_psnr(case, depth, step * case.camera.lattice.pitch, detail) for step in _STEPS]
-                print(f"| {case.name} | {name} | {detail} | {' | '.join(f'{one:.1f}' for one in found)} |", flush=True)
+                found = [
+                    _psnr(case, depth, step * case.camera.lattice.pitch, detail) for step in _STEPS
+                ]
+                print(
+                    f"| {case.name} | {name} | {detail} | {' | '.join(f'{one:.1f}' for one in found)} |",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

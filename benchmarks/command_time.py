@@ -1,11 +1,14 @@
-"""Where the time of a command goes: `python -m benchmarks.command_time [FLAT ...] [--against TREE] [--runs N]`.
+"""Where the time of a command goes: `python -m benchmarks.command_time [FLAT ...] [--against TREE]
+[--runs N]`.
 
-For each flat, fresh processes import what `lfrender render` needs, read the flat, and run each stage twice: the second
-run is the stage itself, and what the first one takes longer is the loading of its compiled kernels. Whole commands
-follow. Printed are medians of processor and of wall seconds, stages on one thread, commands on as many as they take.
-`--against` is another checkout, or a revision of this one (which is checked out and compiled first): its processes take
-turns with those of this tree, so that a busy machine slows both alike, and the last column is the ratio of this tree to
-it. `--fresh` prints instead what compiling costs: the first command with an empty cache, in each tree.
+For each flat, fresh processes import what `lfrender render` needs, read the flat, and run each
+stage twice: the second run is the stage itself, and what the first one takes longer is the loading
+of its compiled kernels. Whole commands follow. Printed are medians of processor and of wall
+seconds, stages on one thread, commands on as many as they take. `--against` is another checkout, or
+a revision of this one (which is checked out and compiled first): its processes take turns with
+those of this tree, so that a busy machine slows both alike, and the last column is the ratio of
+this tree to it. `--fresh` prints instead what compiling costs: the first command with an empty
+cache, in each tree.
 """
 
 from __future__ import annotations
@@ -25,7 +28,8 @@ __all__ = ["main"]
 
 _ROOT = Path(__file__).parents[1]
 _CAPTURE = _ROOT.parent / "shared" / "captures" / "Fujita2.png"
-# Run in a process of its own by `python -c`, with the flat and a folder to write into; prints one line of JSON.
+# Run in a process of its own by `python -c`, with the flat and a folder to write into; prints one
+# line of JSON.
 _STAGES = """
 import json, sys, time
 from pathlib import Path
@@ -74,8 +78,12 @@ def _stages(tree: Path, flat: Path, folder: Path) -> _Times:
     """Processor and wall seconds of each stage, on one thread."""
     done = subprocess.run(
         [sys.executable, "-c", _STAGES, str(flat), str(folder)],
-        cwd=tree, env=_environment(tree, NUMBA_NUM_THREADS="1"), capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=tree,
+        env=_environment(tree, NUMBA_NUM_THREADS="1"),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if done.returncode:
         sys.exit(f"{tree}: {done.stderr[-2000:]}")
     found: _Times = json.loads(done.stdout.splitlines()[-1])
@@ -84,23 +92,33 @@ def _stages(tree: Path, flat: Path, folder: Path) -> _Times:
 
 def _command(tree: Path, *arguments: str, **environment: str) -> tuple[float, float]:
     """Processor and wall seconds of one command."""
-    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-m", *arguments],
-        cwd=tree, env=_environment(tree, **environment), capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+        cwd=tree,
+        env=_environment(tree, **environment),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    wall = time.perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:
         sys.exit(f"{tree}: {done.stderr[-2000:]}")
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall
 
 
 def _commands(tree: Path, flat: Path, folder: Path) -> _Times:
-    render, camera, out = "lfrender.cli.main", str(folder / "camera.json"), str(folder / "picture.tif")
+    render = "lfrender.cli.main"
+    camera = str(folder / "camera.json")
+    out = str(folder / "picture.tif")
     known = (render, "render", str(flat), "-c", camera, "-o", out, "--quiet")
     return {
         "$ lfrender --help": _command(tree, render, "--help"),
-        "$ lfcal calibrate": _command(tree, "lfcal.cli.main", "calibrate", str(flat), "-o", camera, "--quiet"),
+        "$ lfcal calibrate": _command(
+            tree, "lfcal.cli.main", "calibrate", str(flat), "-o", camera, "--quiet"
+        ),
         "$ lfrender render": _command(tree, render, "render", str(flat), "-o", out, "--quiet"),
         "$ lfrender render -c": _command(tree, *known),
         "$ lfrender render -c --preset fast": _command(tree, *known, "--preset", "fast"),
@@ -117,7 +135,10 @@ def _measure(trees: list[Path], flat: Path, folder: Path, runs: int) -> list[_Ti
                 rows.append(times)
     return [
         {
-            name: (statistics.median(row[name][0] for row in rows), statistics.median(row[name][1] for row in rows))
+            name: (
+                statistics.median(row[name][0] for row in rows),
+                statistics.median(row[name][1] for row in rows),
+            )
             for name in rows[0]
         }
         for rows in found
@@ -125,12 +146,15 @@ def _measure(trees: list[Path], flat: Path, folder: Path, runs: int) -> list[_Ti
 
 
 def _print(flat: Path, found: list[_Times]) -> None:
-    print(f"{flat.name}: processor and wall seconds{', of the other tree, and ratios' if len(found) > 1 else ''}")
+    print(
+        f"{flat.name}: processor and wall seconds{', of the other tree, and ratios' if len(found) > 1 else ''}"
+    )
     for name in found[0]:
         text = "".join(f"{rows[name][0]:9.3f} {rows[name][1]:7.3f}" for rows in found)
         if len(found) > 1:
             processor, wall = (
-                here / max(other, 1e-9) for here, other in zip(found[0][name], found[1][name], strict=True)
+                here / max(other, 1e-9)
+                for here, other in zip(found[0][name], found[1][name], strict=True)
             )
             text += f"   {processor:6.2f} {wall:5.2f}"
         print(f"  {name:36}{text}", flush=True)
@@ -141,7 +165,14 @@ def _fresh(trees: list[Path], flat: Path, folder: Path) -> None:
         with tempfile.TemporaryDirectory() as cache:
             out = str(folder / "picture.tif")
             times = _command(
-                tree, "lfrender.cli.main", "render", str(flat), "-o", out, "--quiet", NUMBA_CACHE_DIR=cache
+                tree,
+                "lfrender.cli.main",
+                "render",
+                str(flat),
+                "-o",
+                out,
+                "--quiet",
+                NUMBA_CACHE_DIR=cache,
             )
         print(
             f"{tree}: first lfrender render, nothing compiled: processor {times[0]:.1f} s, wall {times[1]:.1f} s",
@@ -154,7 +185,9 @@ def _check_out(name: str, folder: Path) -> Path:
     if Path(name).is_dir():
         return Path(name).resolve()
     tree = folder / "tree"
-    archive = subprocess.run(["git", "archive", name], cwd=_ROOT, capture_output=True, check=True).stdout
+    archive = subprocess.run(
+        ["git", "archive", name], cwd=_ROOT, capture_output=True, check=True
+    ).stdout
     tree.mkdir()
     subprocess.run(["tar", "-x"], cwd=tree, input=archive, check=True)
     return tree
@@ -166,7 +199,9 @@ def main() -> None:
     parser.add_argument("flats", nargs="*", type=Path, default=[_CAPTURE])
     parser.add_argument("--against", help="another checkout, or a revision")
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--fresh", action="store_true", help="the first command with nothing compiled")
+    parser.add_argument(
+        "--fresh", action="store_true", help="the first command with nothing compiled"
+    )
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -15,11 +15,14 @@ RESOLVABLE = 0.75
 _EDGE = 0.05
 
 
-def edge_share(depth: lfrender.DepthMap, wanted: NDArray[np.floating], affine: NDArray[np.float64]) -> float:
-    """Share of the places at depth edges, on both sides, whose depth the map has within one pitch: one pixel of the
-    traditional picture. 1 where there is no edge.
+def edge_share(
+    depth: lfrender.DepthMap, wanted: NDArray[np.floating], affine: NDArray[np.float64]
+) -> float:
+    """Share of the places at depth edges, on both sides, whose depth the map has within one pitch:
+    one pixel of the traditional picture. 1 where there is no edge.
 
-    `wanted` (h, w) [px] are true patch sizes, `affine` (2, 3) leads from their places to scene coordinates.
+    `wanted` (h, w) [px] are true patch sizes, `affine` (2, 3) leads from their places to scene
+    coordinates.
     """
     wanted = wanted.astype(np.float64)
     limit = _EDGE * depth.pitch
@@ -31,7 +34,8 @@ def edge_share(depth: lfrender.DepthMap, wanted: NDArray[np.floating], affine: N
     here = np.column_stack([u, v, np.ones(len(u))]) @ affine.T
     size = np.array(depth.image_size)
     inside = np.all((here > depth.pitch) & (here < size - depth.pitch), axis=1)
-    here, s = here[inside], wanted[v, u][inside]
+    here = here[inside]
+    s = wanted[v, u][inside]
     reach = np.arange(-10, 11) / 10
     around = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
     found = np.zeros(len(s), bool)

@@ -1,7 +1,8 @@
-"""Depth over patch size and over noise, on simulated planes: `python -m benchmarks.depth_sweep -o FOLDER`.
+"""Depth over patch size and over noise, on simulated planes: `python -m benchmarks.depth_sweep -o
+FOLDER`.
 
-Writes `patch_size.csv` and `noise.csv`, and plots of both as PNG where matplotlib is installed. Shares are of all
-lenses whose microimage is whole; errors are in pixels, over the resolved ones.
+Writes `patch_size.csv` and `noise.csv`, and plots of both as PNG where matplotlib is installed.
+Shares are of all lenses whose microimage is whole; errors are in pixels, over the resolved ones.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ def _judge(shot: Capture, depth: lfrender.DepthMap) -> dict[str, float]:
     truth = shot.truth.patch_size
     lattice = shot.truth.calibration.lattice
     centres, (width, height) = lattice.centres(), lattice.image_size
-    whole = ((centres > lattice.pitch / 2) & (centres < np.array([width, height]) - lattice.pitch / 2)).all(1)
+    whole = (
+        (centres > lattice.pitch / 2) & (centres < np.array([width, height]) - lattice.pitch / 2)
+    ).all(1)
     known = whole & np.isfinite(depth.patch_size)
     error = (depth.patch_size - truth)[known]
     clear = known & (np.abs(depth.patch_size) > 0.5)
@@ -59,11 +62,17 @@ def _judge(shot: Capture, depth: lfrender.DepthMap) -> dict[str, float]:
 def sweep_patch_size(size: tuple[int, int], pitch: float) -> list[dict[str, float]]:
     """Planes with `s / D` from -0.75 to 0.75 and beyond, one row each."""
     # No object is at the places next to zero that lie beyond infinity.
-    ratios = [r for r in sorted([-r for r in (*_STEPS, *_BEYOND)] + [*_STEPS, *_BEYOND]) if not 0 < r < _INFINITY]
+    ratios = [
+        r
+        for r in sorted([-r for r in (*_STEPS, *_BEYOND)] + [*_STEPS, *_BEYOND])
+        if not 0 < r < _INFINITY
+    ]
     rows = []
     for ratio in ratios:
         shot = _shot(ratio, size, pitch)
-        rows.append({"s / D": ratio} | _judge(shot, lfrender.analyze(shot.flat, shot.truth.calibration)))
+        rows.append(
+            {"s / D": ratio} | _judge(shot, lfrender.analyze(shot.flat, shot.truth.calibration))
+        )
     return rows
 
 
@@ -78,7 +87,8 @@ def sweep_noise(size: tuple[int, int], pitch: float, ratio: float = -0.3) -> lis
     shot = _shot(ratio, size, pitch)
     calibration = shot.truth.calibration
     return [
-        {"PSNR [dB]": float(db)} | _judge(shot, lfrender.analyze(noisy(shot.flat, db), calibration)) for db in _NOISE_DB
+        {"PSNR [dB]": float(db)} | _judge(shot, lfrender.analyze(noisy(shot.flat, db), calibration))
+        for db in _NOISE_DB
     ]
 
 
@@ -93,7 +103,9 @@ def _plot(path: Path, rows: list[dict[str, float]]) -> None:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise SystemExit(f"{path}: plots need matplotlib: pip install matplotlib ({error})") from error
+        raise SystemExit(
+            f"{path}: plots need matplotlib: pip install matplotlib ({error})"
+        ) from error
     across = next(iter(rows[0]))
     x = [row[across] for row in rows]
     figure = Figure(figsize=(9, 7), layout="constrained")
@@ -101,7 +113,9 @@ def _plot(path: Path, rows: list[dict[str, float]]) -> None:
     for name in ("resolved", "right", "wrong", "confidence"):
         shares.plot(x, [row[name] for row in rows], marker=".", label=name)
     for name in ("median", "p95"):
-        errors.semilogy(x, [row[name] for row in rows], marker=".", label=f"|error of s| {name} [px]")
+        errors.semilogy(
+            x, [row[name] for row in rows], marker=".", label=f"|error of s| {name} [px]"
+        )
     errors.set_xlabel(across)
     for axes in (shares, errors):
         axes.grid(True)
@@ -113,7 +127,9 @@ def main() -> None:
     """Run both sweeps and write them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder to write to")
-    parser.add_argument("--size", type=int, nargs=2, default=(420, 340), metavar=("W", "H"), help="flat [px]")
+    parser.add_argument(
+        "--size", type=int, nargs=2, default=(420, 340), metavar=("W", "H"), help="flat [px]"
+    )
     parser.add_argument("--pitch", type=float, default=23.2, help="[px]")
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)

@@ -1,12 +1,13 @@
 """Detail of pictures against their references: `python -m benchmarks.detail [../shared/truth]`.
 
-Prints, at 0.15 D, 0.3 D and the default scale, PSNR of the picture with `detail="off"`, and what is gained [dB] by
-`detail="natural"`: over all, beside depth edges, on blank places and in the border (a pitch wide); then over all by
-three methods of scikit-image applied to the picture: Wiener, Richardson-Lucy and total variation. These are given the
-disc of defocus that `natural` undoes at the median patch size.
-Without a folder, the scenes of `benchmarks.pictures` are simulated; `python -m benchmarks.detail 200 221` simulates
-random cameras before random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or 75;
-with a third number all of those of 8 bits are JPEG of this quality.
+Prints, at 0.15 D, 0.3 D and the default scale, PSNR of the picture with `detail="off"`, and what is
+gained [dB] by `detail="natural"`: over all, beside depth edges, on blank places and in the border
+(a pitch wide); then over all by three methods of scikit-image applied to the picture: Wiener,
+Richardson-Lucy and total variation. These are given the disc of defocus that `natural` undoes at
+the median patch size. Without a folder, the scenes of `benchmarks.pictures` are simulated; `python
+-m benchmarks.detail 200 221` simulates random cameras before random scenes, one for each number,
+some of them gray, of 16 bits, or JPEG of quality 50 or 75; with a third number all of those of 8
+bits are JPEG of this quality.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ class Case(NamedTuple):
 def truth_cases(folder: Path) -> Iterator[Case]:
     for path in sorted(folder.iterdir()):
         if path.is_dir():
-            flat, reference = lfcal.read_flat(path / "flat.png"), lfcal.read_flat(path / "reference.png")
+            flat = lfcal.read_flat(path / "flat.png")
+            reference = lfcal.read_flat(path / "reference.png")
             size = np.load(path / "reference_depth.npz")["disparity_px"].astype(np.float32)
             yield Case(path.name, flat, lfcal.calibrate(flat), reference, _REFERENCE, size)
 
@@ -55,11 +57,18 @@ def truth_cases(folder: Path) -> Iterator[Case]:
 def _simulated_cases() -> Iterator[Case]:
     for name, how in _SCENES.items():
         camera = Camera.design(size=_SIZE, **how.camera)
-        shot = simulate(SCENES[how.scene](camera, **how.arguments), camera, samples=64, seed=7, **how.stored)
+        shot = simulate(
+            SCENES[how.scene](camera, **how.arguments), camera, samples=64, seed=7, **how.stored
+        )
         truth = shot.truth
         found = lfcal.calibrate(shot.white, kind="white")
         yield Case(
-            name, shot.flat, found, truth.reference, truth.reference_affine, truth.reference_patch_size.astype("f4")
+            name,
+            shot.flat,
+            found,
+            truth.reference,
+            truth.reference_affine,
+            truth.reference_patch_size.astype("f4"),
         )
 
 
@@ -70,24 +79,37 @@ def random_shot(seed: int) -> tuple[str, Camera, Capture]:
     several = seed % 7 >= 4 and seed % 2 == 0
     pitch = np.exp(rng.uniform(np.log(18), np.log(60)))
     lattice = "hex" if several else str(rng.choice(["hex", "hex-vertical", "square"]))
-    turn, fill, sign = rng.uniform(-15, 15), rng.uniform(0.14, 0.3), rng.choice([-1.0, 1.0])
+    turn = rng.uniform(-15, 15)
+    fill = rng.uniform(0.14, 0.3)
+    sign = rng.choice([-1.0, 1.0])
     focus: Any = sign * rng.uniform(-0.1, 0.25)
     if several:
         focus = tuple(sign * (rng.uniform(0.15, 0.25) + np.arange(3) * rng.uniform(0.11, 0.17)))
-    camera = Camera.design(size=_SIZE, pitch=pitch, lattice=lattice, rotation=turn, fill=fill, focus=focus)
-    near, far = rng.uniform(0.12, 0.25), rng.uniform(0.1, 0.3)
-    where = {"plane": {"ratio": sign * (near + far)}, "slope": {"left": sign * near, "right": sign * (near + far)}}
+    camera = Camera.design(
+        size=_SIZE, pitch=pitch, lattice=lattice, rotation=turn, fill=fill, focus=focus
+    )
+    near = rng.uniform(0.12, 0.25)
+    far = rng.uniform(0.1, 0.3)
+    where = {
+        "plane": {"ratio": sign * (near + far)},
+        "slope": {"left": sign * near, "right": sign * (near + far)},
+    }
     scene = SCENES[kind](camera, seed=seed, **where.get(kind, {}))
     well = np.exp(rng.uniform(np.log(600), np.log(30000)))
     form: dict[str, Any] = {"bits": 16, "gamma": False} if seed % 5 == 3 else {}
     shot = simulate(scene, camera, samples=96, seed=seed, noise=(well, 5), **form)
-    return f"{seed}: {kind}, D = {pitch:.0f} px" + (", three types" if several else ""), camera, shot
+    return (
+        f"{seed}: {kind}, D = {pitch:.0f} px" + (", three types" if several else ""),
+        camera,
+        shot,
+    )
 
 
 def random_case(seed: int, quality: int | None = None) -> Case:
     """The capture of `random_shot`, of some seeds as JPEG or in gray."""
     name, _, shot = random_shot(seed)
-    flat, reference = shot.flat, shot.truth.reference
+    flat = shot.flat
+    reference = shot.truth.reference
     if seed % 4 == 1:
         quality = quality or (50, 75)[seed // 4 % 2]
     if quality and flat.dtype == np.uint8:
@@ -97,18 +119,24 @@ def random_case(seed: int, quality: int | None = None) -> Case:
     if seed % 6 == 2:
         flat, reference = (np.rint(np.mean(one, 2)).astype(one.dtype) for one in (flat, reference))
         name += ", gray"
-    found, size = lfcal.calibrate(shot.white, kind="white"), shot.truth.reference_patch_size.astype("f4")
+    found = lfcal.calibrate(shot.white, kind="white")
+    size = shot.truth.reference_patch_size.astype("f4")
     return Case(name, flat, found, reference, shot.truth.reference_affine, size)
 
 
-def _classes(case: Case, wanted: NDArray[Any], inside: NDArray[np.bool_], picture: lfrender.Rendering) -> list[Any]:
+def _classes(
+    case: Case, wanted: NDArray[Any], inside: NDArray[np.bool_], picture: lfrender.Rendering
+) -> list[Any]:
     """Masks: all, beside depth edges, blank, and the border, which the others leave out."""
-    shape, pitch = picture.image.shape[:2], case.camera.lattice.pitch
+    shape = picture.image.shape[:2]
+    pitch = case.camera.lattice.pitch
     v, u = np.mgrid[: shape[0], : shape[1]]
     places = np.stack([u, v, np.ones(shape)], -1) @ picture.affine.T
     grid = np.rint((places - case.affine[:, 2]) / case.affine[0, 0]).astype(int)
     known = np.clip(grid[..., ::-1], 0, np.array(case.size.shape) - 1)
-    missing = distance_transform_edt(~np.isfinite(case.size), return_distances=False, return_indices=True)
+    missing = distance_transform_edt(
+        ~np.isfinite(case.size), return_distances=False, return_indices=True
+    )
     s = case.size[tuple(missing)][known[..., 0], known[..., 1]]
     seen = inside & picture.valid & (np.abs(s) < _RESOLVABLE * pitch)
     border = int(np.ceil(picture.scale))
@@ -119,13 +147,19 @@ def _classes(case: Case, wanted: NDArray[Any], inside: NDArray[np.bool_], pictur
     edge = cv2.dilate(jump.view(np.uint8), np.ones((side, side), np.uint8)) > 0
     grey = wanted.reshape(*shape, -1).mean(-1).astype(np.float32)
     variance = cv2.blur(grey * grey, (9, 9)) - cv2.blur(grey, (9, 9)) ** 2
-    return [seen & inner, seen & inner & edge, seen & inner & ~edge & (variance < 0.012**2), seen & ~inner]
+    return [
+        seen & inner,
+        seen & inner & edge,
+        seen & inner & ~edge & (variance < 0.012**2),
+        seen & ~inner,
+    ]
 
 
 def _psnr(image: NDArray[Any], wanted: NDArray[Any], where: NDArray[np.bool_]) -> float:
     if where.sum() < _LEAST_PIXELS:
         return float("nan")
-    p, t = image[where], wanted[where]
+    p = image[where]
+    t = wanted[where]
     gain = (p * t).sum(0) / (p * p).sum(0)
     return float(-10 * np.log10(np.mean((p * gain - t) ** 2)))
 
@@ -133,7 +167,11 @@ def _psnr(image: NDArray[Any], wanted: NDArray[Any], where: NDArray[np.bool_]) -
 def _disc(diameter: float) -> NDArray[np.float64]:
     half = int(np.ceil(diameter / 2))
     fine = (np.arange((2 * half + 1) * 9) - ((2 * half + 1) * 9 - 1) / 2) / 9
-    disc = (np.hypot(fine[:, None], fine) <= diameter / 2).reshape(2 * half + 1, 9, 2 * half + 1, 9).mean((1, 3))
+    disc = (
+        (np.hypot(fine[:, None], fine) <= diameter / 2)
+        .reshape(2 * half + 1, 9, 2 * half + 1, 9)
+        .mean((1, 3))
+    )
     return disc / disc.sum()
 
 
@@ -146,7 +184,9 @@ def _baselines(image: NDArray[Any], diameter: float) -> list[NDArray[Any]]:
         [restoration.wiener(plane, psf, 0.05, clip=False) for plane in planes],
         [restoration.richardson_lucy(np.maximum(plane, 1e-3), psf, 10) for plane in planes],
     ]
-    return [np.stack(one, -1) for one in found] + [restoration.denoise_tv_chambolle(image, 0.01, channel_axis=-1)]
+    return [np.stack(one, -1) for one in found] + [
+        restoration.denoise_tv_chambolle(image, 0.01, channel_axis=-1)
+    ]
 
 
 def _rows(case: Case) -> Iterator[str]:
@@ -159,11 +199,16 @@ def _rows(case: Case) -> Iterator[str]:
         ]
         white = np.float64(np.iinfo(drawn[0].image.dtype).max)
         images = [one.image.reshape(*one.valid.shape, -1) / white for one in drawn]
-        wanted, inside = resample(case.reference, case.affine, drawn[0].valid.shape, drawn[0].affine)
+        wanted, inside = resample(
+            case.reference, case.affine, drawn[0].valid.shape, drawn[0].affine
+        )
         wanted = wanted.reshape(images[0].shape)
         masks = _classes(case, wanted, inside, drawn[0])
         plain = [_psnr(images[0], wanted, mask) for mask in masks]
-        gained = [_psnr(images[1], wanted, mask) - before for mask, before in zip(masks, plain, strict=True)]
+        gained = [
+            _psnr(images[1], wanted, mask) - before
+            for mask, before in zip(masks, plain, strict=True)
+        ]
         ratio = float(np.nanmedian(depth.patch_size)) / pitch
         disc = float(sure_discs(choose_blur(case.camera, depth), np.array([ratio])).mean())
         others = _baselines(images[0], disc * scale / (abs(ratio) * pitch))

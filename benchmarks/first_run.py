@@ -1,9 +1,11 @@
-"""What the first minute is like: `python -m benchmarks.first_run [--runs N] [--install] [--only NAME ...] [--record]`.
+"""What the first minute is like: `python -m benchmarks.first_run [--runs N] [--install] [--only
+NAME ...] [--record]`.
 
-All in a fresh cache, by processes as users start them: the start-up of commands (and what they import), warm commands,
-the first demo, the first picture of a capture, and the first flat of another kind. Printed are wall and processor
-seconds; compiling is the processor time of a first run less that of a second. `--install` adds `pip install`
-into a fresh virtual environment. `--record` writes the list of kernels that are compiled ahead instead.
+All in a fresh cache, by processes as users start them: the start-up of commands (and what they
+import), warm commands, the first demo, the first picture of a capture, and the first flat of
+another kind. Printed are wall and processor seconds; compiling is the processor time of a first run
+less that of a second. `--install` adds `pip install` into a fresh virtual environment. `--record`
+writes the list of kernels that are compiled ahead instead.
 """
 
 from __future__ import annotations
@@ -25,12 +27,17 @@ import numpy as np
 
 _ROOT = Path(__file__).parents[1]
 _CAPTURES = _ROOT.parent / "shared" / "captures"
-_LFRENDER, _LFCAL = ("-m", "lfrender.cli.main"), ("-m", "lfcal.cli.main")
+_LFRENDER = ("-m", "lfrender.cli.main")
+_LFCAL = ("-m", "lfcal.cli.main")
 _KINDS: dict[str, dict[str, Any]] = {
-    "gray": {"channels": 1}, "16 bit": {"bits": 16}, "gray, 16 bit": {"channels": 1, "bits": 16},
-    "float": {"bits": 32}, "gray, float": {"channels": 1, "bits": 32},
-    "square": {"lattice": "square"}, "three lens types": {"focus": (0.02, 0.04, 0.06)},
-}  # fmt: skip
+    "gray": {"channels": 1},
+    "16 bit": {"bits": 16},
+    "gray, 16 bit": {"channels": 1, "bits": 16},
+    "float": {"bits": 32},
+    "gray, float": {"channels": 1, "bits": 32},
+    "square": {"lattice": "square"},
+    "three lens types": {"focus": (0.02, 0.04, 0.06)},
+}
 
 
 def _run(*arguments: str, cache: Path, python: str = sys.executable) -> tuple[float, float]:
@@ -51,7 +58,10 @@ def _run(*arguments: str, cache: Path, python: str = sys.executable) -> tuple[fl
 def _print(name: str, figures: list[tuple[float, float]], note: str = "") -> None:
     walls, seconds = zip(*figures, strict=True)
     line = f"{name:44} wall {statistics.median(walls):7.2f} s (least {min(walls):6.2f})"
-    print(f"{line}  processor {statistics.median(seconds):7.2f} s (least {min(seconds):6.2f}) {note}", flush=True)
+    print(
+        f"{line}  processor {statistics.median(seconds):7.2f} s (least {min(seconds):6.2f}) {note}",
+        flush=True,
+    )
 
 
 def _start_up(runs: int, cache: Path) -> None:
@@ -67,18 +77,25 @@ def _start_up(runs: int, cache: Path) -> None:
         _print(name, [_run(*arguments, cache=cache) for _ in range(runs)])
     traced = subprocess.run(
         [sys.executable, "-X", "importtime", "-c", "import lfrender, lfrender.cli.main"],
-        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(_ROOT)},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(_ROOT)},
+    )
     totals: dict[str, float] = {}
     for own, name in re.findall(r"import time:\s+(\d+) \|\s+\d+ \|\s+(\S+)", traced.stderr):
         package = name.partition(".")[0]
         totals[package] = totals.get(package, 0.0) + int(own) / 1000
     dearest = sorted(totals.items(), key=lambda item: -item[1])[:8]
-    print("  imports of the command line [ms]: " + ", ".join(f"{name} {ms:.0f}" for name, ms in dearest), flush=True)
+    print(
+        "  imports of the command line [ms]: "
+        + ", ".join(f"{name} {ms:.0f}" for name, ms in dearest),
+        flush=True,
+    )
 
 
 def _warm(runs: int, cache: Path, folder: Path) -> None:
-    flat, camera = str(_CAPTURES / "Fujita2.png"), str(folder / "camera.json")
+    flat = str(_CAPTURES / "Fujita2.png")
+    camera = str(folder / "camera.json")
     _run(*_LFCAL, "calibrate", flat, "-o", camera, "--quiet", cache=cache)
     picture = ("-o", str(folder / "picture.tif"), "--quiet")
     for name, options in {
@@ -99,7 +116,14 @@ def _first_demo(cache: Path, folder: Path) -> None:
 
 
 def _first_picture(cache: Path, folder: Path) -> None:
-    arguments = *_LFRENDER, "render", str(_CAPTURES / "Boys2.webp"), "-o", str(folder / "boys.tif"), "--quiet"
+    arguments = (
+        *_LFRENDER,
+        "render",
+        str(_CAPTURES / "Boys2.webp"),
+        "-o",
+        str(folder / "boys.tif"),
+        "--quiet",
+    )
     first = _run(*arguments, cache=cache)
     again = _run(*arguments, cache=cache)
     _print("first render of Boys2", [first], f" of it compiling {first[1] - again[1]:.1f} s")
@@ -122,17 +146,26 @@ def _install(folder: Path) -> None:
     start = time.perf_counter()
     subprocess.run([sys.executable, "-m", "venv", str(folder / "venv")], check=True)
     subprocess.run([folder / "venv/bin/pip", "install", "--quiet", str(_ROOT)], check=True)
-    print(f"{'pip install in a fresh environment':44} wall {time.perf_counter() - start:7.2f} s", flush=True)
+    print(
+        f"{'pip install in a fresh environment':44} wall {time.perf_counter() - start:7.2f} s",
+        flush=True,
+    )
 
 
 def make_flat(
-    channels: int = 3, bits: int = 8, lattice: str = "hex", focus: Any = 0.04, size: tuple[int, int] = (700, 560)
+    channels: int = 3,
+    bits: int = 8,
+    lattice: str = "hex",
+    focus: Any = 0.04,
+    size: tuple[int, int] = (700, 560),
 ) -> Any:
     """A simulated flat of the scene `house`."""
     return _simulate(lattice, focus, size, channels, bits).flat
 
 
-def _simulate(lattice: str, focus: Any, size: tuple[int, int], channels: int = 3, bits: int = 8) -> Any:
+def _simulate(
+    lattice: str, focus: Any, size: tuple[int, int], channels: int = 3, bits: int = 8
+) -> Any:
     from dataclasses import replace
 
     from data_synth import SCENES, Camera, simulate
@@ -143,14 +176,20 @@ def _simulate(lattice: str, focus: Any, size: tuple[int, int], channels: int = 3
     def convert(pixels: Any) -> Any:
         if channels == 1 and pixels.ndim == 3:
             pixels = np.rint(pixels.mean(2)).astype(np.uint8)
-        whole = {8: pixels, 16: pixels.astype(np.uint16) * 257, 32: pixels.astype(np.float32) / np.float32(255)}
+        whole = {
+            8: pixels,
+            16: pixels.astype(np.uint16) * 257,
+            32: pixels.astype(np.float32) / np.float32(255),
+        }
         return whole[bits]
 
     return replace(capture, flat=convert(capture.flat), white=convert(capture.white))
 
 
 def _record() -> None:
-    """Compile all that the chain needs for flats of each kind, in an empty cache, and write the list of it."""
+    """Compile all that the chain needs for flats of each kind, in an empty cache, and write the
+    list of it.
+    """
     import lfcal
     import lfrender
     from lfcal.runtime.compile_ahead import SIGNATURE_FILE
@@ -175,23 +214,36 @@ def _record() -> None:
         if name.partition(".")[0] in ("data_synth", "lfcal", "lfrender"):
             for kernel in cached_kernels(module):
                 code = kernel.inspect_asm()
-                found += [(len(code[types]), (name, kernel.__name__, list(types))) for types in kernel.signatures]
+                found += [
+                    (len(code[types]), (name, kernel.__name__, list(types)))
+                    for types in kernel.signatures
+                ]
     # The longest are the dearest.
     found.sort(key=lambda entry: -entry[0])
-    rows = [json.dumps([f"{module}.{name}", *map(encode_type, types)]) for _, (module, name, types) in found]
+    rows = [
+        json.dumps([f"{module}.{name}", *map(encode_type, types)])
+        for _, (module, name, types) in found
+    ]
     SIGNATURE_FILE.write_text("[\n " + ",\n ".join(rows) + "\n]\n", encoding="utf-8")
     print(f"{len(found)} kernels")
 
 
 def encode_type(kind: Any) -> Any:
-    """A type of Numba as text, or a list for arrays and tuples, as `compile_ahead.example_of` reads it."""
+    """A type of Numba as text, or a list for arrays and tuples, as `compile_ahead.example_of` reads
+    it.
+    """
     from numba import types
 
     if isinstance(kind, types.Array):
         return ["array", str(kind.dtype), kind.ndim, kind.layout, kind.mutable]
     if isinstance(kind, types.BaseTuple):
-        made_by, members = getattr(kind, "instance_class", None), getattr(kind, "types", ())
-        return ["tuple", f"{made_by.__module__}:{made_by.__qualname__}" if made_by else "", *map(encode_type, members)]
+        made_by = getattr(kind, "instance_class", None)
+        members = getattr(kind, "types", ())
+        return [
+            "tuple",
+            f"{made_by.__module__}:{made_by.__qualname__}" if made_by else "",
+            *map(encode_type, members),
+        ]
     return str(kind)
 
 
@@ -199,9 +251,12 @@ def cached_kernels(module: Any) -> list[Any]:
     """The kernels of a module that Numba caches: those that Python calls."""
     kernels = [getattr(value, "kernel", value) for value in vars(module).values()]
     return [
-        kernel for kernel in kernels
-        if hasattr(kernel, "py_func") and kernel.__module__ == module.__name__ and kernel.stats.cache_path
-    ]  # fmt: skip
+        kernel
+        for kernel in kernels
+        if hasattr(kernel, "py_func")
+        and kernel.__module__ == module.__name__
+        and kernel.stats.cache_path
+    ]
 
 
 def main() -> None:

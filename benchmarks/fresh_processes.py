@@ -1,10 +1,12 @@
-"""Whether commands end: `python -m benchmarks.fresh_processes [COUNT] [--empty N] [--busy] [--interrupt]`.
+"""Whether commands end: `python -m benchmarks.fresh_processes [COUNT] [--empty N] [--busy]
+[--interrupt]`.
 
-Renders a small simulated flat in COUNT fresh processes, two at a time: in every form that flats come in, with and
-without a camera file, and with the kernels compiled before; then in N pairs of processes, each pair with one empty
-cache. `--busy` keeps all cores busy meanwhile. Printed are the processes that did not end, ended later than 10 s after
-the median of their kind, or with a code or a traceback. With `--interrupt` each gets a Ctrl-C at a random time of its
-run instead, and has 5 s to end; its output is to be whole or absent, with no temporary file beside it.
+Renders a small simulated flat in COUNT fresh processes, two at a time: in every form that flats
+come in, with and without a camera file, and with the kernels compiled before; then in N pairs of
+processes, each pair with one empty cache. `--busy` keeps all cores busy meanwhile. Printed are the
+processes that did not end, ended later than 10 s after the median of their kind, or with a code or
+a traceback. With `--interrupt` each gets a Ctrl-C at a random time of its run instead, and has 5 s
+to end; its output is to be whole or absent, with no temporary file beside it.
 """
 
 from __future__ import annotations
@@ -56,14 +58,20 @@ def _write_flats(folder: Path) -> dict[str, Path]:
     colour = make_flat()
     gray = np.rint(colour.mean(2)).astype(np.uint8)
     flats = {}
-    for name, pixels in {"colour": colour, "gray": gray, "rgba": np.dstack([colour, np.full_like(gray, 255)])}.items():
+    for name, pixels in {
+        "colour": colour,
+        "gray": gray,
+        "rgba": np.dstack([colour, np.full_like(gray, 255)]),
+    }.items():
         for suffix in ("png", "ppm", "bmp", "jpg", "webp") if name != "rgba" else ("png",):
             flats[f"{name} {suffix}"] = folder / f"{name}.{suffix}"
             Image.fromarray(pixels).save(flats[f"{name} {suffix}"])
         whole: dict[str, Any] = {
-            "8": pixels, "16": pixels.astype(np.uint16) * 257,
-            "half": (pixels / 255).astype(np.float16), "float": (pixels / 255).astype(np.float32),
-        }  # fmt: skip
+            "8": pixels,
+            "16": pixels.astype(np.uint16) * 257,
+            "half": (pixels / 255).astype(np.float16),
+            "float": (pixels / 255).astype(np.float32),
+        }
         for depth, values in whole.items():
             flats[f"{name} tif {depth}"] = folder / f"{name}{depth}.tif"
             shown: dict[str, Any] = {"photometric": "minisblack" if name == "gray" else "rgb"}
@@ -79,7 +87,9 @@ def _run(kind: str, name: str, arguments: list[str], flat: Path | None, cache: P
     command = [sys.executable, "-m", "lfrender.cli.main", *arguments]
     with (flat or Path(os.devnull)).open("rb") as stdin:
         try:
-            done = subprocess.run(command, env=environment, stdin=stdin, capture_output=True, text=True, timeout=_HUNG)
+            done = subprocess.run(
+                command, env=environment, stdin=stdin, capture_output=True, text=True, timeout=_HUNG
+            )
         except subprocess.TimeoutExpired:
             return _Run(kind, name, _HUNG, "did not end")
     fault = f"ended with {done.returncode}: {done.stderr.strip()[-300:]}" if done.returncode else ""
@@ -88,13 +98,17 @@ def _run(kind: str, name: str, arguments: list[str], flat: Path | None, cache: P
     return _Run(kind, name, time.perf_counter() - start, fault)
 
 
-def _interrupt(after: float, kind: str, name: str, arguments: list[str], flat: Path | None, cache: Path) -> _Run:
+def _interrupt(
+    after: float, kind: str, name: str, arguments: list[str], flat: Path | None, cache: Path
+) -> _Run:
     """Start a process, interrupt it `after` some seconds, and look at its output."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(_ROOT)}
     output = Path(arguments[arguments.index("-o") + 1])
     command = [sys.executable, "-m", "lfrender.cli.main", *arguments]
     with (flat or Path(os.devnull)).open("rb") as stdin:
-        process = subprocess.Popen(command, env=environment, stdin=stdin, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            command, env=environment, stdin=stdin, stderr=subprocess.PIPE, text=True
+        )
     with suppress(subprocess.TimeoutExpired):
         process.wait(after)
     start = time.perf_counter()
@@ -115,10 +129,14 @@ def _interrupt(after: float, kind: str, name: str, arguments: list[str], flat: P
         fault = "ended with 0 and no output"
     if list(output.parent.glob(f".{output.stem}.*")):
         fault = "left a temporary file"
-    return _Run(kind, f"{name}, interrupted after {after:.1f} s, code {process.returncode}", seconds, fault)
+    return _Run(
+        kind, f"{name}, interrupted after {after:.1f} s, code {process.returncode}", seconds, fault
+    )
 
 
-def _jobs(flats: dict[str, Path], camera: Path, folder: Path, cache: Path, count: int) -> list[tuple[Any, ...]]:
+def _jobs(
+    flats: dict[str, Path], camera: Path, folder: Path, cache: Path, count: int
+) -> list[tuple[Any, ...]]:
     """Arguments of `_run`: each form with and without camera, the first forms also from stdin."""
     kinds: list[tuple[str, str, list[str], Path | None]] = []
     for name, flat in flats.items():
@@ -130,7 +148,15 @@ def _jobs(flats: dict[str, Path], camera: Path, folder: Path, cache: Path, count
     jobs = []
     for number, (kind, name, arguments, stdin) in enumerate(islice(cycle(kinds), count)):
         output = folder / f"{number}{'.npz' if kind == 'analyze' else '.tif'}"
-        jobs.append((kind, name, [*arguments, "-o", str(output), "--preset", "fast", "--quiet"], stdin, cache))
+        jobs.append(
+            (
+                kind,
+                name,
+                [*arguments, "-o", str(output), "--preset", "fast", "--quiet"],
+                stdin,
+                cache,
+            )
+        )
     return jobs
 
 
@@ -145,8 +171,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         flats = _write_flats(folder)
-        camera, cache = folder / "camera.json", folder / "cache"
-        prepare = [sys.executable, "-m", "lfcal.cli.main", "calibrate", str(flats["colour png"]), "-o", str(camera)]
+        camera = folder / "camera.json"
+        cache = folder / "cache"
+        prepare = [
+            sys.executable,
+            "-m",
+            "lfcal.cli.main",
+            "calibrate",
+            str(flats["colour png"]),
+            "-o",
+            str(camera),
+        ]
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(_ROOT)}
         subprocess.run(prepare, env=environment, check=True, capture_output=True)
         loop = [sys.executable, "-c", "while True: pass"]
@@ -159,7 +194,8 @@ def main() -> None:
             with ThreadPoolExecutor(2) as pool:
                 if options.interrupt:
                     # Kernels are loaded or compiled once; then that is how long a run takes.
-                    longest, rng = max(_run(*job).seconds for job in jobs[:4]), random.Random(1)
+                    longest = max(_run(*job).seconds for job in jobs[:4])
+                    rng = random.Random(1)
                     times = [rng.uniform(0.0, 1.1 * longest) for _ in jobs]
                     runs = list(pool.map(lambda after, job: _interrupt(after, *job), times, jobs))
                 else:
@@ -172,9 +208,14 @@ def main() -> None:
         same = [run for run in runs if run.kind == kind]
         median = statistics.median(run.seconds for run in same)
         latest = max(run.seconds for run in same)
-        print(f"{kind:12} {len(same):4} processes, median {median:6.1f} s, latest {latest:6.1f} s", flush=True)
+        print(
+            f"{kind:12} {len(same):4} processes, median {median:6.1f} s, latest {latest:6.1f} s",
+            flush=True,
+        )
         for run in same:
-            fault = run.fault or ("late" if run.seconds > median + _LATE and kind != "empty cache" else "")
+            fault = run.fault or (
+                "late" if run.seconds > median + _LATE and kind != "empty cache" else ""
+            )
             if fault:
                 faults += 1
                 print(f"  {run.name}: {run.seconds:.1f} s, {fault}")

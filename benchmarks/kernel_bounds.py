@@ -1,8 +1,10 @@
-"""Cost of each kernel of an analysis beside moving the same pixels: `python -m benchmarks.kernel_bounds [FLAT ...]`.
+"""Cost of each kernel of an analysis beside moving the same pixels: `python -m
+benchmarks.kernel_bounds [FLAT ...]`.
 
-Processor time on one thread of each kernel of `lfrender.analyze` [ms], its share, and nanoseconds for a pixel of the
-flat; beside a `memcpy` of the grey flat (float32) and `cv2.resize` of it to as many pixels, less one row and column.
-Kernels that depend on the texture and on the edges of a scene take more or less with other captures.
+Processor time on one thread of each kernel of `lfrender.analyze` [ms], its share, and nanoseconds
+for a pixel of the flat; beside a `memcpy` of the grey flat (float32) and `cv2.resize` of it to as
+many pixels, less one row and column. Kernels that depend on the texture and on the edges of a scene
+take more or less with other captures.
 """
 
 from __future__ import annotations
@@ -84,9 +86,14 @@ def main() -> None:
         flat = lfcal.read_flat(path)
         total, spent = _measure(flat, options.preset, options.runs)
         moves = _move_pixels(flat.shape[0], flat.shape[1], options.runs)
-        print(f"{path.name}, {flat.shape[1]} x {flat.shape[0]}, {options.preset}: {1e3 * total:.0f} ms")
+        print(
+            f"{path.name}, {flat.shape[1]} x {flat.shape[0]}, {options.preset}: {1e3 * total:.0f} ms"
+        )
         print(f"{'':28}{'ms':>9}{'share':>8}{'ns/px':>8}")
-        rows = [*sorted(spent.items(), key=lambda item: -item[1]), ("outside kernels", total - sum(spent.values()))]
+        rows = [
+            *sorted(spent.items(), key=lambda item: -item[1]),
+            ("outside kernels", total - sum(spent.values())),
+        ]
         for name, seconds in [*rows, *moves.items()]:
             share = "" if name in moves else f"{seconds / total:7.1%}"
             print(

@@ -1,9 +1,11 @@
-"""Measured discs of microlenses against the true ones: `python -m benchmarks.lens_blur ../shared | FIRST LAST`.
+"""Measured discs of microlenses against the true ones: `python -m benchmarks.lens_blur ../shared |
+FIRST LAST`.
 
-Of each ray-traced flat of `truth/`, or of the random cameras and scenes of `benchmarks.detail` with these seeds, the
-disc is printed that the rims of its white image tell, and the discs that the capture tells at its depths: the likeliest
-one, the least possible one and the true one, with the rims unknown and known. Of real captures the discs by lens type.
-Truth is the aperture and focus of the simulated camera; the last lines count discs that lie above it.
+Of each ray-traced flat of `truth/`, or of the random cameras and scenes of `benchmarks.detail` with
+these seeds, the disc is printed that the rims of its white image tell, and the discs that the
+capture tells at its depths: the likeliest one, the least possible one and the true one, with the
+rims unknown and known. Of real captures the discs by lens type. Truth is the aperture and focus of
+the simulated camera; the last lines count discs that lie above it.
 """
 
 from __future__ import annotations
@@ -64,14 +66,18 @@ def _random_cases(first: int, last: int) -> Iterator[_Known]:
 def _row(case: _Known) -> tuple[str, list[float]]:
     """A row of the table, and by how much [px] the least discs lie above the true ones."""
     camera = lfcal.calibrate(case.white, kind="white")
-    rims, cells, above = camera.lens_blur, [], []
+    rims = camera.lens_blur
+    cells = []
+    above = []
     if rims is None:
         cells.append("-")
     else:
         discs, errors = rims.at([0.0])
         truth = case.aperture * np.abs(case.focus)
         found = zip(discs[:, 0], errors[:, 0], strict=True)
-        cells.append(" ".join(f"{disc:.2f} +- {error:.2f}" for disc, error in found) + f" ({_list(truth)})")
+        cells.append(
+            " ".join(f"{disc:.2f} +- {error:.2f}" for disc, error in found) + f" ({_list(truth)})"
+        )
     for one in (replace(camera, lens_blur=None), camera):
         depth = lfrender.analyze(case.flat, one)
         blur = depth.lens_blur
@@ -82,8 +88,10 @@ def _row(case: _Known) -> tuple[str, list[float]]:
         least = blur.discs - blur.disc_errors
         above += (least - truth).ravel().tolist()
         some = np.unique(np.linspace(0, len(blur.ratios) - 1, 3).astype(int))
-        told = [f"{blur.ratios[k]:+.2f} D: {_list(blur.discs[:, k])}, {_list(least[:, k])} ({_list(truth[:, k])})"
-                for k in some]  # fmt: skip
+        told = [
+            f"{blur.ratios[k]:+.2f} D: {_list(blur.discs[:, k])}, {_list(least[:, k])} ({_list(truth[:, k])})"
+            for k in some
+        ]
         cells.append("; ".join(told))
     return f"| {case.name} | {' | '.join(cells)} |", above
 
@@ -100,14 +108,22 @@ def _print_capture(path: Path) -> None:
         print(f"{path.name}: nothing is measured")
         return
     for ratio, discs, errors in zip(blur.ratios, blur.discs.T, blur.disc_errors.T, strict=True):
-        print(f"{path.name}: at {ratio:+.2f} D likeliest {_list(discs)}, least {_list(discs - errors)} px")
+        print(
+            f"{path.name}: at {ratio:+.2f} D likeliest {_list(discs)}, least {_list(discs - errors)} px"
+        )
 
 
 def main(arguments: list[str]) -> None:
     """Print the tables."""
     warnings.simplefilter("ignore", UserWarning)
-    cases = _random_cases(*map(int, arguments)) if len(arguments) > 1 else _truth_cases(Path(arguments[0]) / "truth")
-    print("| flat | rims (truth) [px] | capture: likeliest, least (truth) [px] | with rims |\n|---|---|---|---|")
+    cases = (
+        _random_cases(*map(int, arguments))
+        if len(arguments) > 1
+        else _truth_cases(Path(arguments[0]) / "truth")
+    )
+    print(
+        "| flat | rims (truth) [px] | capture: likeliest, least (truth) [px] | with rims |\n|---|---|---|---|"
+    )
     above: list[float] = []
     for case in cases:
         row, more = _row(case)

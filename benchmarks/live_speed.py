@@ -1,9 +1,11 @@
-"""Speed of live pictures: `python -m benchmarks.live_speed FRAMES [SECONDS]`, by default 20 seconds each.
+"""Speed of live pictures: `python -m benchmarks.live_speed FRAMES [SECONDS]`, by default 20 seconds
+each.
 
-The first frames of FRAMES (a folder, a video) are held in memory and given ten times a second, to and fro: grey, behind
-a Bayer mosaic, and in colours, each of 8 bits; as they are, and as a still scene, the first one with noise of one grey
-level. A client asks for pictures over the loopback, as the page does. Printed are pictures a second, the median and the
-95th percentile of the time from the arrival of a frame to its JPEG [ms], processor time [cores] and memory [MB].
+The first frames of FRAMES (a folder, a video) are held in memory and given ten times a second, to
+and fro: grey, behind a Bayer mosaic, and in colours, each of 8 bits; as they are, and as a still
+scene, the first one with noise of one grey level. A client asks for pictures over the loopback, as
+the page does. Printed are pictures a second, the median and the 95th percentile of the time from
+the arrival of a frame to its JPEG [ms], processor time [cores] and memory [MB].
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ from lfrender.live.server import LiveServer
 from lfrender.live.session import Session
 from lfrender.live.sources import Shot
 
-_RATE, _FRAMES = 10.0, 12
+_RATE = 10.0
+_FRAMES = 12
 
 
 def _kinds(flat: NDArray[Any]) -> dict[str, NDArray[np.uint8]]:
@@ -46,13 +49,18 @@ def _play(frames: list[NDArray[Any]]) -> Iterator[Shot]:
         yield Shot(frame.copy())
 
 
-def _measure(frames: list[NDArray[Any]], camera: lfcal.Calibration, picture: str, seconds: float) -> str:
+def _measure(
+    frames: list[NDArray[Any]], camera: lfcal.Calibration, picture: str, seconds: float
+) -> str:
     session = Session(Grabber(lambda: _play(frames)), lambda shot: camera, "fast", Path())
     session.start()
     latencies: list[float] = []
     with LiveServer(session, "benchmark") as server:
-        client, after = http.client.HTTPConnection("127.0.0.1", server.port), 0
-        start, used, pictures = np.inf, 0.0, 0
+        client = http.client.HTTPConnection("127.0.0.1", server.port)
+        after = 0
+        start = np.inf
+        used = 0.0
+        pictures = 0
         while time.monotonic() < start + seconds:
             client.request("GET", f"/frame?kind={picture}&after={after}")
             response = client.getresponse()
@@ -61,7 +69,8 @@ def _measure(frames: list[NDArray[Any]], camera: lfcal.Calibration, picture: str
             pictures += 1
             # The first pictures load kernels, and tables of the camera.
             if pictures <= 10:
-                start, used = time.monotonic(), time.process_time()
+                start = time.monotonic()
+                used = time.process_time()
             else:
                 latencies.append(1e3 * session.latency)
         cores = (time.process_time() - used) / seconds
@@ -74,8 +83,12 @@ def _measure(frames: list[NDArray[Any]], camera: lfcal.Calibration, picture: str
 
 def main() -> None:
     seconds = float(sys.argv[2]) if len(sys.argv) > 2 else 20.0
-    frames = [to_eight_bits(frame.read()) for frame in itertools.islice(lfrender.open_frames([sys.argv[1]]), _FRAMES)]
-    camera, noise = lfcal.calibrate(frames[0]), np.random.default_rng(1)
+    frames = [
+        to_eight_bits(frame.read())
+        for frame in itertools.islice(lfrender.open_frames([sys.argv[1]]), _FRAMES)
+    ]
+    camera = lfcal.calibrate(frames[0])
+    noise = np.random.default_rng(1)
     for kind in ("grey", "Bayer", "colour"):
         of_kind = replace(camera, mosaic="RGGB" if kind == "Bayer" else None)
         moving = [_kinds(frame)[kind] for frame in frames]
@@ -83,7 +96,10 @@ def main() -> None:
         still = [np.clip(frame, 0, 255).astype(np.uint8) for frame in noisy]
         print(f"{kind:6} sharp still  {_measure(still, of_kind, 'sharp', seconds)}", flush=True)
         for picture in ("sharp", "focus", "traditional") if kind == "Bayer" else ("sharp",):
-            print(f"{kind:6} {picture} moves  {_measure(moving, of_kind, picture, seconds)}", flush=True)
+            print(
+                f"{kind:6} {picture} moves  {_measure(moving, of_kind, picture, seconds)}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
-"""PSNR that pictures lose by the depth they are drawn with: `python -m benchmarks.lost_by_depth FIRST LAST`.
+"""PSNR that pictures lose by the depth they are drawn with: `python -m benchmarks.lost_by_depth
+FIRST LAST`.
 
-Random houses and clutter (scenes with depth edges) of `benchmarks.random_scenes`, with 256 rays a pixel, are drawn with
-the depth of `balanced` and with the true depth of every scene point, at 0.15 and 0.3 pitches a pixel; both are compared
-with the ray-traced picture where it is not drawn from beyond the resolvable depths.
+Random houses and clutter (scenes with depth edges) of `benchmarks.random_scenes`, with 256 rays a
+pixel, are drawn with the depth of `balanced` and with the true depth of every scene point, at 0.15
+and 0.3 pitches a pixel; both are compared with the ray-traced picture where it is not drawn from
+beyond the resolvable depths.
 """
 
 from __future__ import annotations
@@ -30,15 +32,24 @@ _RESOLVABLE = 0.75  # [pitch]
 def with_true_surface(depth: lfrender.DepthMap, capture: Capture) -> lfrender.DepthMap:
     """The depth map with the traced patch size of every scene point."""
     truth = capture.truth
-    size, affine = truth.reference_patch_size, truth.reference_affine
-    nearest = distance_transform_edt(~np.isfinite(size), return_distances=False, return_indices=True)
+    size = truth.reference_patch_size
+    affine = truth.reference_affine
+    nearest = distance_transform_edt(
+        ~np.isfinite(size), return_distances=False, return_indices=True
+    )
     first = float(affine[0, 2]), float(affine[1, 2])
-    return replace(depth, surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), first, float(affine[0, 0])))
+    return replace(
+        depth,
+        surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), first, float(affine[0, 0])),
+    )
 
 
-def psnr(depth: lfrender.DepthMap, capture: Capture, camera: lfcal.Calibration, scale: float) -> float:
+def psnr(
+    depth: lfrender.DepthMap, capture: Capture, camera: lfcal.Calibration, scale: float
+) -> float:
     """Of the picture drawn with this depth, in dB."""
-    truth, pitch = capture.truth, camera.lattice.pitch
+    truth = capture.truth
+    pitch = camera.lattice.pitch
     picture = lfrender.render(capture.flat, camera, depth, scale=scale * pitch, detail="off")
     shape = picture.image.shape[:2]
     wanted, inside = resample(truth.reference, truth.reference_affine, shape, picture.affine)
@@ -62,9 +73,12 @@ def main(arguments: list[str]) -> None:
         camera = lfcal.calibrate(capture.flat)
         depth = lfrender.analyze(capture.flat, camera)
         true = with_true_surface(depth, capture)
-        rows.append([psnr(true, capture, camera, s) - psnr(depth, capture, camera, s) for s in _SCALES])
+        rows.append(
+            [psnr(true, capture, camera, s) - psnr(depth, capture, camera, s) for s in _SCALES]
+        )
         print(f"{seed} {name}: {rows[-1][0]:.2f} / {rows[-1][1]:.2f} dB", flush=True)
-    mean, worst = np.mean(rows, 0), np.max(rows, 0)
+    mean = np.mean(rows, 0)
+    worst = np.max(rows, 0)
     print(f"mean {mean[0]:.2f} / {mean[1]:.2f} dB, worst {worst[0]:.2f} / {worst[1]:.2f} dB")
 
 

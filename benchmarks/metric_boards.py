@@ -1,8 +1,9 @@
 """Metric calibration on data of others: `python -m benchmarks.metric_boards [SHARED]`.
 
-`boards/`, ray-traced by an independent program: optics, poses and corners against the truth, with all twelve flats, and
-the depth of corners in flats left out (each half calibrates for the other). `metric/`, corners of a real Raytrix R12
-published with the toolbox COMPOTE: RMS distance, F with its error, and whether boards are as large as they are.
+`boards/`, ray-traced by an independent program: optics, poses and corners against the truth, with
+all twelve flats, and the depth of corners in flats left out (each half calibrates for the other).
+`metric/`, corners of a real Raytrix R12 published with the toolbox COMPOTE: RMS distance, F with
+its error, and whether boards are as large as they are.
 """
 
 from __future__ import annotations
@@ -26,20 +27,31 @@ from lfcal.metric.uncertainty import describe_degeneracies, internal_camera, opt
 
 __all__ = ["cramer_rao", "joint_misfit", "main", "ray_traced", "real_r12"]
 
-_SQUARE, _ROWS, _COLUMNS = 10.0, 5, 9  # of the R12's board, mm
+_SQUARE = 10.0  # of the R12's board, mm
+_ROWS = 5
+_COLUMNS = 9
 
 
 def ray_traced(folder: Path) -> None:
     """Print the figures of `boards/`."""
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    known, poses = truth["camera"], truth["poses"]
+    known = truth["camera"]
+    poses = truth["poses"]
     flats = [lfcal.read_flat(folder / pose["file"]) for pose in poses]
     camera = lfcal.calibrate(lfcal.read_flat(folder / "white.png"), kind="white")
     board = Board(9, 6, truth["board"]["square_mm"])
-    start, wall = time.process_time(), time.perf_counter()
+    start = time.process_time()
+    wall = time.perf_counter()
     found = calibrate_metric(flats, camera, board, pixel=known["pixel_mm"])
-    print(f"{len(flats)} flats: {time.process_time() - start:.0f} s processor, {time.perf_counter() - wall:.0f} s")
-    true = [known["F_mm"], known["mainlens_to_mla_mm"], known["mla_to_sensor_mm"], *known["principal_point_px"]]
+    print(
+        f"{len(flats)} flats: {time.process_time() - start:.0f} s processor, {time.perf_counter() - wall:.0f} s"
+    )
+    true = [
+        known["F_mm"],
+        known["mainlens_to_mla_mm"],
+        known["mla_to_sensor_mm"],
+        *known["principal_point_px"],
+    ]
     off = found.optics.parameters[:6] - [*true, known["k1"]]
     print(
         f"F, L, b, principal point, k1 off / stated: {np.round(off / found.optics.standard_errors[:6], 2)}; jointly "
@@ -53,7 +65,11 @@ def ray_traced(folder: Path) -> None:
         for k in rest:
             corners = np.array(poses[k]["corners_mm"])
             error = locate_board(flats[k], some.calibration, board).place(board.points) - corners
-            left_out.append(np.column_stack([np.abs(error[:, 2]), np.hypot(*error[:, :2].T)]) / corners[:, 2:] * 100)
+            left_out.append(
+                np.column_stack([np.abs(error[:, 2]), np.hypot(*error[:, :2].T)])
+                / corners[:, 2:]
+                * 100
+            )
     share = np.concatenate(left_out)
     print(
         f"corners of poses left out: depth {np.median(share[:, 0]):.4f} % median, {share[:, 0].max():.4f} % at most; "
@@ -62,19 +78,32 @@ def ray_traced(folder: Path) -> None:
 
 
 def cramer_rao(found: MetricCalibration) -> np.ndarray:
-    """(m, 6) least standard errors of the poses, in the order of theirs, that the noise of the corners allows."""
-    optics, board = found.optics, found.board
+    """(m, 6) least standard errors of the poses, in the order of theirs, that the noise of the
+    corners allows.
+    """
+    optics = found.optics
+    board = found.board
     camera, _ = internal_camera(optics)
     turns = np.array([pose.rotation for pose in found.poses])
     shifts = np.array([pose.translation + pose.rotation @ board.middle for pose in found.poses])
-    points, seen = board.points - board.middle, found.observations
-    one = adjust(camera, optics.pixel, Poses(turns, shifts), points, seen, found.fitted, found.board_shape)
+    points = board.points - board.middle
+    seen = found.observations
+    one = adjust(
+        camera, optics.pixel, Poses(turns, shifts), points, seen, found.fitted, found.board_shape
+    )
     one = replace(one, covariance=one.covariance / one.cluster)
-    return np.array([pose_of(one, m, board, seen, pose.name).standard_errors for m, pose in enumerate(found.poses)])
+    return np.array(
+        [
+            pose_of(one, m, board, seen, pose.name).standard_errors
+            for m, pose in enumerate(found.poses)
+        ]
+    )
 
 
 def joint_misfit(found: MetricCalibration, true: np.ndarray) -> float:
-    """Squared errors of all fitted parameters, by the inverse of their stated covariance, over their number."""
+    """Squared errors of all fitted parameters, by the inverse of their stated covariance, over
+    their number.
+    """
     optics = found.optics
     assert optics.covariance is not None
     chosen = np.flatnonzero(optics.standard_errors > 0)
@@ -85,7 +114,11 @@ def joint_misfit(found: MetricCalibration, true: np.ndarray) -> float:
 
 
 def _print_poses(found: MetricCalibration, poses: list[dict]) -> None:
-    sideways, depth, turn, within, bound = [], [], [], [], []
+    sideways = []
+    depth = []
+    turn = []
+    within = []
+    bound = []
     for pose, true, least in zip(found.poses, poses, cramer_rao(found), strict=True):
         off = pose.translation - true["t_mm"]
         sideways.append(np.abs(off[:2]).max())
@@ -102,13 +135,16 @@ def _print_poses(found: MetricCalibration, poses: list[dict]) -> None:
 
 
 def triangulate(seen: Observations) -> list[DetectedBoard]:
-    """Scene coordinates and `D / s` of the corners of each pose that two microimages or more see, without a camera."""
+    """Scene coordinates and `D / s` of the corners of each pose that two microimages or more see,
+    without a camera.
+    """
     boards = []
     for m in range(int(seen.pose.max()) + 1):
         found = []
         for corner in np.unique(seen.corner[seen.pose == m]):
             mine = (seen.pose == m) & (seen.corner == corner)
-            centre, delta = seen.centre[mine], seen.position[mine] - seen.centre[mine]
+            centre = seen.centre[mine]
+            delta = seen.position[mine] - seen.centre[mine]
             mean = centre.mean(0)
             if mine.sum() > 1:
                 # p - c = (c - X) s / D: the slope of p - c over c.
@@ -126,14 +162,18 @@ def real_r12(folder: Path) -> None:
 
     def design(table: np.ndarray) -> np.ndarray:
         # Odd rows of the hexagonal array are shifted by half a pitch.
-        return np.column_stack([np.ones(len(table)), table["k"] + (table["l"] + 1) % 2 / 2, table["l"]])
+        return np.column_stack(
+            [np.ones(len(table)), table["k"] + (table["l"] + 1) % 2 / 2, table["l"]]
+        )
 
     measured = np.column_stack([lenses["u_px"], lenses["v_px"]])
     centres = design(corners) @ np.linalg.lstsq(design(lenses), measured, rcond=None)[0]
     _, pose = np.unique(corners["frame"], return_inverse=True)
     position = np.column_stack([corners["u_px"], corners["v_px"]])
     seen = Observations(pose, corners["corner"].astype(int), centres, position, np.ones(len(pose)))
-    points = np.array([[k % _COLUMNS, k // _COLUMNS, 0.0] for k in range(_COLUMNS * _ROWS)]) * _SQUARE
+    points = (
+        np.array([[k % _COLUMNS, k // _COLUMNS, 0.0] for k in range(_COLUMNS * _ROWS)]) * _SQUARE
+    )
     points -= points.mean(0)
     boards = triangulate(seen)
     start = first_camera(boards, points, (4080, 3068))
@@ -157,7 +197,8 @@ def real_r12(folder: Path) -> None:
         plane = points[board.corner]
         spread, own = (np.linalg.norm(p - p.mean(0), axis=1) for p in (places, plane))
         scale.append(np.median(spread[own > 0] / own[own > 0]) - 1)
-    size, scatter = 100 * np.median(scale), 100 * np.std(scale)
+    size = 100 * np.median(scale)
+    scatter = 100 * np.std(scale)
     print(f"boards measured without their squares: {size:+.2f} % in size, scatter {scatter:.2f} %")
 
 

@@ -1,9 +1,11 @@
-"""Metric calibration of random simulated cameras: `python -m benchmarks.metric_cameras FIRST LAST [SAMPLES]`.
+"""Metric calibration of random simulated cameras: `python -m benchmarks.metric_cameras FIRST LAST
+[SAMPLES]`.
 
-Telescopic and binocular ones in turn, every second pair with three lens types, with tilt, distortion and a principal
-point off the middle. Each takes eight flats and a white image of 1000 x 800 px; nothing is told but the pixel and the
-square. Printed: errors of the optics over their stated ones, and of the poses; sideways also the largest standard
-error that the noise of the corners allows in any pose (Cramer-Rao, no widening), as the principal point moves them all.
+Telescopic and binocular ones in turn, every second pair with three lens types, with tilt,
+distortion and a principal point off the middle. Each takes eight flats and a white image of 1000 x
+800 px; nothing is told but the pixel and the square. Printed: errors of the optics over their
+stated ones, and of the poses; sideways also the largest standard error that the noise of the
+corners allows in any pose (Cramer-Rao, no widening), as the principal point moves them all.
 """
 
 from __future__ import annotations
@@ -20,13 +22,15 @@ from .metric_boards import cramer_rao, joint_misfit
 
 _SIZE = (1000, 800)
 _POSES = 8
-_TELESCOPIC, _BINOCULAR = (0.36, 0.17), (-0.5, -0.18)
+_TELESCOPIC = (0.36, 0.17)
+_BINOCULAR = (-0.5, -0.18)
 
 
 def random_camera(seed: int) -> tuple[Camera, tuple[float, float]]:
     """A camera and the range of `s / D` of its boards."""
     rng = np.random.default_rng(seed)
-    telescopic, three = seed % 2 == 1, (seed // 2) % 2 == 1
+    telescopic = seed % 2 == 1
+    three = (seed // 2) % 2 == 1
     focus = (0.18, 0.26, 0.36) if telescopic else (-0.45, -0.3, -0.2)
     lattice = "hex" if three else ("hex", "square", "hex-vertical")[seed % 3]
     camera = Camera.design(
@@ -52,9 +56,12 @@ def random_camera(seed: int) -> tuple[Camera, tuple[float, float]]:
 
 
 def _with_mla_distance(camera: Camera, distance: float) -> Camera:
-    """The same array at another distance from the main lens, its microlenses focused at the same `s / D`."""
+    """The same array at another distance from the main lens, its microlenses focused at the same `s
+    / D`.
+    """
     powers = 1 / np.array(camera.microlens_focal_lengths)
-    b, old = camera.sensor_distance, camera.mla_distance
+    b = camera.sensor_distance
+    old = camera.mla_distance
     ratios = (powers - 1 / b - 1 / old) * b / (1 + b / old)
     new = ratios * (1 + b / distance) / b + 1 / distance + 1 / b
     return camera.replace(
@@ -72,13 +79,21 @@ def true_parameters(camera: Camera) -> np.ndarray:
 
 def report(seed: int, camera: Camera, shoot: BoardShoot, found: MetricCalibration) -> None:
     """Print one camera."""
-    true, optics = true_parameters(camera), found.optics
+    true = true_parameters(camera)
+    optics = found.optics
     fitted = optics.standard_errors > 0
-    within = (np.abs(optics.parameters - true) / np.where(fitted, optics.standard_errors, 1))[fitted]
+    within = (np.abs(optics.parameters - true) / np.where(fitted, optics.standard_errors, 1))[
+        fitted
+    ]
     chosen = [int(pose.name.split()[-1]) - 1 for pose in found.poses]
-    off = np.array([p.translation - shoot.translations[n] for p, n in zip(found.poses, chosen, strict=True)])
+    off = np.array(
+        [p.translation - shoot.translations[n] for p, n in zip(found.poses, chosen, strict=True)]
+    )
     stated = np.array([p.standard_errors[3:] for p in found.poses])
-    turns = [np.trace(p.rotation @ shoot.rotations[n].T) for p, n in zip(found.poses, chosen, strict=True)]
+    turns = [
+        np.trace(p.rotation @ shoot.rotations[n].T)
+        for p, n in zip(found.poses, chosen, strict=True)
+    ]
     angle = np.rad2deg(np.arccos(np.clip((np.array(turns) - 1) / 2, -1, 1))).max()
     bound = cramer_rao(found)[:, 3:5].max()
     depth = off[:, 2] / shoot.translations[chosen, 2]
@@ -102,7 +117,9 @@ def main(first: int, last: int, samples: int = 32) -> None:
         shoot = shoot_board(camera, _POSES, ratios=ratios, samples=samples, seed=seed)
         try:
             array = lfcal.calibrate(shoot.white, kind="white")
-            found = calibrate_metric(shoot.flats, array, Board(9, 6, shoot.square), pixel=camera.pixel)
+            found = calibrate_metric(
+                shoot.flats, array, Board(9, 6, shoot.square), pixel=camera.pixel
+            )
         except LightFieldError as error:
             print(f"{seed:3d} {error}", flush=True)
             continue

@@ -1,9 +1,10 @@
 """Resolution of pictures: `python -m benchmarks.mtf [plot.png]`.
 
-MTF50, the frequency at which contrast has fallen to a half [cycles per pixel of the flat], by the method of the slanted
-edge (ISO 12233): pixels are sorted by their distance from the edge into quarters of a pixel, differentiated,
-transformed. Then the contrast of a Siemens star by frequency, along circles about its middle. Picture with
-`detail="off"` and `"natural"` beside the flat (pixels of single lenses, laid side by side) and the reference.
+MTF50, the frequency at which contrast has fallen to a half [cycles per pixel of the flat], by the
+method of the slanted edge (ISO 12233): pixels are sorted by their distance from the edge into
+quarters of a pixel, differentiated, transformed. Then the contrast of a Siemens star by frequency,
+along circles about its middle. Picture with `detail="off"` and `"natural"` beside the flat (pixels
+of single lenses, laid side by side) and the reference.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ _FINER = 4  # bins per pixel
 
 
 def mtf50(image: NDArray[Any]) -> float:
-    """[cycles per pixel] where the contrast of the edge nearest to the middle of `image` (h, w) falls to a half.
+    """[cycles per pixel] where the contrast of the edge nearest to the middle of `image` (h, w)
+    falls to a half.
 
     The edge is nearly vertical, and every row crosses it within a fifth of the width of the middle.
     """
@@ -62,14 +64,20 @@ def _edge_contrast(image: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np
     return np.arange(len(contrast)) * _FINER / 4096, contrast / contrast[0]
 
 
-def star_contrast(image: NDArray[Any], spokes: int, radii: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Amplitude over mean of a star about the middle of `image` (h, w), along circles of `radii` [px]."""
+def star_contrast(
+    image: NDArray[Any], spokes: int, radii: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Amplitude over mean of a star about the middle of `image` (h, w), along circles of `radii`
+    [px].
+    """
     from scipy.ndimage import map_coordinates
 
     grey = np.asarray(image, float)
     turn = np.arange(32 * spokes) * 2 * np.pi / (32 * spokes)
     middle = (np.array(grey.shape) - 1) / 2
-    places = middle[:, None, None] + radii[:, None] * np.stack([np.sin(turn), np.cos(turn)])[:, None]
+    places = (
+        middle[:, None, None] + radii[:, None] * np.stack([np.sin(turn), np.cos(turn)])[:, None]
+    )
     seen = map_coordinates(grey, places, order=1)
     return np.asarray(2 * np.abs((seen * np.exp(-1j * spokes * turn)).mean(1)) / seen.mean(1))
 
@@ -80,14 +88,23 @@ def _main() -> None:
     for fill in (0.16, 0.22, 0.28):
         edge, per_flat = _pictures("edge", fill)
         parts = {name: _middle(image) for name, image in edge.items()}
-        print(f"| {fill} | {' | '.join(f'{mtf50(part) * per_flat[n]:.3f}' for n, part in parts.items())} |", flush=True)
+        print(
+            f"| {fill} | {' | '.join(f'{mtf50(part) * per_flat[n]:.3f}' for n, part in parts.items())} |",
+            flush=True,
+        )
         if fill == _PLOTTED:
-            curves = {n: (f * per_flat[n], c) for n, part in parts.items() for f, c in [_edge_contrast(part)]}
+            curves = {
+                n: (f * per_flat[n], c)
+                for n, part in parts.items()
+                for f, c in [_edge_contrast(part)]
+            }
     star, per_flat = _pictures("star", _PLOTTED)
     wanted = np.array([0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4])
     print("\n| cycles per pixel | off | natural | flat | reference |\n|---|---|---|---|---|")
     rows = [
-        star_contrast(np.asarray(image, float).mean(2), _SPOKES, _SPOKES * per_flat[n] / (2 * np.pi * wanted))
+        star_contrast(
+            np.asarray(image, float).mean(2), _SPOKES, _SPOKES * per_flat[n] / (2 * np.pi * wanted)
+        )
         for n, image in star.items()
     ]
     for frequency, contrasts in zip(wanted, np.transpose(rows) / rows[-1][0], strict=True):
@@ -108,13 +125,19 @@ def _pictures(chart: str, fill: float) -> tuple[dict[str, NDArray[Any]], dict[st
     depth = lfrender.analyze(scene.flat, truth.calibration)
     images = {}
     for detail in ("off", "natural"):
-        before = lfrender.render(scene.flat, truth.calibration, depth, detail="off" if detail == "off" else "natural")
+        before = lfrender.render(
+            scene.flat, truth.calibration, depth, detail="off" if detail == "off" else "natural"
+        )
         blank = np.zeros_like(shot.flat)
-        picture = lfrender.render(shot.flat, truth.calibration, depth, previous=(blank, depth, before))
+        picture = lfrender.render(
+            shot.flat, truth.calibration, depth, previous=(blank, depth, before)
+        )
         images[detail] = picture.image
     single = lfrender.render(shot.flat, truth.calibration, patch_size=_RATIO * camera.pitch)
     images["flat"] = single.image
-    images["reference"], _ = resample(truth.reference, truth.reference_affine, picture.image.shape[:2], picture.affine)
+    images["reference"], _ = resample(
+        truth.reference, truth.reference_affine, picture.image.shape[:2], picture.affine
+    )
     per_flat = picture.scale / (abs(_RATIO) * camera.pitch)
     return images, dict.fromkeys(images, per_flat) | {"flat": 1.0}
 

@@ -1,7 +1,7 @@
 """Delete compiled kernels of which some part has changed: `python -m benchmarks.outdated_kernels`.
 
-Numba compiles a kernel anew when its own file changes, but not when that of a function within it does. Tests and
-benchmarks do this first.
+Numba compiles a kernel anew when its own file changes, but not when that of a function within it
+does. Tests and benchmarks do this first.
 """
 
 from __future__ import annotations
@@ -19,13 +19,17 @@ _PACKAGES = ("lfcal", "lfrender", "data_synth")
 
 
 def discard_outdated() -> int:
-    """Delete the cache of each module that is older than the module or one that it imports; returns how many."""
+    """Delete the cache of each module that is older than the module or one that it imports; returns
+    how many.
+    """
     count = 0
     for package in _PACKAGES:
         for source in (_ROOT / package).rglob("*.py"):
             given = os.environ.get("NUMBA_CACHE_DIR")
             folders = Path(given).glob("*") if given else [source.parent / "__pycache__"]
-            for index in (file for folder in folders for file in folder.glob(f"{source.stem}.*.nbi")):
+            for index in (
+                file for folder in folders for file in folder.glob(f"{source.stem}.*.nbi")
+            ):
                 if index.stat().st_mtime < max(file.stat().st_mtime for file in _needed(source)):
                     index.unlink(missing_ok=True)
                     count += 1
@@ -35,7 +39,8 @@ def discard_outdated() -> int:
 @cache
 def _needed(source: Path) -> frozenset[Path]:
     """A module and all modules of the packages that it imports, directly or not."""
-    found, waiting = {source}, [source]
+    found = {source}
+    waiting = [source]
     while waiting:
         new = set(_imports(waiting.pop())) - found
         found |= new

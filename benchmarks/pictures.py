@@ -1,9 +1,10 @@
-"""Pictures of ray-traced flats against their references: `python -m benchmarks.pictures [../shared/truth]`.
+"""Pictures of ray-traced flats against their references: `python -m benchmarks.pictures
+[../shared/truth]`.
 
-Prints PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale, drawn without restored detail with
-the depth that two presets find on the flat, and with the true one, which tells what is lost by drawing alone. Without a
-folder, scenes are simulated that differ in pitch, lattice, mode, clutter and noise, and each place is also read from
-the nearest lens with its true patch size.
+Prints PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale, drawn without
+restored detail with the depth that two presets find on the flat, and with the true one, which tells
+what is lost by drawing alone. Without a folder, scenes are simulated that differ in pitch, lattice,
+mode, clutter and noise, and each place is also read from the nearest lens with its true patch size.
 """
 
 from __future__ import annotations
@@ -31,10 +32,16 @@ _RESOLVABLE = 0.75
 
 
 def _true_depth(folder: Path, depth: lfrender.DepthMap) -> lfrender.DepthMap:
-    """The depth map with the surface of the truth, filled from the nearest value where nothing was hit."""
+    """The depth map with the surface of the truth, filled from the nearest value where nothing was
+    hit.
+    """
     size = np.load(folder / "reference_depth.npz")["disparity_px"].astype(np.float32)
-    nearest = distance_transform_edt(~np.isfinite(size), return_distances=False, return_indices=True)
-    return replace(depth, surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), (0.5, 0.5), 2.0))
+    nearest = distance_transform_edt(
+        ~np.isfinite(size), return_distances=False, return_indices=True
+    )
+    return replace(
+        depth, surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), (0.5, 0.5), 2.0)
+    )
 
 
 def _rows(folder: Path) -> str:
@@ -45,7 +52,9 @@ def _rows(folder: Path) -> str:
     lines = []
     for scale in (*(share * pitch for share in SCALES), default_scale(found)):
         merits = [
-            merit(lfrender.render(flat, calibration, depth, scale=scale, detail="off"), folder, pitch)
+            merit(
+                lfrender.render(flat, calibration, depth, scale=scale, detail="off"), folder, pitch
+            )
             for depth in (found, _true_depth(folder, found))
         ]
         figures = " | ".join(f"{one.psnr:.1f} dB / {one.ssim:.3f}" for one in merits)
@@ -65,15 +74,26 @@ class _Simulated:
 
 _SCENES = {
     "house, both modes, D = 17 px": _Simulated("house", {"pitch": 17.3, "rotation": 7.0}),
-    "clutter, binocular, square, D = 31 px": _Simulated("clutter", {"pitch": 31.0, "lattice": "square"}),
+    "clutter, binocular, square, D = 31 px": _Simulated(
+        "clutter", {"pitch": 31.0, "lattice": "square"}
+    ),
     "clutter, binocular, D = 46 px, noise": _Simulated(
-        "clutter", {"pitch": 46.0, "lattice": "hex-vertical"}, {"seed": 5, "count": 25}, {"noise": (3000, 5)}
+        "clutter",
+        {"pitch": 46.0, "lattice": "hex-vertical"},
+        {"seed": 5, "count": 25},
+        {"noise": (3000, 5)},
     ),
     "slope, telescopic, D = 35 px": _Simulated(
-        "slope", {"pitch": 35.0, "rotation": 12.0}, {"left": 0.2, "right": 0.5}, {"noise": (3000, 5)}
+        "slope",
+        {"pitch": 35.0, "rotation": 12.0},
+        {"left": 0.2, "right": 0.5},
+        {"noise": (3000, 5)},
     ),
     "plane, telescopic, sheared, D = 23 px, 16-bit linear": _Simulated(
-        "plane", {"pitch": 23.2, "lattice": "sheared"}, {"ratio": 0.33}, {"bits": 16, "gamma": False}
+        "plane",
+        {"pitch": 23.2, "lattice": "sheared"},
+        {"ratio": 0.33},
+        {"bits": 16, "gamma": False},
     ),
     "slope, binocular, three lens types, D = 24 px": _Simulated(
         "slope", {"pitch": 24.0, "focus": (-0.2, -0.33, -0.5)}, {}, {"noise": (3000, 5)}
@@ -84,40 +104,58 @@ _SIZE = (720, 560)
 
 def _simulated_rows(name: str, how: _Simulated) -> str:
     camera = Camera.design(size=_SIZE, **how.camera)
-    shot = simulate(SCENES[how.scene](camera, **how.arguments), camera, samples=64, seed=7, **how.stored)
+    shot = simulate(
+        SCENES[how.scene](camera, **how.arguments), camera, samples=64, seed=7, **how.stored
+    )
     truth = shot.truth
     calibration = lfcal.calibrate(shot.white, kind="white")
     depth = lfrender.analyze(shot.flat, calibration)
     first = (float(truth.reference_affine[0, 2]), float(truth.reference_affine[1, 2]))
     spacing = float(truth.reference_affine[0, 0])
     size = truth.reference_patch_size
-    missing = distance_transform_edt(~np.isfinite(size), return_distances=False, return_indices=True)
-    true = replace(depth, surface=Surface(np.ascontiguousarray(size[tuple(missing)]), first, spacing))
+    missing = distance_transform_edt(
+        ~np.isfinite(size), return_distances=False, return_indices=True
+    )
+    true = replace(
+        depth, surface=Surface(np.ascontiguousarray(size[tuple(missing)]), first, spacing)
+    )
     v, u = np.mgrid[: size.shape[0], : size.shape[1]] * spacing
-    lens = nearest_lens(truth.calibration.lattice, np.stack([u + first[0], v + first[1]], -1).reshape(-1, 2))
+    lens = nearest_lens(
+        truth.calibration.lattice, np.stack([u + first[0], v + first[1]], -1).reshape(-1, 2)
+    )
     own = truth.patch_size[lens].reshape(size.shape).astype(np.float32)
-    tiled = replace(depth, surface=Surface(np.nan_to_num(own, nan=float(np.nanmedian(own))), first, spacing))
+    tiled = replace(
+        depth, surface=Surface(np.nan_to_num(own, nan=float(np.nanmedian(own))), first, spacing)
+    )
 
     def score(picture: lfrender.Rendering) -> str:
         shape = picture.image.shape[:2]
         wanted, inside = resample(truth.reference, truth.reference_affine, shape, picture.affine)
         lost, _ = resample(
-            (~(np.abs(size) < _RESOLVABLE * camera.pitch)) * 1.0, truth.reference_affine, shape, picture.affine
+            (~(np.abs(size) < _RESOLVABLE * camera.pitch)) * 1.0,
+            truth.reference_affine,
+            shape,
+            picture.affine,
         )
         border = int(np.ceil(picture.scale))
         inner = np.zeros(shape, bool)
         inner[border:-border, border:-border] = True
         white = np.float64(np.iinfo(picture.image.dtype).max)
-        found = compare_pictures(picture.image / white, wanted, inside & inner & picture.valid & (lost == 0))
+        found = compare_pictures(
+            picture.image / white, wanted, inside & inner & picture.valid & (lost == 0)
+        )
         return f"{found.psnr:.1f} dB / {found.ssim:.3f}"
 
     lines = []
     for scale in (*(share * camera.pitch for share in SCALES), default_scale(depth)):
         pictures = [
-            lfrender.render(shot.flat, calibration, which, scale=scale, detail="off") for which in (depth, true)
+            lfrender.render(shot.flat, calibration, which, scale=scale, detail="off")
+            for which in (depth, true)
         ]
         pictures.append(lfrender.render(shot.flat, calibration, tiled, scale=scale, blend=False))
-        lines.append(f"| {name} | {scale:.1f} | {' | '.join(score(picture) for picture in pictures)} |")
+        lines.append(
+            f"| {name} | {scale:.1f} | {' | '.join(score(picture) for picture in pictures)} |"
+        )
     return "\n".join(lines)
 
 

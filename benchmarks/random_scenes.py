@@ -1,9 +1,11 @@
-"""Depth of random scenes of random cameras: `python -m benchmarks.random_scenes [FIRST LAST [SAMPLES]]`.
+"""Depth of random scenes of random cameras: `python -m benchmarks.random_scenes [FIRST LAST
+[SAMPLES]]`.
 
-Each seed draws a camera (lattice, pitch, rotation, lens types, noise, bits) and a scene of `data_synth`. Only the flat
-is given; the lattice is calibrated from it. Modes, patch sizes and edges are judged as in `benchmarks.truth_flats`,
-and lenses that do not show the depth of the most apart as well. Of few samples (rays a pixel) the ray tracer makes a
-noise of its own, which in fine clutter errs more than that of the camera.
+Each seed draws a camera (lattice, pitch, rotation, lens types, noise, bits) and a scene of
+`data_synth`. Only the flat is given; the lattice is calibrated from it. Modes, patch sizes and
+edges are judged as in `benchmarks.truth_flats`, and lenses that do not show the depth of the most
+apart as well. Of few samples (rays a pixel) the ray tracer makes a noise of its own, which in fine
+clutter errs more than that of the camera.
 """
 
 from __future__ import annotations
@@ -25,16 +27,23 @@ __all__ = ["DepthErrors", "draw", "judge", "main"]
 
 _SEEDS = (0, 20)
 # Pitches [px], and how many of them the flat is wide.
-_PITCHES, _ACROSS = (11.0, 60.0), (28.0, 46.0)
+_PITCHES = (11.0, 60.0)
+_ACROSS = (28.0, 46.0)
 _LARGEST_ROTATION = 25.0
 # Share of the hexagonal cameras with three lens types, and where these are focused [s / D].
-_THREE_TYPES, _FOCUS = 0.3, (0.08, 0.2, 0.32)
-_FULL_WELLS, _READ = (800.0, 20000.0), (2.0, 6.0)
+_THREE_TYPES = 0.3
+_FOCUS = (0.08, 0.2, 0.32)
+_FULL_WELLS = (800.0, 20000.0)
+_READ = (2.0, 6.0)
 _SAMPLES = 256
-# Lenses that show less contrast are not judged; a lens is the one of the truth that is nearer than this [pitches].
-_CONTRAST, _SAME = 0.03, 0.25
-# Lenses farther than this [share of the pitch] from the median of a scene, so many at least, are judged apart.
-_APART, _FEWEST = 0.03, 10
+# Lenses that show less contrast are not judged; a lens is the one of the truth that is nearer than
+# this [pitches].
+_CONTRAST = 0.03
+_SAME = 0.25
+# Lenses farther than this [share of the pitch] from the median of a scene, so many at least, are
+# judged apart.
+_APART = 0.03
+_FEWEST = 10
 
 
 @dataclass(frozen=True)
@@ -52,8 +61,8 @@ class DepthErrors:
     within : float
         Share of the lenses within their standard error.
     before, before_within : float [px], float
-        Median error of the lenses that do not show the depth of the most, and share of them within their standard
-        error; NaN where these are few.
+        Median error of the lenses that do not show the depth of the most, and share of them within
+        their standard error; NaN where these are few.
     edges : float
         Share of the depth edges that are right to one pixel of the traditional picture.
     """
@@ -71,7 +80,9 @@ class DepthErrors:
     @property
     def wanted(self) -> bool:
         """All are as good as is wanted of every scene."""
-        return self.right >= 0.995 and self.median <= 0.02 and self.most <= 0.3 and self.edges >= 0.9
+        return (
+            self.right >= 0.995 and self.median <= 0.02 and self.most <= 0.3 and self.edges >= 0.9
+        )
 
 
 def draw(seed: int, samples: int = _SAMPLES) -> tuple[str, Capture]:
@@ -82,20 +93,29 @@ def draw(seed: int, samples: int = _SAMPLES) -> tuple[str, Capture]:
     lattice = str(rng.choice(list(LATTICES)))
     three = lattice.startswith("hex") and rng.random() < _THREE_TYPES
     turned = float(rng.uniform(-_LARGEST_ROTATION, _LARGEST_ROTATION))
-    camera = Camera.design((width, int(0.75 * width)), pitch, lattice, turned, focus=_FOCUS if three else 0.04)
+    camera = Camera.design(
+        (width, int(0.75 * width)), pitch, lattice, turned, focus=_FOCUS if three else 0.04
+    )
     name = str(rng.choice(["house", "plane", "slope", "clutter"]))
     options: dict[str, float] = {}
     if name == "plane":
         options["ratio"] = float(rng.choice([rng.uniform(-0.6, -0.12), rng.uniform(0.12, 0.4)]))
     elif name == "slope":
-        options["left"], options["right"] = (float(v) for v in np.sort(rng.uniform(-0.55, -0.12, 2)))
+        options["left"], options["right"] = (
+            float(v) for v in np.sort(rng.uniform(-0.55, -0.12, 2))
+        )
     noise = float(np.exp(rng.uniform(*np.log(_FULL_WELLS)))), float(rng.uniform(*_READ))
     gamma = bool(rng.random() < 0.7)
     bits = 8 if gamma else int(rng.choice([8, 16]))
     scene = SCENES[name](camera, seed=seed, **options)
-    capture = simulate(scene, camera, samples=samples, seed=seed, noise=noise, gamma=gamma, bits=bits)
+    capture = simulate(
+        scene, camera, samples=samples, seed=seed, noise=noise, gamma=gamma, bits=bits
+    )
     types = ", 3 types" if three else ""
-    return f"{name}, {lattice}{types}, {pitch:.1f} px, {turned:+.0f} degrees, {noise[0]:.0f} e, {bits} bits", capture
+    return (
+        f"{name}, {lattice}{types}, {pitch:.1f} px, {turned:+.0f} degrees, {noise[0]:.0f} e, {bits} bits",
+        capture,
+    )
 
 
 def judge(capture: Capture) -> DepthErrors:
@@ -106,7 +126,8 @@ def judge(capture: Capture) -> DepthErrors:
     apart, near = cKDTree(truth.calibration.lattice.centres()).query(camera.lattice.centres())
     known = apart < _SAME * truth.calibration.lattice.pitch
     judged = ((truth.mode != 0) & ~truth.mixed & (truth.contrast > _CONTRAST))[near] & known
-    mode, wanted = depth.mode[judged], truth.mode[near][judged]
+    mode = depth.mode[judged]
+    wanted = truth.mode[near][judged]
     error = np.abs(depth.patch_size - truth.patch_size[near])[judged]
     # Lenses left unresolved count among the modes alone.
     measured = np.isfinite(error)
@@ -140,7 +161,9 @@ def main(arguments: list[str]) -> None:
             f"  before it {found.before:.4f} px {found.before_within:.2f}  edges {found.edges:.3f}",
             flush=True,
         )
-    means = [np.mean([getattr(found, name) for found in every]) for name in ("right", "wrong", "within")]
+    means = [
+        np.mean([getattr(found, name) for found in every]) for name in ("right", "wrong", "within")
+    ]
     print(
         f"{sum(found.wanted for found in every)} of {len(every)} scenes as wanted;"
         " means: modes {:.5f} wrong {:.5f} within {:.3f}".format(*means)

@@ -1,6 +1,8 @@
-"""Modes and times on captures of scenes in one mode: `python -m benchmarks.real_captures ../shared/captures/*.webp`.
+"""Modes and times on captures of scenes in one mode: `python -m benchmarks.real_captures
+../shared/captures/*.webp`.
 
-The mode of the scene is that of most lenses; the share of the textured lenses with another one is printed.
+The mode of the scene is that of most lenses; the share of the textured lenses with another one is
+printed.
 """
 
 from __future__ import annotations

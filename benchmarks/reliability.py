@@ -1,8 +1,10 @@
-"""Is `confidence` the share that is right? `python -m benchmarks.reliability [FIRST LAST [../shared/truth]]`.
+"""Is `confidence` the share that is right? `python -m benchmarks.reliability [FIRST LAST
+[../shared/truth]]`.
 
-Over random scenes (`benchmarks.random_scenes`) and the flats of a folder from another ray tracer: of the lenses with a
-confidence in each range, the mean of it and the share whose depth is right, to 0.04 pitches. Lenses that see two depths
-are left out; unresolved ones are judged by the depth that the surface gives them.
+Over random scenes (`benchmarks.random_scenes`) and the flats of a folder from another ray tracer:
+of the lenses with a confidence in each range, the mean of it and the share whose depth is right, to
+0.04 pitches. Lenses that see two depths are left out; unresolved ones are judged by the depth that
+the surface gives them.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ __all__ = ["diagram", "main"]
 _SEEDS = (0, 20)
 _SAMPLES = 32
 # [pitch] errors that are right; lenses are those of the truth that are nearer than this.
-_RIGHT, _SAME = 0.04, 0.25
+_RIGHT = 0.04
+_SAME = 0.25
 _RANGES = np.array([0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0])
 
 
@@ -42,16 +45,24 @@ def _compare(
 
 
 def diagram(confidence: NDArray[np.float32], right: NDArray[np.bool_]) -> str:
-    """A reliability diagram as a table: lenses of each range of the confidence, its mean, the share that is right."""
+    """A reliability diagram as a table: lenses of each range of the confidence, its mean, the share
+    that is right.
+    """
     rows = []
     place = np.digitize(confidence, _RANGES[1:-1])
     for n in range(len(_RANGES) - 1):
         among = place == n
         if among.any():
-            stated, true = confidence[among].mean(), right[among].mean()
-            rows.append(f"{_RANGES[n]:.2f} to {_RANGES[n + 1]:.2f} {among.sum():7d}  {stated:.3f} {true:.3f}")
+            stated = confidence[among].mean()
+            true = right[among].mean()
+            rows.append(
+                f"{_RANGES[n]:.2f} to {_RANGES[n + 1]:.2f} {among.sum():7d}  {stated:.3f} {true:.3f}"
+            )
     weight = np.bincount(place, minlength=len(_RANGES) - 1) / len(place)
-    gaps = [abs(confidence[place == n].mean() - right[place == n].mean()) * weight[n] for n in np.unique(place)]
+    gaps = [
+        abs(confidence[place == n].mean() - right[place == n].mean()) * weight[n]
+        for n in np.unique(place)
+    ]
     return "\n".join([*rows, f"mean difference {sum(gaps):.4f}"])
 
 
@@ -61,7 +72,11 @@ def main(arguments: list[str]) -> None:
     for seed in range(first, last):
         _, capture = draw(seed, _SAMPLES)
         truth = capture.truth
-        pooled.append(_compare(capture.flat, truth.calibration.lattice.centres(), truth.patch_size, truth.mixed))
+        pooled.append(
+            _compare(
+                capture.flat, truth.calibration.lattice.centres(), truth.patch_size, truth.mixed
+            )
+        )
     if pooled:
         print(diagram(*(np.concatenate(part) for part in zip(*pooled, strict=True))), flush=True)
     for folder in sorted(Path(arguments[2]).iterdir()) if len(arguments) > 2 else []:
@@ -69,7 +84,13 @@ def main(arguments: list[str]) -> None:
             truth = np.load(folder / "microlenses.npz")
             flat = lfcal.read_flat(folder / "flat.png")
             print(f"\n{folder.name}")
-            print(diagram(*_compare(flat, truth["centre_px"], truth["disparity_px"], truth["mixed"].astype(bool))))
+            print(
+                diagram(
+                    *_compare(
+                        flat, truth["centre_px"], truth["disparity_px"], truth["mixed"].astype(bool)
+                    )
+                )
+            )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
-"""Whether a change keeps all results: `python -m benchmarks.same_results record|compare FILE.npz [FOLDER]`.
+"""Whether a change keeps all results: `python -m benchmarks.same_results record|compare FILE.npz
+[FOLDER]`.
 
-`record` calibrates, analyses and draws random scenes of random cameras, and the captures, white images and ray-traced
-flats in FOLDER (`../shared`), and keeps all arrays that come out: centres, patch sizes, standard errors, confidences,
-reasons, surfaces and pictures, with the presets `fast` and `balanced`, next frames, views, tiles and Dask workers.
-`compare` does the same and prints each array that differs; exits with 1 where one does. Delete the `__pycache__`
-folders first if a function has changed that kernels of other files inline.
+`record` calibrates, analyses and draws random scenes of random cameras, and the captures, white
+images and ray-traced flats in FOLDER (`../shared`), and keeps all arrays that come out: centres,
+patch sizes, standard errors, confidences, reasons, surfaces and pictures, with the presets `fast`
+and `balanced`, next frames, views, tiles and Dask workers. `compare` does the same and prints each
+array that differs; exits with 1 where one does. Delete the `__pycache__` folders first if a
+function has changed that kernels of other files inline.
 """
 
 from __future__ import annotations
@@ -30,10 +32,17 @@ __all__ = ["differences", "main", "results"]
 
 Results = dict[str, NDArray]
 
-SEEDS, SAMPLES = range(10), 64
+SEEDS = range(10)
+SAMPLES = 64
 PRESETS: tuple[Preset, ...] = ("fast", "balanced")
 # Files of the folder that are read, by pattern, and which of them are white images.
-SCENES = ("truth/*/flat.png", "captures/*2.png", "captures/*.webp", "captures/GUV.tif", "captures/Letters.png")
+SCENES = (
+    "truth/*/flat.png",
+    "captures/*2.png",
+    "captures/*.webp",
+    "captures/GUV.tif",
+    "captures/Letters.png",
+)
 WHITES = ("whites/*.png", "truth/*/white.png")
 
 
@@ -60,12 +69,15 @@ def differences(before: Results, after: Results) -> list[str]:
         if key not in before or key not in after:
             lines.append(f"{key}: only {'before' if key in before else 'after'}")
             continue
-        a, b = before[key], after[key]
+        a = before[key]
+        b = after[key]
         if a.shape != b.shape or a.dtype != b.dtype:
             lines.append(f"{key}: {a.dtype} {a.shape} before, {b.dtype} {b.shape} after")
         elif a.tobytes() != b.tobytes():
             apart = np.abs(a.astype(float) - b.astype(float))
-            lines.append(f"{key}: {np.mean(a != b):.2%} of the values differ, by {np.nanmax(apart):.3g} at most")
+            lines.append(
+                f"{key}: {np.mean(a != b):.2%} of the values differ, by {np.nanmax(apart):.3g} at most"
+            )
     return lines
 
 
@@ -80,7 +92,9 @@ def _scene(name: str, flat: NDArray) -> Results:
     found = _camera(name, camera)
     changed = flat.copy()
     height, width = (side // 4 for side in flat.shape[:2])
-    changed[height : 2 * height, width : 2 * width] = flat[2 * height : 3 * height, 2 * width : 3 * width]
+    changed[height : 2 * height, width : 2 * width] = flat[
+        2 * height : 3 * height, 2 * width : 3 * width
+    ]
     for preset in PRESETS:
         depth = lfrender.analyze(flat, camera, preset)
         picture = lfrender.render(flat, camera, depth)
@@ -91,7 +105,9 @@ def _scene(name: str, flat: NDArray) -> Results:
         found |= _picture(f"{name}, next frame, {preset}", redrawn)
     for ratio in (-0.3, 0.3):
         s = ratio * camera.lattice.pitch
-        found |= _picture(f"{name}, patch size {ratio:+} D", lfrender.render(flat, camera, patch_size=s))
+        found |= _picture(
+            f"{name}, patch size {ratio:+} D", lfrender.render(flat, camera, patch_size=s)
+        )
         found |= _picture(f"{name}, refocused at {ratio:+} D", lfrender.refocus(flat, camera, s))
     found |= _picture(f"{name}, traditional", lfrender.traditional(flat, camera))
     offsets = circle_offsets(2, 0.3 * camera.lattice.radius)
@@ -104,13 +120,17 @@ def _large(name: str, flat: NDArray) -> Results:
     """Pictures drawn in tiles, by this process and by two Dask workers."""
     found = {}
     with tempfile.TemporaryDirectory() as scratch:
-        source, camera, picture = (Path(scratch) / file for file in ("flat.tif", "camera.json", "picture.tif"))
+        source, camera, picture = (
+            Path(scratch) / file for file in ("flat.tif", "camera.json", "picture.tif")
+        )
         tifffile.imwrite(source, flat)
         lfcal.calibrate(flat).save(camera)
         for workers in (1, 2):
             command = ["render", source, "-c", camera, "-o", picture, "--tile", 600, "--quiet"]
             more = ["--workers", workers] if workers > 1 else []
-            subprocess.run([sys.executable, "-m", "lfrender.cli.main", *map(str, command + more)], check=True)
+            subprocess.run(
+                [sys.executable, "-m", "lfrender.cli.main", *map(str, command + more)], check=True
+            )
             found[f"{name}, in tiles on {workers} workers"] = tifffile.imread(picture)
             picture.unlink()
     return found

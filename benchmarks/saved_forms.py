@@ -1,10 +1,11 @@
 """Captures saved in other ways: `python -m benchmarks.saved_forms FLAT...`.
 
-Each colour flat of 8 bits is calibrated and analysed as it is, and with other gammas, darker, noisy, gray, smaller,
-turned, mirrored, compressed, and in 16 bits with a sixteenth and a sixtieth of the light; other flats as they are,
-turned, mirrored, and with less light. Printed are how far the
-centres of each form lie from those of the flat as it is, the share of the textured lenses in the mode that most lenses
-of the flat as it is have, and the resolved lenses over those of the flat as it is, or why a form was refused.
+Each colour flat of 8 bits is calibrated and analysed as it is, and with other gammas, darker,
+noisy, gray, smaller, turned, mirrored, compressed, and in 16 bits with a sixteenth and a sixtieth
+of the light; other flats as they are, turned, mirrored, and with less light. Printed are how far
+the centres of each form lie from those of the flat as it is, the share of the textured lenses in
+the mode that most lenses of the flat as it is have, and the resolved lenses over those of the flat
+as it is, or why a form was refused.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ import lfrender
 __all__ = ["main"]
 
 _Form = Callable[[NDArray[Any]], NDArray[Any]]
-# Matrices (2, 3) that bring coordinates of the flat as it is to those of the form, by the size of the flat.
+# Matrices (2, 3) that bring coordinates of the flat as it is to those of the form, by the size of
+# the flat.
 _Places = Callable[[int, int], list[list[float]]]
 
 
@@ -49,7 +51,9 @@ def _compressed(quality: int) -> _Form:
 
 
 def _dim(divisor: int) -> _Form:
-    return lambda flat: np.rint(flat * (65535 / np.iinfo(flat.dtype).max / divisor)).astype(np.uint16)
+    return lambda flat: np.rint(flat * (65535 / np.iinfo(flat.dtype).max / divisor)).astype(
+        np.uint16
+    )
 
 
 _FORMS: dict[str, tuple[_Form, _Places]] = {
@@ -67,8 +71,14 @@ _FORMS: dict[str, tuple[_Form, _Places]] = {
             [0, round(0.8 * height) / height, 0.5 * round(0.8 * height) / height - 0.5],
         ],
     ),
-    "turned": (lambda flat: np.rot90(flat).copy(), lambda width, height: [[0, 1, 0], [-1, 0, width - 1]]),
-    "mirrored": (lambda flat: flat[:, ::-1].copy(), lambda width, height: [[-1, 0, width - 1], [0, 1, 0]]),
+    "turned": (
+        lambda flat: np.rot90(flat).copy(),
+        lambda width, height: [[0, 1, 0], [-1, 0, width - 1]],
+    ),
+    "mirrored": (
+        lambda flat: flat[:, ::-1].copy(),
+        lambda width, height: [[-1, 0, width - 1], [0, 1, 0]],
+    ),
     **{f"JPEG {quality}": (_compressed(quality), _as_it_is) for quality in (90, 60, 40)},
 }
 
@@ -79,7 +89,10 @@ _OF_ANY_TYPE = ("as it is", "16 bits", "turned", "mirrored")
 def _off(lattice: lfcal.Lattice, centres: NDArray[np.float64]) -> float:
     """RMS distance of centres from the nearest of a lattice, in pitches."""
     away = lattice.to_index(centres)
-    return float(np.sqrt((((away - np.rint(away)) @ lattice.basis) ** 2).sum(1).mean())) / lattice.pitch
+    return (
+        float(np.sqrt((((away - np.rint(away)) @ lattice.basis) ** 2).sum(1).mean()))
+        / lattice.pitch
+    )
 
 
 def main(paths: list[str]) -> None:
@@ -87,12 +100,15 @@ def main(paths: list[str]) -> None:
     for path in paths:
         flat = lfcal.read_flat(path)
         height, width = flat.shape[:2]
-        centres, usual, resolved = np.empty((0, 2)), 0, 1.0
+        centres = np.empty((0, 2))
+        usual = 0
+        resolved = 1.0
         any_form = flat.dtype == np.uint8 and flat.ndim == 3
         for name, (form, places) in _FORMS.items():
             if not any_form and not name.startswith(_OF_ANY_TYPE):
                 continue
-            saved, head = form(flat), f"{path.split('/')[-1]:26} {name:22}"
+            saved = form(flat)
+            head = f"{path.split('/')[-1]:26} {name:22}"
             try:
                 camera = lfcal.calibrate(saved)
                 depth = lfrender.analyze(saved, camera)
@@ -101,9 +117,11 @@ def main(paths: list[str]) -> None:
                 continue
             if not len(centres):
                 resolved = float(np.isfinite(depth.patch_size).mean())
-                centres, usual = camera.lattice.centres(), int(np.sign(np.nanmedian(depth.patch_size)))
+                centres = camera.lattice.centres()
+                usual = int(np.sign(np.nanmedian(depth.patch_size)))
             matrix = np.array(places(width, height))
-            there, textured = centres @ matrix[:, :2].T + matrix[:, 2], depth.reason != 1
+            there = centres @ matrix[:, :2].T + matrix[:, 2]
+            textured = depth.reason != 1
             print(
                 f"{head} pitch {camera.lattice.pitch:.3f} px, centres off by {_off(camera.lattice, there):.4f} pitches;"
                 f" {100 * (depth.mode == usual)[textured].mean():.2f} % of the textured lenses in the mode of the flat"

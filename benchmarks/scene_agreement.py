@@ -1,8 +1,9 @@
 """Do flats of one camera give one lattice? `python -m benchmarks.scene_agreement FLAT FLAT ...`
 
-Each flat is calibrated by itself. The table holds the RMS distance of the centres of any two of them over the field
-[px], the last column the longest distance of one flat's centres from those of any other. Flats are image files, or
-arrays (.npy) as PyAV makes them of a video (`pip install av` in an environment of its own):
+Each flat is calibrated by itself. The table holds the RMS distance of the centres of any two of
+them over the field [px], the last column the longest distance of one flat's centres from those of
+any other. Flats are image files, or arrays (.npy) as PyAV makes them of a video (`pip install av`
+in an environment of its own):
 
     import av, numpy as np
     for number, frame in enumerate(av.open("Fujita2.vvc", format="vvc").decode(video=0)):
@@ -24,7 +25,9 @@ import lfcal
 __all__ = ["differences", "main"]
 
 
-def differences(cameras: list[lfcal.Calibration]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def differences(
+    cameras: list[lfcal.Calibration],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n, n) RMS and (n, n) longest distance of the centres of any two cameras [px]."""
     rms, longest = np.zeros((2, len(cameras), len(cameras)))
     for a in range(len(cameras)):
@@ -36,7 +39,9 @@ def differences(cameras: list[lfcal.Calibration]) -> tuple[NDArray[np.float64], 
 
 
 def _flat(path: Path) -> NDArray[Any]:
-    pixels: NDArray[Any] = np.load(path, allow_pickle=False) if path.suffix == ".npy" else lfcal.read_flat(path)
+    pixels: NDArray[Any] = (
+        np.load(path, allow_pickle=False) if path.suffix == ".npy" else lfcal.read_flat(path)
+    )
     return pixels
 
 
@@ -47,7 +52,9 @@ def main(paths: list[Path]) -> None:
     rms, longest = differences([lfcal.calibrate(_flat(path)) for path in paths])
     width = max(len(path.stem) for path in paths)
     for path, row, far in zip(paths, rms, longest.max(1), strict=True):
-        print(f"{path.stem:{width}} " + " ".join(f"{value:6.3f}" for value in row) + f"  {far:6.3f}")
+        print(
+            f"{path.stem:{width}} " + " ".join(f"{value:6.3f}" for value in row) + f"  {far:6.3f}"
+        )
     pairs = rms[np.triu_indices(len(paths), 1)]
     print(
         f"RMS of {len(pairs)} pairs: median {np.median(pairs):.3f}, largest {pairs.max():.3f} px;"

@@ -1,9 +1,11 @@
-"""Specks in pictures of real captures: `python -m benchmarks.specks ../shared/captures/Wall.png ...`.
+"""Specks in pictures of real captures: `python -m benchmarks.specks ../shared/captures/Wall.png
+...`.
 
-A speck is an isolated spot, at most three pixels wide, brighter or darker than the ring of pixels about it, which
-neither single lenses show there nor pictures from viewpoints close by. Lenses are tiled with one patch size each, that
-of the lens and not that of the surface. Prints specks per megapixel of the middle picture and of two outer views, and
-the processor time of `analyze`. Pictures are drawn without restored detail.
+A speck is an isolated spot, at most three pixels wide, brighter or darker than the ring of pixels
+about it, which neither single lenses show there nor pictures from viewpoints close by. Lenses are
+tiled with one patch size each, that of the lens and not that of the surface. Prints specks per
+megapixel of the middle picture and of two outer views, and the processor time of `analyze`.
+Pictures are drawn without restored detail.
 """
 
 from __future__ import annotations
@@ -29,18 +31,25 @@ __all__ = ["find_specks", "main", "specks_per_megapixel"]
 # [white] contrast that is seen on a plain wall at 100 %: six levels of 255.
 _SEEN = 0.025
 # [radius] from a viewpoint to those close by, and to the outer views.
-_NEAR, _OUTER = 0.12, 0.7
+_NEAR = 0.12
+_OUTER = 0.7
 
 
-def find_specks(picture: NDArray[np.floating], references: list[NDArray[np.floating]]) -> NDArray[np.bool_]:
-    """(h, w) bool: pixels of isolated spots of a `picture` (h, w) that no reference has within a pixel; white = 1."""
+def find_specks(
+    picture: NDArray[np.floating], references: list[NDArray[np.floating]]
+) -> NDArray[np.bool_]:
+    """(h, w) bool: pixels of isolated spots of a `picture` (h, w) that no reference has within a
+    pixel; white = 1.
+    """
     ring = np.ones((5, 5), np.uint8)
     ring[1:4, 1:4] = 0
     around = np.ones((3, 3), np.uint8)
     spots = np.zeros(picture.shape, bool)
     for sign in (1, -1):
         here = (sign * picture).astype(np.float32)
-        known = np.max([cv2.dilate((sign * one).astype(np.float32), around) for one in references], axis=0)
+        known = np.max(
+            [cv2.dilate((sign * one).astype(np.float32), around) for one in references], axis=0
+        )
         spots |= (here > cv2.dilate(here, ring) + _SEEN) & (here > known + _SEEN)
     spots[:3], spots[-3:], spots[:, :3], spots[:, -3:] = False, False, False, False
     return spots
@@ -54,9 +63,12 @@ def _grey(picture: lfrender.Rendering) -> NDArray[np.float32]:
 
 def _lens_depth(depth: lfrender.DepthMap, calibration: Calibration) -> lfrender.DepthMap:
     """The depth map with a surface of one patch size for the cell of each lens."""
-    surface, lattice = depth.surface, calibration.lattice
+    surface = depth.surface
+    lattice = calibration.lattice
     v, u = np.mgrid[: surface.patch_size.shape[0], : surface.patch_size.shape[1]] * surface.spacing
-    rows = nearest_lens(lattice, np.stack([u + surface.first[0], v + surface.first[1]], -1).reshape(-1, 2))
+    rows = nearest_lens(
+        lattice, np.stack([u + surface.first[0], v + surface.first[1]], -1).reshape(-1, 2)
+    )
     values = depth.filled_patch_size[rows].reshape(u.shape).astype(np.float32)
     return replace(depth, surface=Surface(values, surface.first, surface.spacing))
 
@@ -64,15 +76,24 @@ def _lens_depth(depth: lfrender.DepthMap, calibration: Calibration) -> lfrender.
 def specks_per_megapixel(
     flat: NDArray, calibration: Calibration, depth: lfrender.DepthMap
 ) -> tuple[float, float, NDArray[np.bool_]]:
-    """Specks per megapixel of the picture and, in the mean, of two outer views; and where they are in the picture."""
+    """Specks per megapixel of the picture and, in the mean, of two outer views; and where they are
+    in the picture.
+    """
     radius = calibration.lattice.radius
-    light, lenses = match_white(flat), _lens_depth(depth, calibration)
+    light = match_white(flat)
+    lenses = _lens_depth(depth, calibration)
 
     def draw(place: tuple[float, float], which: lfrender.DepthMap = depth) -> NDArray[np.float32]:
-        return _grey(next(iter(lfrender.views(flat, calibration, which, offsets=[place], still=still)))) / light
+        return (
+            _grey(
+                next(iter(lfrender.views(flat, calibration, which, offsets=[place], still=still)))
+            )
+            / light
+        )
 
     still = float(np.median(depth.surface.patch_size))
-    rates, middle = [], None
+    rates = []
+    middle = None
     for x in (0.0, -_OUTER * radius, _OUTER * radius):
         step = _NEAR * radius
         places = [(x + dx, dy) for dx, dy in ((-step, 0.0), (step, 0.0), (0.0, -step), (0.0, step))]
@@ -84,7 +105,9 @@ def specks_per_megapixel(
 
 
 def match_white(flat: NDArray) -> float:
-    """Brightness of the brightest hundredth of a flat, so that dim captures are judged as they are looked at."""
+    """Brightness of the brightest hundredth of a flat, so that dim captures are judged as they are
+    looked at.
+    """
     white = np.iinfo(flat.dtype).max if flat.dtype.kind in "ui" else 1.0
     return float(np.quantile(flat[::7, ::7], 0.99) / white)
 
@@ -105,7 +128,9 @@ def main() -> None:
         depth = lfrender.analyze(flat, calibration, arguments.preset)
         taken = time.process_time() - start
         middle, outer, _ = specks_per_megapixel(flat, calibration, depth)
-        print(f"{path.name:28} {middle:8.1f} specks per megapixel, outer views {outer:8.1f}; analyze {taken:.2f} s")
+        print(
+            f"{path.name:28} {middle:8.1f} specks per megapixel, outer views {outer:8.1f}; analyze {taken:.2f} s"
+        )
 
 
 if __name__ == "__main__":

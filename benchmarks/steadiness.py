@@ -1,8 +1,8 @@
 """How much frames of a still scene differ by noise: `python -m benchmarks.steadiness [electrons]`.
 
-Prints the RMS difference of two frames [levels of 255] with `detail="off"` and `"natural"`: drawn with one depth map,
-each analysed by itself, and the second analysed and drawn with the first as the previous frame; then the share of
-the pixels that are those of the first.
+Prints the RMS difference of two frames [levels of 255] with `detail="off"` and `"natural"`: drawn
+with one depth map, each analysed by itself, and the second analysed and drawn with the first as the
+previous frame; then the share of the pixels that are those of the first.
 """
 
 from __future__ import annotations
@@ -22,7 +22,11 @@ _SIZE = (720, 560)
 _READ = 5.0  # [electrons]
 _SCENES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "clutter, D = 31 px": ("clutter", {"pitch": 31.0}, {}),
-    "clutter, D = 46 px": ("clutter", {"pitch": 46.0, "lattice": "hex-vertical"}, {"seed": 5, "count": 25}),
+    "clutter, D = 46 px": (
+        "clutter",
+        {"pitch": 46.0, "lattice": "hex-vertical"},
+        {"seed": 5, "count": 25},
+    ),
     "house, D = 40 px": ("house", {"pitch": 40.0}, {"seed": 1}),
     "slope, square, D = 28 px": ("slope", {"pitch": 28.0, "lattice": "square"}, {"seed": 4}),
 }
@@ -33,10 +37,13 @@ def _frames(
 ) -> tuple[list[NDArray[Any]], lfcal.Calibration]:
     """Two frames, alike but for their noise, and the camera."""
     camera = Camera.design(size=_SIZE, **optics)
-    shot = simulate(SCENES[scene](camera, **arguments), camera, samples=96, seed=7, bits=16, gamma=False)
+    shot = simulate(
+        SCENES[scene](camera, **arguments), camera, samples=96, seed=7, bits=16, gamma=False
+    )
     light = (shot.flat / (65535 * EXPOSURE)).astype(np.float32)
     frames = [
-        develop(light, noise=(well, _READ), bits=8, gamma=True, rng=np.random.default_rng(seed)) for seed in (1, 2)
+        develop(light, noise=(well, _READ), bits=8, gamma=True, rng=np.random.default_rng(seed))
+        for seed in (1, 2)
     ]
     return frames, shot.truth.calibration
 
@@ -48,7 +55,9 @@ def _differ(first: lfrender.Rendering, second: lfrender.Rendering) -> float:
 
 def _main() -> None:
     well = float(sys.argv[1]) if sys.argv[1:] else 4000.0
-    print("| scene | detail | one depth map | each by itself | frame before | unchanged |\n|---|---|---|---|---|---|")
+    print(
+        "| scene | detail | one depth map | each by itself | frame before | unchanged |\n|---|---|---|---|---|---|"
+    )
     for name, (scene, optics, arguments) in _SCENES.items():
         (one, two), camera = _frames(scene, optics, arguments, well)
         depths = [lfrender.analyze(frame, camera) for frame in (one, two)]
@@ -60,7 +69,10 @@ def _main() -> None:
             each = lfrender.render(two, camera, depths[1], **how)
             kept = lfrender.render(two, camera, after, previous=(one, depths[0], first), **how)
             found = " | ".join(f"{_differ(first, other):.2f}" for other in (same, each, kept))
-            print(f"| {name} | {detail} | {found} | {(kept.image == first.image).all(-1).mean():.2f} |", flush=True)
+            print(
+                f"| {name} | {detail} | {found} | {(kept.image == first.image).all(-1).mean():.2f} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
-"""Depth and pictures of ray-traced flats against their truth: `python -m benchmarks.truth_flats ../shared/truth`.
+"""Depth and pictures of ray-traced flats against their truth: `python -m benchmarks.truth_flats
+../shared/truth`.
 
-Only the flat is given; the lattice is calibrated from it. Modes and patch sizes are judged on the lenses that
-carry texture and are resolvable, pictures where the true |s| is below 0.75 D, with one gain per channel. Of the
-depth edges, the share is printed of which the right depth lies within one pixel of the traditional picture.
+Only the flat is given; the lattice is calibrated from it. Modes and patch sizes are judged on the
+lenses that carry texture and are resolvable, pictures where the true |s| is below 0.75 D, with one
+gain per channel. Of the depth edges, the share is printed of which the right depth lies within one
+pixel of the traditional picture.
 """
 
 from __future__ import annotations
@@ -38,12 +40,16 @@ def merit(picture: lfrender.Rendering, folder: Path, pitch: float) -> PictureQua
     v, u = np.mgrid[: shape[0], : shape[1]]
     points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ picture.affine.T
     i, j = np.rint((points - 0.5) / 2).astype(int).T
-    s = patch_size[np.clip(j, 0, len(patch_size) - 1), np.clip(i, 0, patch_size.shape[1] - 1)].reshape(shape)
+    s = patch_size[
+        np.clip(j, 0, len(patch_size) - 1), np.clip(i, 0, patch_size.shape[1] - 1)
+    ].reshape(shape)
     border = int(np.ceil(picture.scale))
     inner = np.zeros(shape, bool)
     inner[border:-border, border:-border] = True
     where = inside & inner & picture.valid & (np.abs(s) < RESOLVABLE * pitch)
-    return compare_pictures(picture.image / np.float64(np.iinfo(picture.image.dtype).max), wanted, where)
+    return compare_pictures(
+        picture.image / np.float64(np.iinfo(picture.image.dtype).max), wanted, where
+    )
 
 
 def _row(folder: Path, preset: Preset) -> str:
@@ -65,10 +71,15 @@ def _row(folder: Path, preset: Preset) -> str:
     stated = np.isfinite(depth.standard_error[single])
     within = (error <= depth.standard_error[single])[stated].mean()
     blank = known & (truth["reason"][nearest] & _BLANK > 0)
-    claims = f"{(depth.confidence[blank] > 0.5).mean():.3f} of {blank.sum()}" if blank.any() else "none"
+    claims = (
+        f"{(depth.confidence[blank] > 0.5).mean():.3f} of {blank.sum()}" if blank.any() else "none"
+    )
     pitch = calibration.lattice.pitch
     edges = edge_share(depth, np.load(folder / "reference_depth.npz")["disparity_px"], _REFERENCE)
-    psnr = [merit(lfrender.render(flat, calibration, depth, scale=k * pitch), folder, pitch).psnr for k in SCALES]
+    psnr = [
+        merit(lfrender.render(flat, calibration, depth, scale=k * pitch), folder, pitch).psnr
+        for k in SCALES
+    ]
     psnr.append(merit(picture, folder, pitch).psnr)
     return (
         f"{folder.name:10} {preset:9} centres {np.sqrt((distance[known] ** 2).mean()):.4f} px"

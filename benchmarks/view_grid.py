@@ -1,8 +1,10 @@
-"""Views against the true ones of simulated scenes: `python -m benchmarks.view_grid [COUNT]`, by default 5 x 5.
+"""Views against the true ones of simulated scenes: `python -m benchmarks.view_grid [COUNT]`, by
+default 5 x 5.
 
-Prints PSNR (one gain per channel) of the mean squared error over all views of the grid, of the view from the middle and
-of those at the corners, beside plain tiling: each lens pastes a patch of one size for all, read about the viewpoint.
-Then the processor seconds for all views of a frame, calibrated and warm, on one thread.
+Prints PSNR (one gain per channel) of the mean squared error over all views of the grid, of the view
+from the middle and of those at the corners, beside plain tiling: each lens pastes a patch of one
+size for all, read about the viewpoint. Then the processor seconds for all views of a frame,
+calibrated and warm, on one thread.
 """
 
 from __future__ import annotations
@@ -40,9 +42,16 @@ _CAPTURES = Path(__file__).parents[1].parent / "shared" / "captures"
 
 
 def _tiled(
-    flat: NDArray[Any], camera: lfcal.Calibration, size: float, offset: tuple[float, float], picture: Any, still: float
+    flat: NDArray[Any],
+    camera: lfcal.Calibration,
+    size: float,
+    offset: tuple[float, float],
+    picture: Any,
+    still: float,
 ) -> NDArray[np.float64]:
-    """The view on the grid of `picture`, each pixel read from the lens with the nearest centre with one patch size."""
+    """The view on the grid of `picture`, each pixel read from the lens with the nearest centre with
+    one patch size.
+    """
     lattice = camera.lattice
     height, width = picture.image.shape[:2]
     v, u = np.mgrid[:height, :width]
@@ -50,31 +59,42 @@ def _tiled(
     drawn = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], -1) @ picture.affine.T + moved
     centre = lattice.centres()[nearest_lens(lattice, drawn)]
     read = centre + offset - (drawn - centre) * size / lattice.pitch
-    channels = [map_coordinates(flat[..., c].astype(float), read.T[::-1], order=1, mode="nearest") for c in range(3)]
+    channels = [
+        map_coordinates(flat[..., c].astype(float), read.T[::-1], order=1, mode="nearest")
+        for c in range(3)
+    ]
     return np.stack(channels, -1).reshape(height, width, 3)
 
 
 def _error(picture: NDArray[Any], truth: NDArray[Any], where: NDArray[np.bool_]) -> float:
     """Mean squared error with one gain per channel, of white 1."""
-    p, t = picture[where], truth[where]
+    p = picture[where]
+    t = truth[where]
     gain = (p * t).sum(0) / (p * p).sum(0)
     return float(np.mean((p * gain - t) ** 2))
 
 
-def _row(name: str, scene_name: str, arguments: dict[str, Any], design: dict[str, Any], count: int) -> str:
+def _row(
+    name: str, scene_name: str, arguments: dict[str, Any], design: dict[str, Any], count: int
+) -> str:
     camera = Camera.design(size=_SIZE, **design)
     scene = SCENES[scene_name](camera, **arguments)
     shot = simulate(scene, camera, samples=48, seed=7, noise=(9000.0, 5.0))
     calibration = lfcal.calibrate(shot.white, kind="white")
     depth = lfrender.analyze(shot.flat, calibration)
     offsets = grid_offsets(count, count, 0.7 * calibration.lattice.radius)
-    still, scale = still_depth(depth), 0.3 * camera.pitch
+    still = still_depth(depth)
+    scale = 0.3 * camera.pitch
     middle = float(np.median(depth.patch_size[np.isfinite(depth.patch_size)]))
     errors = []
     for offset, view in zip(
-        offsets, lfrender.views(shot.flat, calibration, depth, offsets=offsets, scale=scale), strict=True
+        offsets,
+        lfrender.views(shot.flat, calibration, depth, offsets=offsets, scale=scale),
+        strict=True,
     ):
-        drawn = view.affine + np.column_stack([np.zeros((2, 2)), np.array(offset) * camera.pitch / still])
+        drawn = view.affine + np.column_stack(
+            [np.zeros((2, 2)), np.array(offset) * camera.pitch / still]
+        )
         truth = true_view(scene, camera, offset, drawn, view.image.shape[1::-1])
         border = int(np.ceil(2 * scale))
         where = np.zeros(view.valid.shape, bool)
@@ -84,7 +104,8 @@ def _row(name: str, scene_name: str, arguments: dict[str, Any], design: dict[str
         errors.append((own, _error(tiled, truth, where)))
     found = -10 * np.log10(errors)
     grid = -10 * np.log10(np.mean(errors, axis=0))
-    centre, corners = found[len(found) // 2], found[[0, count - 1, -count, -1]].mean(0)
+    centre = found[len(found) // 2]
+    corners = found[[0, count - 1, -count, -1]].mean(0)
     cells = [f"{pair[0]:.1f} / {pair[1]:.1f}" for pair in (grid, centre, corners)]
     return f"| {name} | {' | '.join(cells)} |"
 
@@ -106,7 +127,10 @@ def _seconds(count: int) -> None:
                 depth = lfrender.analyze(flat, calibration, preset)
                 middle = time.process_time()
                 pictures = [
-                    picture.scale for picture in lfrender.views(flat, calibration, depth, offsets=offsets, scale=scale)
+                    picture.scale
+                    for picture in lfrender.views(
+                        flat, calibration, depth, offsets=offsets, scale=scale
+                    )
                 ]
                 times.append((middle - start, time.process_time() - middle))
             best = np.array(times).min(0)
@@ -115,7 +139,9 @@ def _seconds(count: int) -> None:
 
 def _main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 5
-    print("| PSNR [dB], lfrender / tiling with one patch size | grid | middle | corners |\n|---|---|---|---|")
+    print(
+        "| PSNR [dB], lfrender / tiling with one patch size | grid | middle | corners |\n|---|---|---|---|"
+    )
     for name, (scene, arguments, design) in _SCENES.items():
         print(_row(name, scene, arguments, design, count), flush=True)
     _seconds(count)

@@ -1,8 +1,10 @@
-"""Work and time of a viewer's frame in headless Chromium: `python -m benchmarks.viewer_speed FLAT [ARGUMENT ...]`.
+"""Work and time of a viewer's frame in headless Chromium: `python -m benchmarks.viewer_speed FLAT
+[ARGUMENT ...]`.
 
-Prints for each mode, with the whole flat in a picture of 1080 x 900 pixels and at 100 %, how often the shader reads a
-texture for one pixel, counted by the shader itself, and the milliseconds of a frame: median of several, each until the
-graphics card is done. Further arguments go to Chromium; without any it draws in software, on the processor.
+Prints for each mode, with the whole flat in a picture of 1080 x 900 pixels and at 100 %, how often
+the shader reads a texture for one pixel, counted by the shader itself, and the milliseconds of a
+frame: median of several, each until the graphics card is done. Further arguments go to Chromium;
+without any it draws in software, on the processor.
 """
 
 from __future__ import annotations
@@ -65,9 +67,16 @@ def _browser(arguments: list[str]) -> Any:
 
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium") or shutil.which("google-chrome") or ""
-    for option in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", *(arguments or _SOFTWARE)):
+    for option in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        *(arguments or _SOFTWARE),
+    ):
         options.add_argument(option)
-    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    browser = webdriver.Chrome(
+        options=options, service=webdriver.ChromeService(shutil.which("chromedriver"))
+    )
     browser.set_script_timeout(300)
     return browser
 
@@ -87,7 +96,9 @@ def main(arguments: list[str]) -> None:
             browser.execute_async_script(
                 "const done = arguments[0], look = () => window.lightField ? done() : setTimeout(look, 50); look()"
             )
-            browser.execute_async_script("lightField.renderer.loadPlain(() => {}).then(arguments[0])")
+            browser.execute_async_script(
+                "lightField.renderer.loadPlain(() => {}).then(arguments[0])"
+            )
             browser.execute_script(_COUNTING)
             _print_rows(browser, Path(arguments[0]).name)
         finally:

@@ -75,13 +75,16 @@ def axes(volume: lfrender.Volume, microscope: Microscope) -> tuple[Array, Array,
     for axis, size in ((2, microscope.size[0]), (1, microscope.size[1])):
         count = volume.data.shape[axis]
         middle = (size - 1) / 2 * microscope.object_pixel
-        found.append(volume.origin[axis] + volume.spacing[axis] * np.arange(count, dtype=np.float64) - middle)
+        found.append(
+            volume.origin[axis] + volume.spacing[axis] * np.arange(count, dtype=np.float64) - middle
+        )
     return found[0], found[1], volume.depths
 
 
 def score(data: NDArray[Any], truth: NDArray[Any]) -> tuple[float, float]:
     """Correlation with the truth, and PSNR [dB] with one gain."""
-    one, other = data.ravel().astype(float), truth.ravel().astype(float)
+    one = data.ravel().astype(float)
+    other = truth.ravel().astype(float)
     gain = (one @ other) / (one @ one)
     error = np.mean((gain * one - other) ** 2)
     return float(np.corrcoef(one, other)[0, 1]), float(10 * np.log10(other.max() ** 2 / error))
@@ -91,7 +94,10 @@ def locate(volume: lfrender.Volume, microscope: Microscope, place: Array) -> tup
     """Where a bead near a place [um] is found, by the centroid about the brightest voxel, and its
     width in z [um]."""
     x, y, z = axes(volume, microscope)
-    near = [np.abs(axis - at) <= reach for axis, at, reach in zip((z, y, x), place[::-1], (4.0, 1.7, 1.7), strict=True)]
+    near = [
+        np.abs(axis - at) <= reach
+        for axis, at, reach in zip((z, y, x), place[::-1], (4.0, 1.7, 1.7), strict=True)
+    ]
     part = volume.data[np.ix_(*near)]
     zs, ys, xs = (axis[chosen] for axis, chosen in zip((z, y, x), near, strict=True))
     lit = np.where(part >= 0.5 * part.max(), part, 0).astype(float)
@@ -117,7 +123,9 @@ def bead_places(count: int, seed: int) -> Array:
     return np.column_stack([across, depth])
 
 
-def reconstruct(capture: MicroscopeCapture, depth: float, planes: int, **options: Any) -> lfrender.Volume:
+def reconstruct(
+    capture: MicroscopeCapture, depth: float, planes: int, **options: Any
+) -> lfrender.Volume:
     """The volume of a capture, with the optics that are true."""
     optics = lfrender.Microscope(**capture.microscope.optics(), **options)
     return lfrender.reconstruct_volume(
@@ -133,7 +141,9 @@ def focal_stack(capture: MicroscopeCapture, volume: lfrender.Volume) -> NDArray[
     microscope = capture.microscope
     lattice = capture.calibration.lattice
     scale = lfrender.Microscope(**microscope.optics()).scale(lattice.radius, lattice.pitch)
-    pixels = choose_pixels(capture.flat.astype(np.float32), capture.calibration, scale.flat_radius, scale.pupil_radius)
+    pixels = choose_pixels(
+        capture.flat.astype(np.float32), capture.calibration, scale.flat_radius, scale.pupil_radius
+    )
     voxels = round(volume.pitch / volume.spacing[1])
     grid = VoxelGrid.over(lattice, volume.slopes, voxels, pixels.reach)
     projector = grid.projector(pixels, lattice, scale)
@@ -145,7 +155,9 @@ def focal_stack(capture: MicroscopeCapture, volume: lfrender.Volume) -> NDArray[
 def _beads(seed: int) -> list[tuple[float, float, float, float]]:
     microscope = Microscope(lenses=(25, 25), rotation=0.5)
     places = bead_places(20, seed)
-    capture = trace_flat(Specimen.beads(places, 0.4), microscope, samples=192, seed=seed, electrons=3000)
+    capture = trace_flat(
+        Specimen.beads(places, 0.4), microscope, samples=192, seed=seed, electrons=3000
+    )
     volume = reconstruct(capture, 11.0, 45)
     rows = []
     for place in places:
@@ -155,7 +167,9 @@ def _beads(seed: int) -> list[tuple[float, float, float, float]]:
     return sorted(rows)
 
 
-def _print_score(name: str, capture: MicroscopeCapture, depth: float, planes: int, **options: Any) -> None:
+def _print_score(
+    name: str, capture: MicroscopeCapture, depth: float, planes: int, **options: Any
+) -> None:
     start = time.process_time()
     volume = reconstruct(capture, depth, planes, **options)
     seconds = time.process_time() - start
@@ -171,7 +185,9 @@ def _print_score(name: str, capture: MicroscopeCapture, depth: float, planes: in
 
 def _shells(scale: float) -> Specimen:
     """Two shells and three beads; `scale` 1 for objectives of 60x."""
-    beads = Specimen.beads(scale * np.array([[-10.0, 8.0, 5.0], [9.0, -11.0, -6.5], [-9.0, -9.0, 3.0]]), 0.7 * scale)
+    beads = Specimen.beads(
+        scale * np.array([[-10.0, 8.0, 5.0], [9.0, -11.0, -6.5], [-9.0, -9.0, 3.0]]), 0.7 * scale
+    )
     large = Specimen.shell(8.0 * scale, 1.4 * scale, scale * np.array([-0.5, 0.8, -1.2]))
     small = Specimen.shell(3.5 * scale, 1.2 * scale, scale * np.array([9.0, 8.5, 4.0]))
     return large + small + beads
@@ -193,17 +209,25 @@ def _plot(rows: list[tuple[float, float, float, float]], path: Path) -> None:
 
 def _captures(folder: Path, pictures: Path | None) -> None:
     for name, (optics, depth_range) in CAPTURES.items():
-        flat, white, dark = (next(folder.glob(f"{name}{kind}.[tp]*"), None) for kind in ("", ".white", ".dark"))
+        flat, white, dark = (
+            next(folder.glob(f"{name}{kind}.[tp]*"), None) for kind in ("", ".white", ".dark")
+        )
         if flat is None or white is None:
             continue
-        pixels, light = lfcal.read_flat(flat), lfcal.read_flat(white)
+        pixels = lfcal.read_flat(flat)
+        light = lfcal.read_flat(white)
         if dark is not None:
             frame = lfcal.read_flat(dark)
-            pixels, light = lfcal.subtract_dark(pixels, frame), lfcal.subtract_dark(light, frame)
+            pixels = lfcal.subtract_dark(pixels, frame)
+            light = lfcal.subtract_dark(light, frame)
         camera = lfcal.calibrate(light, kind="white")
-        start, wall = time.process_time(), time.perf_counter()
-        volume = lfrender.reconstruct_volume(pixels, camera, lfrender.Microscope(**optics), depth_range=depth_range)
-        seconds, passed = time.process_time() - start, time.perf_counter() - wall
+        start = time.process_time()
+        wall = time.perf_counter()
+        volume = lfrender.reconstruct_volume(
+            pixels, camera, lfrender.Microscope(**optics), depth_range=depth_range
+        )
+        seconds = time.process_time() - start
+        passed = time.perf_counter() - wall
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         fit = volume.fit
         print(
@@ -220,13 +244,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("shared", type=Path, nargs="?", default=Path("../shared"))
     parser.add_argument("--waves", action="store_true", help="shells by scalar waves too")
-    parser.add_argument("--pictures", type=Path, help="folder for a plot of the beads, and the volumes of captures")
+    parser.add_argument(
+        "--pictures", type=Path, help="folder for a plot of the beads, and the volumes of captures"
+    )
     given = parser.parse_args()
     rows = _beads(seed=11)
-    print("beads: depth [um], error sideways [pitches] and in depth [planes of 0.5 um], width in depth [um]")
+    print(
+        "beads: depth [um], error sideways [pitches] and in depth [planes of 0.5 um], width in depth [um]"
+    )
     for row in rows:
         print("{:7.2f} {:7.3f} {:7.2f} {:7.2f}".format(*row))
-    aside, along = np.array(rows)[:, 1], np.abs(np.array(rows)[:, 2])
+    aside = np.array(rows)[:, 1]
+    along = np.abs(np.array(rows)[:, 2])
     print(f"largest: {aside.max():.3f} pitches, {along.max():.2f} planes")
     if given.pictures:
         _plot(rows, given.pictures / "beads.png")
@@ -238,7 +267,9 @@ def main() -> None:
         _print_score(f"rays, {name}", capture, depth, 31)
     if given.waves:
         microscope = Microscope(lenses=(15, 15), rotation=1.0)
-        specimen = Specimen.shell(4.2, 1.1, (-0.4, 0.5, -0.9)) + Specimen.shell(2.2, 1.0, (5.0, -4.5, 3.5))
+        specimen = Specimen.shell(4.2, 1.1, (-0.4, 0.5, -0.9)) + Specimen.shell(
+            2.2, 1.0, (5.0, -4.5, 3.5)
+        )
         capture = propagate_flat(specimen, microscope, spacing=0.5, seed=3, electrons=3000)
         _print_score("waves, 60x, NA 1.2, D = 15.4 px", capture, 9.0, 31, wavelength=593)
     _captures(given.shared / "captures", given.pictures)

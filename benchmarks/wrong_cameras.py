@@ -1,11 +1,12 @@
 """Are wrong cameras noticed? `python -m benchmarks.wrong_cameras FIRST LAST [FLAT CAMERA.json]...`
 
-Each seed simulates a scene and a white image of a random camera; the camera is calibrated on the white image, and
-checked against the scene, as it is and in worse forms. Wrong cameras are turned by 90 degrees, mirrored, shifted by a
-third of a pitch in a random direction, 0.5 % too long or short, stretched by 0.045 pitches in the corners (another
-camera of the same kind), or have their lens types in another order. Captures
-with their cameras may be added. Counted apart are forms on which no microimages can be seen, where that is said, and
-cameras that a turn or a mirror takes to themselves, within 0.06 pitches: their lattice is right for the flat.
+Each seed simulates a scene and a white image of a random camera; the camera is calibrated on the
+white image, and checked against the scene, as it is and in worse forms. Wrong cameras are turned by
+90 degrees, mirrored, shifted by a third of a pitch in a random direction, 0.5 % too long or short,
+stretched by 0.045 pitches in the corners (another camera of the same kind), or have their lens
+types in another order. Captures with their cameras may be added. Counted apart are forms on which
+no microimages can be seen, where that is said, and cameras that a turn or a mirror takes to
+themselves, within 0.06 pitches: their lattice is right for the flat.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ __all__ = ["main"]
 _SAMPLES = 24
 _SAME = 0.06
 _STRETCH = 0.045
-_TURN, _MIRROR = np.array([[0, 1], [-1, 0]]), np.array([[-1, 0], [0, 1]])
+_TURN = np.array([[0, 1], [-1, 0]])
+_MIRROR = np.array([[-1, 0], [0, 1]])
 
 
 def _forms(flat: NDArray[Any], rng: np.random.Generator) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -37,12 +39,21 @@ def _forms(flat: NDArray[Any], rng: np.random.Generator) -> Iterator[tuple[str, 
     eight = flat if flat.dtype == np.uint8 else (flat // 257).astype(np.uint8)
     yield "as it is", flat
     yield "a quarter as bright", eight // 4
-    yield "noise of 6 levels", np.clip(eight + rng.normal(0, 6, flat.shape), 0, 255).astype(np.uint8)
-    yield "JPEG 50", np.asarray(cv2.imdecode(cv2.imencode(".jpg", eight, [1, 50])[1], cv2.IMREAD_UNCHANGED))
+    yield (
+        "noise of 6 levels",
+        np.clip(eight + rng.normal(0, 6, flat.shape), 0, 255).astype(np.uint8),
+    )
+    yield (
+        "JPEG 50",
+        np.asarray(cv2.imdecode(cv2.imencode(".jpg", eight, [1, 50])[1], cv2.IMREAD_UNCHANGED)),
+    )
 
 
-def _wrong_cameras(camera: lfcal.Calibration, rng: np.random.Generator) -> Iterator[tuple[str, lfcal.Calibration]]:
-    lattice, types = camera.lattice, camera.lens_types
+def _wrong_cameras(
+    camera: lfcal.Calibration, rng: np.random.Generator
+) -> Iterator[tuple[str, lfcal.Calibration]]:
+    lattice = camera.lattice
+    types = camera.lens_types
     middle = (np.array(lattice.image_size) - 1) / 2
     angle = rng.uniform(0, 2 * np.pi)
     third = lattice.pitch / 3 * np.array([np.cos(angle), np.sin(angle)])
@@ -50,8 +61,12 @@ def _wrong_cameras(camera: lfcal.Calibration, rng: np.random.Generator) -> Itera
     stretch = 1 + rng.choice([-1, 1]) * _STRETCH * lattice.pitch / float(np.hypot(*middle))
     changed = ("pitch", scale * np.eye(2)), ("stretched", stretch * np.eye(2))
     for name, matrix in (("turned", _TURN), ("mirrored", _MIRROR), *changed):
-        origin, basis = middle + (lattice.origin - middle) @ matrix, lattice.basis @ matrix
-        yield name, replace(camera, lattice=replace(lattice, origin=origin, basis=basis, distortion=None))
+        origin = middle + (lattice.origin - middle) @ matrix
+        basis = lattice.basis @ matrix
+        yield (
+            name,
+            replace(camera, lattice=replace(lattice, origin=origin, basis=basis, distortion=None)),
+        )
     yield "shifted", replace(camera, lattice=replace(lattice, origin=lattice.origin + third))
     if types is not None and types.ordered:
         order = rng.permutation(types.count)
@@ -59,18 +74,26 @@ def _wrong_cameras(camera: lfcal.Calibration, rng: np.random.Generator) -> Itera
             order = rng.permutation(types.count)
         yield (
             "type order",
-            replace(camera, lens_types=lfcal.LensTypes(order[types.cell].astype(np.int8), True, types.focus)),
+            replace(
+                camera,
+                lens_types=lfcal.LensTypes(order[types.cell].astype(np.int8), True, types.focus),
+            ),
         )
 
 
 def _is_same(one: lfcal.Lattice, other: lfcal.Lattice) -> bool:
     away = other.to_index(one.centres())
-    return float(np.linalg.norm((away - np.rint(away)) @ other.basis, axis=1).max()) < _SAME * one.pitch
+    return (
+        float(np.linalg.norm((away - np.rint(away)) @ other.basis, axis=1).max())
+        < _SAME * one.pitch
+    )
 
 
 def main(arguments: list[str]) -> None:
     """Print every mistake, and the numbers of right and wrong cameras and of mistakes."""
-    first, last, files = int(arguments[0]), int(arguments[1]), arguments[2:]
+    first = int(arguments[0])
+    last = int(arguments[1])
+    files = arguments[2:]
     count: Counter[str] = Counter()
     rng = np.random.default_rng(first)
 

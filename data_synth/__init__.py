@@ -1,4 +1,5 @@
-"""Simulated focused plenoptic cameras with known truth: rays are traced, no rendering formula is called.
+"""Simulated focused plenoptic cameras with known truth: rays are traced, no rendering formula is
+called.
 
 >>> from data_synth import SCENES, Camera, simulate
 >>> camera = Camera.design(size=(120, 90), pitch=20)

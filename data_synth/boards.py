@@ -1,4 +1,6 @@
-"""Photographs of a checkerboard in random poses, with all that is true about them: for metric calibration."""
+"""Photographs of a checkerboard in random poses, with all that is true about them: for metric
+calibration.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,16 @@ __all__ = ["BoardShoot", "shoot_board"]
 
 Array = NDArray[np.float64]
 
-_COLUMNS, _ROWS = 9, 6
+_COLUMNS = 9
+_ROWS = 6
 # The widest square inside a microimage, of the pitch: four squares about a corner must fit.
 _SQUARE_SHARE = 0.5
 _TEXELS = 48  # of a square
-_DARK, _LIGHT, _WALL = 0.04, 0.9, 0.25
-_LEAST_TILT, _LARGEST_TILT = 12.0, 38.0  # degrees
+_DARK = 0.04
+_LIGHT = 0.9
+_WALL = 0.25
+_LEAST_TILT = 12.0  # degrees
+_LARGEST_TILT = 38.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,8 @@ class BoardShoot:
     flats : tuple of (H, W) uint8 arrays
     white : (H, W) uint8
     rotations : (n, 3, 3) float64
-        Of the boards: `X_camera = rotation @ X_board + translation`, x right, y down, z away from the camera.
+        Of the boards: `X_camera = rotation @ X_board + translation`, x right, y down, z away from
+        the camera.
     translations : (n, 3) float64 [mm]
     square : float [mm]
     camera : Camera
@@ -90,7 +97,8 @@ class BoardShoot:
         about = json.loads((target / "truth.json").read_text(encoding="utf-8"))
         flats = tuple(read_png(target / pose["file"]) for pose in about["poses"])
         turns, shifts = (np.array([pose[key] for pose in about["poses"]]) for key in ("R", "t_mm"))
-        camera, square = Camera(**about["camera"]), about["board"]["square_mm"]
+        camera = Camera(**about["camera"])
+        square = about["board"]["square_mm"]
         return cls(flats, read_png(target / "white.png"), turns, shifts, square, camera)
 
     def summary(self) -> dict[str, Any]:
@@ -142,14 +150,19 @@ def shoot_board(
     span = np.linspace(*ratios, poses)
     depths = camera.depth_at(span)
     focal = (camera.mla_distance + camera.sensor_distance) / camera.pixel
-    square = float(np.round(_SQUARE_SHARE * camera.pitch / (focal * np.abs(span) / depths).max(), 3))
+    square = float(
+        np.round(_SQUARE_SHARE * camera.pitch / (focal * np.abs(span) / depths).max(), 3)
+    )
     texture = _texture()
-    flats, turns, shifts = [], [], []
+    flats = []
+    turns = []
+    shifts = []
     for number, depth in enumerate(depths):
         turn, middle = _pose(camera, float(depth), square, focal, rng)
         shift = middle - turn @ (_corners().mean(0) * square)
         origin = turn @ (np.array([-2.0, -2.0, 0.0]) * square) + shift
-        across, down = turn[:, 0] * (_COLUMNS + 3) * square, turn[:, 1] * (_ROWS + 3) * square
+        across = turn[:, 0] * (_COLUMNS + 3) * square
+        down = turn[:, 1] * (_ROWS + 3) * square
         table, texels = tracing.pack(Scene("board", (Patch(origin, across, down, texture),)))
         wall = (_WALL,) * 3
         light = tracing.sensor(table, texels, wall, camera, samples, seed + 2 * number)[..., 0]
@@ -175,12 +188,17 @@ def _texture() -> NDArray[np.float32]:
     return np.ascontiguousarray(np.repeat(grey[..., None], 3, 2))
 
 
-def _pose(camera: Camera, depth: float, square: float, focal: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A rotation, and a place of the board's middle at `depth` where all of its corners lie on the flat."""
+def _pose(
+    camera: Camera, depth: float, square: float, focal: float, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """A rotation, and a place of the board's middle at `depth` where all of its corners lie on the
+    flat.
+    """
     corners = (_corners() - _corners().mean(0)) * square
     size = np.array([camera.width, camera.height])
     for _ in range(2000):
-        way, roll = rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5)
+        way = rng.uniform(0, 2 * np.pi)
+        roll = rng.uniform(-0.5, 0.5)
         tilt = np.deg2rad(rng.uniform(_LEAST_TILT, _LARGEST_TILT))
         turn = _about([np.cos(way), np.sin(way), 0.0], tilt) @ _about([0.0, 0.0, 1.0], roll)
         place = (rng.uniform(0.05, 0.95, 2) * size - camera.principal_point) / focal * depth

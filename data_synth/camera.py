@@ -1,8 +1,9 @@
-"""The simulated camera: a thin main lens, an array of thin microlenses with opaque gaps, and a sensor.
+"""The simulated camera: a thin main lens, an array of thin microlenses with opaque gaps, and a
+sensor.
 
 All lengths on the optical axis are in mm, everything on the sensor in flat pixels. Object space is
-turned by 180 degrees about the axis, so that what lies to the right on the flat has a larger `x` out
-there: a pinhole at the main-lens centre then shows the scene upright.
+turned by 180 degrees about the axis, so that what lies to the right on the flat has a larger `x`
+out there: a pinhole at the main-lens centre then shows the scene upright.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ LATTICES: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
     "sheared": ((1.0, 0.0), (0.25, 1.0)),
 }
 
-# Proportions of `Camera.design`, those of common focused plenoptic cameras: f/4, and room behind the main lens for real
-# image planes on both sides of the microlenses.
+# Proportions of `Camera.design`, those of common focused plenoptic cameras: f/4, and room behind
+# the main lens for real image planes on both sides of the microlenses.
 _SENSOR_DISTANCE = 3.92
 _IMAGE_ROOM = 16.0
 
@@ -51,14 +52,16 @@ class Camera:
     sensor_distance : float [mm]
         `b`, microlenses to sensor.
     microlens_focal_lengths : tuple of 1 to 3 floats [mm]
-        One for each lens type; of n types, lens `(i, j)` has number `(i - j) mod n` (in a hexagonal array of three
-        and in a square one of two no two neighbours are alike).
+        One for each lens type; of n types, lens `(i, j)` has number `(i - j) mod n` (in a hexagonal
+        array of three and in a square one of two no two neighbours are alike).
     aperture : float [mm]
         Diameter of the main lens, or the side of its square aperture.
     fill : float
-        Diameter of a microlens over the microlens pitch; the rest is opaque. It sets the microlens defocus.
+        Diameter of a microlens over the microlens pitch; the rest is opaque. It sets the microlens
+        defocus.
     basis : 2 x 2 floats [px]
-        Rows span the lattice of microimage centres; stored in shortest form with an angle of 60 to 90 degrees.
+        Rows span the lattice of microimage centres; stored in shortest form with an angle of 60 to
+        90 degrees.
     origin : (float, float) [px]
         Centre of microimage (0, 0).
     principal_point : (float, float) [px]
@@ -66,28 +69,32 @@ class Camera:
     natural_vignetting : bool
         Weigh the light of a microlens by cos^4 of the angle of its chief ray on the sensor.
     square_aperture : bool
-        Whether the aperture of the main lens, and so each microimage, is a square along the first lattice direction.
+        Whether the aperture of the main lens, and so each microimage, is a square along the first
+        lattice direction.
     type_apertures : tuple of 1 to 3 floats
         Share of the aperture that a lens of each type lets pass: the radii of its microimages.
     stray : float
-        Share of the light that comes past the microlenses, spread evenly over a pitch: gaps are not black.
+        Share of the light that comes past the microlenses, spread evenly over a pitch: gaps are not
+        black.
     mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"} or None
         Colour filters over the top left 2 x 2 pixels; flat and white image are then (H, W).
     filters : (float, float, float)
         Brightness of white seen through the red, green and blue filter.
     stop : (float, float) or None [mm]
-        Distance in front of the main lens and diameter of a fixed stop: mechanical vignetting, which cuts
-        microimages to cat's eyes away from the principal point.
+        Distance in front of the main lens and diameter of a fixed stop: mechanical vignetting,
+        which cuts microimages to cat's eyes away from the principal point.
     k1 : float
-        Radial distortion of the main lens: a ray that leaves it with slope `S` undistorted leaves with
-        `S (1 + k1 |S|^2)`.
+        Radial distortion of the main lens: a ray that leaves it with slope `S` undistorted leaves
+        with `S (1 + k1 |S|^2)`.
     tilt : (float, float) [rad]
-        Of microlens array and sensor together: with a positive first angle the lower part of the flat lies farther from
-        the main lens, with a positive second angle its right part nearer. Cameras with distortion or
-        tilt can photograph boards (`shoot_board`); `simulate` knows the truth of straight ones only.
+        Of microlens array and sensor together: with a positive first angle the lower part of the
+        flat lies farther from the main lens, with a positive second angle its right part nearer.
+        Cameras with distortion or tilt can photograph boards (`shoot_board`); `simulate` knows the
+        truth of straight ones only.
     sensor_tilt : (float, float) [rad]
-        Of the sensor against the array: towards the right and towards the bottom of the flat the distance between them
-        grows by the tangent, about `sensor_distance` at the principal point. `lattice` is that without it.
+        Of the sensor against the array: towards the right and towards the bottom of the flat the
+        distance between them grows by the tangent, about `sensor_distance` at the principal point.
+        `lattice` is that without it.
 
     Examples
     --------
@@ -122,7 +129,9 @@ class Camera:
 
     def __post_init__(self) -> None:
         if not (1 <= self.width <= 1 << 15 and 1 <= self.height <= 1 << 15):
-            raise ValueError(f"width and height must be 1 to {1 << 15} px, got {self.width} x {self.height}")
+            raise ValueError(
+                f"width and height must be 1 to {1 << 15} px, got {self.width} x {self.height}"
+            )
         lengths = ("pixel", "focal_length", "mla_distance", "sensor_distance", "aperture", "fill")
         for name in lengths:
             value = getattr(self, name)
@@ -133,7 +142,9 @@ class Camera:
             raise ValueError(f"fill must be at most 1 (touching microlenses), got {self.fill}")
         focal = tuple(float(f) for f in self.microlens_focal_lengths)
         if len(focal) not in (1, 2, 3) or not all(np.isfinite(f) and f > 0 for f in focal):
-            raise ValueError(f"microlens_focal_lengths must be 1 to 3 positive numbers, got {focal}")
+            raise ValueError(
+                f"microlens_focal_lengths must be 1 to 3 positive numbers, got {focal}"
+            )
         for name, low in (("type_apertures", 0.1), ("filters", 0.01), ("stray", 0.0)):
             values = np.array(getattr(self, name), dtype=float)
             if not ((values >= low) & (values <= 1)).all():
@@ -146,23 +157,30 @@ class Camera:
             raise ValueError(f"mosaic must be RGGB, BGGR, GRBG or GBRG, got {self.mosaic!r}")
         for name in ("type_apertures", "filters"):
             object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
-        if self.stop is not None and not (len(self.stop) == 2 and min(self.stop) > 0 and np.isfinite(self.stop).all()):
+        if self.stop is not None and not (
+            len(self.stop) == 2 and min(self.stop) > 0 and np.isfinite(self.stop).all()
+        ):
             raise ValueError(f"stop must be (distance, diameter), both positive, got {self.stop}")
         points = [tuple(float(v) for v in point) for point in (self.origin, self.principal_point)]
         if any(len(point) != 2 or not np.isfinite(point).all() for point in points):
             raise ValueError("origin and principal_point must be two finite numbers each")
         tilts = (*self.tilt, *self.sensor_tilt)
         if not np.isfinite([self.k1, *tilts]).all() or max(map(abs, tilts)) > 0.1:
-            raise ValueError(f"k1 and tilts must be finite, tilts at most 0.1 rad, got {self.k1} and {tilts}")
+            raise ValueError(
+                f"k1 and tilts must be finite, tilts at most 0.1 rad, got {self.k1} and {tilts}"
+            )
         for name in ("tilt", "sensor_tilt"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         object.__setattr__(self, "microlens_focal_lengths", focal)
         object.__setattr__(self, "basis", _shortest_acute(self.basis))
         object.__setattr__(self, "origin", points[0])
         object.__setattr__(self, "principal_point", points[1])
-        # A microimage wider than its neighbours' distance would light a pixel through lenses the tracer does not try.
+        # A microimage wider than its neighbours' distance would light a pixel through lenses the
+        # tracer does not try.
         if self.microimage_radius > self._shortest_step:
-            raise ValueError("aperture is too wide: microimages overlap by more than half; make the aperture smaller")
+            raise ValueError(
+                "aperture is too wide: microimages overlap by more than half; make the aperture smaller"
+            )
 
     @classmethod
     def design(
@@ -180,7 +198,8 @@ class Camera:
         offset: tuple[float, float] = (0.37, -0.81),
         natural_vignetting: bool = True,
     ) -> Camera:
-        """A well-proportioned camera from the figures one cares about: size, pitch, lattice and rotation.
+        """A well-proportioned camera from the figures one cares about: size, pitch, lattice and
+        rotation.
 
         Parameters
         ----------
@@ -249,9 +268,13 @@ class Camera:
 
     @cached_property
     def array_axes(self) -> NDArray[np.float64]:
-        """(3, 3) axes of the array, as columns, in the frame of the main lens; the third points to the lens."""
+        """(3, 3) axes of the array, as columns, in the frame of the main lens; the third points to
+        the lens.
+        """
         (cx, sx), (cy, sy) = ((np.cos(angle), -np.sin(angle)) for angle in self.tilt)
-        return np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+        return np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ np.array(
+            [[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]
+        )
 
     @property
     def spread(self) -> float:
@@ -260,9 +283,13 @@ class Camera:
 
     @cached_property
     def lattice(self) -> Lattice:
-        """Where the chief rays (main-lens centre through microlens centre) meet the sensor; radius of a microimage."""
+        """Where the chief rays (main-lens centre through microlens centre) meet the sensor; radius
+        of a microimage.
+        """
         radius = min(self.microimage_radius, self._shortest_step / 2)
-        return Lattice(np.array(self.origin), np.array(self.basis), (self.width, self.height), radius)
+        return Lattice(
+            np.array(self.origin), np.array(self.basis), (self.width, self.height), radius
+        )
 
     @property
     def pitch(self) -> float:
@@ -276,7 +303,9 @@ class Camera:
 
     @property
     def microimage_radius(self) -> float:
-        """Radius of the main aperture (half the side of a square one) seen through one microlens centre [px]."""
+        """Radius of the main aperture (half the side of a square one) seen through one microlens
+        centre [px].
+        """
         return self.aperture / 2 * self.sensor_distance / self.mla_distance / self.pixel
 
     @property
@@ -305,10 +334,11 @@ class Camera:
         )
 
     def patch_size(self, depth: ArrayLike) -> NDArray[np.float64]:
-        """Signed patch size `s` [px] of places at `depth` [mm] in front of the main lens, NaN for NaN.
+        """Signed patch size `s` [px] of places at `depth` [mm] in front of the main lens, NaN for
+        NaN.
 
-        The closed form behind it is `s = p * b * (1 / a - 1 / dL) / pixel`, where the main lens images the depth to
-        a plane at `a` in front of the microlenses.
+        The closed form behind it is `s = p * b * (1 / a - 1 / dL) / pixel`, where the main lens
+        images the depth to a plane at `a` in front of the microlenses.
         """
         with np.errstate(divide="ignore"):
             image = 1 / (1 / self.focal_length - 1 / np.asarray(depth, dtype=np.float64))
@@ -316,7 +346,9 @@ class Camera:
         return self.microlens_pitch * self.sensor_distance * vergence / self.pixel
 
     def depth_at(self, ratio: ArrayLike) -> NDArray[np.float64]:
-        """Depth [mm] in front of the main lens where `s / D` is `ratio`; ValueError where no object can lie there."""
+        """Depth [mm] in front of the main lens where `s / D` is `ratio`; ValueError where no object
+        can lie there.
+        """
         ratio = np.asarray(ratio, dtype=np.float64)
         if not np.isfinite(ratio).all():
             raise ValueError(f"s/D must be finite, got {ratio}")
@@ -325,7 +357,9 @@ class Camera:
             image = self.mla_distance - in_front
             depth = 1 / (1 / self.focal_length - 1 / image)
         if not ((image > self.focal_length) & np.isfinite(depth)).all():
-            limit = self.sensor_distance * (1 / (self.mla_distance - self.focal_length) - 1 / self.mla_distance)
+            limit = self.sensor_distance * (
+                1 / (self.mla_distance - self.focal_length) - 1 / self.mla_distance
+            )
             raise ValueError(
                 f"no object is seen at s/D = {ratio}; telescopic places need s/D > {limit / self.spread:.3f}, "
                 f"binocular ones s/D < {-self.sensor_distance / self.mla_distance / self.spread:.3f}"
@@ -333,18 +367,26 @@ class Camera:
         return depth
 
     def place(self, points: ArrayLike, depth: ArrayLike) -> NDArray[np.float64]:
-        """(..., 3) object-space positions [mm] of scene coordinates `points` (..., 2) [px] at `depth` (...) [mm]."""
-        on_lenses = (np.asarray(points, dtype=np.float64) - self.principal_point) * self.pixel / self.spread
+        """(..., 3) object-space positions [mm] of scene coordinates `points` (..., 2) [px] at
+        `depth` (...) [mm].
+        """
+        on_lenses = (
+            (np.asarray(points, dtype=np.float64) - self.principal_point) * self.pixel / self.spread
+        )
         tangent_x, tangent_y = np.moveaxis(on_lenses / self.mla_distance, -1, 0)
         z = np.broadcast_to(np.asarray(depth, dtype=np.float64), tangent_x.shape)
         return np.stack([tangent_x * z, tangent_y * z, z], axis=-1)
 
 
 def _shortest_acute(basis: Any) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The lattice's shortest basis with an angle of 60 to 90 degrees; a basis that has it already is kept."""
+    """The lattice's shortest basis with an angle of 60 to 90 degrees; a basis that has it already
+    is kept.
+    """
     a, b = np.array(basis, dtype=np.float64).reshape(2, 2)
     if not np.isfinite([a, b]).all() or abs(a[0] * b[1] - a[1] * b[0]) <= 1e-9 * (a @ a + b @ b):
-        raise ValueError(f"basis must be two independent finite vectors, got {np.asarray(basis).tolist()}")
+        raise ValueError(
+            f"basis must be two independent finite vectors, got {np.asarray(basis).tolist()}"
+        )
     while abs(2 * (a @ b)) > min(a @ a, b @ b) * (1 + 1e-9):
         if a @ a > b @ b:
             a, b = b, a

@@ -38,16 +38,19 @@ _ARRAYS = (
 
 @dataclass(frozen=True)
 class Truth:
-    """What is exactly known about a simulated capture. Per-lens arrays follow `calibration.lattice.centres()`.
+    """What is exactly known about a simulated capture. Per-lens arrays follow
+    `calibration.lattice.centres()`.
 
     Parameters
     ----------
     calibration : lfcal.Calibration
-        True lattice of microimage centres (chief rays through the microlens centres), radius and vignetting.
+        True lattice of microimage centres (chief rays through the microlens centres), radius and
+        vignetting.
     patch_size : (n,) float64 [px]
         Signed `s` of what each lens shows at its centre, NaN where that is nothing.
     mode : (n,) int8
-        1 telescopic, -1 binocular, 0 unresolvable: `|s|` above 0.75 D, or no texture, or nothing there.
+        1 telescopic, -1 binocular, 0 unresolvable: `|s|` above 0.75 D, or no texture, or nothing
+        there.
     magnification : (n,) float64
         `D / |s|`, NaN where mode is 0.
     mixed : (n,) bool
@@ -59,7 +62,8 @@ class Truth:
     disparity : (H, W) float32 [px]
         Signed `s` of what each sensor pixel sees through its lens, NaN outside microimages.
     reference : (h, w, 3) uint8 or uint16
-        All-in-focus picture: a pinhole at the main-lens centre, same transfer curve as the flat, no noise.
+        All-in-focus picture: a pinhole at the main-lens centre, same transfer curve as the flat, no
+        noise.
     reference_affine : (2, 3) float64
         Reference pixel `(u, v, 1)` to scene coordinates `X` [flat px].
     reference_patch_size : (h, w) float32 [px]
@@ -118,13 +122,18 @@ class Capture:
     recipe: dict[str, Any]
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write flat.png, white.png, reference.png, truth.npz, camera.json (for lfcal and lfrender) and truth.json.
+        """Write flat.png, white.png, reference.png, truth.npz, camera.json (for lfcal and lfrender)
+        and truth.json.
 
         Each file appears whole or not at all, truth.json last.
         """
         target = Path(folder)
         target.mkdir(parents=True, exist_ok=True)
-        for name, picture in (("flat", self.flat), ("white", self.white), ("reference", self.truth.reference)):
+        for name, picture in (
+            ("flat", self.flat),
+            ("white", self.white),
+            ("reference", self.truth.reference),
+        ):
             _write(target / f"{name}.png", _png(picture))
         arrays = io.BytesIO()
         np.savez_compressed(arrays, **{name: getattr(self.truth, name) for name in _ARRAYS})
@@ -184,8 +193,14 @@ def load_capture(folder: str | os.PathLike[str]) -> Capture:
         about = json.loads((source / "truth.json").read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f"{source / 'truth.json'}: not valid JSON ({error})") from error
-    if not isinstance(about, dict) or about.get("schema") != _SCHEMA or about.get("version") != _VERSION:
-        raise ValueError(f"{source}: not a capture that this version of lfsynth wrote; simulate it again")
+    if (
+        not isinstance(about, dict)
+        or about.get("schema") != _SCHEMA
+        or about.get("version") != _VERSION
+    ):
+        raise ValueError(
+            f"{source}: not a capture that this version of lfsynth wrote; simulate it again"
+        )
     try:
         camera = Camera(**about["camera"])
         calibration = Calibration.from_dict(about["calibration"])
@@ -193,16 +208,22 @@ def load_capture(folder: str | os.PathLike[str]) -> Capture:
             arrays = {name: stored[name] for name in _ARRAYS}
         recipe = about["recipe"]
     except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{source}: truth is incomplete or damaged ({error}); simulate it again") from error
+        raise ValueError(
+            f"{source}: truth is incomplete or damaged ({error}); simulate it again"
+        ) from error
     size = (camera.height, camera.width)
-    flat, white, reference = (read_png(source / f"{name}.png") for name in ("flat", "white", "reference"))
+    flat, white, reference = (
+        read_png(source / f"{name}.png") for name in ("flat", "white", "reference")
+    )
     if (
         flat.shape != (size if camera.mosaic else (*size, 3))
         or white.shape != size
         or arrays["disparity"].shape != size
     ):
         raise ValueError(f"{source}: flat, white image and truth differ in size; simulate it again")
-    return Capture(flat, white, Truth(calibration=calibration, reference=reference, **arrays), camera, recipe)
+    return Capture(
+        flat, white, Truth(calibration=calibration, reference=reference, **arrays), camera, recipe
+    )
 
 
 def write_png(path: Path, picture: NDArray[Any]) -> None:

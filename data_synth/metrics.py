@@ -1,7 +1,8 @@
-"""Errors of a calibration, a depth map and a picture against known truth: RMS, shares, PSNR and SSIM.
+"""Errors of a calibration, a depth map and a picture against known truth: RMS, shares, PSNR and
+SSIM.
 
-Pictures are compared on the grid of the rendered one: the reference is averaged over the footprint of each of its
-pixels, so that a difference in resolution alone is no error.
+Pictures are compared on the grid of the rendered one: the reference is averaged over the footprint
+of each of its pixels, so that a difference in resolution alone is no error.
 """
 
 from __future__ import annotations
@@ -50,17 +51,19 @@ class PictureQuality:
 def compare_pictures(
     picture: NDArray[Any], reference: NDArray[Any], where: NDArray[np.bool_] | None = None
 ) -> PictureQuality:
-    """PSNR and SSIM of a picture against a reference on the same grid, with one free gain per channel.
+    """PSNR and SSIM of a picture against a reference on the same grid, with one free gain per
+    channel.
 
-    The gain takes out exposure and the transmission of the microlenses, which calibration cannot know. The peak is
-    the largest value of the pixel type, 1 for float.
+    The gain takes out exposure and the transmission of the microlenses, which calibration cannot
+    know. The peak is the largest value of the pixel type, 1 for float.
 
     Parameters
     ----------
     picture, reference : (h, w) or (h, w, 3) uint8, uint16 or float
         Same shape; the types may differ.
     where : (h, w) bool, optional
-        Pixels to compare. Where an SSIM window reaches beyond them, the reference stands for the picture.
+        Pixels to compare. Where an SSIM window reaches beyond them, the reference stands for the
+        picture.
 
     Raises
     ------
@@ -68,12 +71,17 @@ def compare_pictures(
         If the shapes differ or there is no pixel to compare.
     """
     if picture.shape != reference.shape or picture.ndim not in (2, 3):
-        raise ValueError(f"picture and reference must be of one shape, got {picture.shape} and {reference.shape}")
+        raise ValueError(
+            f"picture and reference must be of one shape, got {picture.shape} and {reference.shape}"
+        )
     mask = np.ones(picture.shape[:2], bool) if where is None else np.asarray(where, bool)
     if mask.shape != picture.shape[:2] or not mask.any():
         raise ValueError(f"where must choose at least one pixel of {picture.shape[:2]}")
-    image, truth = (_to_unit_range(pixels).reshape(*mask.shape, -1) for pixels in (picture, reference))
-    p, t = image[mask], truth[mask]
+    image, truth = (
+        _to_unit_range(pixels).reshape(*mask.shape, -1) for pixels in (picture, reference)
+    )
+    p = image[mask]
+    t = truth[mask]
     energy = (p * p).sum(0)
     gain = np.divide((p * t).sum(0), energy, out=np.ones_like(energy), where=energy > 0)
     error = float(np.mean((p * gain - t) ** 2))
@@ -116,14 +124,19 @@ def resample(
         for dv in steps:
             offset = (to_reference @ [du, dv, 1.0])[1::-1]
             for plane, out in zip(planes, total, strict=True):
-                out += affine_transform(plane, matrix, offset, shape, order=1, mode="nearest", prefilter=False)
+                out += affine_transform(
+                    plane, matrix, offset, shape, order=1, mode="nearest", prefilter=False
+                )
     inside = _inside(to_reference, steps, reference.shape[:2], shape)
     picture = np.moveaxis(np.where(inside, total / n**2, 0.0), 0, -1)
     return picture.reshape(*shape, *reference.shape[2:]), inside
 
 
 def _inside(
-    to_reference: NDArray[np.float64], steps: NDArray[np.float64], size: tuple[int, ...], shape: tuple[int, int]
+    to_reference: NDArray[np.float64],
+    steps: NDArray[np.float64],
+    size: tuple[int, ...],
+    shape: tuple[int, int],
 ) -> NDArray[np.bool_]:
     """Pixels of the grid whose outermost samples all lie on the area of the reference's pixels."""
     v, u = np.mgrid[: shape[0], : shape[1]]
@@ -137,7 +150,9 @@ def _inside(
 
 
 def centre_error(lattice: Lattice, truth: Lattice) -> float:
-    """RMS distance [px] of the true microimage centres on the flat from the nearest centre of `lattice`."""
+    """RMS distance [px] of the true microimage centres on the flat from the nearest centre of
+    `lattice`.
+    """
     from scipy.spatial import cKDTree
 
     distance, _ = cKDTree(lattice.centres()).query(truth.centres())
@@ -145,7 +160,9 @@ def centre_error(lattice: Lattice, truth: Lattice) -> float:
 
 
 def mode_accuracy(mode: ArrayLike, truth: ArrayLike, where: NDArray[np.bool_]) -> float:
-    """Share of the lenses in `where` (n,) whose mode (1, -1, 0) is the true one; NaN if there are none."""
+    """Share of the lenses in `where` (n,) whose mode (1, -1, 0) is the true one; NaN if there are
+    none.
+    """
     right = (np.asarray(mode) == np.asarray(truth))[where]
     return float(right.mean()) if right.size else float("nan")
 
@@ -155,10 +172,13 @@ def magnification_error(patch_size: ArrayLike, truth: ArrayLike, where: NDArray[
 
     Lenses without a patch size (NaN) count as an error of 1. NaN if there are no lenses.
     """
-    s, s_true = np.abs(np.asarray(patch_size, dtype=float))[where], np.abs(np.asarray(truth, dtype=float))[where]
+    s = np.abs(np.asarray(patch_size, dtype=float))[where]
+    s_true = np.abs(np.asarray(truth, dtype=float))[where]
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.abs(s_true / s - 1)
-    return float(np.median(np.where(np.isfinite(error), error, 1.0))) if error.size else float("nan")
+    return (
+        float(np.median(np.where(np.isfinite(error), error, 1.0))) if error.size else float("nan")
+    )
 
 
 def _to_unit_range(image: NDArray[Any]) -> NDArray[np.float64]:
@@ -173,11 +193,15 @@ def _square(affine: ArrayLike) -> NDArray[np.float64]:
     return np.vstack([rows, [0.0, 0.0, 1.0]])
 
 
-def _ssim(picture: NDArray[np.float64], reference: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
+def _ssim(
+    picture: NDArray[np.float64], reference: NDArray[np.float64], mask: NDArray[np.bool_]
+) -> float:
     from skimage.metrics import structural_similarity
 
     if min(mask.shape) < 11:
         return float("nan")
     options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    _, local = structural_similarity(picture, reference, data_range=1.0, channel_axis=-1, full=True, **options)
+    _, local = structural_similarity(
+        picture, reference, data_range=1.0, channel_axis=-1, full=True, **options
+    )
     return float(local[mask].mean())

@@ -1,4 +1,6 @@
-"""Named scenes. Each places its surfaces by the wanted `s / D`, so that any camera can photograph it."""
+"""Named scenes. Each places its surfaces by the wanted `s / D`, so that any camera can photograph
+it.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +15,29 @@ from .scenery.foliage import branches, leaf_mass
 from .scenery.textures import bricks, dead_leaves, fractal_noise, text_page
 from .surfaces import Patch, Scene, Sphere, box
 
-__all__ = ["SCENES", "blank", "clutter", "edge", "house", "periodic", "plane", "ramp", "slope", "star"]
+__all__ = [
+    "SCENES",
+    "blank",
+    "clutter",
+    "edge",
+    "house",
+    "periodic",
+    "plane",
+    "ramp",
+    "slope",
+    "star",
+]
 
-# Texels are as wide as the pixels of the reference picture; on the flat everything is two to eight times coarser.
-# Beyond the largest side they widen, to bound memory.
+# Texels are as wide as the pixels of the reference picture; on the flat everything is two to eight
+# times coarser. Beyond the largest side they widen, to bound memory.
 _TEXEL = 2.0
 _LARGEST_TEXTURE = 6000
 Texture = NDArray[np.float32]
 
 
 def house(camera: Camera, *, far: float = 0.3, near: float = -0.3, seed: int = 0) -> Scene:
-    """The paper's house behind branches: telescopic front of the house, binocular branches and leaves, one flat.
+    """The paper's house behind branches: telescopic front of the house, binocular branches and
+    leaves, one flat.
 
     Parameters
     ----------
@@ -60,29 +74,39 @@ def plane(camera: Camera, *, ratio: float = -0.3, seed: int = 0) -> Scene:
 def slope(camera: Camera, *, left: float = -0.55, right: float = -0.14, seed: int = 0) -> Scene:
     """One slanted plane whose `s / D` runs from `left` to `right` over the flat, both of one sign."""
     if left * right <= 0:
-        raise ValueError(f"left and right must have the same sign (the focal plane lies between), got {left}, {right}")
-    width, height = camera.width, camera.height
+        raise ValueError(
+            f"left and right must have the same sign (the focal plane lies between), got {left}, {right}"
+        )
+    width = camera.width
+    height = camera.height
     depths = camera.depth_at([left, right])
     corners = camera.place([(0, 0), (width, 0), (0, height)], [depths[0], depths[1], depths[0]])
-    # A lens sees beyond the flat by its magnification; the plane is carried on by as much, in object space.
-    across, down = corners[1] - corners[0], corners[2] - corners[0]
+    # A lens sees beyond the flat by its magnification; the plane is carried on by as much, in
+    # object space.
+    across = corners[1] - corners[0]
+    down = corners[2] - corners[0]
     down = down * depths.max() / depths[0]
     centre = camera.place((width / 2, height / 2), 0.5 * (corners[0, 2] + corners[1, 2]))
     margin = 1 + 2 * max(_margin(camera, left), _margin(camera, right)) / min(width, height)
-    across, down = across * min(margin, 1.9), down * margin
+    across = across * min(margin, 1.9)
+    down = down * margin
     if centre[2] - abs(across[2]) / 2 <= 0:
         raise ValueError(f"no plane in front of the camera runs from s/D = {left} to {right}")
     texture = _rich(_texels(camera, min(left, right, key=abs)), seed)
     return Scene("slope", (Patch(centre - across / 2 - down / 2, across, down, texture),))
 
 
-def clutter(camera: Camera, *, far: float = -0.55, near: float = -0.15, count: int = 40, seed: int = 0) -> Scene:
-    """Balls, boxes and tilted cards before a wall at `far`, up to `near`: binocular, depth edges everywhere.
+def clutter(
+    camera: Camera, *, far: float = -0.55, near: float = -0.15, count: int = 40, seed: int = 0
+) -> Scene:
+    """Balls, boxes and tilted cards before a wall at `far`, up to `near`: binocular, depth edges
+    everywhere.
 
     Parameters
     ----------
     far, near : float
-        `s / D` of the wall and of the nearest object; of binocular places the nearest have the smallest `|s|`.
+        `s / D` of the wall and of the nearest object; of binocular places the nearest have the
+        smallest `|s|`.
     """
     rng = np.random.default_rng(seed)
     unit = min(camera.width, camera.height)
@@ -92,7 +116,9 @@ def clutter(camera: Camera, *, far: float = -0.55, near: float = -0.15, count: i
         bricks(tile, rng, course=tile[0] / 8),
         text_page(tile, rng, size=max(0.4, tile[0] / 150)),
         dead_leaves(tile, rng, smallest=3, largest=tile[0] / 5),
-        text_page(tile, rng, ink=(250, 240, 120), paper=(120, 30, 40), size=max(0.4, tile[0] / 110)),
+        text_page(
+            tile, rng, ink=(250, 240, 120), paper=(120, 30, 40), size=max(0.4, tile[0] / 110)
+        ),
     ]
     surfaces: list[Patch | Sphere] = [_sheet(camera, far, _rich(_texels(camera, far), seed))]
     for k in range(count):
@@ -100,7 +126,9 @@ def clutter(camera: Camera, *, far: float = -0.55, near: float = -0.15, count: i
         depth = camera.depth_at(ratio)
         at = rng.random(2) * (camera.width, camera.height)
         centre = camera.place(at, depth)
-        size = camera.place(at + np.array([unit * rng.uniform(0.04, 0.11), 0]), depth)[0] - centre[0]
+        size = (
+            camera.place(at + np.array([unit * rng.uniform(0.04, 0.11), 0]), depth)[0] - centre[0]
+        )
         axes = size * _rotation(rng)
         texture = textures[k % len(textures)]
         if k % 3 == 0:
@@ -108,7 +136,8 @@ def clutter(camera: Camera, *, far: float = -0.55, near: float = -0.15, count: i
         elif k % 3 == 1:
             surfaces += box(centre, axes * rng.uniform(0.5, 1.0, (3, 1)), texture)
         else:
-            across, down = 2 * axes[0] * (1, 1, 0.3), 2 * axes[1] * (1, 1, 0.3)
+            across = 2 * axes[0] * (1, 1, 0.3)
+            down = 2 * axes[1] * (1, 1, 0.3)
             surfaces.append(Patch(centre - across / 2 - down / 2, across, down, texture))
     return Scene("clutter", tuple(surfaces))
 
@@ -116,7 +145,9 @@ def clutter(camera: Camera, *, far: float = -0.55, near: float = -0.15, count: i
 def ramp(camera: Camera, *, ratio: float = -0.3, seed: int = 0) -> Scene:
     """A smooth ramp of brightness: hardly any texture. `seed` is accepted and not needed."""
     level = np.linspace(0.08, 0.9, 256, dtype=np.float32)
-    return Scene("ramp", (_sheet(camera, ratio, np.repeat(np.tile(level, (2, 1))[..., None], 3, 2)),))
+    return Scene(
+        "ramp", (_sheet(camera, ratio, np.repeat(np.tile(level, (2, 1))[..., None], 3, 2)),)
+    )
 
 
 def blank(camera: Camera, *, ratio: float = -0.3, seed: int = 0) -> Scene:
@@ -137,7 +168,8 @@ def periodic(camera: Camera, *, ratio: float = -0.3, period: float = 0.5, seed: 
 
 
 def edge(camera: Camera, *, ratio: float = -0.3, angle: float = 5.0, seed: int = 0) -> Scene:
-    """Slanted edges, `angle` degrees off the columns, every four pitches: what resolution is measured on.
+    """Slanted edges, `angle` degrees off the columns, every four pitches: what resolution is
+    measured on.
 
     `seed` is accepted and not needed.
     """
@@ -150,7 +182,9 @@ def edge(camera: Camera, *, ratio: float = -0.3, angle: float = 5.0, seed: int =
 
 
 def star(camera: Camera, *, ratio: float = -0.3, spokes: int = 36, seed: int = 0) -> Scene:
-    """A Siemens star of so many pairs of spokes about the middle of the flat. `seed` is accepted and not needed."""
+    """A Siemens star of so many pairs of spokes about the middle of the flat. `seed` is accepted
+    and not needed.
+    """
     rows, columns, _ = _grid(camera, ratio)
     turn = np.arctan2(rows - rows.mean(), columns - columns.mean())
     return _grey_sheet(camera, ratio, 0.45 + 0.3 * np.sin(spokes * turn))
@@ -164,7 +198,9 @@ def _grid(camera: Camera, ratio: float) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def _grey_sheet(camera: Camera, ratio: float, grey: NDArray[np.float64]) -> Scene:
-    return Scene("chart", (_sheet(camera, ratio, np.repeat(grey.astype(np.float32)[..., None], 3, 2)),))
+    return Scene(
+        "chart", (_sheet(camera, ratio, np.repeat(grey.astype(np.float32)[..., None], 3, 2)),)
+    )
 
 
 SCENES: dict[str, Callable[..., Scene]] = {
@@ -181,7 +217,9 @@ SCENES: dict[str, Callable[..., Scene]] = {
 
 
 def _margin(camera: Camera, ratio: float) -> float:
-    """How far beyond the flat its outermost lenses see the plane at `s / D = ratio`, with reserve [px]."""
+    """How far beyond the flat its outermost lenses see the plane at `s / D = ratio`, with reserve
+    [px].
+    """
     return camera.pitch * (1.0 + 0.75 / abs(ratio))
 
 
@@ -189,15 +227,22 @@ def _texels(camera: Camera, ratio: float) -> tuple[int, int]:
     """Height and width of a texture for a whole sheet."""
     margin = _margin(camera, ratio)
     size = np.array([camera.height, camera.width]) + 2 * margin
-    height, width = np.ceil(size * min(1 / _TEXEL, _LARGEST_TEXTURE / size.max())).astype(int).tolist()
+    height, width = (
+        np.ceil(size * min(1 / _TEXEL, _LARGEST_TEXTURE / size.max())).astype(int).tolist()
+    )
     return height, width
 
 
 def _sheet(camera: Camera, ratio: float, texture: Texture) -> Patch:
     """A plane facing the camera that fills the field of view at `s / D = ratio`."""
     margin = _margin(camera, ratio)
-    left, top, right, bottom = -margin, -margin, camera.width - 1 + margin, camera.height - 1 + margin
-    corner, across, down = camera.place([(left, top), (right, top), (left, bottom)], camera.depth_at(ratio))
+    left = -margin
+    top = -margin
+    right = camera.width - 1 + margin
+    bottom = camera.height - 1 + margin
+    corner, across, down = camera.place(
+        [(left, top), (right, top), (left, bottom)], camera.depth_at(ratio)
+    )
     return Patch(corner, across - corner, down - corner, texture)
 
 

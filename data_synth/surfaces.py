@@ -37,7 +37,8 @@ class Patch:
     corner, across, down : (3,) float64 [mm]
         Order `x, y, z`; `z` is the distance in front of the main lens.
     texture : (h, w, 3) or (h, w, 4) float32
-        Linear radiance over `v, u`, 1 is white. A fourth channel cuts the patch away where it is below one half.
+        Linear radiance over `v, u`, 1 is white. A fourth channel cuts the patch away where it is
+        below one half.
 
     Examples
     --------
@@ -65,7 +66,9 @@ class Patch:
     @property
     def bounds(self) -> NDArray[np.float64]:
         """(2, 3) smallest and largest `x, y, z` [mm]."""
-        corners = np.array([self.corner + u * self.across + v * self.down for u in (0, 1) for v in (0, 1)])
+        corners = np.array(
+            [self.corner + u * self.across + v * self.down for u in (0, 1) for v in (0, 1)]
+        )
         return np.array([corners.min(0), corners.max(0)])
 
 
@@ -150,9 +153,15 @@ def box(centre: ArrayLike, axes: ArrayLike, texture: ArrayLike) -> tuple[Patch, 
     >>> len(box((0, 0, 1000), 50 * np.eye(3), np.full((4, 4, 3), 0.5, np.float32)))
     6
     """
-    middle, half = _checked_vector(centre, "centre"), np.array(axes, dtype=np.float64)
+    middle = _checked_vector(centre, "centre")
+    half = np.array(axes, dtype=np.float64)
     sides = []
     for k in range(3):
-        u, v, w = half[(k + 1) % 3], half[(k + 2) % 3], half[k]
-        sides += [Patch(middle + sign * w - u - v, 2 * u, 2 * v, _checked_texture(texture)) for sign in (-1, 1)]
+        u = half[(k + 1) % 3]
+        v = half[(k + 2) % 3]
+        w = half[k]
+        sides += [
+            Patch(middle + sign * w - u - v, 2 * u, 2 * v, _checked_texture(texture))
+            for sign in (-1, 1)
+        ]
     return tuple(sides)

@@ -1,17 +1,19 @@
 """Ray tracing: from sensor points through a microlens and the main lens to the nearest surface.
 
-A ray in object space is `P(z) = -(A + S * z)`: it leaves the main lens at `A` [mm] with slope `S`, and the
-minus is the half turn of object space that keeps pictures upright. Camera vector of the kernels (mm and px):
+A ray in object space is `P(z) = -(A + S * z)`: it leaves the main lens at `A` [mm] with slope `S`,
+and the minus is the half turn of object space that keeps pictures upright. Camera vector of the
+kernels (mm and px):
 
-    0 pixel  1, 2 principal point  3 focal length  4 dL  5 b  6 main aperture radius  7 microlens radius
-    8, 9 origin  10..13 basis  14..17 inverse basis  18 spread  19 cos^4  20, 21 stop distance and radius (0: none)
-    22 reach: largest distance of a lit point from its microimage centre [px]  23 whether bent: distortion or tilt
-    24 k1  25, 26 slope of the optical axis in the frame of the array  27..35 axes of the array, row by row
-    36 whether the main aperture is square  37, 38 direction of its sides
-    39, 40 growth of b over the sensor, to the right and down
+    0 pixel  1, 2 principal point  3 focal length  4 dL  5 b  6 main aperture radius  7 microlens
+    radius 8, 9 origin  10..13 basis  14..17 inverse basis  18 spread  19 cos^4  20, 21 stop
+    distance and radius (0: none) 22 reach: largest distance of a lit point from its microimage
+    centre [px]  23 whether bent: distortion or tilt 24 k1  25, 26 slope of the optical axis in the
+    frame of the array  27..35 axes of the array, row by row 36 whether the main aperture is square
+    37, 38 direction of its sides 39, 40 growth of b over the sensor, to the right and down
 
-Rows of the surface table: 0 kind, 1..3 corner or centre, 4..6 normal (4: radius of a sphere), 7..9 and 10..12
-duals of the edges, 13 texture offset, 14, 15 its width and height, 16 whether alpha cuts, 17..22 bounds.
+Rows of the surface table: 0 kind, 1..3 corner or centre, 4..6 normal (4: radius of a sphere), 7..9
+and 10..12 duals of the edges, 13 texture offset, 14, 15 its width and height, 16 whether alpha
+cuts, 17..22 bounds.
 """
 
 from __future__ import annotations
@@ -32,17 +34,22 @@ from .surfaces import Patch, Scene
 
 __all__ = ["nearest", "pack", "pinhole", "sensor"]
 
-_PATCH, _SPHERE = 0.0, 1.0
+_PATCH = 0.0
+_SPHERE = 1.0
 _COLUMNS = 23
 
 
 def pack(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Surface table, nearest first, and one array of all texels (n, 4) float32; shared textures are stored once."""
+    """Surface table, nearest first, and one array of all texels (n, 4) float32; shared textures are
+    stored once.
+    """
     table = np.zeros((len(scene.surfaces), _COLUMNS))
     texels: list[NDArray[np.float32]] = [np.zeros((1, 4), np.float32)]
     placed: dict[int, int] = {}
     used = 1
-    for row, surface in zip(table, sorted(scene.surfaces, key=lambda s: s.bounds[0, 2]), strict=True):
+    for row, surface in zip(
+        table, sorted(scene.surfaces, key=lambda s: s.bounds[0, 2]), strict=True
+    ):
         texture = surface.texture
         height, width, channels = texture.shape
         if id(texture) not in placed:
@@ -66,13 +73,22 @@ def pack(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
 
 def _camera_vector(camera: Camera) -> NDArray[np.float64]:
     basis = np.array(camera.basis)
-    aperture, lens = camera.aperture / 2, camera.fill * camera.microlens_pitch / 2
-    # Edge rays of the microlens land beside the geometric microimage by its defocus on the main lens.
+    aperture = camera.aperture / 2
+    lens = camera.fill * camera.microlens_pitch / 2
+    # Edge rays of the microlens land beside the geometric microimage by its defocus on the main
+    # lens.
     defocus = max(
-        abs(camera.spread - camera.sensor_distance / f) * lens / camera.pixel for f in camera.microlens_focal_lengths
+        abs(camera.spread - camera.sensor_distance / f) * lens / camera.pixel
+        for f in camera.microlens_focal_lengths
     )
     stop = camera.stop or (0.0, 0.0)
-    values = [camera.pixel, *camera.principal_point, camera.focal_length, camera.mla_distance, camera.sensor_distance]
+    values = [
+        camera.pixel,
+        *camera.principal_point,
+        camera.focal_length,
+        camera.mla_distance,
+        camera.sensor_distance,
+    ]
     side = basis[0] / np.linalg.norm(basis[0])
     reach = camera.microimage_radius * (2**0.5 if camera.square_aperture else 1.0) + defocus
     growth = np.tan(camera.sensor_tilt)
@@ -80,7 +96,14 @@ def _camera_vector(camera: Camera) -> NDArray[np.float64]:
     away = float(np.hypot(camera.width, camera.height)) * camera.pixel * float(np.hypot(*growth))
     reach *= 1 + away / camera.sensor_distance
     reach += away / camera.mla_distance * float(np.hypot(camera.width, camera.height))
-    values += [aperture, lens, *camera.origin, *basis.ravel(), *np.linalg.inv(basis).ravel(), camera.spread]
+    values += [
+        aperture,
+        lens,
+        *camera.origin,
+        *basis.ravel(),
+        *np.linalg.inv(basis).ravel(),
+        camera.spread,
+    ]
     values += [float(camera.natural_vignetting), stop[0], stop[1] / 2, reach]
     axes = camera.array_axes
     values += [float(not camera.straight), camera.k1, *(axes[2, :2] / axes[2, 2]), *axes.ravel()]
@@ -89,7 +112,9 @@ def _camera_vector(camera: Camera) -> NDArray[np.float64]:
 
 
 def _in_bands(draw: Callable[[int, int], None], rows: int) -> None:
-    """Call `draw(first, last)` over all rows, in bands on all cores; the result does not depend on their number."""
+    """Call `draw(first, last)` over all rows, in bands on all cores; the result does not depend on
+    their number.
+    """
     workers = os.cpu_count() or 1
     edges = np.linspace(0, rows, min(rows, 4 * workers) + 1).astype(int)
     with ThreadPoolExecutor(workers) as pool:
@@ -104,11 +129,23 @@ def sensor(
     samples: int,
     seed: int,
 ) -> NDArray[np.float32]:
-    """Mean radiance per sensor pixel, (H, W, 4) float32: R, G, B and the share of light a white scene would give."""
+    """Mean radiance per sensor pixel, (H, W, 4) float32: R, G, B and the share of light a white
+    scene would give.
+    """
     picture = np.zeros((camera.height, camera.width, 4), np.float32)
     types = np.arange(len(camera.microlens_focal_lengths))
-    lenses = np.column_stack([1 / np.array(camera.microlens_focal_lengths), camera.half_apertures(types)])
-    args = (_camera_vector(camera), lenses, table, texels, np.array(background), _sequence(samples), seed)
+    lenses = np.column_stack(
+        [1 / np.array(camera.microlens_focal_lengths), camera.half_apertures(types)]
+    )
+    args = (
+        _camera_vector(camera),
+        lenses,
+        table,
+        texels,
+        np.array(background),
+        _sequence(samples),
+        seed,
+    )
     _in_bands(lambda first, last: _sensor_rows(picture, first, last, *args), camera.height)
     return picture
 
@@ -123,22 +160,39 @@ def pinhole(
     samples: int,
     seed: int,
 ) -> NDArray[np.float32]:
-    """Pinhole picture from the main-lens centre, (h, w, 4) float32; pixel `(u, v)` lies at `X = affine @ (u, v, 1)`."""
+    """Pinhole picture from the main-lens centre, (h, w, 4) float32; pixel `(u, v)` lies at `X =
+    affine @ (u, v, 1)`.
+    """
     picture = np.zeros((size[1], size[0], 4), np.float32)
-    args = (_camera_vector(camera), table, texels, np.array(background), affine, _sequence(samples), seed)
+    args = (
+        _camera_vector(camera),
+        table,
+        texels,
+        np.array(background),
+        affine,
+        _sequence(samples),
+        seed,
+    )
     _in_bands(lambda first, last: _pinhole_rows(picture, first, last, *args), size[1])
     return picture
 
 
 def nearest(
-    table: NDArray[np.float64], texels: NDArray[np.float32], start: NDArray[np.float64], slope: NDArray[np.float64]
+    table: NDArray[np.float64],
+    texels: NDArray[np.float32],
+    start: NDArray[np.float64],
+    slope: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Depth [mm] of the nearest surface along rays that leave the main lens at `start` with `slope`, both (n, 2).
+    """Depth [mm] of the nearest surface along rays that leave the main lens at `start` with
+    `slope`, both (n, 2).
 
     NaN where nothing is hit.
     """
     depth = np.full(len(start), np.nan)
-    _in_bands(lambda first, last: _nearest_rows(depth, first, last, start, slope, table, texels), len(start))
+    _in_bands(
+        lambda first, last: _nearest_rows(depth, first, last, start, slope, table, texels),
+        len(start),
+    )
     return depth
 
 
@@ -151,14 +205,17 @@ def _sequence(samples: int) -> NDArray[np.float64]:
     for _ in range(64):
         base = (1 + base) ** (1 / 5)
     even = np.mod(0.5 + np.arange(samples)[:, None] * base ** -np.arange(1.0, 5.0), 1.0)
-    radius, angle = np.sqrt(even[:, 2]), 2 * np.pi * even[:, 3]
+    radius = np.sqrt(even[:, 2])
+    angle = 2 * np.pi * even[:, 3]
     return np.column_stack([even[:, :2], radius * np.cos(angle), radius * np.sin(angle)])
 
 
 @njit
 def _hash(seed: int, x: int, y: int, k: int) -> float:
     """A number in 0..1 that looks random over its arguments (SplitMix64 finaliser)."""
-    z = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(x) * np.uint64(0xBF58476D1CE4E5B9)
+    z = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(x) * np.uint64(
+        0xBF58476D1CE4E5B9
+    )
     z += np.uint64(y) * np.uint64(0x94D049BB133111EB) + np.uint64(k) * np.uint64(0xD6E8FEB86659FD93)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -178,11 +235,14 @@ def _corner(row, u, v):
 
     Texel centres lie at (k + 0.5) / size; beyond the outermost ones their value is repeated.
     """
-    width, height = int(row[14]), int(row[15])
+    width = int(row[14])
+    height = int(row[15])
     x = min(max(u * width - 0.5, 0.0), width - 1.0)
     y = min(max(v * height - 0.5, 0.0), height - 1.0)
-    i, j = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
-    right, below = min(1, width - 1), min(1, height - 1) * width
+    i = min(int(x), max(width - 2, 0))
+    j = min(int(y), max(height - 2, 0))
+    right = min(1, width - 1)
+    below = min(1, height - 1) * width
     return int(row[13]) + j * width + i, right, below, x - i, y - j
 
 
@@ -202,7 +262,9 @@ def _meet_patch(row, ox, oy, dx, dy):
     z = (row[4] * (row[1] - ox) + row[5] * (row[2] - oy) + row[6] * row[3]) / along
     if not 0.0 < z < np.inf:
         return np.inf, 0.0, 0.0
-    px, py, pz = ox + dx * z - row[1], oy + dy * z - row[2], z - row[3]
+    px = ox + dx * z - row[1]
+    py = oy + dy * z - row[2]
+    pz = z - row[3]
     u = row[7] * px + row[8] * py + row[9] * pz
     v = row[10] * px + row[11] * py + row[12] * pz
     if u < 0.0 or u > 1.0 or v < 0.0 or v > 1.0:
@@ -212,8 +274,12 @@ def _meet_patch(row, ox, oy, dx, dy):
 
 @njit(error_model="numpy")
 def _meet_sphere(row, ox, oy, dx, dy):
-    """Depth and texture coordinates where the ray first meets the sphere; depth inf where it does not."""
-    cx, cy, radius = ox - row[1], oy - row[2], row[4]
+    """Depth and texture coordinates where the ray first meets the sphere; depth inf where it does
+    not.
+    """
+    cx = ox - row[1]
+    cy = oy - row[2]
+    radius = row[4]
     a = dx * dx + dy * dy + 1.0
     half = cx * dx + cy * dy - row[3]
     root = half * half - a * (cx * cx + cy * cy + row[3] * row[3] - radius * radius)
@@ -222,14 +288,25 @@ def _meet_sphere(row, ox, oy, dx, dy):
     z = (-half - math.sqrt(root)) / a
     if z <= 0.0:
         return np.inf, 0.0, 0.0
-    nx, ny, nz = (cx + dx * z) / radius, (cy + dy * z) / radius, (z - row[3]) / radius
-    return z, math.atan2(nx, -nz) / (2 * math.pi) + 0.5, math.asin(min(max(ny, -1.0), 1.0)) / math.pi + 0.5
+    nx = (cx + dx * z) / radius
+    ny = (cy + dy * z) / radius
+    nz = (z - row[3]) / radius
+    return (
+        z,
+        math.atan2(nx, -nz) / (2 * math.pi) + 0.5,
+        math.asin(min(max(ny, -1.0), 1.0)) / math.pi + 0.5,
+    )
 
 
 @njit(error_model="numpy")
 def _hit(table, texels, chosen, count, ax, ay, sx, sy):
-    """Nearest of the `chosen` surfaces (nearest bounds first): table row or -1, depth, texture coordinates."""
-    best, depth, best_u, best_v = -1, np.inf, 0.0, 0.0
+    """Nearest of the `chosen` surfaces (nearest bounds first): table row or -1, depth, texture
+    coordinates.
+    """
+    best = -1
+    depth = np.inf
+    best_u = 0.0
+    best_v = 0.0
     for k in range(count):
         row = table[chosen[k]]
         if row[19] > depth:
@@ -239,19 +316,27 @@ def _hit(table, texels, chosen, count, ax, ay, sx, sy):
         else:
             z, u, v = _meet_sphere(row, -ax, -ay, -sx, -sy)
         if z < depth and (row[16] == 0.0 or _opaque(texels, row, u, v)):
-            best, depth, best_u, best_v = chosen[k], z, u, v
+            best = chosen[k]
+            depth = z
+            best_u = u
+            best_v = v
     return best, depth, best_u, best_v
 
 
 @njit(error_model="numpy")
 def _choose(chosen, table, ax, ay, sx, sy, start_spread, slope_spread):
-    """List the surfaces that a bundle around the ray can meet: starts and slopes differ by the spreads at most."""
+    """List the surfaces that a bundle around the ray can meet: starts and slopes differ by the
+    spreads at most.
+    """
     count = 0
     for k in range(len(table)):
         row = table[k]
-        near, far = row[19], row[22]
-        x0, x1 = -(ax + sx * near), -(ax + sx * far)
-        y0, y1 = -(ay + sy * near), -(ay + sy * far)
+        near = row[19]
+        far = row[22]
+        x0 = -(ax + sx * near)
+        x1 = -(ax + sx * far)
+        y0 = -(ay + sy * near)
+        y1 = -(ay + sy * far)
         room = start_spread + slope_spread * far
         across = max(x0, x1) + room >= row[17] and min(x0, x1) - room <= row[20]
         if across and max(y0, y1) + room >= row[18] and min(y0, y1) - room <= row[21]:
@@ -269,7 +354,10 @@ def _add(total, table, texels, background, found, u, v, weight):
             total[c] += weight * background[c]
         return
     p, right, below, fx, fy = _corner(table[found], u, v)
-    a, b, c, d = weight * (1 - fx) * (1 - fy), weight * fx * (1 - fy), weight * (1 - fx) * fy, weight * fx * fy
+    a = weight * (1 - fx) * (1 - fy)
+    b = weight * fx * (1 - fy)
+    c = weight * (1 - fx) * fy
+    d = weight * fx * fy
     for k in range(3):
         total[k] += a * texels[p, k] + b * texels[p + right, k]
         total[k] += c * texels[p + below, k] + d * texels[p + below + right, k]
@@ -277,19 +365,23 @@ def _add(total, table, texels, background, found, u, v, weight):
 
 @njit(error_model="numpy")
 def _bent(cam, x, y, slope_x, slope_y):
-    """Start and slope in object space of a ray that leaves the array at `(x, y)` [mm] with a slope in its frame.
+    """Start and slope in object space of a ray that leaves the array at `(x, y)` [mm] with a slope
+    in its frame.
 
-    Through the tilted array to the thin main lens; its distortion turns slopes, and starts by its derivative, so that
-    the rays of a point still meet.
+    Through the tilted array to the thin main lens; its distortion turns slopes, and starts by its
+    derivative, so that the rays of a point still meet.
     """
     dx = cam[27] * slope_x + cam[28] * slope_y + cam[29]
     dy = cam[30] * slope_x + cam[31] * slope_y + cam[32]
     dz = cam[33] * slope_x + cam[34] * slope_y + cam[35]
     way = (cam[4] - cam[33] * x - cam[34] * y) / dz
-    ax, ay = cam[27] * x + cam[28] * y + dx * way, cam[30] * x + cam[31] * y + dy * way
-    sx, sy = dx / dz - ax / cam[3], dy / dz - ay / cam[3]
+    ax = cam[27] * x + cam[28] * y + dx * way
+    ay = cam[30] * x + cam[31] * y + dy * way
+    sx = dx / dz - ax / cam[3]
+    sy = dy / dz - ay / cam[3]
     k1 = cam[24]
-    gain, inner = 1 + k1 * (sx * sx + sy * sy), 2 * k1 * (sx * ax + sy * ay)
+    gain = 1 + k1 * (sx * sx + sy * sy)
+    inner = 2 * k1 * (sx * ax + sy * ay)
     return ax, ay, gain * ax + inner * sx, gain * ay + inner * sy, gain * sx, gain * sy
 
 
@@ -302,28 +394,48 @@ def _passes(cam, ax, ay, half):
 
 
 @njit(error_model="numpy")
-def _through_lens(total, x, y, cam, cx, cy, power, half, table, texels, background, points, shift, chosen):
+def _through_lens(
+    total, x, y, cam, cx, cy, power, half, table, texels, background, points, shift, chosen
+):
     """Add the light that reaches pixel `(x, y)` through one microlens with centre `(cx, cy)` [mm]."""
-    pixel, focal, dl = cam[0], cam[3], cam[4]
-    px, py = (x - cam[1]) * pixel, (y - cam[2]) * pixel
+    pixel = cam[0]
+    focal = cam[3]
+    dl = cam[4]
+    px = (x - cam[1]) * pixel
+    py = (y - cam[2]) * pixel
     # The cosine of the tilt of the sensor is left out.
     b = cam[5] + cam[39] * px + cam[40] * py
-    # A ray from sensor point `p` over microlens point `c + r` leaves the lens with slope (c + r - p) / b - r * power.
+    # A ray from sensor point `p` over microlens point `c + r` leaves the lens with slope (c + r -
+    # p) / b - r * power.
     bend = 1 / b - power
-    slope_x, slope_y = (cx - px) / b, (cy - py) / b
-    ax, ay = cx + slope_x * dl, cy + slope_y * dl
-    corner, lens = 0.71 * pixel, cam[7]
+    slope_x = (cx - px) / b
+    slope_y = (cy - py) / b
+    ax = cx + slope_x * dl
+    ay = cy + slope_y * dl
+    corner = 0.71 * pixel
+    lens = cam[7]
     start_spread = corner * dl / b + lens * abs(1 + bend * dl)
-    slope_spread = corner * abs(1 / b - dl / (b * focal)) + lens * abs(bend - (1 + bend * dl) / focal)
-    mx, my, ox, oy = slope_x - ax / focal, slope_y - ay / focal, ax, ay
+    slope_spread = corner * abs(1 / b - dl / (b * focal)) + lens * abs(
+        bend - (1 + bend * dl) / focal
+    )
+    mx = slope_x - ax / focal
+    my = slope_y - ay / focal
+    ox = ax
+    oy = ay
     if cam[23] > 0:
-        px, py = px - b * cam[25], py - b * cam[26]
+        px = px - b * cam[25]
+        py = py - b * cam[26]
         _, _, ox, oy, mx, my = _bent(cam, cx, cy, (cx - px) / b, (cy - py) / b)
-        start_spread, slope_spread = 2 * start_spread, 2 * slope_spread
+        start_spread = 2 * start_spread
+        slope_spread = 2 * slope_spread
     count = _choose(chosen, table, ox, oy, mx, my, start_spread, slope_spread)
-    cosine, sine = lens * math.cos(2 * math.pi * shift[2]), lens * math.sin(2 * math.pi * shift[2])
-    per_b, per_focal, share = 1 / b, 1 / focal, 1.0 / len(points)
-    # One weight for all rays: of weights of their own the middle would lie beside the chief ray, and so would features.
+    cosine = lens * math.cos(2 * math.pi * shift[2])
+    sine = lens * math.sin(2 * math.pi * shift[2])
+    per_b = 1 / b
+    per_focal = 1 / focal
+    share = 1.0 / len(points)
+    # One weight for all rays: of weights of their own the middle would lie beside the chief ray,
+    # and so would features.
     if cam[19] > 0:
         share /= (1 + slope_x * slope_x + slope_y * slope_y) ** 2
     for k in range(len(points)):
@@ -331,19 +443,24 @@ def _through_lens(total, x, y, cam, cx, cy, power, half, table, texels, backgrou
         uy = py + (_wrapped(points[k, 1] + shift[1]) - 0.5) * pixel
         rx = cosine * points[k, 2] - sine * points[k, 3]
         ry = sine * points[k, 2] + cosine * points[k, 3]
-        sx, sy = (cx + rx - ux) * per_b, (cy + ry - uy) * per_b
-        sx, sy = sx - rx * power, sy - ry * power
+        sx = (cx + rx - ux) * per_b
+        sy = (cy + ry - uy) * per_b
+        sx = sx - rx * power
+        sy = sy - ry * power
         if cam[23] > 0:
             ax, ay, ox, oy, sx, sy = _bent(cam, cx + rx, cy + ry, sx, sy)
             if _passes(cam, ax, ay, half):
                 found, _, u, v = _hit(table, texels, chosen, count, ox, oy, sx, sy)
                 _add(total, table, texels, background, found, u, v, share)
             continue
-        ax, ay = cx + rx + sx * dl, cy + ry + sy * dl
+        ax = cx + rx + sx * dl
+        ay = cy + ry + sy * dl
         if not _passes(cam, ax, ay, half):
             continue
-        sx, sy = sx - ax * per_focal, sy - ay * per_focal
-        qx, qy = ax + sx * cam[20], ay + sy * cam[20]
+        sx = sx - ax * per_focal
+        sy = sy - ay * per_focal
+        qx = ax + sx * cam[20]
+        qy = ay + sy * cam[20]
         if cam[21] > 0 and qx * qx + qy * qy > cam[21] * cam[21]:
             continue
         found, _, u, v = _hit(table, texels, chosen, count, ax, ay, sx, sy)
@@ -353,14 +470,17 @@ def _through_lens(total, x, y, cam, cx, cy, power, half, table, texels, backgrou
 @kernel(error_model="numpy")
 def _sensor_rows(picture, first, last, cam, lenses, table, texels, background, points, seed):
     """Sum the light of all microlenses that can reach each pixel of rows `first` to `last`."""
-    chosen, shift, total = np.empty(len(table), np.int64), np.empty(3), np.empty(4)
+    chosen = np.empty(len(table), np.int64)
+    shift = np.empty(3)
+    total = np.empty(4)
     reach = cam[22] + 0.71
     for y in range(first, last):
         for x in range(picture.shape[1]):
             total[:] = 0.0
             for k in range(3):
                 shift[k] = _hash(seed, x, y, k)
-            dx, dy = x - cam[8], y - cam[9]
+            dx = x - cam[8]
+            dy = y - cam[9]
             low_i = math.floor(dx * cam[14] + dy * cam[16]) - 1
             low_j = math.floor(dx * cam[15] + dy * cam[17]) - 1
             for j in range(low_j, low_j + 4):
@@ -369,10 +489,24 @@ def _sensor_rows(picture, first, last, cam, lenses, table, texels, background, p
                     ey = cam[9] + i * cam[11] + j * cam[13]
                     if (x - ex) ** 2 + (y - ey) ** 2 > reach * reach:
                         continue
-                    cx, cy = (ex - cam[1]) * cam[0] / cam[18], (ey - cam[2]) * cam[0] / cam[18]
+                    cx = (ex - cam[1]) * cam[0] / cam[18]
+                    cy = (ey - cam[2]) * cam[0] / cam[18]
                     power, half = lenses[(i - j) % len(lenses)]
                     _through_lens(
-                        total, x, y, cam, cx, cy, power, half, table, texels, background, points, shift, chosen
+                        total,
+                        x,
+                        y,
+                        cam,
+                        cx,
+                        cy,
+                        power,
+                        half,
+                        table,
+                        texels,
+                        background,
+                        points,
+                        shift,
+                        chosen,
                     )
             for k in range(4):
                 picture[y, x, k] = total[k]
@@ -381,15 +515,22 @@ def _sensor_rows(picture, first, last, cam, lenses, table, texels, background, p
 @kernel(error_model="numpy")
 def _pinhole_rows(picture, first, last, cam, table, texels, background, affine, points, seed):
     """Mean radiance over each output pixel for rays through the main-lens centre."""
-    chosen, shift, total = np.empty(len(table), np.int64), np.empty(2), np.empty(4)
+    chosen = np.empty(len(table), np.int64)
+    shift = np.empty(2)
+    total = np.empty(4)
     scale = cam[0] / (cam[18] * cam[4])
-    room = 0.71 * scale * max(abs(affine[0, 0]) + abs(affine[1, 0]), abs(affine[0, 1]) + abs(affine[1, 1]))
+    room = (
+        0.71
+        * scale
+        * max(abs(affine[0, 0]) + abs(affine[1, 0]), abs(affine[0, 1]) + abs(affine[1, 1]))
+    )
     for y in range(first, last):
         for x in range(picture.shape[1]):
             total[:] = 0.0
             shift[0], shift[1] = _hash(seed, x, y, 0), _hash(seed, x, y, 1)
             for k in range(-1, len(points)):
-                u, v = float(x), float(y)
+                u = float(x)
+                v = float(y)
                 if k >= 0:
                     u += _wrapped(points[k, 0] + shift[0]) - 0.5
                     v += _wrapped(points[k, 1] + shift[1]) - 0.5
@@ -409,7 +550,10 @@ def _nearest_rows(depth, first, last, start, slope, table, texels):
     """Depth along each ray `first` to `last`."""
     chosen = np.empty(len(table), np.int64)
     for n in range(first, last):
-        ax, ay, sx, sy = start[n, 0], start[n, 1], slope[n, 0], slope[n, 1]
+        ax = start[n, 0]
+        ay = start[n, 1]
+        sx = slope[n, 0]
+        sy = slope[n, 1]
         count = _choose(chosen, table, ax, ay, sx, sy, 0.0, 0.0)
         found, z, _, _ = _hit(table, texels, chosen, count, ax, ay, sx, sy)
         if found >= 0:

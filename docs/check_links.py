@@ -1,4 +1,6 @@
-"""Check local links of the built documentation, `python docs/check_links.py FOLDER`; ends with 1 if one is broken."""
+"""Check local links of the built documentation, `python docs/check_links.py FOLDER`; ends with 1 if
+one is broken.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ class _Page(HTMLParser):
 
 def broken_links(folder: Path) -> list[str]:
     """Page and link of each local link to a file or place that is not there."""
-    pages = {path.resolve(): _Page(path.read_text(encoding="utf-8")) for path in folder.rglob("*.html")}
+    pages = {
+        path.resolve(): _Page(path.read_text(encoding="utf-8")) for path in folder.rglob("*.html")
+    }
     broken = []
     for path, page in pages.items():
         for link in page.links:

@@ -47,8 +47,8 @@ sphinx_gallery_conf = {
     "thumbnail_size": (640, 448),
 }
 
-# Types in docstrings link to the documentation of other projects. A build must not need a network, so the few names
-# are listed here instead of being fetched.
+# Types in docstrings link to the documentation of other projects. A build must not need a network,
+# so the few names are listed here instead of being fetched.
 numpydoc_xref_param_type = True
 numpydoc_xref_aliases = {
     "Path": "pathlib.Path",
@@ -93,7 +93,9 @@ _OTHER_PROJECTS = {
     ),
     "matplotlib": (
         "https://matplotlib.org/stable/",
-        {"matplotlib.axes.Axes py:class": "api/_as_gen/matplotlib.axes.Axes.html#matplotlib.axes.Axes"},
+        {
+            "matplotlib.axes.Axes py:class": "api/_as_gen/matplotlib.axes.Axes.html#matplotlib.axes.Axes"
+        },
     ),
 }
 
@@ -114,11 +116,20 @@ def _show_examples(_app: object, ctx: Any, lines: list[str]) -> None:
     """The examples at the end of a command's help as a block of code."""
     calls = [line for line in (ctx.command.epilog or "").splitlines() if line.startswith("  ")]
     if calls:
-        lines[:] = ["**Examples**", "", ".. code-block:: sh", "", *(f"   {line.strip()}" for line in calls), ""]
+        lines[:] = [
+            "**Examples**",
+            "",
+            ".. code-block:: sh",
+            "",
+            *(f"   {line.strip()}" for line in calls),
+            "",
+        ]
 
 
 def _write_commands(_app: object) -> None:
-    """`built_commands`: a page for each command, and `overview.md` with all of them by workflow, as in `--help`."""
+    """`built_commands`: a page for each command, and `overview.md` with all of them by workflow, as
+    in `--help`.
+    """
     import click
 
     import data_synth.cli
@@ -135,14 +146,25 @@ def _write_commands(_app: object) -> None:
                 title = "" if number else f"**{section.title}**"
                 page = f"[`{program} {name}`]({program}-{name}.rst)"
                 rows.append(f"| {title} | {page} | {command.get_short_help_str(100)} |")
-                pages.append((f"{program} {name}", command, f"{command.callback.__module__}:{name}"))
+                pages.append(
+                    (f"{program} {name}", command, f"{command.callback.__module__}:{name}")
+                )
     summary = data_synth.cli.main.get_short_help_str(100)
     rows.append(f"| **Simulate** | [`lfsynth`](lfsynth.rst) | {summary} |")
     for program, _, place in pages:
         page = folder / f"{program.replace(' ', '-')}.rst"
         page.write_text(f".. click:: {place}\n   :prog: {program}\n", encoding="utf-8")
-    contents = ["```{toctree}", ":hidden:", ":maxdepth: 1", "", *sorted(p.replace(" ", "-") for p, *_ in pages), "```"]
-    (folder / "overview.md").write_text("\n".join(["# All commands", "", *rows, "", *contents, ""]), encoding="utf-8")
+    contents = [
+        "```{toctree}",
+        ":hidden:",
+        ":maxdepth: 1",
+        "",
+        *sorted(p.replace(" ", "-") for p, *_ in pages),
+        "```",
+    ]
+    (folder / "overview.md").write_text(
+        "\n".join(["# All commands", "", *rows, "", *contents, ""]), encoding="utf-8"
+    )
 
 
 def setup(app: Any) -> None:
@@ -151,4 +173,6 @@ def setup(app: Any) -> None:
     app.connect("sphinx-click-process-epilog", _show_examples)
 
 
-intersphinx_mapping = {name: (url, _inventory(name, names)) for name, (url, names) in _OTHER_PROJECTS.items()}
+intersphinx_mapping = {
+    name: (url, _inventory(name, names)) for name, (url, names) in _OTHER_PROJECTS.items()
+}

@@ -1,4 +1,6 @@
-"""Calibration of focused plenoptic cameras: find the microimages on a flat, measure the optics on a board."""
+"""Calibration of focused plenoptic cameras: find the microimages on a flat, measure the optics on a
+board.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -21,19 +23,53 @@ if TYPE_CHECKING:
     from .metric.calibrate import calibrate_metric, locate_board
     from .metric.result import BoardPose, MetricCalibration
     from .pipeline import calibrate
-    from .runtime.errors import BoardError, CalibrationError, CameraFileError, FlatError, LightFieldError
+    from .runtime.errors import (
+        BoardError,
+        CalibrationError,
+        CameraFileError,
+        FlatError,
+        LightFieldError,
+    )
     from .runtime.output_file import OutputError
 
 __all__ = [
-    "Assessment", "Board", "BoardError", "BoardPose", "Calibration", "CalibrationError", "CameraCheck",
-    "CameraFileError", "Finding", "FlatError", "FlatSource", "Lattice", "LensBlur", "LensTypes", "LightFieldError",
-    "MetricCalibration", "Optics", "OutputError", "assess", "calibrate", "calibrate_metric", "check_camera",
-    "check_fit", "compare", "count_pages", "load", "locate_board", "measure_lens_blur", "open_flat", "read_flat",
-    "show", "state_lattice", "subtract_dark",
-]  # fmt: skip
+    "Assessment",
+    "Board",
+    "BoardError",
+    "BoardPose",
+    "Calibration",
+    "CalibrationError",
+    "CameraCheck",
+    "CameraFileError",
+    "Finding",
+    "FlatError",
+    "FlatSource",
+    "Lattice",
+    "LensBlur",
+    "LensTypes",
+    "LightFieldError",
+    "MetricCalibration",
+    "Optics",
+    "OutputError",
+    "assess",
+    "calibrate",
+    "calibrate_metric",
+    "check_camera",
+    "check_fit",
+    "compare",
+    "count_pages",
+    "load",
+    "locate_board",
+    "measure_lens_blur",
+    "open_flat",
+    "read_flat",
+    "show",
+    "state_lattice",
+    "subtract_dark",
+]
 
-# Imported at first use, since `--help` needs none of it. No module may bear the name of a function here, or importing
-# the one would hide the other.
+# Imported at first use, since `--help` needs none of it. No module may bear the name of a function
+# here, or importing the one would hide the other.
 _HOMES = {
     "assessment.result": ("Assessment", "Finding"),
     "assessment.white": ("assess",),
@@ -53,7 +89,13 @@ _HOMES = {
     "metric.calibrate": ("calibrate_metric", "locate_board"),
     "metric.result": ("BoardPose", "MetricCalibration"),
     "pipeline": ("calibrate",),
-    "runtime.errors": ("BoardError", "CalibrationError", "CameraFileError", "FlatError", "LightFieldError"),
+    "runtime.errors": (
+        "BoardError",
+        "CalibrationError",
+        "CameraFileError",
+        "FlatError",
+        "LightFieldError",
+    ),
     "runtime.output_file": ("OutputError",),
 }
 

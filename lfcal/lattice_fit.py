@@ -1,4 +1,6 @@
-"""Final lattice of a camera: by every pixel of a white image, or by the edges between the microimages of scenes."""
+"""Final lattice of a camera: by every pixel of a white image, or by the edges between the
+microimages of scenes.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = ["FEWEST_PIXELS", "FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
 
-#: [px] in a lens from which on its light is measured well enough to compare, and its edge can be fitted.
+#: [px] in a lens from which on its light is measured well enough to compare, and its edge can be
+#: fitted.
 FEWEST_PIXELS = 20.0
 
 
@@ -34,17 +37,27 @@ class FinalLattice:
     lattice: Lattice
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     lenses_used: int
-    half_difference: float  # [px] RMS distance over the flat of the lattices of two halves of the microimages
+    half_difference: (
+        float  # [px] RMS distance over the flat of the lattices of two halves of the microimages
+    )
     errors: LatticeErrors | None = None  # None where the lattice is the first one
-    cat_eye: CatEye | None = None  # disc that cuts microimages (mechanical vignetting), where there is one
+    cat_eye: CatEye | None = (
+        None  # disc that cuts microimages (mechanical vignetting), where there is one
+    )
     residuals: Residuals | None = None  # of single microimages, in white images
     # [px] RMS distance from the first lattice, less that due to distortion and cut microimages
     displacement: float = 0.0
-    doubt: str | None = None  # why the centres may be others, as those of the disc that cuts the microimages
+    doubt: str | None = (
+        None  # why the centres may be others, as those of the disc that cuts the microimages
+    )
 
 
-def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, start: Candidate) -> FinalLattice:
-    """Fit a white image (h, w), as made by `sqrt_luminance`, or crops of it; keep `start` where the fit runs away."""
+def fit_lattice_to_white_image(
+    picture: NDArray[np.float32] | StackedCrops, start: Candidate
+) -> FinalLattice:
+    """Fit a white image (h, w), as made by `sqrt_luminance`, or crops of it; keep `start` where the
+    fit runs away.
+    """
     from .images.preprocessing import soften_mask
     from .lattice.lens_subset import StackedCrops
     from .white_fit.fit import fit_white
@@ -53,7 +66,9 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
     if isinstance(picture, np.ndarray) and _count_lit_pixels(picture, found) < FEWEST_PIXELS:
         return _final(_fit_spots(picture, found), found)
     try:
-        white = fit_white(soften_mask(picture) if isinstance(picture, np.ndarray) else picture, found)
+        white = fit_white(
+            soften_mask(picture) if isinstance(picture, np.ndarray) else picture, found
+        )
     except CalibrationError:
         raise
     except ValueError as error:
@@ -65,33 +80,48 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
     index = found.indices() if crops.size == found.image_size else crops.lenses(found, 0.0)[0]
     places = found.points(index[:: max(1, len(index) // 4000)])
     # A distortion that the start does not have is no error of it.
-    near = white.lattice if found.distortion is not None else replace(white.lattice, distortion=None)
+    near = (
+        white.lattice if found.distortion is not None else replace(white.lattice, distortion=None)
+    )
     distance = near.points(np.rint(near.to_index(places))) - places
     # A fit that has run away.
     if not np.sqrt((distance**2).sum(1).mean()) < 0.2 * found.pitch:
         return FinalLattice(found, white.residual_rms, white.lenses_used, start.half_difference)
     return FinalLattice(
-        white.lattice, white.residual_rms, white.lenses_used, white.half_difference, white.errors, white.cat_eye,
-        white.residuals, _displacement(white, places), white.doubt,
-    )  # fmt: skip
+        white.lattice,
+        white.residual_rms,
+        white.lenses_used,
+        white.half_difference,
+        white.errors,
+        white.cat_eye,
+        white.residuals,
+        _displacement(white, places),
+        white.doubt,
+    )
 
 
 def _count_lit_pixels(picture: NDArray[np.float32], lattice: Lattice) -> float:
-    """Pixels of a disc of even light with the mean and variance of the light in a cell; `picture` is its root."""
+    """Pixels of a disc of even light with the mean and variance of the light in a cell; `picture`
+    is its root.
+    """
     light = picture.astype(np.float64) ** 2
     return float(abs(np.linalg.det(lattice.basis)) * light.mean() ** 2 / np.mean(light**2))
 
 
 def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) -> LatticeFit:
-    """Fit a lattice to the centroids of the light of spots of few pixels, as unfocused cameras make with a small pupil.
+    """Fit a lattice to the centroids of the light of spots of few pixels, as unfocused cameras make
+    with a small pupil.
 
-    So few pixels have no edge that a profile could follow, and the root of their light, `picture` (h, w), has its
-    centre elsewhere. In each of the `passes`, windows as wide as cells are put about the fitted centres.
+    So few pixels have no edge that a profile could follow, and the root of their light, `picture`
+    (h, w), has its centre elsewhere. In each of the `passes`, windows as wide as cells are put
+    about the fitted centres.
     """
-    lattice, reach = start, int(np.hypot(*(start.steps @ start.basis).T).min() / 2)
+    lattice = start
+    reach = int(np.hypot(*(start.steps @ start.basis).T).min() / 2)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
     inside = np.hypot(x, y) <= reach
-    x, y = x[inside], y[inside]
+    x = x[inside]
+    y = y[inside]
     for _ in range(passes):
         indices, centres = select_whole_lenses(lattice, reach + 1)
         corner = np.rint(centres).astype(np.int64)
@@ -101,13 +131,21 @@ def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) ->
         total = light.sum(1)
         lit = total > 0.1 * np.quantile(total, 0.9)
         if lit.sum() < 12:
-            raise CalibrationError(f"only {lit.sum()} whole microimages have light; give a brighter white image")
-        indices, centres, corner, light, total = (v[lit] for v in (indices, centres, corner, light, total))
+            raise CalibrationError(
+                f"only {lit.sum()} whole microimages have light; give a brighter white image"
+            )
+        indices, centres, corner, light, total = (
+            v[lit] for v in (indices, centres, corner, light, total)
+        )
         shifts = corner + np.column_stack([light @ x, light @ y]) / total[:, None] - centres
         design = np.column_stack([np.ones(len(indices)), indices])
         change, weight = fit_affine(design, shifts, np.ones(len(indices)))
-        lattice = Lattice(lattice.origin + change[0], lattice.basis + change[1:], start.image_size, start.radius)
-    first, second = (fit_affine(design[k::2], shifts[k::2], np.ones(len(shifts[k::2])))[0] for k in (0, 1))
+        lattice = Lattice(
+            lattice.origin + change[0], lattice.basis + change[1:], start.image_size, start.radius
+        )
+    first, second = (
+        fit_affine(design[k::2], shifts[k::2], np.ones(len(shifts[k::2])))[0] for k in (0, 1)
+    )
     scatter = float(np.sqrt(np.average(((shifts - design @ change) ** 2).sum(1), weights=weight)))
     used = int((weight > 0).sum())
     # Three parameters of each coordinate, from so many lenses.
@@ -119,8 +157,8 @@ def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) ->
 def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
     """`FinalLattice.displacement` of a fit at `places` (n, 2) [px], centres on the first lattice.
 
-    The first lattice is straight and goes through the middles of the visible microimages; those of cut ones lie off
-    the centre by up to half of the cut.
+    The first lattice is straight and goes through the middles of the visible microimages; those of
+    cut ones lie off the centre by up to half of the cut.
     """
     from .gain.gain_map import field_place
 
@@ -130,7 +168,8 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
     cut = np.zeros(places.shape) if eye is None else eye.displacement(field_place(centres, lattice))
     middle = places - places.mean(0)
     base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
-    distance, cut = base.T @ (centres - places), base.T @ cut
+    distance = base.T @ (centres - places)
+    cut = base.T @ cut
     # Of two equal discs, the middle shifts by half of the cut.
     share = np.clip(-(distance * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, 0.5)
     return float(np.sqrt(((distance + share * cut) ** 2).sum() / len(places)))
@@ -141,8 +180,8 @@ def fit_lattice_to_scenes(
 ) -> FinalLattice:
     """Fit one or several scenes of luminance `lights` (h, w); `picture` is the root of their mean.
 
-    Only the edges at the rims are those of the lattice: brightness also shows the scene, gaps of cut microimages, and
-    where a camera has flattened its pictures with another white image.
+    Only the edges at the rims are those of the lattice: brightness also shows the scene, gaps of
+    cut microimages, and where a camera has flattened its pictures with another white image.
     """
     from .images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
     from .scene_fit.fit import fit_scene
@@ -150,7 +189,9 @@ def fit_lattice_to_scenes(
     found = start.lattice
     # More than a rim, less than the scene in a lens.
     window = 0.5 * found.pitch
-    rims = normalise_locally(edge_strength(picture if len(lights) == 1 else sqrt_luminance(lights[0])), window)
+    rims = normalise_locally(
+        edge_strength(picture if len(lights) == 1 else sqrt_luminance(lights[0])), window
+    )
     for light in lights[1:]:
         rims += normalise_locally(edge_strength(sqrt_luminance(light)), window)
     if len(lights) > 1:
@@ -170,11 +211,14 @@ def _final(fit: LatticeFit, start: Lattice) -> FinalLattice:
     return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.half_difference, errors)
 
 
-def _follow_gaps(fit: LatticeFit, picture: NDArray[np.float32], start: Candidate) -> LatticeFit | None:
-    """The fit that explains the flat best: to its edges, to its gaps, or none, where the start is better than both.
+def _follow_gaps(
+    fit: LatticeFit, picture: NDArray[np.float32], start: Candidate
+) -> LatticeFit | None:
+    """The fit that explains the flat best: to its edges, to its gaps, or none, where the start is
+    better than both.
 
-    Scene detail that is alike in many lenses draws edges after it, but gaps are constant in all of them. This is tried
-    only where the fit to the edges has left the start.
+    Scene detail that is alike in many lenses draws edges after it, but gaps are constant in all of
+    them. This is tried only where the fit to the edges has left the start.
     """
     from .images.preprocessing import normalise_locally
     from .scene_fit.fit import fit_scene

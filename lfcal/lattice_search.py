@@ -33,7 +33,9 @@ _MOST_FITTED = 3
 class FittedLattice:
     """A lattice fitted to a picture, with what speaks for it."""
 
-    picture: NDArray[np.float32] | StackedCrops  # (h, w) root of the luminance, or crops of a white image
+    picture: (
+        NDArray[np.float32] | StackedCrops
+    )  # (h, w) root of the luminance, or crops of a white image
     white: bool  # the flat is a white image
     fit: FinalLattice
     evidence: Evidence
@@ -121,11 +123,15 @@ def describe_doubt(candidates: list[Candidate], best: FittedLattice) -> str:
     others = [one for one in candidates if abs(one.lattice.pitch / pitch - 1) > 0.02]
     if others:
         other = others[0]
-        text += f"; of the one every {other.lattice.pitch:.1f} px, {other.evidence.describe_doubt()}"
+        text += (
+            f"; of the one every {other.lattice.pitch:.1f} px, {other.evidence.describe_doubt()}"
+        )
     return f"{text}; {RAW_FLAT_ADVICE}"
 
 
-def _search(lights: list[NDArray[np.float32]], has_mosaic: bool, hint: LatticeHint | None) -> list[Candidate]:
+def _search(
+    lights: list[NDArray[np.float32]], has_mosaic: bool, hint: LatticeHint | None
+) -> list[Candidate]:
     """Candidates on the mean of the lights, or, where none is certain there, on each of them too."""
     found: list[Candidate] = []
     error: CalibrationError | None = None
@@ -143,19 +149,27 @@ def _search(lights: list[NDArray[np.float32]], has_mosaic: bool, hint: LatticeHi
 
 
 def _pictures(lights: list[NDArray[np.float32]], has_mosaic: bool) -> Iterator[NDArray[np.float32]]:
-    """Roots of the mean of the lights, softer ones where bright places outweigh the rest, then of each; no mosaic."""
+    """Roots of the mean of the lights, softer ones where bright places outweigh the rest, then of
+    each; no mosaic.
+    """
     mean = average_scenes(lights) if len(lights) > 1 else lights[0]
     for light in [mean, np.sqrt(mean), *(lights if len(lights) > 1 else [])]:
         yield sqrt_luminance(remove_mosaic(light) if has_mosaic else light)
 
 
-def _fit(lights: list[NDArray[np.float32]], start: Candidate, kind: str, has_mosaic: bool) -> FittedLattice:
-    """The final lattice from a candidate: by the white images among the lights, or else by all as scenes."""
+def _fit(
+    lights: list[NDArray[np.float32]], start: Candidate, kind: str, has_mosaic: bool
+) -> FittedLattice:
+    """The final lattice from a candidate: by the white images among the lights, or else by all as
+    scenes.
+    """
     whites = _select_whites(lights, start, kind, has_mosaic)
     if whites:
         picture = sqrt_luminance(combine_whites(whites) if len(whites) > 1 else whites[0])
         try:
-            return FittedLattice.of(picture, True, start, fit_lattice_to_white_image(picture, start))
+            return FittedLattice.of(
+                picture, True, start, fit_lattice_to_white_image(picture, start)
+            )
         except CalibrationError:
             if kind == "white":
                 raise
@@ -179,4 +193,8 @@ def _select_whites(
     if len(lights) == 1:
         return lights if start.evidence.white_probability > 0.5 else []
     pictures = [sqrt_luminance(light) for light in lights]
-    return [light for light, picture in zip(lights, pictures, strict=True) if is_white_image(picture, start.lattice)]
+    return [
+        light
+        for light, picture in zip(lights, pictures, strict=True)
+        if is_white_image(picture, start.lattice)
+    ]

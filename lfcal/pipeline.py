@@ -41,33 +41,36 @@ def calibrate(
     Parameters
     ----------
     image : (h, w) or (h, w, 3) array_like of any integer or float type, path-like, or a sequence of such
-        Raw sensor picture: a white image or any scene; a path is read with `read_flat`. Several are combined: white
-        images are added, weighted by their exposure and without clipped pixels; of scenes the edges between microimages
-        are averaged. Flats without contrast, such as dark or saturated ones, are left out.
+        Raw sensor picture: a white image or any scene; a path is read with `read_flat`. Several are
+        combined: white images are added, weighted by their exposure and without clipped pixels; of
+        scenes the edges between microimages are averaged. Flats without contrast, such as dark or
+        saturated ones, are left out.
     kind : {"auto", "white", "scene"}
-        What the flats show; `"auto"` decides by whether microimages are evenly lit inside. Where some of several are
-        white images, only these are used.
+        What the flats show; `"auto"` decides by whether microimages are evenly lit inside. Where
+        some of several are white images, only these are used.
     mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"} or None
-        Colour filters over the top left 2 x 2 pixels of a flat (h, w). With None they are found, if there are any;
-        which of them are red and which blue is a guess then, with a warning.
+        Colour filters over the top left 2 x 2 pixels of a flat (h, w). With None they are found, if
+        there are any; which of them are red and which blue is a guess then, with a warning.
     pitch : float or None [px]
-        Hint where a lattice is hard to find: mean distance between neighbouring centres, right to a tenth. Only
-        lattices with this pitch are considered; the confidence is measured on the flat as without the hint.
+        Hint where a lattice is hard to find: mean distance between neighbouring centres, right to a
+        tenth. Only lattices with this pitch are considered; the confidence is measured on the flat
+        as without the hint.
     rotation : float or None [degrees]
         With `pitch`: rotation as `lfcal info` prints it, right to 2 degrees.
 
     Returns
     -------
     Calibration
-        Flats of more than 48 megapixels are averaged in square blocks of pixels first, or, where their pitch is too
-        short for that and they are white images, calibrated on parts of them and on the light of each lens: they
-        list no defects of single pixels.
-        `confidence` is the probability that the lattice is right, by its `evidence`; below 0.8 there is a warning.
+        Flats of more than 48 megapixels are averaged in square blocks of pixels first, or, where
+        their pitch is too short for that and they are white images, calibrated on parts of them and
+        on the light of each lens: they list no defects of single pixels. `confidence` is the
+        probability that the lattice is right, by its `evidence`; below 0.8 there is a warning.
 
     Raises
     ------
     FlatError
-        If an image cannot be a flat: wrong shape, NaN, too small, or of another size than the first.
+        If an image cannot be a flat: wrong shape, NaN, too small, or of another size than the
+        first.
     CalibrationError
         If no trustworthy lattice is on it.
 
@@ -99,15 +102,17 @@ def calibrate(
         # The equations are too small for more threads to pay off.
         with threadpool_limits(1, "blas"):
             filtered = mosaic is not None or any(find_mosaic(flat) for flat in flats)
-            camera = _calibrate(flats, kind, filtered and all(flat.ndim == 2 for flat in flats), hint)
+            camera = _calibrate(
+                flats, kind, filtered and all(flat.ndim == 2 for flat in flats), hint
+            )
     except CalibrationError as error:
         if clipped <= _CLIPPED:
             raise
-        raise CalibrationError(f"{error} ({clipped:.0%} of the pixels are over-exposed: expose less)") from error
+        raise CalibrationError(
+            f"{error} ({clipped:.0%} of the pixels are over-exposed: expose less)"
+        ) from error
     if camera.source == "white" and clipped > _CLIPPED:
-        warning = (
-            f"the white image is over-exposed ({clipped:.0%} of its pixels are clipped): expose less, by a half or more"
-        )
+        warning = f"the white image is over-exposed ({clipped:.0%} of its pixels are clipped): expose less, by a half or more"
         camera = replace(camera, warnings=(*camera.warnings, warning))
     camera = replace(camera, white_level=estimate_white_level(flats), mosaic=mosaic)
     for flat in flats:
@@ -119,7 +124,9 @@ def calibrate(
     return camera
 
 
-def _calibrate(flats: list[NDArray[Any]], kind: str, filtered: bool, hint: LatticeHint | None) -> Calibration:
+def _calibrate(
+    flats: list[NDArray[Any]], kind: str, filtered: bool, hint: LatticeHint | None
+) -> Calibration:
     from .detection.downscale import average_blocks, choose_block_size, upscale_calibration
     from .lattice_search import find_lattice
 
@@ -136,12 +143,18 @@ def _calibrate(flats: list[NDArray[Any]], kind: str, filtered: bool, hint: Latti
 
 
 def _find_large(flat: NDArray[Any], kind: str, filtered: bool, block: int) -> FittedLattice | None:
-    """The lattice of a large white image from parts of it; None where the flat is to be calibrated as a whole."""
+    """The lattice of a large white image from parts of it; None where the flat is to be calibrated
+    as a whole.
+    """
     from .detection import downscale
     from .lattice_search import find_lattice_in_crops, find_lattice_in_piece
 
     pixels = flat.shape[0] * flat.shape[1]
-    found = find_lattice_in_crops(flat, kind, filtered) if pixels >= downscale.LARGE * block**2 else None
+    found = (
+        find_lattice_in_crops(flat, kind, filtered)
+        if pixels >= downscale.LARGE * block**2
+        else None
+    )
     if found is None and block == 1 and not filtered and pixels >= downscale.PIECES:
         found = find_lattice_in_piece(flat, kind)
     return found
@@ -152,7 +165,9 @@ def _measure(found: FittedLattice) -> Calibration:
     from .illumination.measure import measure_illumination
     from .lens_types.classify import find_lens_types
 
-    fit, picture, white = found.fit, found.picture, found.white
+    fit = found.fit
+    picture = found.picture
+    white = found.white
     light = measure_illumination(
         picture,
         fit.lattice,
@@ -212,5 +227,7 @@ def _find_dark_rest(picture: NDArray[np.float32], pitch: float) -> str | None:
     # Captures have 0.77 and more; one that was a quarter of a pitch beside its lattice 0.17.
     if share >= 0.5:
         return None
-    where = f"light lies on {share:.0%} of the flat, and the lattice of all the rest follows from there"
+    where = (
+        f"light lies on {share:.0%} of the flat, and the lattice of all the rest follows from there"
+    )
     return f"{where}; calibrate on a white image or on a scene that fills the flat"

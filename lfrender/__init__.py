@@ -1,6 +1,7 @@
 """Depth analysis and rendering of focused plenoptic flats.
 
-These are the public names; others are reached by the sub-packages that `docs/architecture.md` shows.
+These are the public names; others are reached by the sub-packages that `docs/architecture.md`
+shows.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -66,8 +67,9 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    # Imported at first use: the compiler behind the kernels takes a second to load, which `--help` does not need.
-    # No module may bear the name of a function here, or importing the one would hide the other.
+    # Imported at first use: the compiler behind the kernels takes a second to load, which `--help`
+    # does not need. No module may bear the name of a function here, or importing the one would hide
+    # the other.
     if name == "data":
         from importlib import import_module
 

@@ -1,4 +1,6 @@
-"""The program `lfrender`, and `python -m lfrender`: the command line, which Ctrl-C ends while it is loaded too."""
+"""The program `lfrender`, and `python -m lfrender`: the command line, which Ctrl-C ends while it is
+loaded too.
+"""
 
 from lfcal.runtime.interrupts import run_program
 

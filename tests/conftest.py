@@ -10,14 +10,21 @@ import pytest
 _ROOT = Path(__file__).resolve().parents[1]
 _SHARED = _ROOT.parent / "shared"
 
-# The benchmarks are not installed. Behind whatever is, so that the packages tested are the installed ones.
+# The benchmarks are not installed. Behind whatever is, so that the packages tested are the
+# installed ones.
 sys.path.append(str(_ROOT))
 
 
 def pytest_sessionstart(session):
-    """Compile kernels once per run, on all cores, before the processes that run the tests need them."""
+    """Compile kernels once per run, on all cores, before the processes that run the tests need
+    them.
+    """
     config = session.config
-    if hasattr(config, "workerinput") or not getattr(config.option, "tx", None) or config.option.collectonly:
+    if (
+        hasattr(config, "workerinput")
+        or not getattr(config.option, "tx", None)
+        or config.option.collectonly
+    ):
         return
     from benchmarks.outdated_kernels import discard_outdated
     from lfcal.runtime.compile_ahead import compile_ahead
@@ -28,12 +35,16 @@ def pytest_sessionstart(session):
 
 @pytest.fixture(scope="session")
 def shared():
-    """Gives a file or folder of the captures and ray-traced flats beside the repository, or skips the test."""
+    """Gives a file or folder of the captures and ray-traced flats beside the repository, or skips
+    the test.
+    """
 
     def find(*parts: str) -> Path:
         path = _SHARED.joinpath(*parts)
         if not path.exists():
-            pytest.skip(f"{Path(*parts)} is not there: no folder 'shared' with it beside the repository")
+            pytest.skip(
+                f"{Path(*parts)} is not there: no folder 'shared' with it beside the repository"
+            )
         return path
 
     return find

@@ -26,7 +26,9 @@ def test_the_reference_lists_every_public_name_and_no_other(package):
 def _documented():
     """Each name of the reference, and the object that it stands for."""
     text = (DOCS / "api.rst").read_text(encoding="utf-8")
-    for package, part in re.findall(r"currentmodule:: (\w+)\n(.*?)(?=\.\. currentmodule|\Z)", text, re.DOTALL):
+    for package, part in re.findall(
+        r"currentmodule:: (\w+)\n(.*?)(?=\.\. currentmodule|\Z)", text, re.DOTALL
+    ):
         for name in re.findall(r"^   (\w+(?:\.\w+)*)$", part, re.MULTILINE):
             yield f"{package}.{name}", pkgutil.resolve_name(f"{package}.{name}")
 
@@ -42,28 +44,49 @@ def test_every_name_in_the_reference_has_an_example(thing):
 @pytest.mark.parametrize("thing", [p for p in DOCUMENTED if inspect.isclass(p.values[0])])
 def test_every_public_method_of_a_class_in_the_reference_is_described(thing):
     bare = [
-        name for name, member in inspect.getmembers(thing, callable) if name[0] != "_" and not inspect.getdoc(member)
+        name
+        for name, member in inspect.getmembers(thing, callable)
+        if name[0] != "_" and not inspect.getdoc(member)
     ]
     bare += [
         name
         for name, member in vars(thing).items()
-        if name[0] != "_" and isinstance(member, property | cached_property) and not inspect.getdoc(member)
+        if name[0] != "_"
+        and isinstance(member, property | cached_property)
+        and not inspect.getdoc(member)
     ]
     assert bare == []
 
 
 def test_every_page_is_in_a_table_of_contents():
-    pages = {str(path.relative_to(DOCS).with_suffix("")) for path in DOCS.rglob("*.md") if "built" not in str(path)}
-    blocks = re.findall(r"```{toctree}\n(.*?)```", (DOCS / "index.md").read_text(encoding="utf-8"), re.DOTALL)
-    listed = {line for block in blocks for line in block.splitlines() if line and not line.startswith(":")}
+    pages = {
+        str(path.relative_to(DOCS).with_suffix(""))
+        for path in DOCS.rglob("*.md")
+        if "built" not in str(path)
+    }
+    blocks = re.findall(
+        r"```{toctree}\n(.*?)```", (DOCS / "index.md").read_text(encoding="utf-8"), re.DOTALL
+    )
+    listed = {
+        line for block in blocks for line in block.splitlines() if line and not line.startswith(":")
+    }
     assert pages - {"index"} == listed - {"api", "built_gallery/index", "built_commands/overview"}
 
 
-@pytest.mark.parametrize("page", [*sorted(DOCS.glob("*.md")), *ROOT.glob("*.md")], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", [*sorted(DOCS.glob("*.md")), *ROOT.glob("*.md")], ids=lambda page: page.name
+)
 def test_files_that_a_page_names_exist(page):
     text = page.read_text(encoding="utf-8")
     named = [
-        ROOT / path for path in re.findall(r"`((?:lfcal|lfrender|data_synth|benchmarks|tests)/[\w/]+(?:\.\w+)?)`", text)
+        ROOT / path
+        for path in re.findall(
+            r"`((?:lfcal|lfrender|data_synth|benchmarks|tests)/[\w/]+(?:\.\w+)?)`", text
+        )
     ]
-    named += [page.parent / path for path in re.findall(r"\]\((?!\w+:)([^)#]+)", text) if "built_" not in path]
+    named += [
+        page.parent / path
+        for path in re.findall(r"\]\((?!\w+:)([^)#]+)", text)
+        if "built_" not in path
+    ]
     assert [path for path in named if not path.exists() and "_cupy" not in str(path)] == []

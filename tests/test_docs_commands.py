@@ -1,4 +1,6 @@
-"""Every command that README and the documentation show is understood; those of the first pages are run."""
+"""Every command that README and the documentation show is understood; those of the first pages are
+run.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,15 @@ import lfcal.cli.main
 import lfrender.cli.main
 
 ROOT = Path(__file__).parents[1]
-PROGRAMS = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main, "lfsynth": data_synth.cli.main}
-PAGES = [ROOT / "README.md", *(p for p in sorted((ROOT / "docs").rglob("*.md")) if "built" not in str(p))]
+PROGRAMS = {
+    "lfcal": lfcal.cli.main.main,
+    "lfrender": lfrender.cli.main.main,
+    "lfsynth": data_synth.cli.main,
+}
+PAGES = [
+    ROOT / "README.md",
+    *(p for p in sorted((ROOT / "docs").rglob("*.md")) if "built" not in str(p)),
+]
 # What waits for somebody, takes long, or is run by other tests.
 _NOT_RUN = {
     ("lfrender", "view"),
@@ -49,18 +58,24 @@ def _calls(lines):
 
 
 def _without_blocks(page):
-    return re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.sub(
+        r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
 
 
 def commands(page):
     """The commands in blocks of code."""
     lines = [line for block in blocks(page, "sh", "console") for line in block.splitlines()]
-    return list(_calls([*lines, *re.findall(r"^    (\w+ .*)$", _without_blocks(page), re.MULTILINE)]))
+    return list(
+        _calls([*lines, *re.findall(r"^    (\w+ .*)$", _without_blocks(page), re.MULTILINE)])
+    )
 
 
 def mentions(page):
     """The commands in the text, which may leave out what is not of interest there."""
-    return list(_calls(re.findall(r"`((?:lfcal|lfrender|lfsynth) \w+ [^`]+)`", _without_blocks(page))))
+    return list(
+        _calls(re.findall(r"`((?:lfcal|lfrender|lfsynth) \w+ [^`]+)`", _without_blocks(page)))
+    )
 
 
 def _params(calls):
@@ -85,8 +100,14 @@ def test_a_command_in_the_documentation_is_understood(program, words):
 @pytest.mark.parametrize(("program", "words"), _params(mentions))
 def test_a_command_in_the_text_has_the_options_that_are_named(program, words):
     group = PROGRAMS[program]
-    known = [o for p in (group if program == "lfsynth" else group.commands[words[0]]).params for o in p.opts]
-    assert [word for word in words if re.match(r"--?[a-z]", word) and word not in [*known, "--help"]] == []
+    known = [
+        o
+        for p in (group if program == "lfsynth" else group.commands[words[0]]).params
+        for o in p.opts
+    ]
+    assert [
+        word for word in words if re.match(r"--?[a-z]", word) and word not in [*known, "--help"]
+    ] == []
 
 
 def printed_after(page, command):
@@ -122,9 +143,18 @@ def prepared(house, tmp_path_factory):
     from lfrender.sequence.film_file import FilmFile
 
     folder = tmp_path_factory.mktemp("prepared")
-    flat, white = house.flat, house.white
+    flat = house.flat
+    white = house.white
     camera = replace(house.truth.calibration, optics=lfcal.Optics(50, 58, 0.7, 0.0055))
-    for name in ("flat.png", "other.png", "frames/f0.png", "frames/f1.png", "sample.tif", "scan.tif", "BIG.tif"):
+    for name in (
+        "flat.png",
+        "other.png",
+        "frames/f0.png",
+        "frames/f1.png",
+        "sample.tif",
+        "scan.tif",
+        "BIG.tif",
+    ):
         (folder / name).parent.mkdir(exist_ok=True)
         lfrender.write_picture(folder / name, flat)
     for name in ("white.png", "white.tif", "array/white.png", "shoot/white.png"):
@@ -152,12 +182,19 @@ WHOLE_PAGES = ["README.md", "docs/start.md", "docs/refocus.md"]
 
 
 def _single_commands():
-    """The other commands, each once; without those that start workers or take long, which have tests of their own."""
+    """The other commands, each once; without those that start workers or take long, which have
+    tests of their own.
+    """
     known = [call for page in WHOLE_PAGES for call in commands(ROOT / page)]
     for page in PAGES:
         for program, words in commands(page):
             long = (program, words[0]) in {*_NOT_RUN, ("lfcal", "metric")} - {("lfrender", "view")}
-            if long or {"--workers", "--scheduler"} & set(words) or program == "lfsynth" or (program, words) in known:
+            if (
+                long
+                or {"--workers", "--scheduler"} & set(words)
+                or program == "lfsynth"
+                or (program, words) in known
+            ):
                 continue
             known.append((program, words))
             yield pytest.param(program, words, id=f"{page.stem}: {program} {' '.join(words)}"[:90])
@@ -169,7 +206,9 @@ def test_a_command_of_the_documentation_runs(program, words, prepared, tmp_path,
     shutil.copytree(prepared, folder)
     monkeypatch.chdir(folder)
     # Those of the small capture, in place of what suits that of the page.
-    words = [{"33": "6", "12.5": "6", "15.4": "20.3", "7x7": "2x2"}.get(word, word) for word in words]
+    words = [
+        {"33": "6", "12.5": "6", "15.4": "20.3", "7x7": "2x2"}.get(word, word) for word in words
+    ]
     if words[0] == "view" and "--export" not in words:
         words += ["--export", "page"]
     for word, package in ((".zarr", "zarr"), ("film", "av"), (".mp4", "av")):
@@ -192,13 +231,20 @@ def test_commands_and_code_of_a_page_run(page, folder):
             made = folder / words[words.index("-o") + 1]
             assert made.exists() or list(folder.glob(f"{made.stem}*")), f"{made.name} is not there"
         output = printed_after(page, f"{program} {' '.join(words)}")
-        printed = re.sub(r"^compiling kernels.*\n| \(after .* of compiling.*?\)", "", result.output, flags=re.MULTILINE)
+        printed = re.sub(
+            r"^compiling kernels.*\n| \(after .* of compiling.*?\)",
+            "",
+            result.output,
+            flags=re.MULTILINE,
+        )
         assert not output or mask(printed) == mask(output)
     for code in blocks(ROOT / page, "python"):
         exec(compile(code, page, "exec"), {})
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.stem
+)
 def test_python_of_a_page_names_what_there_is(page):
     for code in blocks(page, "python"):
         compile(code, page.name, "exec")

@@ -42,11 +42,23 @@ def test_the_simulator_shows_examples_that_it_understands():
 @pytest.mark.parametrize(("program", "name"), [*COMMANDS, ("lfsynth", "")])
 def test_each_command_can_be_quiet_verbose_or_read_by_programs(program, name):
     command = PROGRAMS[program].commands[name] if name else data_synth.cli.main
-    assert {"--json", "--quiet", "--verbose"} <= {word for option in command.params for word in option.opts}
+    assert {"--json", "--quiet", "--verbose"} <= {
+        word for option in command.params for word in option.opts
+    }
 
 
 def test_the_simulator_is_quiet_or_verbose_as_asked(tmp_path):
-    words = ["blank", "-o", str(tmp_path / "a"), "--size", "60x40", "--pitch", "20", "--samples", "1"]
+    words = [
+        "blank",
+        "-o",
+        str(tmp_path / "a"),
+        "--size",
+        "60x40",
+        "--pitch",
+        "20",
+        "--samples",
+        "1",
+    ]
     quiet = CliRunner().invoke(data_synth.cli.main, [*words, "--quiet"])
     assert (quiet.exit_code, quiet.output) == (0, "")
     verbose = CliRunner().invoke(data_synth.cli.main, [*words, "--verbose", "--json"])
@@ -75,7 +87,9 @@ def test_verbose_tells_each_stage_and_its_seconds(house_files, tmp_path):
     assert all(seconds.endswith(" s") and float(seconds[:-2]) >= 0 for seconds in stages.values())
 
 
-@pytest.mark.parametrize(("program", "begun", "offered"), [("lfrender", "re", "render"), ("lfcal", "cal", "calibrate")])
+@pytest.mark.parametrize(
+    ("program", "begun", "offered"), [("lfrender", "re", "render"), ("lfcal", "cal", "calibrate")]
+)
 def test_the_shell_completes_commands(program, begun, offered):
     shell = {
         "COMP_WORDS": f"{program} {begun}",
@@ -83,7 +97,9 @@ def test_the_shell_completes_commands(program, begun, offered):
         f"_{program.upper()}_COMPLETE": "bash_complete",
     }
     code = f"import {program}.cli.main, sys; sys.argv = ['{program}']; {program}.cli.main.main(prog_name='{program}')"
-    done = subprocess.run([sys.executable, "-c", code], env=os.environ | shell, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | shell, capture_output=True, text=True
+    )
     assert f"plain,{offered}" in done.stdout
 
 

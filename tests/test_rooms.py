@@ -9,7 +9,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = sorted(
-    path.parent for package in ("lfcal", "lfrender", "data_synth") for path in (ROOT / package).rglob("__init__.py")
+    path.parent
+    for package in ("lfcal", "lfrender", "data_synth")
+    for path in (ROOT / package).rglob("__init__.py")
 )
 LARGEST_ROOM = 12  # modules
 MOST_ARGUMENTS = 16
@@ -27,5 +29,9 @@ def test_a_folder_holds_at_most_twelve_modules_and_says_what_it_computes(room):
 def test_kernels_take_at_most_sixteen_arguments(room):
     for path in room.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.FunctionDef) and any("njit" in ast.unparse(d) for d in node.decorator_list):
-                assert len(node.args.args) <= MOST_ARGUMENTS or node.name in MANY_ARGUMENTS, f"{path}: {node.name}"
+            if isinstance(node, ast.FunctionDef) and any(
+                "njit" in ast.unparse(d) for d in node.decorator_list
+            ):
+                assert len(node.args.args) <= MOST_ARGUMENTS or node.name in MANY_ARGUMENTS, (
+                    f"{path}: {node.name}"
+                )

@@ -17,7 +17,11 @@ from lfrender.web import server as web
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
-SOURCES = [path for package in ("lfcal", "lfrender", "data_synth") for path in (ROOT / package).rglob("*.py")]
+SOURCES = [
+    path
+    for package in ("lfcal", "lfrender", "data_synth")
+    for path in (ROOT / package).rglob("*.py")
+]
 
 
 @pytest.mark.parametrize(
@@ -43,12 +47,16 @@ def test_one_module_listens_and_none_executes_what_is_in_a_file():
         used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
         assert not used & {"eval", "exec", "pickle", "marshal"}, path
     listening = re.compile(r"create_server\(|HTTPServer|\.listen\(")
-    assert [path.name for path in SOURCES if listening.search(path.read_text(encoding="utf-8"))] == ["server.py"]
+    assert [
+        path.name for path in SOURCES if listening.search(path.read_text(encoding="utf-8"))
+    ] == ["server.py"]
 
 
 def _ask(server, method, path, **headers):
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
-    connection.request(method, path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    connection.request(
+        method, path, headers={name.replace("_", "-"): value for name, value in headers.items()}
+    )
     response = connection.getresponse()
     response.read()
     connection.close()

@@ -1,1 +1,3 @@
-"""Does calibration find the right lattice on any flat? Random cameras, pictures that are no flats, other forms."""
+"""Does calibration find the right lattice on any flat? Random cameras, pictures that are no flats,
+other forms.
+"""

@@ -53,7 +53,9 @@ _FORMS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
     "upside down": lambda flat: np.ascontiguousarray(flat[::-1, ::-1]),
     "mirrored": lambda flat: np.ascontiguousarray(flat[:, ::-1]),
     "half as bright": lambda flat: flat // 2,
-    "gamma 2.2": lambda flat: np.rint(65535 * (flat / float(np.iinfo(flat.dtype).max)) ** 2.2).astype(np.uint16),
+    "gamma 2.2": lambda flat: np.rint(
+        65535 * (flat / float(np.iinfo(flat.dtype).max)) ** 2.2
+    ).astype(np.uint16),
     "JPEG 60": lambda flat: _compress(flat),
 }
 
@@ -65,7 +67,9 @@ def _compress(flat: NDArray[Any]) -> NDArray[Any]:
 
 
 def _forms(paths: list[str]) -> Iterator[_Item]:
-    """Other forms of flats, with the centres that are found on the flat as it is, moved with the pixels."""
+    """Other forms of flats, with the centres that are found on the flat as it is, moved with the
+    pixels.
+    """
     for path in paths:
         flat = lfcal.read_flat(path)
         centres = whole_centres(lfcal.calibrate(flat).lattice)
@@ -89,7 +93,9 @@ def _crops(paths: list[str]) -> Iterator[_Item]:
         lattice = lfcal.calibrate(flat).lattice
         for _ in range(5):
             side = np.minimum(rng.uniform(14, 30, 2) * lattice.pitch, flat.shape[1::-1]).astype(int)
-            left, top = (int(rng.integers(0, room + 1)) for room in np.array(flat.shape[1::-1]) - side)
+            left, top = (
+                int(rng.integers(0, room + 1)) for room in np.array(flat.shape[1::-1]) - side
+            )
             part = np.ascontiguousarray(flat[top : top + side[1], left : left + side[0]])
             centres = whole_centres(lattice) - (left, top)
             margin = lattice.pitch / 2
@@ -117,7 +123,10 @@ def _judge(items: Iterator[_Item]) -> None:
             text = f"{found.distance:.3f} pitches off, {found.cells} cells a lens"
         stated.append((camera.confidence, right))
         if not right or camera.confidence < _SURE:
-            print(f"{'right' if right else 'WRONG'} at {camera.confidence:.2f} {name}: {text}", flush=True)
+            print(
+                f"{'right' if right else 'WRONG'} at {camera.confidence:.2f} {name}: {text}",
+                flush=True,
+            )
     sure = [right for confidence, right in stated if confidence >= _SURE]
     rights = sum(right for _, right in stated)
     print(

@@ -1,4 +1,6 @@
-"""Fit the weights of `lfcal.camera.evidence` to right and wrong lattices of simulated cameras and of no flats."""
+"""Fit the weights of `lfcal.camera.evidence` to right and wrong lattices of simulated cameras and
+of no flats.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class Example:
 
 
 def collect_examples(first: int, last: int) -> Iterator[Example]:
-    """All candidates on flats of seeds: drawn by formula, ray-traced, and pictures that are no flats."""
+    """All candidates on flats of seeds: drawn by formula, ray-traced, and pictures that are no
+    flats.
+    """
     for seed in range(first, last):
         drawn = draw_camera(seed)
         yield from _examples(drawn.name, drawn.image, drawn.centres)
@@ -57,7 +61,9 @@ def whole_centres(lattice: Lattice) -> NDArray[np.float64]:
     return centres[(centres >= margin).all(1) & (centres <= most).all(1)]
 
 
-def _examples(name: str, flat: NDArray[Any], centres: NDArray[np.float64] | None) -> Iterator[Example]:
+def _examples(
+    name: str, flat: NDArray[Any], centres: NDArray[np.float64] | None
+) -> Iterator[Example]:
     if flat.ndim == 2 and find_mosaic(flat):
         flat = remove_mosaic(equalise_mosaic(flat))
     try:
@@ -70,7 +76,9 @@ def _examples(name: str, flat: NDArray[Any], centres: NDArray[np.float64] | None
 
 
 def fit_weights(examples: list[Example]) -> tuple[float, dict[str, float]]:
-    """Log odds without evidence, and the weight of each term: logistic regression on all right and hard wrong ones."""
+    """Log odds without evidence, and the weight of each term: logistic regression on all right and
+    hard wrong ones.
+    """
     names = list(examples[0].evidence.terms())
     terms = np.array([list(one.evidence.terms().values()) for one in examples])
     right = np.array([one.right for one in examples])
@@ -87,7 +95,9 @@ def fit_weights(examples: list[Example]) -> tuple[float, dict[str, float]]:
     return constant, dict(zip(names, (weights / scale).tolist(), strict=True))
 
 
-def _fit_logistic(terms: NDArray[np.float64], right: NDArray[np.bool_]) -> tuple[float, NDArray[np.float64]]:
+def _fit_logistic(
+    terms: NDArray[np.float64], right: NDArray[np.bool_]
+) -> tuple[float, NDArray[np.float64]]:
     design = np.column_stack([np.ones(len(terms)), terms])
 
     def loss(weights: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:

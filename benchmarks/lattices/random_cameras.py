@@ -1,9 +1,11 @@
-"""Flats of random cameras of all kinds, drawn from the rendering formula alone (no ray tracing), with true centres.
+"""Flats of random cameras of all kinds, drawn from the rendering formula alone (no ray tracing),
+with true centres.
 
-A pixel at `delta` from the centre `c` of its lens shows the scene at `X = c - delta * D / s` (docs/geometry.md). Each
-flat takes milliseconds, so that hundreds of cameras can be drawn. Apertures are discs, squares or spots; gaps are
-black, grey, bright, or absent; scenes are textured planes, one before another, boards with large tiles, letters and
-dim objects on black ground, in focus or not; arrays have one, two or three lens types.
+A pixel at `delta` from the centre `c` of its lens shows the scene at `X = c - delta * D / s`
+(docs/geometry.md). Each flat takes milliseconds, so that hundreds of cameras can be drawn.
+Apertures are discs, squares or spots; gaps are black, grey, bright, or absent; scenes are textured
+planes, one before another, boards with large tiles, letters and dim objects on black ground, in
+focus or not; arrays have one, two or three lens types.
 """
 
 from __future__ import annotations
@@ -107,7 +109,9 @@ def _basis(shape: str, pitch: float, degrees: float) -> NDArray[np.float64]:
 def _nearest_lens(
     places: NDArray[np.float64], origin: NDArray[np.float64], basis: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Index (h, w, 2) of the lens nearest to each place (h, w, 2), and the offset (h, w, 2) from it [px]."""
+    """Index (h, w, 2) of the lens nearest to each place (h, w, 2), and the offset (h, w, 2) from it
+    [px].
+    """
     first = np.rint((places - origin) @ np.linalg.inv(basis))
     best = first
     offset = places - origin - first @ basis
@@ -123,14 +127,24 @@ def _nearest_lens(
 @dataclass(frozen=True)
 class _Aperture:
     name: str
-    radius: NDArray[np.float64]  # [px] of each lens type: of the disc, or half the side of the square
+    radius: NDArray[
+        np.float64
+    ]  # [px] of each lens type: of the disc, or half the side of the square
     blur: NDArray[np.float64]  # [px] width of the ramp at its edge, of each lens type
     axes: Any  # (2, 2) directions of the sides of a square; None of a disc
 
-    def transmission(self, delta: NDArray[np.float64], kinds: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Share (h, w) of the light that passes at `delta` (h, w, 2) from the centre of a lens of each kind."""
+    def transmission(
+        self, delta: NDArray[np.float64], kinds: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Share (h, w) of the light that passes at `delta` (h, w, 2) from the centre of a lens of
+        each kind.
+        """
         round_one = self.axes is None
-        far = np.hypot(delta[..., 0], delta[..., 1]) if round_one else np.abs(delta @ self.axes.T).max(-1)
+        far = (
+            np.hypot(delta[..., 0], delta[..., 1])
+            if round_one
+            else np.abs(delta @ self.axes.T).max(-1)
+        )
         return np.clip((self.radius[kinds] - far) / self.blur[kinds] + 0.5, 0, 1)
 
 
@@ -149,16 +163,26 @@ def _draw_aperture(
             side = min(side, 0.95)
         sides = basis / np.hypot(*basis.T)[:, None]
         return _Aperture(
-            "squares without gaps" if side > 1 else "squares", 0.5 * side * nearest * np.ones(3), blur, sides
+            "squares without gaps" if side > 1 else "squares",
+            0.5 * side * nearest * np.ones(3),
+            blur,
+            sides,
         )
     fill = rng.uniform(0.78, 1.0) * np.array([1.0, *rng.uniform(0.88, 1.0, 2)])
     if content not in ("white", "spots"):
         softness = float(rng.choice([1.0, 1.0, max(1.0, 0.05 * pitch)]))
         blur = np.asarray(blur) * softness
-    return _Aperture("discs", np.asarray(0.5 * fill * nearest), blur * np.array([1.0, *rng.uniform(1, 2, 2)]), None)
+    return _Aperture(
+        "discs",
+        np.asarray(0.5 * fill * nearest),
+        blur * np.array([1.0, *rng.uniform(1, 2, 2)]),
+        None,
+    )
 
 
-def _lens_kinds(rng: np.random.Generator, shape: str, index: NDArray[np.int64]) -> NDArray[np.int64]:
+def _lens_kinds(
+    rng: np.random.Generator, shape: str, index: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """Lens type (h, w) of the lens that each pixel belongs to."""
     drawn = rng.random()
     if shape.startswith("hexagonal") and drawn < 0.3:
@@ -190,7 +214,9 @@ def _light_of_lenses(
     places: NDArray[np.float64],
     middle: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Light (h, w) that falls off to the corners, differs a little from lens to lens, and has dust on a few."""
+    """Light (h, w) that falls off to the corners, differs a little from lens to lens, and has dust
+    on a few.
+    """
     far = ((places - middle) ** 2).sum(-1) / (middle**2).sum()
     each = 1 + rng.uniform(0, 0.03) * rng.standard_normal((64, 64))
     if rng.random() < 0.2:
@@ -223,11 +249,16 @@ def _draw_content(
     return shown, f" at s = {ratio:.2f} D"
 
 
-def _sample(texture: NDArray[np.float32], place: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
-    """A periodic texture, one of whose pixels is `scale` flat pixels wide, at scene coordinates (h, w, 2)."""
+def _sample(
+    texture: NDArray[np.float32], place: NDArray[np.float64], scale: float
+) -> NDArray[np.float64]:
+    """A periodic texture, one of whose pixels is `scale` flat pixels wide, at scene coordinates (h,
+    w, 2).
+    """
     at = (place / scale % _TEXTURE).astype(np.float32)
     padded = cv2.copyMakeBorder(texture, 1, 2, 1, 2, cv2.BORDER_WRAP)
-    x, y = np.ascontiguousarray(at[..., 0] + 1), np.ascontiguousarray(at[..., 1] + 1)
+    x = np.ascontiguousarray(at[..., 0] + 1)
+    y = np.ascontiguousarray(at[..., 1] + 1)
     return cv2.remap(padded, x, y, cv2.INTER_LINEAR).astype(np.float64)
 
 
@@ -251,7 +282,14 @@ def _texture(rng: np.random.Generator, content: str) -> Any:
     if content == "objects":
         for _ in range(70):
             place = (int(rng.integers(0, size)), int(rng.integers(0, size)))
-            cv2.circle(picture, place, int(rng.integers(4, 60)), float(rng.uniform(0.2, 1)), -1, cv2.LINE_AA)
+            cv2.circle(
+                picture,
+                place,
+                int(rng.integers(4, 60)),
+                float(rng.uniform(0.2, 1)),
+                -1,
+                cv2.LINE_AA,
+            )
         return cv2.GaussianBlur(ground + 0.85 * picture, (0, 0), 3.0)
     for _ in range(900):
         place = (int(rng.integers(0, size)), int(rng.integers(0, size)))
@@ -268,7 +306,9 @@ def _expose(rng: np.random.Generator, picture: NDArray[np.float64]) -> tuple[NDA
     exposure = float(rng.uniform(0.3, 0.95))
     electrons = float(np.exp(rng.uniform(*np.log((150.0, 20000.0)))))
     light = exposure * np.maximum(picture, 0)
-    light = light + rng.standard_normal(light.shape) * np.sqrt(light / electrons + (3 / electrons) ** 2)
+    light = light + rng.standard_normal(light.shape) * np.sqrt(
+        light / electrons + (3 / electrons) ** 2
+    )
     light = np.clip(light, 0, 1)
     drawn = rng.random()
     if drawn < 0.3:

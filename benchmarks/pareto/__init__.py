@@ -1,1 +1,3 @@
-"""Run time against error of every method and setting (`python -m benchmarks run`), and the comparison of two runs."""
+"""Run time against error of every method and setting (`python -m benchmarks run`), and the
+comparison of two runs.
+"""

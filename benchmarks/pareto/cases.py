@@ -1,4 +1,6 @@
-"""What is measured on: simulated scenes, and ray-traced flats beside the repository where a folder of them is given."""
+"""What is measured on: simulated scenes, and ray-traced flats beside the repository where a folder
+of them is given.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ class Case:
         return self.flat.shape[0] * self.flat.shape[1] / 1e6
 
     def centre_rms(self, lattice: lfcal.Lattice) -> float:
-        """RMS distance [px] of the centres found from true ones; infinite where the lattice is another one."""
+        """RMS distance [px] of the centres found from true ones; infinite where the lattice is
+        another one.
+        """
         from scipy.spatial import cKDTree
 
         found = lattice.centres()
@@ -69,7 +73,9 @@ class Case:
         return float(np.sqrt((distance[inner] ** 2).mean()))
 
     def depth_errors(self, patch_size: NDArray[Any]) -> dict[str, float]:
-        """Median and 95 % error [px] of the patch sizes (n,) of the lenses, and shares with a wrong mode and none."""
+        """Median and 95 % error [px] of the patch sizes (n,) of the lenses, and shares with a wrong
+        mode and none.
+        """
         from scipy.spatial import cKDTree
 
         centres = self.calibration.lattice.centres()
@@ -98,8 +104,15 @@ class Case:
         border = int(np.ceil(picture.scale))
         inner = np.zeros(shape, bool)
         inner[border:-border, border:-border] = True
-        where = inside & inner & picture.valid & (np.abs(s) < _RESOLVABLE * self.calibration.lattice.pitch)
-        found = compare_pictures(picture.image / np.float64(np.iinfo(picture.image.dtype).max), wanted, where)
+        where = (
+            inside
+            & inner
+            & picture.valid
+            & (np.abs(s) < _RESOLVABLE * self.calibration.lattice.pitch)
+        )
+        found = compare_pictures(
+            picture.image / np.float64(np.iinfo(picture.image.dtype).max), wanted, where
+        )
         return {"PSNR dB": found.psnr, "SSIM": found.ssim}
 
 
@@ -112,21 +125,40 @@ def simulated(full: bool) -> Iterator[Case]:
             shot = simulate(SCENES[name](camera), camera, samples=samples, seed=2, noise=_NOISE)
             truth = shot.truth
             yield Case(
-                name if isinstance(focus, float) else f"{name}, 3 types", shot.flat, shot.white, truth.calibration,
-                truth.calibration.lattice.centres(), truth.patch_size, truth.mode, ~truth.mixed,
-                truth.reference, truth.reference_affine, truth.reference_patch_size,
-            )  # fmt: skip
+                name if isinstance(focus, float) else f"{name}, 3 types",
+                shot.flat,
+                shot.white,
+                truth.calibration,
+                truth.calibration.lattice.centres(),
+                truth.patch_size,
+                truth.mode,
+                ~truth.mixed,
+                truth.reference,
+                truth.reference_affine,
+                truth.reference_patch_size,
+            )
 
 
 def of_folder(folder: Path) -> Iterator[Case]:
-    """Ray-traced flats, one in each folder below: flat.png, white.png, microlenses.npz and a reference."""
+    """Ray-traced flats, one in each folder below: flat.png, white.png, microlenses.npz and a
+    reference.
+    """
     for path in sorted(folder.iterdir()):
         if not (path / "microlenses.npz").exists():
             continue
-        truth, depth = np.load(path / "microlenses.npz"), np.load(path / "reference_depth.npz")["disparity_px"]
+        truth = np.load(path / "microlenses.npz")
+        depth = np.load(path / "reference_depth.npz")["disparity_px"]
         white = lfcal.read_flat(path / "white.png")
         yield Case(
-            path.name, lfcal.read_flat(path / "flat.png"), white, lfcal.calibrate(white), truth["centre_px"],
-            truth["disparity_px"], truth["mode"], ~truth["mixed"].astype(bool), lfcal.read_flat(path / "reference.png"),
-            np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5]]), depth,
-        )  # fmt: skip
+            path.name,
+            lfcal.read_flat(path / "flat.png"),
+            white,
+            lfcal.calibrate(white),
+            truth["centre_px"],
+            truth["disparity_px"],
+            truth["mode"],
+            ~truth["mixed"].astype(bool),
+            lfcal.read_flat(path / "reference.png"),
+            np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5]]),
+            depth,
+        )

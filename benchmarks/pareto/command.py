@@ -20,7 +20,15 @@ from .measure import Row, measure
 
 __all__ = ["about", "main", "write"]
 
-_PACKAGES = ("lfrender", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "plenopticam", "plenpy")
+_PACKAGES = (
+    "lfrender",
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-contrib-python-headless",
+    "plenopticam",
+    "plenpy",
+)
 # What is plotted against time, and whether more of it is better.
 _ERRORS = {
     "calibration": ("centre RMS px", False),
@@ -38,10 +46,18 @@ def about() -> dict[str, Any]:
         except PackageNotFoundError:
             versions[name] = None
     commit = subprocess.run(
-        ["git", "rev-parse", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent, check=False
+        ["git", "rev-parse", "HEAD"],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parent,
+        check=False,
     )
     return {
-        "machine": {"system": platform.platform(), "processor": _processor(), "python": platform.python_version()},
+        "machine": {
+            "system": platform.platform(),
+            "processor": _processor(),
+            "python": platform.python_version(),
+        },
         "versions": versions,
         "commit": commit.stdout.strip() or None,
         "time": "CPU time of one thread",
@@ -53,7 +69,10 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "unknown")
+    return next(
+        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
+        "unknown",
+    )
 
 
 def write(folder: Path, rows: list[Row]) -> None:
@@ -76,7 +95,9 @@ def write(folder: Path, rows: list[Row]) -> None:
 
 
 def _plot(folder: Path, rows: list[Row]) -> None:
-    """One plot for each stage: the mean over the cases of time and error of each method, with the front drawn."""
+    """One plot for each stage: the mean over the cases of time and error of each method, with the
+    front drawn.
+    """
     from matplotlib.figure import Figure
 
     for stage, (error, more) in _ERRORS.items():
@@ -92,11 +113,20 @@ def _plot(folder: Path, rows: list[Row]) -> None:
             axes.plot(x, y, "s" if method.startswith("baseline") else "o", color=None)
             axes.annotate(method, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)
         best = [
-            (x, y) for x, y in points.values()
-            if not any(a <= x and (b >= y if more else b <= y) and (a, b) != (x, y) for a, b in points.values())
-        ]  # fmt: skip
+            (x, y)
+            for x, y in points.values()
+            if not any(
+                a <= x and (b >= y if more else b <= y) and (a, b) != (x, y)
+                for a, b in points.values()
+            )
+        ]
         axes.plot(*np.array(sorted(best)).T, ":", color="grey", label="front")
-        axes.set(xscale="log", xlabel="CPU time over that of cv2.remap of the flat", ylabel=error, title=stage)
+        axes.set(
+            xscale="log",
+            xlabel="CPU time over that of cv2.remap of the flat",
+            ylabel=error,
+            title=stage,
+        )
         if not more:
             axes.set_yscale("log")
         axes.margins(x=0.2)
@@ -108,14 +138,23 @@ def _plot(folder: Path, rows: list[Row]) -> None:
 def main(arguments: list[str]) -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks run", description=__doc__)
-    parser.add_argument("--full", action="store_true", help="scenes of a megapixel, with three lens types as well")
-    parser.add_argument("--quick", action="store_true", help="small scenes (the default)")
-    parser.add_argument("--truth", type=Path, help="folder of ray-traced flats to measure on as well")
     parser.add_argument(
-        "--peers", default=sys.executable, metavar="PYTHON", help="that may have plenopticam and plenpy"
+        "--full", action="store_true", help="scenes of a megapixel, with three lens types as well"
+    )
+    parser.add_argument("--quick", action="store_true", help="small scenes (the default)")
+    parser.add_argument(
+        "--truth", type=Path, help="folder of ray-traced flats to measure on as well"
+    )
+    parser.add_argument(
+        "--peers",
+        default=sys.executable,
+        metavar="PYTHON",
+        help="that may have plenopticam and plenpy",
     )
     parser.add_argument("--runs", type=int, default=2, help="repetitions of each measurement")
-    parser.add_argument("-o", "--output", type=Path, default=Path("benchmark-results"), help="folder to write to")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("benchmark-results"), help="folder to write to"
+    )
     options = parser.parse_args(arguments)
     import cv2
     import numba
@@ -127,7 +166,10 @@ def main(arguments: list[str]) -> None:
     cv2.setNumThreads(1)
     cases = chain(simulated(options.full), of_folder(options.truth) if options.truth else ())
     rows = []
-    for row in chain(chain.from_iterable(measure(case, options.runs) for case in cases), measure_peers(options.peers)):
+    for row in chain(
+        chain.from_iterable(measure(case, options.runs) for case in cases),
+        measure_peers(options.peers),
+    ):
         rows.append(row)
         figures = ", ".join(f"{name} {value:.4g}" for name, value in row.errors.items()) or row.note
         print(

@@ -1,4 +1,6 @@
-"""Show what has become worse or better between two runs: `python -m benchmarks compare BEFORE.json AFTER.json`."""
+"""Show what has become worse or better between two runs: `python -m benchmarks compare BEFORE.json
+AFTER.json`.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,10 @@ import numpy as np
 
 __all__ = ["differences", "main"]
 
-# Times vary by so much from run to run on a busy machine; errors are the same whatever the machine does.
-_SLOWER, _WORSE = 1.3, 1.02
+# Times vary by so much from run to run on a busy machine; errors are the same whatever the machine
+# does.
+_SLOWER = 1.3
+_WORSE = 1.02
 # Differences below this do not matter: px, shares, dB.
 _FLOOR = 2e-3
 _MORE_IS_BETTER = ("PSNR dB", "SSIM")
@@ -22,7 +26,8 @@ _MORE_IS_BETTER = ("PSNR dB", "SSIM")
 def differences(before: dict[str, Any], after: dict[str, Any]) -> tuple[list[str], list[str]]:
     """Lines about what is worse in `after`, and about what is better."""
     old = {(row["stage"], row["method"], row["case"]): row for row in before["rows"]}
-    worse, better = [], []
+    worse = []
+    better = []
     for row in after["rows"]:
         key = (row["stage"], row["method"], row["case"])
         earlier = old.pop(key, None)
@@ -50,7 +55,9 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("before", type=Path)
     parser.add_argument("after", type=Path)
     options = parser.parse_args(arguments)
-    before, after = (json.loads(path.read_text(encoding="utf-8")) for path in (options.before, options.after))
+    before, after = (
+        json.loads(path.read_text(encoding="utf-8")) for path in (options.before, options.after)
+    )
     worse, better = differences(before, after)
     for title, lines in (("worse", worse), ("better", better)):
         print(f"{len(lines)} {title}")

@@ -51,7 +51,8 @@ class Row:
 
 def _timed(call: Callable[[], Any], runs: int) -> tuple[Any, float]:
     """The answer and the least CPU time [s]; a first call compiles."""
-    answer, least = call(), np.inf
+    answer = call()
+    least = np.inf
     for _ in range(runs):
         start = time.process_time()
         call()
@@ -69,7 +70,9 @@ def measure(case: Case, runs: int = 2) -> Iterator[Row]:
     """All methods on a case; `runs` repetitions of each."""
     unit = max(_remap_time(case, runs), 1e-9)
 
-    def row(stage: str, method: str, call: Callable[[], Any], judge: Callable[[Any], dict[str, float]]) -> Row:
+    def row(
+        stage: str, method: str, call: Callable[[], Any], judge: Callable[[Any], dict[str, float]]
+    ) -> Row:
         try:
             answer, spent = _timed(call, runs)
         except (lfcal.LightFieldError, ValueError) as refusal:
@@ -79,27 +82,47 @@ def measure(case: Case, runs: int = 2) -> Iterator[Row]:
     def lattice_error(lattice: lfcal.Lattice) -> dict[str, float]:
         return {"centre RMS px": case.centre_rms(lattice)}
 
-    flat, true, lattice = case.flat, case.calibration, case.calibration.lattice
+    flat = case.flat
+    true = case.calibration
+    lattice = case.calibration.lattice
     yield row("calibration", "white", lambda: lfcal.calibrate(case.white).lattice, lattice_error)
     yield row("calibration", "scene", lambda: lfcal.calibrate(flat, "scene").lattice, lattice_error)
-    yield row("calibration", "baseline: Hough circles, white", lambda: hough_lattice(case.white), lattice_error)
+    yield row(
+        "calibration",
+        "baseline: Hough circles, white",
+        lambda: hough_lattice(case.white),
+        lattice_error,
+    )
     depths = {}
     for preset in _PRESETS:
         for skip in (True, False):
             method = preset if skip else f"{preset}, exhaustive"
             yield row(
-                "analysis", method, partial(lfrender.analyze, flat, true, preset, skip=skip),
+                "analysis",
+                method,
+                partial(lfrender.analyze, flat, true, preset, skip=skip),
                 lambda depth: case.depth_errors(depth.patch_size),
-            )  # fmt: skip
+            )
         depths[preset] = lfrender.analyze(flat, true, preset)
-    yield row("analysis", "baseline: template", lambda: matched_patch_sizes(flat, lattice), case.depth_errors)
-    depth, sizes = depths["balanced"], matched_patch_sizes(flat, lattice)
+    yield row(
+        "analysis",
+        "baseline: template",
+        lambda: matched_patch_sizes(flat, lattice),
+        case.depth_errors,
+    )
+    depth = depths["balanced"]
+    sizes = matched_patch_sizes(flat, lattice)
     for name, scale in (("full resolution", default_scale(depth)), ("0.3 D", 0.3 * lattice.pitch)):
         for blend in (True, False):
             yield row(
-                "rendering", f"{'blended' if blend else 'nearest lens'}, {name}",
-                partial(lfrender.render, flat, true, depth, scale=scale, blend=blend), case.picture_merit,
-            )  # fmt: skip
+                "rendering",
+                f"{'blended' if blend else 'nearest lens'}, {name}",
+                partial(lfrender.render, flat, true, depth, scale=scale, blend=blend),
+                case.picture_merit,
+            )
         yield row(
-            "rendering", f"baseline: tiles, {name}", partial(tiled, flat, lattice, sizes, scale), case.picture_merit
+            "rendering",
+            f"baseline: tiles, {name}",
+            partial(tiled, flat, lattice, sizes, scale),
+            case.picture_merit,
         )

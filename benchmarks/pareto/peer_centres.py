@@ -1,4 +1,5 @@
-"""Microimage centres as another tool finds them, as a script of its own: it also runs where only that tool does.
+"""Microimage centres as another tool finds them, as a script of its own: it also runs where only
+that tool does.
 
 python peer_centres.py                                   # versions of the tools installed, as JSON
 python peer_centres.py NAME WHITE.npy PITCH CENTRES.npy  # prints the CPU time [s]
@@ -16,9 +17,11 @@ from unittest.mock import MagicMock
 
 import numpy as np
 
-# Tools, and the way to calibrate of each that is the most exact on white images like those that it is made for.
+# Tools, and the way to calibrate of each that is the most exact on white images like those that it
+# is made for.
 _TOOLS = {"plenopticam": "grid-fit", "plenpy": "own"}
-# Sensor distance over focal length of plenpy's own method: more than 1, by so little that nothing else changes.
+# Sensor distance over focal length of plenpy's own method: more than 1, by so little that nothing
+# else changes.
 _MAGNIFICATION = 1.01
 
 
@@ -34,7 +37,9 @@ def installed() -> dict[str, str]:
 
 
 def _plenopticam(white: Any, pitch: float) -> Any:
-    """(n, 2) centres x, y [px]: its calibrator, told the pitch, which it does not find on small images."""
+    """(n, 2) centres x, y [px]: its calibrator, told the pitch, which it does not find on small
+    images.
+    """
     config = import_module("plenopticam.cfg").PlenopticamConfig()
     config.default_values()
     for option in (config.opt_prnt, config.opt_dbug):
@@ -49,7 +54,9 @@ def _plenopticam(white: Any, pitch: float) -> Any:
 
 
 def _plenpy(white: Any, pitch: float) -> Any:
-    """(n, 2) centres x, y [px]: the grid that its light field cameras estimate, without their folders and files."""
+    """(n, 2) centres x, y [px]: the grid that its light field cameras estimate, without their
+    folders and files.
+    """
     for name in ("torch", "torchvision", "torchvision.transforms"):
         # All of its cameras are imported together, and one of them needs these.
         try:
@@ -61,7 +68,9 @@ def _plenpy(white: Any, pitch: float) -> Any:
     kind = type("Camera", (base,), {name: lambda *_: None for name in base.__abstractmethods__})
     camera: Any = object.__new__(kind)
     camera._gridType, camera._microlensSize, camera._microlensRadius = "hex", pitch, int(pitch / 2)
-    grid = camera._get_ideal_grid_params(method=_TOOLS["plenpy"], wi=white, args={"lam_est": _MAGNIFICATION})
+    grid = camera._get_ideal_grid_params(
+        method=_TOOLS["plenpy"], wi=white, args={"lam_est": _MAGNIFICATION}
+    )
     points = import_module("plenpy.utilities.grids").HexGrid(grid).gridPoints
     return np.asarray(points).reshape(-1, 2)[:, ::-1]
 

@@ -1,7 +1,8 @@
-"""Other tools beside ours: centres on white images, from whichever of plenopticam and plenpy is installed.
+"""Other tools beside ours: centres on white images, from whichever of plenopticam and plenpy is
+installed.
 
-Both are made for cameras of the first kind, whose microimages are pixels of views: they know no patch size, so that
-there is nothing of theirs to compare depth and rendering with.
+Both are made for cameras of the first kind, whose microimages are pixels of views: they know no
+patch size, so that there is nothing of theirs to compare depth and rendering with.
 """
 
 from __future__ import annotations
@@ -27,13 +28,17 @@ from .measure import Row
 __all__ = ["measure_peers", "peers_of", "white_cases"]
 
 _SCRIPT = Path(__file__).with_name("peer_centres.py")
-_THREADS = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+_THREADS = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
 # Centres further off than this share of the pitch are of no microimage.
 _HIT = 0.4
 
 
 def white_cases() -> dict[str, WhiteImage]:
-    """White images by name: as small apertures of lenses give them, which both tools are made for, and flat discs."""
+    """White images by name: as small apertures of lenses give them, which both tools are made for,
+    and flat discs.
+    """
     common = {"pitch": 14.3, "degrees": 0.3, "size": (800, 600)}
     return {
         "soft discs": WhiteImage(soft=9.0, inner=0.5, fill=0.97, **common),  # type: ignore[arg-type]
@@ -44,7 +49,9 @@ def white_cases() -> dict[str, WhiteImage]:
 def peers_of(python: str) -> dict[str, str]:
     """Versions of the tools that are installed for that Python; empty where it cannot be run."""
     try:
-        done = subprocess.run([python, str(_SCRIPT)], capture_output=True, text=True, timeout=60, check=True)
+        done = subprocess.run(
+            [python, str(_SCRIPT)], capture_output=True, text=True, timeout=60, check=True
+        )
     except (OSError, subprocess.SubprocessError):
         return {}
     found: dict[str, str] = json.loads(done.stdout)
@@ -52,7 +59,8 @@ def peers_of(python: str) -> dict[str, str]:
 
 
 def measure_peers(python: str = sys.executable, limit: float = 120.0) -> Iterator[Row]:
-    """Ours, and all tools that are installed for that Python, on `white_cases`; nothing where there is none.
+    """Ours, and all tools that are installed for that Python, on `white_cases`; nothing where there
+    is none.
 
     Each is ended after `limit` seconds.
     """
@@ -78,14 +86,21 @@ def _theirs(
     """Centres (n, 2) [px] without any where it fails, CPU time [s] and why it failed."""
     none = np.empty((0, 2))
     with tempfile.TemporaryDirectory() as folder:
-        light, centres = Path(folder) / "white.npy", Path(folder) / "centres.npy"
+        light = Path(folder) / "white.npy"
+        centres = Path(folder) / "centres.npy"
         np.save(light, white / np.iinfo(white.dtype).max)
         command = [python, str(_SCRIPT), peer, str(light), str(pitch), str(centres)]
         environment = {**os.environ, **_THREADS}
         environment.pop("PYTHONPATH", None)
         try:
             done = subprocess.run(
-                command, capture_output=True, text=True, timeout=limit, check=False, cwd=folder, env=environment
+                command,
+                capture_output=True,
+                text=True,
+                timeout=limit,
+                check=False,
+                cwd=folder,
+                env=environment,
             )
         except subprocess.TimeoutExpired:
             return none, float("nan"), f"no answer within {limit:g} s"
@@ -94,8 +109,12 @@ def _theirs(
         return np.load(centres), float(done.stdout.split()[-1]), ""
 
 
-def _row(case: str, method: str, truth: WhiteImage, centres: NDArray, spent: float, note: str) -> Row:
-    """Errors over the centres that are of a microimage, and the share of the whole microimages that have one."""
+def _row(
+    case: str, method: str, truth: WhiteImage, centres: NDArray, spent: float, note: str
+) -> Row:
+    """Errors over the centres that are of a microimage, and the share of the whole microimages that
+    have one.
+    """
     width, height = truth.size
     megapixels = width * height / 1e6
     unit = _remap_time(truth.size)
@@ -116,9 +135,12 @@ def _row(case: str, method: str, truth: WhiteImage, centres: NDArray, spent: flo
 
 
 def _remap_time(size: tuple[int, int]) -> float:
-    """CPU time [s] of `cv2.remap` of a grey image of 8 bits onto a grid of its own size, the least of several."""
+    """CPU time [s] of `cv2.remap` of a grey image of 8 bits onto a grid of its own size, the least
+    of several.
+    """
     x, y = np.meshgrid(np.arange(size[0], dtype=np.float32), np.arange(size[1], dtype=np.float32))
-    image, least = np.zeros(size[::-1], np.uint8), np.inf
+    image = np.zeros(size[::-1], np.uint8)
+    least = np.inf
     for _ in range(20):
         start = time.process_time()
         cv2.remap(image, x + 0.3, y + 0.3, cv2.INTER_LINEAR)

@@ -1,4 +1,6 @@
-"""The stress suite as a command: runs the sweeps, random cases and damaged files, and writes what came of them."""
+"""The stress suite as a command: runs the sweeps, random cases and damaged files, and writes what
+came of them.
+"""
 
 from __future__ import annotations
 
@@ -56,11 +58,22 @@ def _plot(path: Path, sweep: Sweep, rows: list[tuple[float, Outcome]]) -> None:
 def main(arguments: list[str]) -> None:
     """Run the suite; exits with 1 where a limit is broken."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks stress", description=__doc__)
-    parser.add_argument("--full", action="store_true", help="all values, 10,000 random cases, 100 kills of each writer")
+    parser.add_argument(
+        "--full",
+        action="store_true",
+        help="all values, 10,000 random cases, 100 kills of each writer",
+    )
     parser.add_argument("--cases", type=int, help="so many random cases of each stage")
-    parser.add_argument("--log", type=Path, help="file that keeps the random cases: a later run goes on from there")
+    parser.add_argument(
+        "--log", type=Path, help="file that keeps the random cases: a later run goes on from there"
+    )
     parser.add_argument("--only", default="", help="sweeps whose name contains this")
-    parser.add_argument("-o", "--output", type=Path, help="folder for CSV files, and plots where matplotlib is there")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        help="folder for CSV files, and plots where matplotlib is there",
+    )
     options = parser.parse_args(arguments)
     broken = []
     for stage, several in sweeps().items():
@@ -69,7 +82,11 @@ def main(arguments: list[str]) -> None:
                 continue
             values = sweep.values if options.full else quick_values(sweep)
             rows = [(value, sweep.run(value)) for value in values]
-            wrong = [f"{value:g}: {sweep.broken(value, one)}" for value, one in rows if sweep.broken(value, one)]
+            wrong = [
+                f"{value:g}: {sweep.broken(value, one)}"
+                for value, one in rows
+                if sweep.broken(value, one)
+            ]
             broken += [f"{stage}, {sweep.name} {what}" for what in wrong]
             worst = max((one.wrong for _, one in rows), default=0.0)
             print(
@@ -112,7 +129,18 @@ def _files(damages: int, kills: int) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         tried, faults = fuzz(Path(folder), range(damages))
         print(f"files        {tried} damaged files, {len(faults)} not refused in order", flush=True)
-        command = [sys.executable, "-m", "benchmarks.stress.write_faults", str(Path(folder) / "kill"), str(kills)]
+        command = [
+            sys.executable,
+            "-m",
+            "benchmarks.stress.write_faults",
+            str(Path(folder) / "kill"),
+            str(kills),
+        ]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
-        print(f"files        {kills} kills of each writer, full disk: {done.stdout.strip()}", flush=True)
-    return [str(fault) for fault in faults] + ([done.stdout + done.stderr] if done.returncode else [])
+        print(
+            f"files        {kills} kills of each writer, full disk: {done.stdout.strip()}",
+            flush=True,
+        )
+    return [str(fault) for fault in faults] + (
+        [done.stdout + done.stderr] if done.returncode else []
+    )

@@ -1,4 +1,6 @@
-"""Damaged and hostile files for every reader: truncated, bits flipped, headers that claim too much, other types."""
+"""Damaged and hostile files for every reader: truncated, bits flipped, headers that claim too much,
+other types.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ _CLAIMS = (
 
 @dataclass(frozen=True)
 class Fault:
-    """A file that was not refused as it should be: its name, the number of the damage, and what came of it."""
+    """A file that was not refused as it should be: its name, the number of the damage, and what
+    came of it.
+    """
 
     name: str
     number: int
@@ -58,7 +62,10 @@ class Fault:
 def whole_files(folder: Path) -> dict[str, bytes]:
     """One good file of every kind that is read, by its name; the suffix tells the reader."""
     grey = (PlaneFlat(size=_SIZE, fill=0.95).flat() >> 8).astype(np.uint8)
-    files = {f"flat{suffix}": _encoded(suffix, grey) for suffix in (".png", ".tif", ".webp", ".bmp", ".pgm", ".jpg")}
+    files = {
+        f"flat{suffix}": _encoded(suffix, grey)
+        for suffix in (".png", ".tif", ".webp", ".bmp", ".pgm", ".jpg")
+    }
     colour = np.repeat(grey[..., None], 3, 2)
     files["colour.png"] = _encoded(".png", colour)
     files["deep.png"] = _encoded(".png", colour.astype(np.uint16) * np.uint16(257))
@@ -73,7 +80,9 @@ def whole_files(folder: Path) -> dict[str, bytes]:
     files |= _container_files(folder, grey)
     shot = PlaneFlat(size=_SIZE)
     lfrender.analyze(shot.flat(), shot.calibration).save(folder / "depth.npz")
-    camera = lfcal.calibrate(PlaneFlat(size=_SIZE, pitch=12.0, contrast=0.0, noise=0.01, fill=0.95).flat())
+    camera = lfcal.calibrate(
+        PlaneFlat(size=_SIZE, pitch=12.0, contrast=0.0, noise=0.01, fill=0.95).flat()
+    )
     camera.save(folder / "camera.json")
     for suffix in (".xml", ".cfg", ".csv"):
         convert(camera, folder / f"camera{suffix}")
@@ -92,24 +101,33 @@ def _container_files(folder: Path, grey: Any) -> dict[str, bytes]:
     tifffile.imwrite(stream, grey, ome=True, metadata={"axes": "YX"})
     files["ome.tif"] = stream.getvalue()
     files["film_160x120_400p8.yuv"] = grey.tobytes() * 2
-    # A Lytro file of one picture: a table of contents, its description, and packed pixels of 12 bits.
+    # A Lytro file of one picture: a table of contents, its description, and packed pixels of 12
+    # bits.
     pairs = wide.reshape(-1, 2)
-    packed = np.stack([pairs[:, 0] >> 4, (pairs[:, 0] & 15) << 4 | pairs[:, 1] >> 8, pairs[:, 1] & 255], 1)
+    packed = np.stack(
+        [pairs[:, 0] >> 4, (pairs[:, 0] & 15) << 4 | pairs[:, 1] >> 8, pairs[:, 1] & 255], 1
+    )
     about = {"image": {"width": _SIZE[0], "height": _SIZE[1], "pixelPacking": {"bitsPerPixel": 12}}}
     names = {"imageRef": "sha1-" + "a" * 40, "metadataRef": "sha1-" + "b" * 40}
     blobs = [packed.astype(np.uint8).tobytes(), json.dumps(about).encode()]
-    sections = [(b"\x89LFM", "sha1-" + "c" * 40, json.dumps({"frames": [{"frame": names}]}).encode())]
+    sections = [
+        (b"\x89LFM", "sha1-" + "c" * 40, json.dumps({"frames": [{"frame": names}]}).encode())
+    ]
     sections += [(b"\x89LFC", name, blob) for name, blob in zip(names.values(), blobs, strict=True)]
     lytro = struct.pack(">4s4sII", b"\x89LFP", b"\r\n\x1a\n", 1, 0)
     for kind, name, blob in sections:
-        head = struct.pack(">4s4sII", kind, b"\r\n\x1a\n", 0, len(blob)) + name.encode().ljust(80, b"\0")
+        head = struct.pack(">4s4sII", kind, b"\r\n\x1a\n", 0, len(blob)) + name.encode().ljust(
+            80, b"\0"
+        )
         lytro += (head + blob).ljust(-(-len(head + blob) // 16) * 16, b"\0")
     files["picture.lfr"] = lytro
     if find_spec("h5py"):
         import h5py
 
         with h5py.File(folder / "views.h5", "w") as file:
-            file.create_dataset("LF", data=grey.reshape(4, 30, 5, 32).transpose(0, 2, 1, 3), compression="gzip")
+            file.create_dataset(
+                "LF", data=grey.reshape(4, 30, 5, 32).transpose(0, 2, 1, 3), compression="gzip"
+            )
         files["views.h5"] = (folder / "views.h5").read_bytes()
         (folder / "views.h5").unlink()
     if find_spec("OpenEXR"):
@@ -121,9 +139,13 @@ def _container_files(folder: Path, grey: Any) -> dict[str, bytes]:
         (folder / "grey.exr").unlink()
     if find_spec("rawpy"):
         tags = [
-            (33421, "H", 2, (2, 2), True), (33422, "B", 4, (0, 1, 1, 2), True), (50706, "B", 4, (1, 4, 0, 0), True),
-            (50708, "s", 5, "None", True), (50714, "H", 1, 0, True), (50717, "H", 1, 4095, True),
-        ]  # fmt: skip
+            (33421, "H", 2, (2, 2), True),
+            (33422, "B", 4, (0, 1, 1, 2), True),
+            (50706, "B", 4, (1, 4, 0, 0), True),
+            (50708, "s", 5, "None", True),
+            (50714, "H", 1, 0, True),
+            (50717, "H", 1, 4095, True),
+        ]
         stream = io.BytesIO()
         tifffile.imwrite(stream, wide, photometric="CFA", extratags=tags, metadata=None)
         files["photo.dng"] = stream.getvalue()
@@ -136,7 +158,9 @@ def _encoded(suffix: str, pixels: Any) -> bytes:
 
 def damaged(whole: bytes, number: int) -> bytes:
     """`whole` with the damage of that number: of five kinds in turn, at random places."""
-    rng, data, kind = np.random.default_rng(number), bytearray(whole), number % 5
+    rng = np.random.default_rng(number)
+    data = bytearray(whole)
+    kind = number % 5
     if kind == 0:
         return bytes(data[: rng.integers(0, len(data))])
     if kind == 1:
@@ -146,7 +170,8 @@ def damaged(whole: bytes, number: int) -> bytes:
         for _ in range(rng.integers(1, 4)):
             data[rng.integers(0, min(len(data), _HEADER))] = rng.integers(0, 256)
     elif kind == 3:
-        start, length = int(rng.integers(0, len(data))), int(rng.integers(1, 64))
+        start = int(rng.integers(0, len(data)))
+        length = int(rng.integers(1, 64))
         data[start : start + length] = rng.integers(0, 256, length, dtype=np.uint8).tobytes()
     else:
         start = int(rng.integers(0, min(len(data) - 4, _HEADER)))
@@ -155,7 +180,9 @@ def damaged(whole: bytes, number: int) -> bytes:
 
 
 def _read_film(path: Path) -> int:
-    """Read all frames and the last one alone, and raise the first error of theirs when all have been tried."""
+    """Read all frames and the last one alone, and raise the first error of theirs when all have
+    been tried.
+    """
     errors: list[lfcal.LightFieldError] = []
     count = 0
     try:
@@ -184,25 +211,33 @@ def _reader(name: str) -> Callable[[Path], Any]:
     if suffix in (".json", ".xml", ".cfg", ".csv"):
         # A camera is of use only where its lenses can be counted.
         return lambda path: len(lfcal.load(path, None if suffix == ".json" else _SIZE).lattice)
-    return lambda path: (lfcal.count_pages(path), lfcal.read_flat(path, 0 if suffix == ".yuv" else None))
+    return lambda path: (
+        lfcal.count_pages(path),
+        lfcal.read_flat(path, 0 if suffix == ".yuv" else None),
+    )
 
 
-def fuzz(folder: Path, numbers: range, more: dict[str, bytes] | None = None) -> tuple[int, list[Fault]]:
+def fuzz(
+    folder: Path, numbers: range, more: dict[str, bytes] | None = None
+) -> tuple[int, list[Fault]]:
     """Read every kind of file with the damages of these numbers.
 
     Returns
     -------
     tried : int
     faults : list of Fault
-        Errors that are none of the project's own, and reads that took longer than two seconds of CPU time.
-        What is read without an error holds together as far as its format lets anybody tell.
+        Errors that are none of the project's own, and reads that took longer than two seconds of
+        CPU time. What is read without an error holds together as far as its format lets anybody
+        tell.
     """
     good = folder / "whole"
     good.mkdir()
-    faults, tried = [], 0
+    faults = []
+    tried = 0
     for name, whole in (whole_files(good) | (more or {})).items():
         # With its name, from which the size of raw video follows.
-        read, path = _reader(name), folder / f"damaged_{name}"
+        read = _reader(name)
+        path = folder / f"damaged_{name}"
         for number in numbers:
             path.write_bytes(damaged(whole, number))
             start = time.process_time()
@@ -224,4 +259,6 @@ def fuzz(folder: Path, numbers: range, more: dict[str, bytes] | None = None) -> 
 
 def limit_memory(gigabytes: float) -> None:
     """Let this process have no more address space than so much, so that a header cannot claim it."""
-    resource.setrlimit(resource.RLIMIT_AS, (int(gigabytes * 2**30), resource.getrlimit(resource.RLIMIT_AS)[1]))
+    resource.setrlimit(
+        resource.RLIMIT_AS, (int(gigabytes * 2**30), resource.getrlimit(resource.RLIMIT_AS)[1])
+    )

@@ -1,6 +1,7 @@
 """Whether another processor gives the same results: `python -m benchmarks.stress.other_processor`.
 
-Kernels are compiled anew without the instructions that only this one has, into a folder of their own: minutes.
+Kernels are compiled anew without the instructions that only this one has, into a folder of their
+own: minutes.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ def results() -> dict[str, NDArray[np.float64]]:
     }
 
 
-def differences(ours: dict[str, NDArray[np.float64]], theirs: dict[str, NDArray[np.float64]]) -> dict[str, float]:
+def differences(
+    ours: dict[str, NDArray[np.float64]], theirs: dict[str, NDArray[np.float64]]
+) -> dict[str, float]:
     """Largest difference by name, over the largest value; infinite where shapes differ."""
     return {
         name: float(np.abs(values - theirs[name]).max() / np.abs(values).max())
@@ -55,7 +58,11 @@ def main() -> None:
     """Print the differences; exits with 1 where one is too large."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "theirs.npz"
-        environment = os.environ | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": folder}
+        environment = os.environ | {
+            "NUMBA_CPU_NAME": "generic",
+            "NUMBA_CPU_FEATURES": "",
+            "NUMBA_CACHE_DIR": folder,
+        }
         code = "import sys, numpy; from benchmarks.stress.other_processor import results; "
         code += "numpy.savez(sys.argv[1], **results())"
         subprocess.run([sys.executable, "-c", code, str(file)], env=environment, check=True)

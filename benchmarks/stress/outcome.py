@@ -30,13 +30,17 @@ __all__ = [
 
 #: Answers of this confidence and more are taken for certain by users.
 SURE = 0.7
-# Patch sizes off by more than the first share of the pitch are wrong, and lattices off by more than the second: so far
-# may two halves of a flat differ before `lfcal.calibrate` refuses it.
-_WRONG, _ASTRAY = 0.05, 0.1
+# Patch sizes off by more than the first share of the pitch are wrong, and lattices off by more than
+# the second: so far may two halves of a flat differ before `lfcal.calibrate` refuses it.
+_WRONG = 0.05
+_ASTRAY = 0.1
 # Of one value of a sweep: among 150 lenses chance and the border leave as many.
 _ALLOWED = 0.02
-# Of `Outcome.off`: patch sizes off by so many px and standard errors, at a confidence above the third number.
-_OFF_PX, _OFF_ERRORS, _BELIEVED = 0.5, 4.0, 0.5
+# Of `Outcome.off`: patch sizes off by so many px and standard errors, at a confidence above the
+# third number.
+_OFF_PX = 0.5
+_OFF_ERRORS = 4.0
+_BELIEVED = 0.5
 
 
 Harm = Callable[[NDArray[Any]], NDArray[Any]]
@@ -53,12 +57,13 @@ class Outcome:
     error : float [px]
         RMS of the centres, or median of the patch sizes; NaN without an answer.
     wrong : float
-        Share of the lenses whose answer is wrong by more than a twentieth of the pitch and confident all the same.
+        Share of the lenses whose answer is wrong by more than a twentieth of the pitch and
+        confident all the same.
     note : str
         What the answer said, where it was a refusal.
     off : float
-        By a stricter measure than `wrong`: share of the lenses in the wrong mode, or off by more than half a pixel and
-        four standard errors, at a confidence above one half.
+        By a stricter measure than `wrong`: share of the lenses in the wrong mode, or off by more
+        than half a pixel and four standard errors, at a confidence above one half.
     """
 
     answered: float
@@ -101,17 +106,28 @@ class Sweep:
             return ""
         if outcome.answered < self.least:
             return f"{outcome.answered:.1%} answered, promised {self.least:.0%} ({outcome.note})"
-        return "" if outcome.error <= self.most else f"error {outcome.error:.4f} px, promised {self.most:g}"
+        return (
+            ""
+            if outcome.error <= self.most
+            else f"error {outcome.error:.4f} px, promised {self.most:g}"
+        )
 
 
 def _of_camera(camera: lfcal.Calibration, error: float, pitch: float) -> Outcome:
-    sure, astray = camera.confidence >= SURE, not error <= _ASTRAY * pitch
+    sure = camera.confidence >= SURE
+    astray = not error <= _ASTRAY * pitch
     note = "" if sure else "; ".join(camera.warnings)
-    return Outcome(1.0, error, float(sure and astray), note, float(astray and camera.confidence > _BELIEVED))
+    return Outcome(
+        1.0, error, float(sure and astray), note, float(astray and camera.confidence > _BELIEVED)
+    )
 
 
-def calibrate_white(truth: WhiteImage, exposure: float = 1.0, kind: str = "", harm: Harm | None = None) -> Outcome:
-    """Calibrate on a white image, with its light times `exposure`; clipped where that exceeds white."""
+def calibrate_white(
+    truth: WhiteImage, exposure: float = 1.0, kind: str = "", harm: Harm | None = None
+) -> Outcome:
+    """Calibrate on a white image, with its light times `exposure`; clipped where that exceeds
+    white.
+    """
     image = truth.image(exposure, kind)
     try:
         camera = lfcal.calibrate(image if harm is None else harm(image))
@@ -131,7 +147,8 @@ def calibrate_plane(truth: PlaneFlat) -> Outcome:
         camera = lfcal.calibrate(truth.flat())
     except lfcal.LightFieldError as refusal:
         return Outcome(0.0, np.nan, 0.0, str(refusal))
-    found, lattice = camera.lattice.centres(), truth.lattice
+    found = camera.lattice.centres()
+    lattice = truth.lattice
     index = np.rint(lattice.to_index(found))
     cells = abs(np.linalg.det(camera.lattice.basis)) / abs(np.linalg.det(lattice.basis))
     same = abs(cells - 1) < _ASTRAY and len(np.unique(index, axis=0)) == len(found)
@@ -139,7 +156,9 @@ def calibrate_plane(truth: PlaneFlat) -> Outcome:
     return _of_camera(camera, error, truth.pitch)
 
 
-def depth_of_plane(truth: PlaneFlat, preset: Preset = "balanced", harm: Harm | None = None) -> Outcome:
+def depth_of_plane(
+    truth: PlaneFlat, preset: Preset = "balanced", harm: Harm | None = None
+) -> Outcome:
     """Analyse a flat of a textured plane with its true camera."""
     flat = truth.flat() if harm is None else harm(truth.flat())
     depth = lfrender.analyze(flat, truth.calibration, preset)
@@ -163,25 +182,30 @@ def depth_of_plane(truth: PlaneFlat, preset: Preset = "balanced", harm: Harm | N
 def picture_of_plane(truth: PlaneFlat) -> Outcome:
     """Analyse a flat of a textured plane, draw it, and compare the picture with the plane itself.
 
-    A pixel is wrong where it is off by more than the standard deviation of the texture and what the noise explains, as
-    half of all pixels are that show another place; it is confident where the lens about it is. The error is the RMS of
-    confident pixels over that deviation.
+    A pixel is wrong where it is off by more than the standard deviation of the texture and what the
+    noise explains, as half of all pixels are that show another place; it is confident where the
+    lens about it is. The error is the RMS of confident pixels over that deviation.
     """
     flat = truth.flat()
     depth = lfrender.analyze(flat, truth.calibration)
     picture = lfrender.render(flat, truth.calibration, depth)
     v, u = np.mgrid[: picture.image.shape[0], : picture.image.shape[1]]
     places = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ picture.affine.T
-    wanted, contrast = truth.scene(places).reshape(u.shape), truth.exposure * truth.contrast
+    wanted = truth.scene(places).reshape(u.shape)
+    contrast = truth.exposure * truth.contrast
     white = 1.0 if picture.image.dtype.kind == "f" else np.iinfo(picture.image.dtype).max
     error = np.abs(picture.image / white - np.clip(wanted, 0, 1))
     lens = cKDTree(truth.lattice.centres()).query(places)[1].reshape(u.shape)
-    border = (places < truth.pitch).any(1) | (places > np.array(truth.size) - 1 - truth.pitch).any(1)
+    border = (places < truth.pitch).any(1) | (places > np.array(truth.size) - 1 - truth.pitch).any(
+        1
+    )
     asked = picture.valid & ~border.reshape(u.shape)
     sure = asked & (depth.mode[lens] != 0) & (depth.confidence[lens] > _BELIEVED)
     return Outcome(
         float(sure.sum() / max(1, asked.sum())),
         float(np.sqrt((error[sure] ** 2).mean()) / contrast) if sure.any() and contrast else np.nan,
         0.0,
-        off=float((sure & (error > contrast + 4 * truth.noise + 2 / white)).sum() / max(1, asked.sum())),
+        off=float(
+            (sure & (error > contrast + 4 * truth.noise + 2 / white)).sum() / max(1, asked.sum())
+        ),
     )

@@ -1,4 +1,5 @@
-"""Flats of a textured plane, drawn from a random spline: exact at every pixel, and cheap enough for thousands.
+"""Flats of a textured plane, drawn from a random spline: exact at every pixel, and cheap enough for
+thousands.
 
 Shares no code with `lfcal` or `lfrender`: the formulas are written down here from docs/geometry.md.
 """
@@ -25,15 +26,19 @@ CELLS = {
     "sheared": ((1.0, 0.0), (0.25, 1.0)),
 }
 _ROWS = 64
-# Standard deviation of a cubic B-spline in two dimensions with random coefficients of standard deviation 1, about.
+# Standard deviation of a cubic B-spline in two dimensions with random coefficients of standard
+# deviation 1, about.
 _SPLINE = 0.48
 # Light beside the discs over the light in them.
 _GAP = 0.03
 
 
 def turned(cell: NDArray[np.float64], pitch: float, degrees: float) -> NDArray[np.float64]:
-    """(2, 2) basis rows [px] of a lattice `cell` of mean neighbour distance `pitch`, turned clockwise on the screen."""
-    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    """(2, 2) basis rows [px] of a lattice `cell` of mean neighbour distance `pitch`, turned
+    clockwise on the screen.
+    """
+    cos = np.cos(np.radians(degrees))
+    sin = np.sin(np.radians(degrees))
     basis = np.asarray(cell) @ np.array([[cos, sin], [-sin, cos]])
     return basis * (pitch / lfcal.Lattice(np.zeros(2), basis, (1, 1), 1.0).pitch)
 
@@ -71,11 +76,13 @@ class PlaneFlat:
     grain : float [px]
         Distance between the random knots of the texture on the flat.
     period : float
-        A texture that repeats after so many pitches in the microimage, both ways; 0 for one that does not repeat.
+        A texture that repeats after so many pitches in the microimage, both ways; 0 for one that
+        does not repeat.
     exposure : float
         Mean light in the discs, 1 at white.
     fill : float
-        Diameter of the discs over the distance to the nearest neighbour; 0 for no discs: light everywhere.
+        Diameter of the discs over the distance to the nearest neighbour; 0 for no discs: light
+        everywhere.
     kind : {"u1", "u2", "f4"}
         8 bit, 16 bit, float32.
     shift : (float, float) [px]
@@ -107,7 +114,11 @@ class PlaneFlat:
     def lattice(self) -> lfcal.Lattice:
         """The true lattice."""
         basis = turned(np.array(self.own_cell or CELLS[self.cell]), self.pitch, self.degrees)
-        origin = (np.array(self.size) - 1) / 2 + np.array([0.31, -0.17]) * self.pitch + np.array(self.shift)
+        origin = (
+            (np.array(self.size) - 1) / 2
+            + np.array([0.31, -0.17]) * self.pitch
+            + np.array(self.shift)
+        )
         nearest = np.hypot(*(np.array([(1, 0), (0, 1), (1, 1), (1, -1)]) @ basis).T).min()
         radius = nearest / 2 * (self.fill or 0.97)
         return lfcal.Lattice(origin, basis, self.size, radius)
@@ -118,7 +129,9 @@ class PlaneFlat:
         return lfcal.Calibration(self.lattice, source="truth")
 
     def patch_size(self, centres: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) true signed patch size [px] of lenses at `centres` (n, 2) [px]; 1 / s is linear on a plane."""
+        """(n,) true signed patch size [px] of lenses at `centres` (n, 2) [px]; 1 / s is linear on a
+        plane.
+        """
         size = np.array(self.size)
         away = (centres - (size - 1) / 2 - np.array(self.shift)) / size
         return self.pitch / (1 / self.ratio + away @ np.array(self.slant))
@@ -131,7 +144,9 @@ class PlaneFlat:
         out = np.empty((height, width))
         for top in range(0, height, _ROWS):
             y, x = np.mgrid[top : min(top + _ROWS, height), :width].astype(float)
-            out[top : top + _ROWS] = self._rows(np.column_stack([x.ravel(), y.ravel()]), texture).reshape(x.shape)
+            out[top : top + _ROWS] = self._rows(
+                np.column_stack([x.ravel(), y.ravel()]), texture
+            ).reshape(x.shape)
         return out + self.noise * rng.standard_normal(out.shape)
 
     def scene(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -143,10 +158,15 @@ class PlaneFlat:
         """(h, w) the flat."""
         return quantised(self.light(), self.kind)
 
-    def _texture(self, rng: np.random.Generator) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-        """Value, of mean 0 and standard deviation 1, at places (n, 2) of the scene in pixels as it has on the flat."""
+    def _texture(
+        self, rng: np.random.Generator
+    ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+        """Value, of mean 0 and standard deviation 1, at places (n, 2) of the scene in pixels as it
+        has on the flat.
+        """
         if self.period:
-            step, phase = 2 * np.pi / (self.period * self.pitch), rng.uniform(0, 2 * np.pi, 2)
+            step = 2 * np.pi / (self.period * self.pitch)
+            phase = rng.uniform(0, 2 * np.pi, 2)
             return lambda places: np.sin(places * step + phase).sum(1)
         # What the flat sees of the scene, and a disc's width of it on either side.
         steepest = abs(1 / self.ratio) + np.abs(self.slant).sum()
@@ -157,17 +177,24 @@ class PlaneFlat:
 
         def at(places: NDArray[np.float64]) -> NDArray[np.float64]:
             where = ((places - start - low) / self.grain).T
-            return np.asarray(map_coordinates(knots, where, order=3, mode="mirror", prefilter=False)) / _SPLINE
+            return (
+                np.asarray(map_coordinates(knots, where, order=3, mode="mirror", prefilter=False))
+                / _SPLINE
+            )
 
         return at
 
     def _rows(
-        self, points: NDArray[np.float64], texture: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+        self,
+        points: NDArray[np.float64],
+        texture: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     ) -> NDArray[np.float64]:
         """(n,) light without noise at flat positions (n, 2)."""
-        basis, origin = self.lattice.basis, self.lattice.origin
+        basis = self.lattice.basis
+        origin = self.lattice.origin
         start = np.rint((points - origin) @ np.linalg.inv(basis))
-        own, near = np.zeros_like(points), np.full(len(points), np.inf)
+        own = np.zeros_like(points)
+        near = np.full(len(points), np.inf)
         for step in np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), -1).reshape(-1, 2):
             centre = origin + (start + step) @ basis
             distance = ((points - centre) ** 2).sum(1)
@@ -176,7 +203,8 @@ class PlaneFlat:
         delta = points - own
         inverse = self.pitch / self.patch_size(own)
         tilt = np.array(self.slant) / np.array(self.size)
-        # Within a lens D / s changes with X, and X with it: two steps of the fixed point are exact to 1e-4.
+        # Within a lens D / s changes with X, and X with it: two steps of the fixed point are exact
+        # to 1e-4.
         for _ in range(2):
             scene = own - delta * inverse[:, None]
             inverse = self.pitch / self.patch_size(own) + (scene - own) @ tilt

@@ -1,8 +1,10 @@
-"""Random cases by the thousand: `python -m benchmarks.stress.random_cases FILE [--cases N] [--stage NAME]`.
+"""Random cases by the thousand: `python -m benchmarks.stress.random_cases FILE [--cases N] [--stage
+NAME]`.
 
-`hypothesis` draws them in batches, each from its own seed. FILE takes one line of JSON a case; batches that are whole
-there are not run again, so that a run can be ended at any time and taken up later. Another version of hypothesis, or
-other modules beside it, draw other cases of the same seed: rows that are wrong hold their case.
+`hypothesis` draws them in batches, each from its own seed. FILE takes one line of JSON a case;
+batches that are whole there are not run again, so that a run can be ended at any time and taken up
+later. Another version of hypothesis, or other modules beside it, draw other cases of the same seed:
+rows that are wrong hold their case.
 """
 
 from __future__ import annotations
@@ -37,7 +39,9 @@ def _refused(drawn: tuple[str, NDArray[Any]]) -> Outcome:
         camera = lfcal.calibrate(drawn[1])
     except lfcal.LightFieldError as refusal:
         return Outcome(0.0, np.nan, 0.0, str(refusal))
-    return Outcome(1.0, np.nan, float(camera.confidence >= SURE), off=float(camera.confidence > 0.5))
+    return Outcome(
+        1.0, np.nan, float(camera.confidence >= SURE), off=float(camera.confidence > 0.5)
+    )
 
 
 #: What is drawn for each stage, and what is done with it.
@@ -57,9 +61,12 @@ def outcomes(stage: str, batch: int, count: int = BATCH) -> list[tuple[str, Outc
     # Shrinking looks for the plainest failure; here all of them are counted.
     @seed(batch)
     @settings(
-        max_examples=count, database=None, deadline=None, phases=[Phase.generate],
+        max_examples=count,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
+    )
     @given(strategy())
     def draw(case: Any) -> None:
         with np.printoptions(threshold=10):
@@ -95,7 +102,9 @@ def _done(file: Path) -> dict[tuple[str, int], list[dict[str, Any]]]:
 
 
 def run_all(file: Path, cases: int, stages: tuple[str, ...] = tuple(STAGES)) -> list[str]:
-    """Run what is not in `file` yet, stages in turn, and tell of every stage; gives those with too many wrong."""
+    """Run what is not in `file` yet, stages in turn, and tell of every stage; gives those with too
+    many wrong.
+    """
     done = _done(file)
     for batch in range(-(-cases // BATCH)):
         for stage in stages:
@@ -103,15 +112,25 @@ def run_all(file: Path, cases: int, stages: tuple[str, ...] = tuple(STAGES)) -> 
                 continue
             rows = []
             for case, one in outcomes(stage, batch):
-                kept = {"answered": one.answered, "error": one.error, "wrong": one.wrong, "off": one.off}
+                kept = {
+                    "answered": one.answered,
+                    "error": one.error,
+                    "wrong": one.wrong,
+                    "off": one.off,
+                }
                 rows.append(kept | ({"case": case} if one.off or one.wrong else {}))
             done[stage, batch] = rows
-            # One write, so that a line is whole or the last one; a new line first ends what a killed run has left.
+            # One write, so that a line is whole or the last one; a new line first ends what a
+            # killed run has left.
             with file.open("a", encoding="utf-8") as stream:
-                stream.write("\n" + json.dumps({"stage": stage, "batch": batch, "cases": rows}) + "\n")
+                stream.write(
+                    "\n" + json.dumps({"stage": stage, "batch": batch, "cases": rows}) + "\n"
+                )
     broken = []
     for stage in stages:
-        line, rare = summary([row for (of, number), rows in done.items() if of == stage for row in rows])
+        line, rare = summary(
+            [row for (of, number), rows in done.items() if of == stage for row in rows]
+        )
         print(f"{stage:12} {line}", flush=True)
         if not rare:
             broken.append(f"{stage}: {line}")
@@ -120,7 +139,9 @@ def run_all(file: Path, cases: int, stages: tuple[str, ...] = tuple(STAGES)) -> 
 
 def main(arguments: list[str]) -> None:
     """Exits with 1 where confident and wrong answers are not rare."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.stress.random_cases", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.stress.random_cases", description=__doc__
+    )
     parser.add_argument("file", type=Path)
     parser.add_argument("--cases", type=int, default=10_000, help="of each stage")
     parser.add_argument("--stage", choices=list(STAGES), action="append")

@@ -1,4 +1,6 @@
-"""Random cases as `hypothesis` draws them: plain values and ends of ranges more often than chance would have them."""
+"""Random cases as `hypothesis` draws them: plain values and ends of ranges more often than chance
+would have them.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,17 @@ from .plane_flats import CELLS, PlaneFlat
 __all__ = ["drawable_planes", "lookalikes", "planes", "whites"]
 
 _SEEDS = st.integers(0, 2**31)
-_PHOTOGRAPHS = ("camera", "coins", "astronaut", "coffee", "chelsea", "page", "text", "brick", "grass")
+_PHOTOGRAPHS = (
+    "camera",
+    "coins",
+    "astronaut",
+    "coffee",
+    "chelsea",
+    "page",
+    "text",
+    "brick",
+    "grass",
+)
 _SIDE = (150, 400)
 # Of a shorter wave [px] pixels show another one.
 _LEAST_PERIOD = 4.0
@@ -27,7 +39,9 @@ def _between(low: float, high: float) -> st.SearchStrategy[float]:
 
 
 def _log_between(low: float, high: float) -> st.SearchStrategy[float]:
-    return st.floats(float(np.log(low)), float(np.log(high))).map(lambda x: float(np.clip(np.exp(x), low, high)))
+    return st.floats(float(np.log(low)), float(np.log(high))).map(
+        lambda x: float(np.clip(np.exp(x), low, high))
+    )
 
 
 def _or_none(strategy: st.SearchStrategy[float]) -> st.SearchStrategy[float]:
@@ -36,29 +50,51 @@ def _or_none(strategy: st.SearchStrategy[float]) -> st.SearchStrategy[float]:
 
 @st.composite
 def planes(draw: st.DrawFn, largest: float = 3.0) -> PlaneFlat:
-    """A plane with everything drawn at random, up to `largest` pitches of patch size, in one of four textures."""
+    """A plane with everything drawn at random, up to `largest` pitches of patch size, in one of
+    four textures.
+    """
     pitch = draw(_log_between(6, 50))
     side = int(np.clip(pitch * draw(_between(5, 20)), 80, 420))
     ratio = draw(_log_between(0.02, largest)) * draw(st.sampled_from([-1.0, 1.0]))
     texture = draw(st.sampled_from(["rich", "rich", "faint", "coarse", "periodic"]))
-    contrasts = {"rich": (0.1, 0.4), "faint": (0.0, 0.06), "coarse": (0.05, 0.4), "periodic": (0.05, 0.3)}
-    grain = draw(_between(0.15 * pitch, 0.6 * pitch) if texture == "coarse" else _between(1.5, 0.15 * pitch + 1.5))
+    contrasts = {
+        "rich": (0.1, 0.4),
+        "faint": (0.0, 0.06),
+        "coarse": (0.05, 0.4),
+        "periodic": (0.05, 0.3),
+    }
+    grain = draw(
+        _between(0.15 * pitch, 0.6 * pitch)
+        if texture == "coarse"
+        else _between(1.5, 0.15 * pitch + 1.5)
+    )
     shortest = max(0.12, _LEAST_PERIOD / pitch)
     slant = (0.0, 0.0)
     # D / s may lose or gain a third of itself over the flat.
     if draw(st.booleans()):
         slant = (draw(_between(-0.25, 0.25)) / abs(ratio), draw(_between(-0.25, 0.25)) / abs(ratio))
     return PlaneFlat(
-        ratio=ratio, slant=slant, cell=draw(st.sampled_from(sorted(CELLS))), pitch=pitch,
-        degrees=draw(_between(0, 360)), size=(side, int(side * draw(_between(0.5, 1)))),
-        contrast=draw(_between(*contrasts[texture])), noise=draw(_or_none(_between(0, 0.1))), grain=grain,
-        period=draw(_between(shortest, 1.0)) if texture == "periodic" else 0.0, fill=draw(_or_none(_between(0.8, 1))),
-        exposure=draw(_between(0.05, 0.6)), kind=draw(st.sampled_from(["u1", "u2", "f4"])), seed=draw(_SEEDS),
-    )  # fmt: skip
+        ratio=ratio,
+        slant=slant,
+        cell=draw(st.sampled_from(sorted(CELLS))),
+        pitch=pitch,
+        degrees=draw(_between(0, 360)),
+        size=(side, int(side * draw(_between(0.5, 1)))),
+        contrast=draw(_between(*contrasts[texture])),
+        noise=draw(_or_none(_between(0, 0.1))),
+        grain=grain,
+        period=draw(_between(shortest, 1.0)) if texture == "periodic" else 0.0,
+        fill=draw(_or_none(_between(0.8, 1))),
+        exposure=draw(_between(0.05, 0.6)),
+        kind=draw(st.sampled_from(["u1", "u2", "f4"])),
+        seed=draw(_SEEDS),
+    )
 
 
 def drawable_planes() -> st.SearchStrategy[PlaneFlat]:
-    """Planes within the range in which neighbours share what they show, and so a picture can be checked."""
+    """Planes within the range in which neighbours share what they show, and so a picture can be
+    checked.
+    """
     return planes(0.7)
 
 
@@ -68,18 +104,29 @@ def whites(draw: st.DrawFn) -> tuple[WhiteImage, float]:
     pitch = draw(_log_between(6, 40))
     side = int(np.clip(pitch * draw(_between(5, 22)), 60, 440))
     truth = WhiteImage(
-        draw(st.sampled_from(["hexagonal", "square"])), pitch, draw(_between(0, 360)), draw(_between(6, 40)),
-        draw(st.sampled_from([8, 16])), strength=draw(_or_none(_between(-0.3, 0.3))),
-        k1=draw(_or_none(_between(-0.01, 0.01))), hot=draw(st.integers(0, 40)), dust=draw(st.integers(0, 5)),
-        fill=draw(_between(0.6, 1)), soft=draw(_between(0.3, 3)), gap=draw(_between(0, 0.6)),
-        inner=draw(_between(0, 0.6)), outer=draw(_between(0, 0.8)),
-        size=(side, int(max(40, side * draw(_between(0.4, 1))))), seed=draw(_SEEDS),
-    )  # fmt: skip
+        draw(st.sampled_from(["hexagonal", "square"])),
+        pitch,
+        draw(_between(0, 360)),
+        draw(_between(6, 40)),
+        draw(st.sampled_from([8, 16])),
+        strength=draw(_or_none(_between(-0.3, 0.3))),
+        k1=draw(_or_none(_between(-0.01, 0.01))),
+        hot=draw(st.integers(0, 40)),
+        dust=draw(st.integers(0, 5)),
+        fill=draw(_between(0.6, 1)),
+        soft=draw(_between(0.3, 3)),
+        gap=draw(_between(0, 0.6)),
+        inner=draw(_between(0, 0.6)),
+        outer=draw(_between(0, 0.8)),
+        size=(side, int(max(40, side * draw(_between(0.4, 1))))),
+        seed=draw(_SEEDS),
+    )
     return truth, draw(_log_between(0.02, 2))
 
 
 def _turned(draw: st.DrawFn) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    width, height = draw(st.integers(*_SIDE)), draw(st.integers(*_SIDE))
+    width = draw(st.integers(*_SIDE))
+    height = draw(st.integers(*_SIDE))
     angle = np.radians(draw(_between(0, 180)))
     y, x = np.mgrid[:height, :width].astype(float)
     return np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
@@ -92,8 +139,10 @@ def _grating(draw: st.DrawFn) -> NDArray[np.float64]:
 
 def _crossed_waves(draw: st.DrawFn) -> NDArray[np.float64]:
     u, v = _turned(draw)
-    period, ratio = draw(_log_between(8, 60)), draw(_between(1, 2))
-    a, b = np.sin(2 * np.pi * u / period), np.sin(2 * np.pi * v / (ratio * period))
+    period = draw(_log_between(8, 60))
+    ratio = draw(_between(1, 2))
+    a = np.sin(2 * np.pi * u / period)
+    b = np.sin(2 * np.pi * v / (ratio * period))
     return np.asarray(draw(st.sampled_from([a * b, (a + b) / 2])))
 
 
@@ -105,7 +154,8 @@ def _board(draw: st.DrawFn) -> NDArray[np.float64]:
 
 def _bricks(draw: st.DrawFn) -> NDArray[np.float64]:
     u, v = _turned(draw)
-    height, ratio = draw(_log_between(10, 40)), draw(_between(1.5, 4))
+    height = draw(_log_between(10, 40))
+    ratio = draw(_between(1.5, 4))
     mortar = height * draw(_between(0.08, 0.25))
     row = np.floor(v / height)
     joint = ((u + row % 2 * ratio * height / 2) % (ratio * height) < mortar) | (v % height < mortar)
@@ -113,8 +163,11 @@ def _bricks(draw: st.DrawFn) -> NDArray[np.float64]:
 
 
 def _clouds(draw: st.DrawFn) -> NDArray[np.float64]:
-    """Noise whose amplitude falls with a power of the frequency: of 0 white, of 1 like that of photographs."""
-    width, height = draw(st.integers(*_SIDE)), draw(st.integers(*_SIDE))
+    """Noise whose amplitude falls with a power of the frequency: of 0 white, of 1 like that of
+    photographs.
+    """
+    width = draw(st.integers(*_SIDE))
+    height = draw(st.integers(*_SIDE))
     frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
     frequency[0, 0] = np.inf
     spectrum = np.fft.rfft2(np.random.default_rng(draw(_SEEDS)).standard_normal((height, width)))
@@ -127,26 +180,43 @@ def _photograph(draw: st.DrawFn) -> NDArray[np.float64]:
 
     picture = np.asarray(getattr(data, draw(st.sampled_from(_PHOTOGRAPHS)))(), np.float32)
     grey = picture if picture.ndim == 2 else picture[..., :3].mean(2)
-    scale, angle = draw(_between(0.7, 1.5)), draw(_between(0, 360))
-    width, height = draw(st.integers(*_SIDE)), draw(st.integers(*_SIDE))
+    scale = draw(_between(0.7, 1.5))
+    angle = draw(_between(0, 360))
+    width = draw(st.integers(*_SIDE))
+    height = draw(st.integers(*_SIDE))
     turn = cv2.getRotationMatrix2D((grey.shape[1] / 2, grey.shape[0] / 2), angle, scale)
     move = np.array([width, height]) / 2 - np.array(grey.shape[::-1]) / 2
     moved = np.column_stack([turn[:, :2], turn[:, 2] + move])
-    return np.asarray(cv2.warpAffine(grey, moved, (width, height), borderMode=cv2.BORDER_REFLECT), float) / 127.5 - 1
+    return (
+        np.asarray(
+            cv2.warpAffine(grey, moved, (width, height), borderMode=cv2.BORDER_REFLECT), float
+        )
+        / 127.5
+        - 1
+    )
 
 
 _PICTURES: tuple[Callable[[st.DrawFn], NDArray[np.float64]], ...] = (
-    _grating, _crossed_waves, _board, _bricks, _clouds, _photograph,
-)  # fmt: skip
+    _grating,
+    _crossed_waves,
+    _board,
+    _bricks,
+    _clouds,
+    _photograph,
+)
 
 
 @st.composite
 def lookalikes(draw: st.DrawFn) -> tuple[str, NDArray[Any]]:
-    """What it is, and a (h, w) uint8 picture, of something that is no array of microimages: much of it repeats."""
+    """What it is, and a (h, w) uint8 picture, of something that is no array of microimages: much of
+    it repeats.
+    """
     what = draw(st.sampled_from(_PICTURES))
     picture = what(draw)
     blur = draw(_or_none(_between(0.3, 2)))
     picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur) if blur else picture, float)
-    noise = draw(_between(0, 0.1)) * np.random.default_rng(draw(_SEEDS)).standard_normal(picture.shape)
+    noise = draw(_between(0, 0.1)) * np.random.default_rng(draw(_SEEDS)).standard_normal(
+        picture.shape
+    )
     shown = np.clip(127.5 * (1 + draw(_between(0.1, 1)) * picture + noise), 0, 255).astype(np.uint8)
     return what.__name__.strip("_").replace("_", " "), shown

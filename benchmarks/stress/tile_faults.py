@@ -1,7 +1,8 @@
 """Renderings in tiles that are killed: `python -m benchmarks.stress.tile_faults FOLDER [KILLS]`.
 
-A process of its own renders a small flat in tiles over and over, and is killed at a random moment. Then the picture
-must be absent or whole, and rendering once more must make it, from the tiles that were finished, bit for bit.
+A process of its own renders a small flat in tiles over and over, and is killed at a random moment.
+Then the picture must be absent or whole, and rendering once more must make it, from the tiles that
+were finished, bit for bit.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ __all__ = ["NAMES", "kill_renderings", "main", "render_for_ever"]
 
 #: A picture of each kind that is written in another way, by its name.
 NAMES = ("picture.tif", "packed.tif", "picture.zarr", "picture.png")
-_SIZE, _PATCH, _TILE = (900, 700), 9.0, 40
+_SIZE = (900, 700)
+_PATCH = 9.0
+_TILE = 40
 # A rendering lives for up to so long [s] after its process is ready: several of them.
 _LIFE = 1.5
 
@@ -35,8 +38,13 @@ def _render(folder: Path, name: str) -> LargePicture:
     camera = lfcal.load(folder / "camera.json")
     with lfcal.open_flat(folder / "flat.tif") as source:
         return lfrender.render_large(
-            source, folder / name, camera, patch_size=_PATCH, tile=_TILE, compress=name.startswith("packed"),
-        )  # fmt: skip
+            source,
+            folder / name,
+            camera,
+            patch_size=_PATCH,
+            tile=_TILE,
+            compress=name.startswith("packed"),
+        )
 
 
 def render_for_ever(folder: Path, name: str) -> None:
@@ -65,12 +73,24 @@ def kill_renderings(folder: Path, kills: int, seed: int = 0) -> tuple[list[str],
     shot = PlaneFlat(size=_SIZE)
     shot.calibration.save(folder / "camera.json")
     tifffile.imwrite(folder / "flat.tif", shot.flat())
-    whole = lfrender.render(lfcal.read_flat(folder / "flat.tif"), lfcal.load(folder / "camera.json"), patch_size=_PATCH)
-    found, resumed = [], 0
+    whole = lfrender.render(
+        lfcal.read_flat(folder / "flat.tif"), lfcal.load(folder / "camera.json"), patch_size=_PATCH
+    )
+    found = []
+    resumed = 0
     for number in range(kills):
         name = NAMES[number % len(NAMES)]
-        command = [sys.executable, "-m", "benchmarks.stress.tile_faults", str(folder), name, "forever"]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=Path(__file__).parents[2]) as process:
+        command = [
+            sys.executable,
+            "-m",
+            "benchmarks.stress.tile_faults",
+            str(folder),
+            name,
+            "forever",
+        ]
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, cwd=Path(__file__).parents[2]
+        ) as process:
             assert process.stdout is not None
             process.stdout.readline()
             time.sleep(rng.uniform(0, _LIFE))
@@ -102,7 +122,10 @@ def main(arguments: list[str]) -> None:
     folder.mkdir(parents=True)
     kills = int(arguments[1]) if len(arguments) > 1 else 20
     found, resumed = kill_renderings(folder, kills)
-    print("\n".join(found) or f"{kills} kills: every picture absent or whole, and {resumed} gone on with")
+    print(
+        "\n".join(found)
+        or f"{kills} kills: every picture absent or whole, and {resumed} gone on with"
+    )
     sys.exit(bool(found))
 
 

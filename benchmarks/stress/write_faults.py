@@ -1,7 +1,8 @@
-"""Writers that are killed, and disks that are full: `python -m benchmarks.stress.write_faults FOLDER [KILLS]`.
+"""Writers that are killed, and disks that are full: `python -m benchmarks.stress.write_faults
+FOLDER [KILLS]`.
 
-Every output of the project must be absent or whole afterwards. The writers run in forks of a process that has not
-started any thread.
+Every output of the project must be absent or whole afterwards. The writers run in forks of a
+process that has not started any thread.
 """
 
 from __future__ import annotations
@@ -32,13 +33,22 @@ _LIFE = 0.03
 def _depth(camera: lfcal.Calibration, value: float) -> lfrender.DepthMap:
     each = np.full(len(camera.lattice), value, np.float32)
     surface = Surface(np.full((350, 450), value, np.float32), (0.0, 0.0), 2.0)
-    return lfrender.DepthMap(each, 0 * each, 0 * each + 1, each, surface, camera.lattice.pitch, camera.image_size)
+    return lfrender.DepthMap(
+        each, 0 * each, 0 * each + 1, each, surface, camera.lattice.pitch, camera.image_size
+    )
 
 
 def _writers() -> dict[str, tuple[Callable[[Path, int], Any], Callable[[Path], Any]]]:
-    """How to write version 0 or 1 of each kind of output, and how to read which version a file holds."""
-    lattice = lfcal.Lattice(np.array([300.2, 200.7]), np.array([[9.1, 0.1], [4.4, 8.0]]), _SIZE, 4.4)
-    cameras = [lfcal.Calibration(lattice, confidence=0.5, lenses_used=n, warnings=("-" * 200_000 * n,)) for n in (0, 1)]
+    """How to write version 0 or 1 of each kind of output, and how to read which version a file
+    holds.
+    """
+    lattice = lfcal.Lattice(
+        np.array([300.2, 200.7]), np.array([[9.1, 0.1], [4.4, 8.0]]), _SIZE, 4.4
+    )
+    cameras = [
+        lfcal.Calibration(lattice, confidence=0.5, lenses_used=n, warnings=("-" * 200_000 * n,))
+        for n in (0, 1)
+    ]
     depths = [_depth(cameras[0], 1.0 + n) for n in (0, 1)]
     noise = np.random.default_rng(0).integers(0, 255, (*_SIZE[::-1], 3), dtype=np.uint8)
     pictures = [noise, 255 - noise]
@@ -51,8 +61,14 @@ def _writers() -> dict[str, tuple[Callable[[Path, int], Any], Callable[[Path], A
         lfrender.write_picture(path, pictures[n])
 
     return {
-        "camera.json": (lambda path, n: cameras[n].save(path), lambda path: lfcal.load(path).lenses_used),
-        "camera.csv": (lambda path, n: convert(cameras[n], path), lambda path: lfcal.load(path, _SIZE)),
+        "camera.json": (
+            lambda path, n: cameras[n].save(path),
+            lambda path: lfcal.load(path).lenses_used,
+        ),
+        "camera.csv": (
+            lambda path, n: convert(cameras[n], path),
+            lambda path: lfcal.load(path, _SIZE),
+        ),
         "depth.npz": (
             lambda path, n: depths[n].save(path),
             lambda path: int(lfrender.DepthMap.load(path).patch_size[0]) - 1,
@@ -64,7 +80,8 @@ def _writers() -> dict[str, tuple[Callable[[Path, int], Any], Callable[[Path], A
 
 def kill_writers(folder: Path, kills: int, seed: int = 0) -> list[str]:
     """Kill writers at random moments; gives what was found neither absent nor whole."""
-    rng, found = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    found = []
     for name, (write, read) in _writers().items():
         path = folder / name
         write(path, 0)
@@ -123,7 +140,9 @@ def main(arguments: list[str]) -> None:
     """Print what was found; exits with 1 where that is something."""
     folder = Path(arguments[0])
     (folder / "full").mkdir(parents=True)
-    found = full_disk(folder / "full") + kill_writers(folder, int(arguments[1]) if len(arguments) > 1 else 20)
+    found = full_disk(folder / "full") + kill_writers(
+        folder, int(arguments[1]) if len(arguments) > 1 else 20
+    )
     print("\n".join(found) or "every output is absent or whole")
     sys.exit(bool(found))
 

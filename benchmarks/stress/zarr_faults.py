@@ -1,4 +1,6 @@
-"""Damaged and hostile Zarr arrays: files of a good one truncated, altered or missing, and descriptions that lie."""
+"""Damaged and hostile Zarr arrays: files of a good one truncated, altered or missing, and
+descriptions that lie.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ def whole_arrays(folder: Path) -> dict[str, Path]:
     found = {}
     for name, options in ways.items():
         found[name] = folder / f"{name}.zarr"
-        array = zarr.create_array(found[name], shape=PICTURE.shape, dtype="uint8", **{"chunks": (32, 32, 3), **options})
+        array = zarr.create_array(
+            found[name], shape=PICTURE.shape, dtype="uint8", **{"chunks": (32, 32, 3), **options}
+        )
         array[...] = PICTURE
     return found
 
@@ -57,7 +61,9 @@ def _part(path: Path) -> NDArray[Any]:
 def _harmed(whole: Path, number: int) -> Iterator[tuple[str, Callable[[Path], Any]]]:
     """What is done to a copy of an array: its files are damaged in turn, or one is removed."""
     rng = np.random.default_rng(number)
-    files = sorted(f.relative_to(whole) for f in whole.rglob("*") if f.is_file() and f.stat().st_size > 8)
+    files = sorted(
+        f.relative_to(whole) for f in whole.rglob("*") if f.is_file() and f.stat().st_size > 8
+    )
     head = [file for file in files if file.name in (".zarray", "zarr.json")]
     for kind, some in (("description", head), ("chunk", sorted(set(files) - set(head)))):
         file = some[rng.integers(len(some))]
@@ -80,12 +86,13 @@ def fuzz_arrays(folder: Path, numbers: range) -> tuple[int, list[Fault]]:
     -------
     tried : int
     faults : list of Fault
-        Errors that are none of the project's own, reads that took longer than a second of CPU time, and pictures
-        that were read although a file was missing or a chunk was cut off.
+        Errors that are none of the project's own, reads that took longer than a second of CPU time,
+        and pictures that were read although a file was missing or a chunk was cut off.
     """
     good = folder / "whole"
     good.mkdir()
-    faults, tried = [], 0
+    faults = []
+    tried = 0
     for name, whole in whole_arrays(good).items():
         for number in numbers:
             for what, harm in _harmed(whole, number):
@@ -120,4 +127,6 @@ def _fault(path: Path, read: Callable[[Path], NDArray[Any]], refused: bool) -> s
 def described_otherwise(path: Path, **entries: Any) -> None:
     """Change entries in the description of an array."""
     file = next(path / name for name in (".zarray", "zarr.json") if (path / name).exists())
-    file.write_text(json.dumps(json.loads(file.read_text(encoding="utf-8")) | entries), encoding="utf-8")
+    file.write_text(
+        json.dumps(json.loads(file.read_text(encoding="utf-8")) | entries), encoding="utf-8"
+    )

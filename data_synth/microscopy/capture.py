@@ -47,7 +47,9 @@ class MicroscopeCapture:
     calibration: Calibration
 
 
-def expose(light: NDArray[Any], electrons: float | None, read: float, rng: np.random.Generator) -> NDArray[np.uint16]:
+def expose(
+    light: NDArray[Any], electrons: float | None, read: float, rng: np.random.Generator
+) -> NDArray[np.uint16]:
     """16 bits of a picture whose brightest pixel has so many electrons, with photon and read-out
     noise; None: without noise."""
     shown = light / light.max()

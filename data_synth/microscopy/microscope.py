@@ -60,7 +60,9 @@ class Microscope:
 
     def __post_init__(self) -> None:
         if not 0 < self.na < self.medium_index:
-            raise ValueError(f"na must lie between 0 and medium_index ({self.medium_index}), got {self.na}")
+            raise ValueError(
+                f"na must lie between 0 and medium_index ({self.medium_index}), got {self.na}"
+            )
         if min(self.lenses) < 3:
             raise ValueError(f"lenses must be at least 3 x 3, got {self.lenses}")
 

@@ -31,7 +31,9 @@ def _way_inside(origin_x, origin_y, slope_x, slope_y, ball):
     """Length of the part of a ray within a hollow ball: x, y, z, outer radius, inner radius,
     brightness."""
     length = np.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
-    ax, ay, az = origin_x - ball[0], origin_y - ball[1], -ball[2]
+    ax = origin_x - ball[0]
+    ay = origin_y - ball[1]
+    az = -ball[2]
     along = (ax * slope_x + ay * slope_y + az) / length
     apart2 = ax * ax + ay * ay + az * az - along * along
     way = 2.0 * np.sqrt(max(ball[3] * ball[3] - apart2, 0.0))
@@ -159,9 +161,15 @@ def _traced(
     centres = lenses.reshape(height, width, len(steps), 4)
     objective = _TUBE_LENGTH / microscope.magnification
     optics = (
-        microscope.pixel, microscope.microlens_focal_length, _TUBE_LENGTH, objective, microscope.na,
-        microscope.medium_index, microscope.pitch * microscope.pixel, uniform,
-    )  # fmt: skip
+        microscope.pixel,
+        microscope.microlens_focal_length,
+        _TUBE_LENGTH,
+        objective,
+        microscope.na,
+        microscope.medium_index,
+        microscope.pitch * microscope.pixel,
+        uniform,
+    )
     out = np.empty((height, width))
     points = rng.random((_TABLES, samples, 4)) - 0.5
     _trace(balls, optics, centres, points, out)

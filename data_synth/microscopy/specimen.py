@@ -52,7 +52,9 @@ class Specimen:
         return cls(places, np.full(count, float(radius)), np.zeros(count), np.ones(count))
 
     @classmethod
-    def shell(cls, radius: float, thickness: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Specimen:
+    def shell(
+        cls, radius: float, thickness: float, centre: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> Specimen:
         """One shell, such as the membrane of a vesicle; `radius` [um] is that of its middle."""
         place = np.array(centre, float)[None]
         return cls(
@@ -70,12 +72,16 @@ class Specimen:
         """(n,) brightness at points (n, 3) [um]."""
         places = np.atleast_2d(np.array(points, float))
         total = np.zeros(len(places))
-        for centre, outer, inner, light in zip(self.centres, self.outer, self.inner, self.brightness, strict=True):
+        for centre, outer, inner, light in zip(
+            self.centres, self.outer, self.inner, self.brightness, strict=True
+        ):
             away = np.linalg.norm(places - centre, axis=1)
             total += light * ((away <= outer) & (away >= inner))
         return total
 
-    def volume(self, x: ArrayLike, y: ArrayLike, z: ArrayLike, inside: int = 3) -> NDArray[np.float32]:
+    def volume(
+        self, x: ArrayLike, y: ArrayLike, z: ArrayLike, inside: int = 3
+    ) -> NDArray[np.float32]:
         """(z, y, x) mean brightness of the voxels of a regular grid about places x, y, z [um].
 
         Each is the mean over `inside` points along every axis.
@@ -98,8 +104,11 @@ class Specimen:
 
         They follow an additive recurrence (Roberts 2018), which leaves neither gaps nor clusters.
         """
-        places, light = [], []
-        for centre, outer, inner, bright in zip(self.centres, self.outer, self.inner, self.brightness, strict=True):
+        places = []
+        light = []
+        for centre, outer, inner, bright in zip(
+            self.centres, self.outer, self.inner, self.brightness, strict=True
+        ):
             volume = 4 / 3 * np.pi * (outer**3 - inner**3)
             count = max(1, round(volume / spacing**3))
             parts = (rng.random(3) + np.arange(count)[:, None] * _STEPS) % 1

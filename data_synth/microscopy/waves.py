@@ -38,7 +38,9 @@ class _Propagation:
         sides = [_OVERSAMPLING * (n + 2 * self.margin) for n in (height, width)]
         self.shape = tuple(fft.next_fast_len(n) for n in sides)
         # In pixels of the flat, each of which is the mean of its samples.
-        self.y, self.x = ((np.arange(n) + 0.5) / _OVERSAMPLING - 0.5 - self.margin for n in self.shape)
+        self.y, self.x = (
+            (np.arange(n) + 0.5) / _OVERSAMPLING - 0.5 - self.margin for n in self.shape
+        )
         lattice = microscope.lattice
         across, down = np.meshgrid(self.x, self.y)
         points = np.column_stack([across.ravel(), down.ravel()])
@@ -82,7 +84,11 @@ class _Propagation:
         for sx in side:
             for sy in side:
                 if sx**2 + sy**2 <= limit**2:
-                    way = (sx * across + sy * down) * self.microscope.pixel / self.microscope.wavelength
+                    way = (
+                        (sx * across + sy * down)
+                        * self.microscope.pixel
+                        / self.microscope.wavelength
+                    )
                     total += self._on_sensor(np.exp(2j * np.pi * way).astype(np.complex64))
         return total
 
@@ -95,7 +101,9 @@ class _Propagation:
         """(h, w) means over the samples of each pixel of the flat."""
         width, height = self.microscope.size
         first = _OVERSAMPLING * self.margin
-        part = samples[first : first + _OVERSAMPLING * height, first : first + _OVERSAMPLING * width]
+        part = samples[
+            first : first + _OVERSAMPLING * height, first : first + _OVERSAMPLING * width
+        ]
         blocks = part.reshape(height, _OVERSAMPLING, width, _OVERSAMPLING)
         return blocks.mean((1, 3), dtype=np.float64)
 

@@ -1,1 +1,3 @@
-"""What the surfaces of simulated scenes show: procedural textures, a facade, branches and leaves, as arrays."""
+"""What the surfaces of simulated scenes show: procedural textures, a facade, branches and leaves,
+as arrays.
+"""

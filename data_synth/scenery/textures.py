@@ -22,7 +22,11 @@ def linear(drawn: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def fractal_noise(
-    shape: tuple[int, int], rng: np.random.Generator, *, coarsest: float = 128.0, persistence: float = 0.7
+    shape: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    coarsest: float = 128.0,
+    persistence: float = 0.7,
 ) -> NDArray[np.float32]:
     """Sum of random grids of halving cell size, mean 0 and standard deviation 1.
 
@@ -37,26 +41,38 @@ def fractal_noise(
     """
     height, width = shape
     total = np.zeros(shape, np.float32)
-    cell, amplitude = float(coarsest), 1.0
+    cell = float(coarsest)
+    amplitude = 1.0
     while cell >= 1:
-        grid = rng.standard_normal((int(height / cell) + 3, int(width / cell) + 3), dtype=np.float32)
-        # Cut at an arbitrary place of the cell: octaves that share grid lines would leave a lattice of their own.
+        grid = rng.standard_normal(
+            (int(height / cell) + 3, int(width / cell) + 3), dtype=np.float32
+        )
+        # Cut at an arbitrary place of the cell: octaves that share grid lines would leave a lattice
+        # of their own.
         fine = cv2.resize(grid, None, fx=cell, fy=cell, interpolation=cv2.INTER_CUBIC)
         top, left = (int(v) for v in rng.integers(0, max(int(cell), 1), 2))
         total += amplitude * fine[top : top + height, left : left + width]
-        cell, amplitude = cell / 2, amplitude * persistence
+        cell = cell / 2
+        amplitude = amplitude * persistence
     return (total - total.mean()) / max(float(total.std()), 1e-6)
 
 
-def tint(radiance: NDArray[np.float32], noise: NDArray[np.float32], strength: float) -> NDArray[np.float32]:
+def tint(
+    radiance: NDArray[np.float32], noise: NDArray[np.float32], strength: float
+) -> NDArray[np.float32]:
     """Multiply a texture by `exp(strength * noise)`, kept in 0..1."""
     return np.clip(radiance * np.exp(strength * noise)[..., None], 0.0, 1.0).astype(np.float32)
 
 
 def dead_leaves(
-    shape: tuple[int, int], rng: np.random.Generator, *, smallest: float = 3.0, largest: float = 150.0
+    shape: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    smallest: float = 3.0,
+    largest: float = 150.0,
 ) -> NDArray[np.float32]:
-    """Opaque discs with power-law radii over each other, each with a grain: the statistics of natural pictures.
+    """Opaque discs with power-law radii over each other, each with a grain: the statistics of
+    natural pictures.
 
     Parameters
     ----------
@@ -67,7 +83,8 @@ def dead_leaves(
     canvas = np.empty((height, width, 3), np.uint8)
     canvas[:] = 128
     # A density of radii falling with the cube makes every scale cover the same area.
-    covered, radii = 0.0, []
+    covered = 0.0
+    radii = []
     while covered < 3.0 * height * width:
         batch = (largest**-2 + rng.random(4096) * (smallest**-2 - largest**-2)) ** -0.5
         covered += float(np.pi * (batch**2).sum())
@@ -85,13 +102,17 @@ def dead_leaves(
     return tint(linear(canvas), fractal_noise(shape, rng, coarsest=32), 0.25)
 
 
-def _ellipse(canvas: NDArray[np.uint8], at: tuple[int, int], axes: tuple[int, int], angle: float, colour: Any) -> None:
+def _ellipse(
+    canvas: NDArray[np.uint8], at: tuple[int, int], axes: tuple[int, int], angle: float, colour: Any
+) -> None:
     """Filled ellipse at 1/16 texel."""
     outline = cv2.ellipse2Poly((0, 0), axes, round(angle), 0, 360, 12)
     cv2.fillConvexPoly(canvas, outline + np.array(at, np.int32), colour, cv2.LINE_AA, 4)
 
 
-def bricks(shape: tuple[int, int], rng: np.random.Generator, *, course: float = 24.0) -> NDArray[np.float32]:
+def bricks(
+    shape: tuple[int, int], rng: np.random.Generator, *, course: float = 24.0
+) -> NDArray[np.float32]:
     """A brick wall with mortar, bricks of many colours and a rough surface.
 
     Parameters
@@ -102,11 +123,22 @@ def bricks(shape: tuple[int, int], rng: np.random.Generator, *, course: float = 
     height, width = shape
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
     layer = np.floor(rows / course)
-    shift = rng.random(int(layer.max()) + 1).astype(np.float32)[layer.astype(int)] * 0.3 + 0.5 * (layer % 2)
+    shift = rng.random(int(layer.max()) + 1).astype(np.float32)[layer.astype(int)] * 0.3 + 0.5 * (
+        layer % 2
+    )
     along = columns / (2.4 * course) + shift
     stone = np.floor(along)
     number = (layer.astype(np.int64) * 7919 + stone.astype(np.int64) * 104729) % 4099
-    palette = np.array([(178, 84, 68), (150, 62, 52), (196, 110, 84), (128, 70, 62), (204, 138, 110), (112, 58, 78)])
+    palette = np.array(
+        [
+            (178, 84, 68),
+            (150, 62, 52),
+            (196, 110, 84),
+            (128, 70, 62),
+            (204, 138, 110),
+            (112, 58, 78),
+        ]
+    )
     colours = palette[rng.integers(0, len(palette), 4099)] + rng.normal(0, 14, (4099, 3))
     wall = linear(np.clip(colours, 0, 255).astype(np.uint8))[number]
     joint = 0.09
@@ -141,6 +173,13 @@ def text_page(
         line = "".join(rng.choice(letters, int(width / (14 * scale)) + 4))
         start = (-int(rng.integers(0, 20)), int(baseline))
         cv2.putText(
-            page, line, start, cv2.FONT_HERSHEY_DUPLEX, 0.9 * scale, ink, max(1, round(1.6 * scale)), cv2.LINE_AA
+            page,
+            line,
+            start,
+            cv2.FONT_HERSHEY_DUPLEX,
+            0.9 * scale,
+            ink,
+            max(1, round(1.6 * scale)),
+            cv2.LINE_AA,
         )
     return tint(linear(page), fractal_noise(shape, rng, coarsest=64), 0.15)

@@ -1,6 +1,7 @@
 """Draw the figures of `docs/glossary.md` as SVG: `python docs/drawings/glossary.py`.
 
-Microimages are drawn by the formula of docs/geometry.md: lens `c` shows scene position `X` at `p = c - (X - c) s / D`.
+Microimages are drawn by the formula of docs/geometry.md: lens `c` shows scene position `X` at `p =
+c - (X - c) s / D`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ _SCENE = (
 )
 
 
-def _text(x: float, y: float, words: str, anchor: str = "middle", size: int = 15, colour: str = "#222") -> str:
+def _text(
+    x: float, y: float, words: str, anchor: str = "middle", size: int = 15, colour: str = "#222"
+) -> str:
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}" fill="{colour}">{words}</text>'
 
 
@@ -42,7 +45,9 @@ def _arrow(start: Point, end: Point, colour: str, both: bool = False, width: flo
 def _line(*points: Point, colour: str = _ORANGE, width: float = 1.5, dash: str = "") -> str:
     path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
     dashed = f' stroke-dasharray="{dash}"' if dash else ""
-    return f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="{width}"{dashed}/>'
+    return (
+        f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="{width}"{dashed}/>'
+    )
 
 
 def _hexagonal(middle: Point, pitch: float, rows: int, columns: int) -> list[Point]:
@@ -56,8 +61,12 @@ def _hexagonal(middle: Point, pitch: float, rows: int, columns: int) -> list[Poi
     ]
 
 
-def _microimage(centre: Point, radius: float, ratio: float, middle: Point, size: float, name: str) -> str:
-    """The piece of the scene, `size` times as large about `middle`, that a lens shows with `s = ratio D`."""
+def _microimage(
+    centre: Point, radius: float, ratio: float, middle: Point, size: float, name: str
+) -> str:
+    """The piece of the scene, `size` times as large about `middle`, that a lens shows with `s =
+    ratio D`.
+    """
     x, y = (c * (1 + ratio) - ratio * m for c, m in zip(centre, middle, strict=True))
     return (
         f'<clipPath id="{name}"><circle cx="{centre[0]:.1f}" cy="{centre[1]:.1f}" r="{radius:.1f}"/></clipPath>'
@@ -66,7 +75,9 @@ def _microimage(centre: Point, radius: float, ratio: float, middle: Point, size:
     )
 
 
-def _array(middle: Point, pitch: float, ratio: float, size: float, rows: int, columns: int, name: str) -> str:
+def _array(
+    middle: Point, pitch: float, ratio: float, size: float, rows: int, columns: int, name: str
+) -> str:
     return "".join(
         _microimage(centre, 0.48 * pitch, ratio, middle, size, f"{name}{number}")
         for number, centre in enumerate(_hexagonal(middle, pitch, rows, columns))
@@ -89,9 +100,11 @@ def _write(name: str, width: int, height: int, title: str, *parts: str) -> None:
 
 def flat() -> None:
     """Flat, microimage, pitch and radius."""
-    middle, pitch = (235.0, 180.0), 58.0
+    middle = (235.0, 180.0)
+    pitch = 58.0
     centres = _hexagonal(middle, pitch, 7, 8)
-    one, two = centres[26], centres[27]
+    one = centres[26]
+    two = centres[27]
     radius = 0.48 * pitch
     _write(
         "flat",
@@ -144,17 +157,27 @@ def mode() -> None:
 
 def patch_size() -> None:
     """The same detail in two neighbouring microimages, shifted by `s`."""
-    pitch, ratio, size = 210.0, -0.3, 4.6
-    left, right = (130.0, 165.0), (130.0 + pitch, 165.0)
+    pitch = 210.0
+    ratio = -0.3
+    size = 4.6
+    left = (130.0, 165.0)
+    right = (130.0 + pitch, 165.0)
     middle = (235.0, 165.0)
     # The tip of the roof, as each of the two lenses shows it.
     tip = middle[0] - 11 * size, middle[1] - 36 * size
-    shown = [tuple(c * (1 + ratio) - ratio * x for c, x in zip(lens, tip, strict=True)) for lens in (left, right)]
+    shown = [
+        tuple(c * (1 + ratio) - ratio * x for c, x in zip(lens, tip, strict=True))
+        for lens in (left, right)
+    ]
     other = shown[0][0] + pitch, shown[0][1]
     radius = 0.48 * pitch
-    parts = [_microimage(lens, radius, ratio, middle, size, f"p{number}") for number, lens in enumerate((left, right))]
+    parts = [
+        _microimage(lens, radius, ratio, middle, size, f"p{number}")
+        for number, lens in enumerate((left, right))
+    ]
     parts += [
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="none" stroke="#222"/>' for x, y in (left, right)
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="none" stroke="#222"/>'
+        for x, y in (left, right)
     ]
     parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="6" fill="{_RED}"/>' for x, y in shown]
     parts += [
@@ -178,7 +201,8 @@ def patch_size() -> None:
 
 def magnification() -> None:
     """How many lenses in a row show the same detail."""
-    pitch, parts = 84.0, []
+    pitch = 84.0
+    parts = []
     for top, ratio, words in (
         (95.0, -1 / 3, "|s| = D / 3, M = 3: large patches, few lenses"),
         (255.0, -0.2, "|s| = D / 5, M = 5: small patches, many lenses"),
@@ -187,7 +211,9 @@ def magnification() -> None:
         tip = middle[0], middle[1]
         for number in range(-3, 4):
             lens = (middle[0] + number * pitch, top)
-            parts.append(_microimage(lens, 0.48 * pitch, ratio, middle, 4.0, f"g{int(top)}_{number}"))
+            parts.append(
+                _microimage(lens, 0.48 * pitch, ratio, middle, 4.0, f"g{int(top)}_{number}")
+            )
             at = tuple(c * (1 + ratio) - ratio * x for c, x in zip(lens, tip, strict=True))
             seen = abs(at[0] - lens[0]) < 0.47 * pitch
             parts.append(
@@ -198,7 +224,13 @@ def magnification() -> None:
                 parts.append(f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="6" fill="{_RED}"/>')
         parts.append(_text(350, top + 70, words, size=16))
     parts.append(_text(350, 32, "Lenses that show the same detail (red dot)", size=18, colour=_RED))
-    _write("magnification", 720, 345, "Magnification M: how many lenses in a row show the same detail", *parts)
+    _write(
+        "magnification",
+        720,
+        345,
+        "Magnification M: how many lenses in a row show the same detail",
+        *parts,
+    )
 
 
 def camera() -> None:
@@ -244,7 +276,13 @@ def camera() -> None:
         _text(548, 212, "microlenses", "end", size=14),
         _text(622, 212, "sensor", "start", size=14),
     ]
-    _write("camera", 720, 430, "The image of the main lens before and behind the microlenses, from the side", *parts)
+    _write(
+        "camera",
+        720,
+        430,
+        "The image of the main lens before and behind the microlenses, from the side",
+        *parts,
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Draw `docs/overview.jpg`, the picture at the head of README: `python docs/drawings/readme_picture.py` (40 s)."""
+"""Draw `docs/overview.jpg`, the picture at the head of README: `python
+docs/drawings/readme_picture.py` (40 s).
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,13 @@ _DETAIL = (760, 452, 150, 112)
 
 
 def main() -> None:
-    """Simulate a house behind branches and put flat, traditional picture, lfrender's picture and depth side by side."""
+    """Simulate a house behind branches and put flat, traditional picture, lfrender's picture and
+    depth side by side.
+    """
     camera = Camera.design(size=(2000, 1500), pitch=23.2, rotation=1.3)
-    capture = simulate(SCENES["house"](camera, seed=1), camera, samples=48, seed=1, noise=(12000, 5))
+    capture = simulate(
+        SCENES["house"](camera, seed=1), camera, samples=48, seed=1, noise=(12000, 5)
+    )
     found = lfcal.calibrate(capture.flat)
     depth = lfrender.analyze(capture.flat, found)
     picture = lfrender.render(capture.flat, found, depth)
@@ -42,7 +48,9 @@ def main() -> None:
     whole.save(Path(__file__).parents[1] / "overview.jpg", quality=88)
 
 
-def _panel(pixels: NDArray[np.uint8], text: str, method: Image.Resampling = Image.Resampling.LANCZOS) -> Image.Image:
+def _panel(
+    pixels: NDArray[np.uint8], text: str, method: Image.Resampling = Image.Resampling.LANCZOS
+) -> Image.Image:
     """Pixels at the size of a panel, with a line of text at its lower left."""
     panel = Image.fromarray(np.ascontiguousarray(pixels)).resize(_PANEL, method)
     draw = ImageDraw.Draw(panel, "RGBA")
@@ -57,7 +65,9 @@ def _with_detail(flat: NDArray[np.uint8]) -> Image.Image:
     """The flat with some of its microimages enlarged in a corner."""
     panel = _panel(flat, "raw flat")
     left, top, width, height = _DETAIL
-    part = Image.fromarray(flat[top : top + height, left : left + width]).resize((300, 224), Image.Resampling.LANCZOS)
+    part = Image.fromarray(flat[top : top + height, left : left + width]).resize(
+        (300, 224), Image.Resampling.LANCZOS
+    )
     frame = Image.new("RGB", (306, 230), "white")
     frame.paste(part, (3, 3))
     panel.paste(frame, (_PANEL[0] - 306, _PANEL[1] - 230))
@@ -65,7 +75,9 @@ def _with_detail(flat: NDArray[np.uint8]) -> Image.Image:
 
 
 def _nearness(patch_size: NDArray[np.floating], pitch: float) -> NDArray[np.uint8]:
-    """Signed patch sizes [px] as colours: far is dark. `-D / s` grows with nearness over both modes."""
+    """Signed patch sizes [px] as colours: far is dark. `-D / s` grows with nearness over both
+    modes.
+    """
     value = -pitch / np.where(np.abs(patch_size) < 0.05 * pitch, 0.05 * pitch, patch_size)
     low, high = np.percentile(value, (1, 99))
     share = np.clip((value - low) / (high - low), 0, 1)

@@ -1,7 +1,8 @@
-"""Draw `docs/captures/*.jpg`, the pictures of `docs/real_captures.md`: `python docs/drawings/real_captures.py FOLDER`.
+"""Draw `docs/captures/*.jpg`, the pictures of `docs/real_captures.md`: `python
+docs/drawings/real_captures.py FOLDER`.
 
-Beside each other: a piece of the flat at 100 %, one pixel per microlens, and the picture in focus everywhere, which are
-all that the commands of the page write, made small.
+Beside each other: a piece of the flat at 100 %, one pixel per microlens, and the picture in focus
+everywhere, which are all that the commands of the page write, made small.
 """
 
 from __future__ import annotations
@@ -31,9 +32,15 @@ NAMES = {
 def _small(picture: NDArray, white: float) -> NDArray[np.uint8]:
     height, width = picture.shape[:2]
     size = (round(width * HEIGHT / height), HEIGHT)
-    light = cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA if height > HEIGHT else 0)
+    light = cv2.resize(
+        picture.astype(np.float32), size, interpolation=cv2.INTER_AREA if height > HEIGHT else 0
+    )
     light = np.clip(255 * light / white, 0, 255).astype(np.uint8)
-    return np.repeat(light.reshape(*light.shape[:2], -1), 1 if light.ndim == 3 and light.shape[2] == 3 else 3, axis=2)
+    return np.repeat(
+        light.reshape(*light.shape[:2], -1),
+        1 if light.ndim == 3 and light.shape[2] == 3 else 3,
+        axis=2,
+    )
 
 
 def draw(folder: Path, name: str, white: str) -> NDArray[np.uint8]:
@@ -47,7 +54,9 @@ def draw(folder: Path, name: str, white: str) -> NDArray[np.uint8]:
     picture = lfrender.render(flat, camera, depth).image
     middle = flat[flat.shape[0] // 2 - 150 :, flat.shape[1] // 2 - 150 :][:HEIGHT, :HEIGHT]
     level = 255.0 if picture.dtype == np.uint8 else float(np.percentile(picture, 99.8))
-    shown = [_small(one, level) for one in (middle, lfrender.traditional(flat, camera).image, picture)]
+    shown = [
+        _small(one, level) for one in (middle, lfrender.traditional(flat, camera).image, picture)
+    ]
     gap = np.full((HEIGHT, 6, 3), 255, np.uint8)
     return np.hstack([shown[0], gap, shown[1], gap, shown[2]])
 

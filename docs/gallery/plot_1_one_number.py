@@ -2,9 +2,9 @@
 One signed number
 =================
 
-A feature that one microlens shows at some place is shown by its neighbour shifted by ``s``, the signed patch size.
-Here a telescopic and a binocular plane are photographed, and two neighbouring microimages of each are compared over
-all shifts.
+A feature that one microlens shows at some place is shown by its neighbour shifted by ``s``, the
+signed patch size. Here a telescopic and a binocular plane are photographed, and two neighbouring
+microimages of each are compared over all shifts.
 """
 
 import matplotlib.pyplot as plt
@@ -29,13 +29,15 @@ for row, ratio in zip(axes, (0.3, -0.3), strict=True):
         ax.imshow(map_coordinates(gray, [v + centre[1], u + centre[0]], order=1), cmap="gray")
         ax.set(title=f"{name}, s = {ratio} D", xticks=[], yticks=[])
 
-    # Correlation over the shift, along the line that joins the centres: its peak is at the true ``s``.
+    # Correlation over the shift, along the line that joins the centres: its peak is at the true
+    # ``s``.
     shifts = np.linspace(-14, 14, 113)
     along = (right - left) / lattice.pitch
     scores = []
     for shift in shifts:
         inside = np.hypot(u, v) < 9
-        moved_u, moved_v = u + shift * along[0], v + shift * along[1]
+        moved_u = u + shift * along[0]
+        moved_v = v + shift * along[1]
         inside &= np.hypot(moved_u, moved_v) < 11
         here = map_coordinates(gray, [v + left[1], u + left[0]], order=1)[inside]
         there = map_coordinates(gray, [moved_v + right[1], moved_u + right[0]], order=1)[inside]

@@ -2,7 +2,8 @@
 A white image and its lattice
 =============================
 
-A square lattice, turned by 3.7 degrees, is found from a simulated white image. The residuals of the fit are noise.
+A square lattice, turned by 3.7 degrees, is found from a simulated white image. The residuals of the
+fit are noise.
 """
 
 import matplotlib.pyplot as plt

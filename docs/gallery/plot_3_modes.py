@@ -2,8 +2,8 @@
 Two modes in one picture
 ========================
 
-A house is telescopic, the branches before it are binocular. One patch size for all places serves one of them; each lens
-in its own mode serves both.
+A house is telescopic, the branches before it are binocular. One patch size for all places serves
+one of them; each lens in its own mode serves both.
 """
 
 import matplotlib.pyplot as plt

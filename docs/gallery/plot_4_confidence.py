@@ -19,11 +19,15 @@ depth = lfrender.analyze(capture.flat, truth.calibration)
 plain = (depth.mode != 0) & (truth.mode != 0) & ~truth.mixed
 error = depth.patch_size[plain] - truth.patch_size[plain]
 print(f"median error {np.median(np.abs(error)):.3f} px")
-for code, reason in enumerate(("resolved", "too little texture", "ambiguous", "image plane on the microlenses")):
+for code, reason in enumerate(
+    ("resolved", "too little texture", "ambiguous", "image plane on the microlenses")
+):
     print(f"{reason}: {(depth.reason == code).mean():.1%}")
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
-drawn = left.scatter(*truth.calibration.lattice.centres().T, c=depth.confidence, s=30, cmap="viridis", vmin=0, vmax=1)
+drawn = left.scatter(
+    *truth.calibration.lattice.centres().T, c=depth.confidence, s=30, cmap="viridis", vmin=0, vmax=1
+)
 left.set(title="Confidence", aspect="equal", xlabel="x [px]", ylabel="y [px]")
 left.invert_yaxis()
 fig.colorbar(drawn, ax=left)

@@ -17,19 +17,25 @@ calibration = capture.truth.calibration
 lattice = calibration.lattice
 depth = lfrender.analyze(capture.flat, calibration)
 
-near, far = lfrender.focal_stack(capture.flat, calibration, [-0.3 * lattice.pitch, 0.3 * lattice.pitch], scale=6.0)
+near, far = lfrender.focal_stack(
+    capture.flat, calibration, [-0.3 * lattice.pitch, 0.3 * lattice.pitch], scale=6.0
+)
 
-# From aside, the border of the picture and places behind near things may be seen by no lens: a moderate offset, and the
-# part that all lenses of both eyes have seen.
+# From aside, the border of the picture and places behind near things may be seen by no lens: a
+# moderate offset, and the part that all lenses of both eyes have seen.
 offset = 0.3 * lattice.radius
-left, right = lfrender.views(capture.flat, calibration, depth, offsets=[(-offset, 0), (offset, 0)], scale=6.0)
+left, right = lfrender.views(
+    capture.flat, calibration, depth, offsets=[(-offset, 0), (offset, 0)], scale=6.0
+)
 seen = left.valid & right.valid
 rows, columns = (np.flatnonzero(seen.mean(1 - side) > 0.98) for side in (0, 1))
 part = np.ix_(np.arange(rows[0], rows[-1] + 1), np.arange(columns[0], columns[-1] + 1))
 print(f"seen by a lens: {seen[part].mean():.2%}")
 
 fig, axes = plt.subplots(2, 2, figsize=(8, 6), layout="constrained")
-for ax, name, picture in zip(axes[0], ("on the branches", "on the house"), (near, far), strict=True):
+for ax, name, picture in zip(
+    axes[0], ("on the branches", "on the house"), (near, far), strict=True
+):
     picture.plot(ax)
     ax.set(title=name, xlabel="", ylabel="", xticks=[], yticks=[])
 for ax, name, picture in zip(axes[1], ("left eye", "right eye"), (left, right), strict=True):

@@ -2,8 +2,9 @@
 A real capture
 ==============
 
-Fujita2, a frame of a Raytrix R5 from the MPEG lenslet sequences, with nothing given but its pixels. Where the captures
-are not there (folder ``shared`` beside the sources), a simulated one takes its place.
+Fujita2, a frame of a Raytrix R5 from the MPEG lenslet sequences, with nothing given but its pixels.
+Where the captures are not there (folder ``shared`` beside the sources), a simulated one takes its
+place.
 """
 
 from pathlib import Path
@@ -25,7 +26,9 @@ print(camera, depth, sep="\n")
 
 fig, axes = plt.subplots(2, 2, figsize=(8, 7.5), layout="constrained")
 height, width = flat.shape[:2]
-middle = np.s_[int(0.45 * height) : int(0.45 * height) + 160, int(0.45 * width) : int(0.45 * width) + 160]
+middle = np.s_[
+    int(0.45 * height) : int(0.45 * height) + 160, int(0.45 * width) : int(0.45 * width) + 160
+]
 axes[0, 0].imshow(flat[middle])
 axes[0, 0].set_title("the flat, a piece of it")
 axes[0, 1].imshow(lfrender.traditional(flat, camera).image)
@@ -45,7 +48,12 @@ part = np.s_[rows // 20 : rows // 20 + rows // 3, columns // 4 : columns // 4 + 
 small = lfrender.traditional(flat, camera).image
 k = rows / small.shape[0]
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.2), layout="constrained")
-left.imshow(small[int(part[0].start / k) : int(part[0].stop / k), int(part[1].start / k) : int(part[1].stop / k)])
+left.imshow(
+    small[
+        int(part[0].start / k) : int(part[0].stop / k),
+        int(part[1].start / k) : int(part[1].stop / k),
+    ]
+)
 left.set(title="one pixel per microlens", xticks=[], yticks=[])
 right.imshow(picture.image[part])
 right.set(title="lfrender", xticks=[], yticks=[])

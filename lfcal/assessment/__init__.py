@@ -1,1 +1,3 @@
-"""Assess how a microlens array is mounted: what to turn, from one white image, with errors and verdicts in words."""
+"""Assess how a microlens array is mounted: what to turn, from one white image, with errors and
+verdicts in words.
+"""

@@ -1,8 +1,10 @@
-"""Rotation of an array against the sensor, and the gradient of its pitch, from centres of single microimages.
+"""Rotation of an array against the sensor, and the gradient of its pitch, from centres of single
+microimages.
 
-With the sensor tilted against the array by `g` (tangents to the right and down), the array seen from a pupil at the
-distance `L`, a microimage at `x` from the axis is displaced by `x (g x) / L`. Radial distortion about a place beside
-the middle of the flat displaces microimages by another quadratic form, which is fitted too.
+With the sensor tilted against the array by `g` (tangents to the right and down), the array seen
+from a pupil at the distance `L`, a microimage at `x` from the axis is displaced by `x (g x) / L`.
+Radial distortion about a place beside the middle of the flat displaces microimages by another
+quadratic form, which is fitted too.
 """
 
 from __future__ import annotations
@@ -19,17 +21,22 @@ from ..lattice.lattice import describe_orientation
 __all__ = ["Alignment", "measure_alignment"]
 
 Array = NDArray[np.float64]
-# [px] error that centres of a white image share over half the diagonal, whatever the scatter of single ones.
+# [px] error that centres of a white image share over half the diagonal, whatever the scatter of
+# single ones.
 _WHITE_FAULT = 0.01
 # [pitch] the same of a scene, which moves microimages by what it shows in them.
 _SCENE_FAULT = 0.02
-# Quadratic displacements x^2, xy, y^2 in x, then in y, of a tilt to the right and down, and of a radial distortion
-# about a place to the right and below.
-_TILT = np.array([[1, 0, 0, 0, 1, 0], [0, 1, 0, 0, 0, 1], [3, 0, 1, 0, 2, 0], [0, 2, 0, 1, 0, 3]], float).T
+# Quadratic displacements x^2, xy, y^2 in x, then in y, of a tilt to the right and down, and of a
+# radial distortion about a place to the right and below.
+_TILT = np.array(
+    [[1, 0, 0, 0, 1, 0], [0, 1, 0, 0, 0, 1], [3, 0, 1, 0, 2, 0], [0, 2, 0, 1, 0, 3]], float
+).T
 
 
 class Alignment(NamedTuple):
-    """Rotation clockwise on the screen, of the rows from those of pixels, and gradient of the pitch."""
+    """Rotation clockwise on the screen, of the rows from those of pixels, and gradient of the
+    pitch.
+    """
 
     shape: str
     rows: str
@@ -41,9 +48,15 @@ class Alignment(NamedTuple):
 
 def measure_alignment(camera: Calibration) -> Alignment:
     """Rotation and pitch gradient of a calibrated camera."""
-    lattice, errors, white = camera.lattice, camera.errors, camera.source == "white"
+    lattice = camera.lattice
+    errors = camera.errors
+    white = camera.source == "white"
     shape, rows, _ = describe_orientation(lattice)
-    variance = np.full(2, np.inf) if errors is None else np.diag(errors.covariance)[2:6].reshape(2, 2).mean(1)
+    variance = (
+        np.full(2, np.inf)
+        if errors is None
+        else np.diag(errors.covariance)[2:6].reshape(2, 2).mean(1)
+    )
     centres = lattice.basis, variance, np.full(2, np.nan), float("inf")
     if white and camera.residuals is not None and len(camera.residuals.indices) >= 60:
         centres = _fit_centres(camera) or centres
@@ -54,40 +67,59 @@ def measure_alignment(camera: Calibration) -> Alignment:
     own = vectors[1] * np.exp(-1j * np.pi / (3 if hexagonal else 2))
     both = np.array([vectors[0], own] if shape != "oblique" else [vectors[0]])
     period = 60.0 if hexagonal else 90.0
-    angle = (float(np.degrees(np.angle((both / np.abs(both)).sum()))) + period / 2) % period - period / 2
+    angle = (
+        float(np.degrees(np.angle((both / np.abs(both)).sum()))) + period / 2
+    ) % period - period / 2
     if rows == "vertical":
         angle -= float(np.copysign(30.0, angle))
-    fault = (_WHITE_FAULT if white else _SCENE_FAULT * lattice.pitch) / (float(np.hypot(*lattice.image_size)) / 2)
+    fault = (_WHITE_FAULT if white else _SCENE_FAULT * lattice.pitch) / (
+        float(np.hypot(*lattice.image_size)) / 2
+    )
     scatter = float((variance[: len(both)] / np.abs(both) ** 2).sum()) / len(both) ** 2
-    return Alignment(shape, rows, angle, float(np.degrees(np.sqrt(scatter + fault**2))), gradient, gradient_error)
+    return Alignment(
+        shape, rows, angle, float(np.degrees(np.sqrt(scatter + fault**2))), gradient, gradient_error
+    )
 
 
 def _fit_centres(camera: Calibration) -> tuple[Array, Array, Array, float] | None:
-    """Basis in the middle of the flat with variances (2,) of its vectors, pitch gradient (2,) [px] and its error.
+    """Basis in the middle of the flat with variances (2,) of its vectors, pitch gradient (2,) [px]
+    and its error.
 
-    Means over tiles of the flat are fitted, so that errors which neighbours share count as such; None of too few.
+    Means over tiles of the flat are fitted, so that errors which neighbours share count as such;
+    None of too few.
     """
     assert camera.residuals is not None
-    lattice, indices, offset = camera.lattice, camera.residuals.indices, camera.residuals.offset.astype(np.float64)
+    lattice = camera.lattice
+    indices = camera.residuals.indices
+    offset = camera.residuals.offset.astype(np.float64)
     length = np.hypot(*offset.T)
     keep = length <= 4 * np.median(length) + 1e-9
     indices, centres = indices[keep], lattice.points(indices[keep]) + offset[keep]
     x, y = field_place(centres, lattice).T
-    table = np.column_stack([np.ones(len(x)), indices, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3, centres])
+    table = np.column_stack(
+        [np.ones(len(x)), indices, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3, centres]
+    )
     column, row = np.clip((centres / lattice.image_size * 8).astype(int), 0, 7).T
     _, tile, count = np.unique(8 * row + column, return_inverse=True, return_counts=True)
     means = np.array([np.bincount(tile, values) / count for values in table.T]).T
     # Few tiles tell no third order.
-    design, target = means[:, : 10 if len(count) >= 20 else 6], means[:, 10:]
+    design = means[:, : 10 if len(count) >= 20 else 6]
+    target = means[:, 10:]
     free = len(count) - design.shape[1]
     if free < 4:
         return None
-    scale, root = np.abs(design).max(0), np.sqrt(count)[:, None]
+    scale = np.abs(design).max(0)
+    root = np.sqrt(count)[:, None]
     inverse = np.linalg.pinv(root * design / scale) / scale[:, None]
     factors = inverse @ (root * target)
-    covariance = inverse @ inverse.T * float((count[:, None] * (target - design @ factors) ** 2).sum() / (2 * free))
+    covariance = (
+        inverse
+        @ inverse.T
+        * float((count[:, None] * (target - design @ factors) ** 2).sum() / (2 * free))
+    )
     weight = np.kron(np.eye(2), np.linalg.pinv(covariance[3:6, 3:6]))
-    normal, quadratic = np.linalg.inv(_TILT.T @ weight @ _TILT), factors[3:6].T.ravel()
+    normal = np.linalg.inv(_TILT.T @ weight @ _TILT)
+    quadratic = factors[3:6].T.ravel()
     found = normal @ _TILT.T @ weight @ quadratic
     miss = quadratic - _TILT @ found
     # What neither form explains, two numbers, is an error of both.

@@ -1,4 +1,6 @@
-"""From what was measured to findings: values with errors, verdicts, and advice where both are sure enough."""
+"""From what was measured to findings: values with errors, verdicts, and advice where both are sure
+enough.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,19 @@ from ..lens_blur.microimages import LIGHT_FAULT, Field, MicroimageField
 from .alignment import Alignment
 from .result import Finding
 
-__all__ = ["FINDINGS", "Seen", "find_exposure", "find_range", "find_rotation", "find_tilt", "unmeasured"]
+__all__ = [
+    "FINDINGS",
+    "Seen",
+    "find_exposure",
+    "find_range",
+    "find_rotation",
+    "find_tilt",
+    "unmeasured",
+]
 
 Vector = NDArray[np.float64]
-# [standard errors] within which a value counts as zero, and from which on two measurements contradict each other.
+# [standard errors] within which a value counts as zero, and from which on two measurements
+# contradict each other.
 _SURE = 2.0
 _APART = 4.0
 # [px] smaller defects are the sensor's own.
@@ -29,7 +40,9 @@ _WAYS = ("right", "lower right", "bottom", "lower left", "left", "upper left", "
 
 
 class Seen(NamedTuple):
-    """A white image, its calibration, what was measured on both, and what is known of the main lens."""
+    """A white image, its calibration, what was measured on both, and what is known of the main
+    lens.
+    """
 
     flat: NDArray[Any]
     camera: Calibration
@@ -56,8 +69,11 @@ def _way(vector: Vector) -> str:
 
 def find_rotation(found: Alignment, camera: Calibration) -> Finding:
     """Rotation of the rows of lenses."""
-    value, error = found.rotation, found.rotation_error
-    told = partial(Finding, value, error, "degrees", details={"lattice": found.shape, "rows": found.rows})
+    value = found.rotation
+    error = found.rotation_error
+    told = partial(
+        Finding, value, error, "degrees", details={"lattice": found.shape, "rows": found.rows}
+    )
     rows = "the rows of lenses" if found.rows == "both ways" else f"the {found.rows} rows of lenses"
     drift = abs(np.radians(value)) * max(camera.image_size)
     if not np.isfinite(error):
@@ -75,31 +91,49 @@ def find_rotation(found: Alignment, camera: Calibration) -> Finding:
 
 
 def find_tilt(seen: Seen) -> Finding:
-    """Tilt of the sensor against the array, from radii (by the f-number) and pitches (by the distance of the pupil).
+    """Tilt of the sensor against the array, from radii (by the f-number) and pitches (by the
+    distance of the pupil).
 
     A microimage has the radius `b / 2N`: a tilt `g` changes it by `g / 2N` per pixel.
     """
-    found, radius, number, lattice = seen.alignment, seen.field.radius, seen.f_number, seen.camera.lattice
+    found = seen.alignment
+    radius = seen.field.radius
+    number = seen.f_number
+    lattice = seen.camera.lattice
     reach = float(np.hypot(*lattice.image_size)) / 2
-    slope, bent, bent_error = radius.slope, found.gradient, found.gradient_error
+    slope = radius.slope
+    bent = found.gradient
+    bent_error = found.gradient_error
     if radius.value > nearest_half(lattice):
         # Rims that are measured in the light of neighbours: up to 0.21 px on simulated cameras.
         bent_error = float(np.hypot(bent_error, 0.15))
-    per_number, tilts = number is None and np.isfinite(radius.slope_error), []
+    per_number = number is None and np.isfinite(radius.slope_error)
+    tilts = []
     if np.isfinite(radius.slope_error):
-        tilts.append((2 * slope / reach * (number or 1.0), 2 * radius.slope_error / reach * (number or 1.0)))
+        tilts.append(
+            (2 * slope / reach * (number or 1.0), 2 * radius.slope_error / reach * (number or 1.0))
+        )
     if seen.pupil is not None and np.isfinite(bent_error) and not per_number:
         tilts.append((bent / reach**2 * seen.pupil, bent_error / reach**2 * seen.pupil))
     if not tilts:
-        return unmeasured("degrees", "too few microimages with rims, and the distance of the pupil is not given")
+        return unmeasured(
+            "degrees", "too few microimages with rims, and the distance of the pupil is not given"
+        )
     weight = [1 / error**2 for _, error in tilts]
     vector = np.average([tilt for tilt, _ in tilts], axis=0, weights=weight)
-    value, error = float(np.degrees(np.hypot(*vector))), float(np.degrees(sum(weight) ** -0.5))
+    value = float(np.degrees(np.hypot(*vector)))
+    error = float(np.degrees(sum(weight) ** -0.5))
     to_right, to_bottom = np.degrees(vector).tolist()
     unit = "degrees per f-number" if per_number else "degrees"
-    told = partial(Finding, value, error, unit, details={"to_right": to_right, "to_bottom": to_bottom})
-    if len(tilts) == 2 and np.hypot(*(tilts[0][0] - tilts[1][0])) > _APART * np.hypot(tilts[0][1], tilts[1][1]):
-        return told("radii and pitches tell different tilts: the main lens distorts or cuts microimages on one side")
+    told = partial(
+        Finding, value, error, unit, details={"to_right": to_right, "to_bottom": to_bottom}
+    )
+    if len(tilts) == 2 and np.hypot(*(tilts[0][0] - tilts[1][0])) > _APART * np.hypot(
+        tilts[0][1], tilts[1][1]
+    ):
+        return told(
+            "radii and pitches tell different tilts: the main lens distorts or cuts microimages on one side"
+        )
     if value <= _SURE * error:
         limit = "" if per_number else f" larger than {_SURE * error:.2g} degrees"
         return told(f"no tilt{limit} is seen: microimages are alike on all sides")
@@ -116,8 +150,9 @@ def find_tilt(seen: Seen) -> Finding:
 
 
 def _is_confirmed(slope: Vector, bent: Vector, bent_error: float, field: MicroimageField) -> bool:
-    """Whether radii that change by `slope` [px] do so by a tilt: pitches grow that way too, or rims get softer that way
-    or the other, by a sixth to one and a half of what microimages get wider."""
+    """Whether radii that change by `slope` [px] do so by a tilt: pitches grow that way too, or rims
+    get softer that way or the other, by a sixth to one and a half of what microimages get wider.
+    """
 
     def turned(one: Vector) -> float:
         return float(one @ slope) / max(float(np.hypot(*one) * np.hypot(*slope)), 1e-12)
@@ -131,17 +166,27 @@ def _is_confirmed(slope: Vector, bent: Vector, bent_error: float, field: Microim
 
 
 def _find_distance(seen: Seen) -> Finding:
-    """Sharpness of the rims, which are images of the exit pupil at `s = 0`: what the microlenses are focused at.
+    """Sharpness of the rims, which are images of the exit pupil at `s = 0`: what the microlenses
+    are focused at.
 
-    A microlens of the aperture `A` that is focused at `s` blurs the pupil over a disc of the diameter `A |s| / D`.
+    A microlens of the aperture `A` that is focused at `s` blurs the pupil over a disc of the
+    diameter `A |s| / D`.
     """
-    pitch, blurs, known = seen.camera.lattice.pitch, seen.field.blur, seen.camera.lens_blur
+    pitch = seen.camera.lattice.pitch
+    blurs = seen.field.blur
+    known = seen.camera.lens_blur
     if known is not None and not known.tells_aperture:
         known = None
-    value, error = (float(np.mean([getattr(blur, name) for blur in blurs])) for name in ("value", "error"))
+    value, error = (
+        float(np.mean([getattr(blur, name) for blur in blurs])) for name in ("value", "error")
+    )
     aperture = pitch if known is None else known.aperture
     sizes = [blur.value * pitch / aperture for blur in blurs]
-    details = {"disc_px": [b.value for b in blurs], "disc_error_px": [b.error for b in blurs], "focus_px": sizes}
+    details = {
+        "disc_px": [b.value for b in blurs],
+        "disc_error_px": [b.error for b in blurs],
+        "focus_px": sizes,
+    }
     told = partial(Finding, value, error, "px", details=details)
     if value <= _SURE * error or max(blur.value for blur in blurs) < 1:
         most = max(blur.value + _SURE * blur.error for blur in blurs)
@@ -150,12 +195,17 @@ def _find_distance(seen: Seen) -> Finding:
                 "rims are sharp: the sensor lies in the focal plane of the microlenses, or these are stopped down"
             )
         return told(f"rims are blurred over {most:.1f} px at most")
-    discs, focus = (" / ".join(f"{one:.2g}" for one in ones) for ones in (details["disc_px"], sizes))
+    discs, focus = (
+        " / ".join(f"{one:.2g}" for one in ones) for ones in (details["disc_px"], sizes)
+    )
     discs += " px (lens types)" if len(blurs) > 1 else " px"
     verdict = f"rims are blurred over {discs}: the microlenses are focused at |s| = {focus} px"
-    verdict += ", or at larger ones if they are open over less than their pitch" if known is None else ""
+    verdict += (
+        ", or at larger ones if they are open over less than their pitch" if known is None else ""
+    )
     if seen.f_number is not None:
-        # `|b - f| / f` is the disc over the aperture, and `b` the diameter of a microimage times the f-number.
+        # `|b - f| / f` is the disc over the aperture, and `b` the diameter of a microimage times
+        # the f-number.
         away = seen.length(2 * seen.field.radius.value * seen.f_number * value / aperture)
         verdict += f"; the sensor is about {away} off their focal plane"
     slope = blurs[0].slope
@@ -165,29 +215,44 @@ def _find_distance(seen: Seen) -> Finding:
 
 
 def _find_apertures(seen: Seen) -> Finding:
-    lattice, radius = seen.camera.lattice, seen.field.radius.value
+    lattice = seen.camera.lattice
+    radius = seen.field.radius.value
     nearest = 2 * nearest_half(lattice)
-    gap, error, ratio = nearest - 2 * radius, 2 * seen.field.radius.error, 2 * radius / nearest
-    change = f"{ratio:.3g} times its f-number" + (f", f/{ratio * seen.f_number:.2g}" if seen.f_number else "")
+    gap = nearest - 2 * radius
+    error = 2 * seen.field.radius.error
+    ratio = 2 * radius / nearest
+    change = f"{ratio:.3g} times its f-number" + (
+        f", f/{ratio * seen.f_number:.2g}" if seen.f_number else ""
+    )
     half = np.clip(1 / ratio, 0, 1)
-    shared = radius**2 * (2 * np.arccos(half) - 2 * half * np.sqrt(1 - half**2)) * len(lattice.steps) / 2
+    shared = (
+        radius**2 * (2 * np.arccos(half) - 2 * half * np.sqrt(1 - half**2)) * len(lattice.steps) / 2
+    )
     lost = 1 - ratio**2 if gap > 0 else float(shared / abs(np.linalg.det(lattice.basis)))
     details = {"radii_px": seen.field.radii.mean(0).tolist(), "f_number_ratio": ratio, "lost": lost}
     told = partial(Finding, gap, error, "px", details=details)
     share = f"{abs(gap) / nearest:.1%} of their distance; {lost:.0%} of the sensor"
     if abs(gap) <= max(_SURE * error, 0.02 * nearest):
         sure = _SURE * error < 0.05 * nearest
-        return told("microimages touch: the apertures match" if sure else "neither a gap nor an overlap is sure")
+        return told(
+            "microimages touch: the apertures match"
+            if sure
+            else "neither a gap nor an overlap is sure"
+        )
     if gap > 0:
-        verdict, advice = "microimages leave gaps of {} is lost by it", "open the main lens to {}, and they touch"
+        verdict = "microimages leave gaps of {} is lost by it"
+        advice = "open the main lens to {}, and they touch"
     else:
-        verdict, advice = "microimages overlap by {} sees two lenses", "stop the main lens down to {}"
+        verdict = "microimages overlap by {} sees two lenses"
+        advice = "stop the main lens down to {}"
     return told(verdict.format(share), advice.format(change))
 
 
 def _find_vignetting(seen: Seen) -> Finding:
     """Where the main lens cuts microimages, and how the light falls towards the corners."""
-    gain, radius, level = seen.camera.gain_map, seen.field.radius.value, _lens_light(seen)
+    gain = seen.camera.gain_map
+    radius = seen.field.radius.value
+    level = _lens_light(seen)
     if gain is None:
         return unmeasured("px", "the calibration has no gain map")
     corner = 1 - float(np.exp(min(level.bend, 0.0))) if np.isfinite(level.bend) else float("nan")
@@ -196,10 +261,15 @@ def _find_vignetting(seen: Seen) -> Finding:
     if not len(gain.cut):
         # Cuts by less are not looked for.
         return Finding(0.0, 0.3, "px", f"no microimages are cut{falls}", details=details)
-    shift, growth, limit = float(np.hypot(*gain.cut[:2])), abs(float(gain.cut[2])), float(gain.cut[3])
-    depth, error = radius + shift + growth - limit, float(np.hypot(seen.field.radius.error, 0.1))
+    shift = float(np.hypot(*gain.cut[:2]))
+    growth = abs(float(gain.cut[2]))
+    limit = float(gain.cut[3])
+    depth = radius + shift + growth - limit
+    error = float(np.hypot(seen.field.radius.error, 0.1))
     if depth <= max(_SURE * error, 0.02 * radius):
-        return Finding(max(depth, 0.0), error, "px", f"no microimages are cut by more{falls}", details=details)
+        return Finding(
+            max(depth, 0.0), error, "px", f"no microimages are cut by more{falls}", details=details
+        )
     begins = details["begins_at"] = float(np.clip((limit - radius - shift) / growth, 0, 1))
     verdict = f"microimages are cut from {begins:.0%} of the way to the corners on{falls}"
     most = limit - growth - shift
@@ -208,7 +278,8 @@ def _find_vignetting(seen: Seen) -> Finding:
 
 
 def find_range(flats: list[NDArray[Any]], white_level: float | None = None) -> float | None:
-    """Largest value that pixels of these flats of one sensor can have; None where neither they nor a user tell it.
+    """Largest value that pixels of these flats of one sensor can have; None where neither they nor
+    a user tell it.
 
     Files of 16 bits hold sensors of 10, 12 or 14 bits too: of dim flats nobody knows which.
     """
@@ -227,17 +298,25 @@ def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
     """Over- or under-exposed, where the largest value `top` that pixels can have is known."""
     brightest = float(flat.max())
     if flat.dtype.kind == "f" and top is None:
-        return unmeasured("%", "values that are no whole numbers have no largest one; give the white level")
+        return unmeasured(
+            "%", "values that are no whole numbers have no largest one; give the white level"
+        )
     if top is None:
         ranges = "10, 12, 14 or 16 bits"
         return unmeasured(
-            "%", f"{ranges}, nothing tells which: the brightest pixel is {brightest:g}; give --white-level"
+            "%",
+            f"{ranges}, nothing tells which: the brightest pixel is {brightest:g}; give --white-level",
         )
     bright = float(np.percentile(flat[:: max(1, len(flat) // 1000)], 99)) / top
     clipped = float((flat >= top).mean()) if brightest >= top else 0.0
-    told = partial(Finding, 100 * bright, 0.0, "%", details={"clipped": clipped, "white_level": top})
+    told = partial(
+        Finding, 100 * bright, 0.0, "%", details={"clipped": clipped, "white_level": top}
+    )
     if clipped > 0.02:
-        return told(f"over-exposed: {clipped:.0%} of the pixels are at {top:g}", "expose less, by a half or more")
+        return told(
+            f"over-exposed: {clipped:.0%} of the pixels are at {top:g}",
+            "expose less, by a half or more",
+        )
     if bright < 0.25:
         longer = f"expose up to {0.8 / max(bright, 1e-4):.2g} times longer"
         return told(f"under-exposed: bright pixels have {bright:.1%} of {top:g}", longer)
@@ -245,21 +324,28 @@ def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
 
 
 def _lens_light(seen: Seen) -> Field:
-    """Logarithm of the light of the lenses over the field, in the values of the flat: what the page draws.
+    """Logarithm of the light of the lenses over the field, in the values of the flat: what the page
+    draws.
 
-    Where there is no gain map, that of the tiles. Half the difference of both is part of the error of the slope.
+    Where there is no gain map, that of the tiles. Half the difference of both is part of the error
+    of the slope.
     """
-    tiles, gain, lattice = seen.field.level, seen.camera.gain_map, seen.camera.lattice
+    tiles = seen.field.level
+    gain = seen.camera.gain_map
+    lattice = seen.camera.lattice
     if gain is None:
         return Field(*tiles)
     centres = lattice.centres()
-    found = Field.fit(field_place(centres, lattice), np.log(gain.light(centres, lattice)), LIGHT_FAULT)
+    found = Field.fit(
+        field_place(centres, lattice), np.log(gain.light(centres, lattice)), LIGHT_FAULT
+    )
     apart = np.hypot(*(found.slope - tiles.slope)) / 2
     return found._replace(slope_error=float(np.hypot(found.slope_error, apart)))
 
 
 def _find_evenness(seen: Seen) -> Finding:
-    level, size = _lens_light(seen), np.array(seen.camera.image_size)
+    level = _lens_light(seen)
+    size = np.array(seen.camera.image_size)
     if not np.isfinite(level.slope_error):
         return unmeasured("%", "too few microimages")
     across = size / (np.hypot(*size) / 2)
@@ -267,7 +353,12 @@ def _find_evenness(seen: Seen) -> Finding:
     error = 100 * level.slope_error * float(np.hypot(*across))
     if value <= _SURE * error or value < 10:
         sure = value + _SURE * error < 15
-        return Finding(value, error, "%", "evenly lit" if sure else "no side is surely brighter than the others")
+        return Finding(
+            value,
+            error,
+            "%",
+            "evenly lit" if sure else "no side is surely brighter than the others",
+        )
     advice = "light the white surface evenly, and centre the main lens"
     return Finding(value, error, "%", f"brighter towards the {_way(level.slope)}", advice)
 
@@ -278,35 +369,70 @@ def _find_dirt(seen: Seen) -> Finding:
 
     from ..detection.downscale import LARGE
 
-    flat, lattice, defects = seen.flat, seen.camera.lattice, seen.camera.defects
+    flat = seen.flat
+    lattice = seen.camera.lattice
+    defects = seen.camera.defects
     index = lattice.indices()
     low = index.min(0) - 4
     lit = np.zeros(index.max(0) - low + 5, np.uint8)
     lit[tuple((index - low).T)] = 1
     lit[tuple((defects.lenses - low).T)] = 0
-    # Beyond the light there are many dark lenses side by side; closing leaves those of three by three and more.
-    inside = cv2.erode(cv2.morphologyEx(lit, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.ones((5, 5), np.uint8)) > 0
+    # Beyond the light there are many dark lenses side by side; closing leaves those of three by
+    # three and more.
+    inside = (
+        cv2.erode(
+            cv2.morphologyEx(lit, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)),
+            np.ones((5, 5), np.uint8),
+        )
+        > 0
+    )
     dead = defects.lenses[inside[tuple((defects.lenses - low).T)]]
     seen_dead = f"{len(dead)} dead lenses" if len(dead) else "no dead lenses"
     if flat.shape[0] * flat.shape[1] >= LARGE:
-        return Finding(len(dead), 0.0, "places", f"{seen_dead}; pixels of flats as large as this are not looked at")
+        return Finding(
+            len(dead),
+            0.0,
+            "places",
+            f"{seen_dead}; pixels of flats as large as this are not looked at",
+        )
     mask = np.zeros(flat.shape[:2], np.uint8)
     mask[defects.pixels[:, 1], defects.pixels[:, 0]] = 1
     _, label, stats, middle = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    area, light = stats[:, cv2.CC_STAT_AREA], luminance(flat)
+    area = stats[:, cv2.CC_STAT_AREA]
+    light = luminance(flat)
     large = 1 + np.flatnonzero(area[1:] >= _SPECK)
-    home = np.clip(np.rint(lattice.to_index(middle[large])).astype(np.int64) - low, 0, np.array(inside.shape) - 1)
+    home = np.clip(
+        np.rint(lattice.to_index(middle[large])).astype(np.int64) - low,
+        0,
+        np.array(inside.shape) - 1,
+    )
     large = large[inside[tuple(home.T)]]
-    specks = [k for k in large[np.argsort(-area[large])][:200] if _is_seen(light, label, k, stats[k], seen.camera)]
-    count, share = len(specks) + len(dead), len(defects.pixels) / mask.size
-    told = partial(Finding, count, 0.0, "places", details={"pixels": len(defects.pixels), "dead_lenses": len(dead)})
+    specks = [
+        k
+        for k in large[np.argsort(-area[large])][:200]
+        if _is_seen(light, label, k, stats[k], seen.camera)
+    ]
+    count = len(specks) + len(dead)
+    share = len(defects.pixels) / mask.size
+    told = partial(
+        Finding,
+        count,
+        0.0,
+        "places",
+        details={"pixels": len(defects.pixels), "dead_lenses": len(dead)},
+    )
     if share > 0.01:
-        return told(f"{share:.1%} of the pixels differ from their like: much dirt, or an uneven white surface")
+        return told(
+            f"{share:.1%} of the pixels differ from their like: much dirt, or an uneven white surface"
+        )
     single = int((area[1:] < _SPECK).sum())
     verdict = f"{len(specks)} specks, {seen_dead}, {single} single pixels of the sensor"
     if specks:
         x, y = middle[specks[0]].round().astype(int)
-        return told(verdict, f"clean array and sensor: the largest speck ({area[specks[0]]} px) is at x {x}, y {y}")
+        return told(
+            verdict,
+            f"clean array and sensor: the largest speck ({area[specks[0]]} px) is at x {x}, y {y}",
+        )
     if len(dead):
         x, y = lattice.points(dead[:1])[0].round().astype(int)
         return told(verdict, f"look at the lens at x {x}, y {y}")
@@ -314,11 +440,20 @@ def _find_dirt(seen: Seen) -> Finding:
 
 
 def _is_seen(
-    light: NDArray[np.float32], label: NDArray[Any], number: int, box: NDArray[Any], camera: Calibration
+    light: NDArray[np.float32],
+    label: NDArray[Any],
+    number: int,
+    box: NDArray[Any],
+    camera: Calibration,
 ) -> bool:
-    """Whether a speck is darker or brighter by 10 % than the same place of lenses around it, of the same type."""
+    """Whether a speck is darker or brighter by 10 % than the same place of lenses around it, of the
+    same type.
+    """
     left, top, wide, high = box[:4]
-    place = np.argwhere(label[top : top + high, left : left + wide] == number)[:, ::-1] + (left, top)
+    place = np.argwhere(label[top : top + high, left : left + wide] == number)[:, ::-1] + (
+        left,
+        top,
+    )
     period = 1 if camera.lens_types is None else len(camera.lens_types.cell)
     levels = []
     for step in period * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)]) @ camera.lattice.basis:
@@ -329,7 +464,8 @@ def _is_seen(
     return bool(levels) and abs(own / max(float(np.median(levels)), 1e-9) - 1) > 0.1
 
 
-#: What takes a white image and a calibration made from it: what finds each, its unit, whether it takes rims.
+#: What takes a white image and a calibration made from it: what finds each, its unit, whether it
+#: takes rims.
 FINDINGS: dict[str, tuple[Callable[[Seen], Finding], str, bool]] = {
     "tilt": (find_tilt, "degrees", True),
     "distance": (_find_distance, "px", True),

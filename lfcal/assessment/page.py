@@ -37,24 +37,41 @@ def write_assessment(path: str | os.PathLike[str], found: Assessment, title: str
 
 
 def _draw_rotation(axes: Any, found: Assessment) -> None:
-    """Rows of the sensor, dashed, and of lenses, turned by a multiple of their angle that can be seen."""
+    """Rows of the sensor, dashed, and of lenses, turned by a multiple of their angle that can be
+    seen.
+    """
     value = found.rotation.value
     times = next((t for t in (1, 3, 10, 30) if abs(value) * t >= 3), 100)
-    angle, along = np.radians(np.clip(value * times, -30, 30)), np.linspace(-1, 1, 13)
+    angle = np.radians(np.clip(value * times, -30, 30))
+    along = np.linspace(-1, 1, 13)
     for offset in (-0.5, 0.0, 0.5):
-        x, y = along * np.cos(angle) - offset * np.sin(angle), along * np.sin(angle) + offset * np.cos(angle)
+        x = along * np.cos(angle) - offset * np.sin(angle)
+        y = along * np.sin(angle) + offset * np.cos(angle)
         axes.axhline(offset, color="0.6", linestyle="--", linewidth=0.8)
         axes.plot(x, y, "o-", color=TYPE_COLOURS[0], markersize=6, markerfacecolor="none")
-    axes.set(aspect="equal", xticks=[], yticks=[], ylim=(1, -1), title=f"rows of lenses, angle x {times}")
+    axes.set(
+        aspect="equal", xticks=[], yticks=[], ylim=(1, -1), title=f"rows of lenses, angle x {times}"
+    )
 
 
 def _draw_tilt(axes: Any, found: Assessment) -> None:
-    field, middle = found.microimages, np.array(found.calibration.image_size) / 2
-    half, slope = float(np.hypot(*middle)), field.radius.slope
-    _map(axes, found, field.place * half + middle, field.radii.mean(1), "radius of the microimages [px]", 150)
+    field = found.microimages
+    middle = np.array(found.calibration.image_size) / 2
+    half = float(np.hypot(*middle))
+    slope = field.radius.slope
+    _map(
+        axes,
+        found,
+        field.place * half + middle,
+        field.radii.mean(1),
+        "radius of the microimages [px]",
+        150,
+    )
     if np.isfinite(slope).all():
         way = slope / max(float(np.hypot(*slope)), 1e-12) * half / 3
-        axes.annotate("", middle + way, middle - way, arrowprops={"arrowstyle": "->", "color": "firebrick"})
+        axes.annotate(
+            "", middle + way, middle - way, arrowprops={"arrowstyle": "->", "color": "firebrick"}
+        )
 
 
 def _draw_distance(axes: Any, found: Assessment) -> None:
@@ -62,11 +79,14 @@ def _draw_distance(axes: Any, found: Assessment) -> None:
     axes.plot(far, light, ".", color=TYPE_COLOURS[0], markersize=3, label="measured")
     axes.plot(far, model, ".", color=TYPE_COLOURS[1], markersize=1.5, label="blurred discs")
     axes.legend(loc="lower left")
-    axes.set(xlabel="distance from the centre [px]", ylim=(0, None), title="light in the mean microimage")
+    axes.set(
+        xlabel="distance from the centre [px]", ylim=(0, None), title="light in the mean microimage"
+    )
 
 
 def _draw_apertures(axes: Any, found: Assessment) -> None:
-    lattice, radius = found.calibration.lattice, found.microimages.radius.value
+    lattice = found.calibration.lattice
+    radius = found.microimages.radius.value
     index = np.stack(np.meshgrid(np.arange(-3, 4), np.arange(-3, 4)), -1).reshape(-1, 2)
     draw_circles(axes, index @ lattice.basis, radius, TYPE_COLOURS[0])
     reach = 1.7 * lattice.pitch
@@ -81,7 +101,12 @@ def _draw_vignetting(axes: Any, found: Assessment) -> None:
 
 
 def _draw_exposure(axes: Any, found: Assessment) -> None:
-    axes.fill_between(np.linspace(0, 100, len(found.histogram)), found.histogram, step="mid", color=TYPE_COLOURS[0])
+    axes.fill_between(
+        np.linspace(0, 100, len(found.histogram)),
+        found.histogram,
+        step="mid",
+        color=TYPE_COLOURS[0],
+    )
     axes.set(
         xlabel="value [% of the largest that pixels can have, or have]",
         yticks=[],
@@ -91,7 +116,8 @@ def _draw_exposure(axes: Any, found: Assessment) -> None:
 
 
 def _draw_evenness(axes: Any, found: Assessment) -> None:
-    gain, lattice = found.calibration.gain_map, found.calibration.lattice
+    gain = found.calibration.gain_map
+    lattice = found.calibration.lattice
     centres = lattice.centres()
     light = np.ones(len(centres)) if gain is None else gain.light(centres, lattice)
     _map(axes, found, centres, light, "light of the lenses")
@@ -99,14 +125,28 @@ def _draw_evenness(axes: Any, found: Assessment) -> None:
 
 def _draw_dirt(axes: Any, found: Assessment) -> None:
     defects = found.calibration.defects
-    axes.plot(*defects.pixels[:: max(1, len(defects.pixels) // 5000)].T, ".", color="firebrick", markersize=2)
-    axes.plot(*found.calibration.lattice.points(defects.lenses).T, "x", color=TYPE_COLOURS[0], markersize=4)
+    axes.plot(
+        *defects.pixels[:: max(1, len(defects.pixels) // 5000)].T,
+        ".",
+        color="firebrick",
+        markersize=2,
+    )
+    axes.plot(
+        *found.calibration.lattice.points(defects.lenses).T,
+        "x",
+        color=TYPE_COLOURS[0],
+        markersize=4,
+    )
     _frame(axes, found, "defective pixels (dots), unlit lenses (crosses)")
 
 
-def _map(axes: Any, found: Assessment, places: Any, values: Any, title: str, size: float = 6) -> None:
+def _map(
+    axes: Any, found: Assessment, places: Any, values: Any, title: str, size: float = 6
+) -> None:
     every = slice(None, None, max(1, len(places) // 3000))
-    axes.figure.colorbar(axes.scatter(*places[every].T, c=values[every], s=size, cmap="viridis"), ax=axes)
+    axes.figure.colorbar(
+        axes.scatter(*places[every].T, c=values[every], s=size, cmap="viridis"), ax=axes
+    )
     _frame(axes, found, title)
 
 
@@ -116,6 +156,12 @@ def _frame(axes: Any, found: Assessment, title: str) -> None:
 
 
 _DRAWINGS = {
-    "rotation": _draw_rotation, "tilt": _draw_tilt, "distance": _draw_distance, "apertures": _draw_apertures,
-    "vignetting": _draw_vignetting, "exposure": _draw_exposure, "evenness": _draw_evenness, "dirt": _draw_dirt,
-}  # fmt: skip
+    "rotation": _draw_rotation,
+    "tilt": _draw_tilt,
+    "distance": _draw_distance,
+    "apertures": _draw_apertures,
+    "vignetting": _draw_vignetting,
+    "exposure": _draw_exposure,
+    "evenness": _draw_evenness,
+    "dirt": _draw_dirt,
+}

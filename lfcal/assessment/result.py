@@ -70,15 +70,18 @@ class Assessment:
     rotation : Finding
         [degrees] of the rows of lenses from those of pixels, positive clockwise on the flat.
     tilt : Finding
-        [degrees] of the sensor against the array; without an f-number, per f-number of the main lens.
+        [degrees] of the sensor against the array; without an f-number, per f-number of the main
+        lens.
     distance : Finding
-        [px] diameter of the discs that the rims of microimages are blurred over: 0 with the sensor in the focal plane.
+        [px] diameter of the discs that the rims of microimages are blurred over: 0 with the sensor
+        in the focal plane.
     apertures : Finding
         [px] gap between neighbouring microimages, negative for an overlap.
     vignetting : Finding
         [px] that the main lens cuts off the microimages in the corners.
     exposure : Finding
-        [%] of the largest value that pixels can have, which the verdict names, that bright pixels have.
+        [%] of the largest value that pixels can have, which the verdict names, that bright pixels
+        have.
     evenness : Finding
         [%] by which one side is brighter than the other.
     dirt : Finding
@@ -110,7 +113,9 @@ class Assessment:
     #: `MicroimageField`, None where they cannot be measured.
     microimages: Any = field(default=None, repr=False)
     #: (256,) pixels of the white image over 256 levels up to the largest value.
-    histogram: NDArray[np.int64] = field(default_factory=lambda: np.zeros(256, np.int64), repr=False)
+    histogram: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros(256, np.int64), repr=False
+    )
 
     @property
     def findings(self) -> dict[str, Finding]:
@@ -119,7 +124,9 @@ class Assessment:
         return own | {f"scene, {name}": finding for name, finding in self.scene.items()}
 
     def grouped(self) -> list[tuple[str, Finding]]:
-        """All findings by their names; those that one reason kept from being measured are one, with all their names."""
+        """All findings by their names; those that one reason kept from being measured are one, with
+        all their names.
+        """
         groups: dict[str, tuple[list[str], Finding]] = {}
         for name, finding in self.findings.items():
             key = name if finding.measured else finding.verdict

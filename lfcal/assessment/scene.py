@@ -1,4 +1,6 @@
-"""What a scene capture shows of how a camera is set up: whether the array has moved, exposure, focus of lens types."""
+"""What a scene capture shows of how a camera is set up: whether the array has moved, exposure,
+focus of lens types.
+"""
 
 from __future__ import annotations
 
@@ -21,26 +23,38 @@ _STEP = 0.05
 
 
 def assess_scene(scene: NDArray[Any], camera: Calibration, top: float | None) -> dict[str, Finding]:
-    """Findings on a scene, given the camera as its white image shows it; `top` is as for `find_exposure`."""
+    """Findings on a scene, given the camera as its white image shows it; `top` is as for
+    `find_exposure`.
+    """
     found = {"place": _find_shift(scene, camera), "exposure": find_exposure(scene, top)}
-    picture, types = sqrt_luminance(scene), camera.lens_types
+    picture = sqrt_luminance(scene)
+    types = camera.lens_types
     if types is not None:
         again = find_lens_types(picture, camera.lattice, False)
         focus = None if again is None or again.count != types.count else again.focus
         # Where each lens type is in focus, if the scene has depth.
         if focus is None or not np.isfinite(focus).all():
-            found["focus"] = unmeasured("s / D", "the scene has too little detail at several depths")
+            found["focus"] = unmeasured(
+                "s / D", "the scene has too little detail at several depths"
+            )
         else:
-            verdict = f"the lens types are sharpest at s = {' / '.join(f'{one:+.2f}' for one in focus)} D"
+            verdict = (
+                f"the lens types are sharpest at s = {' / '.join(f'{one:+.2f}' for one in focus)} D"
+            )
             found["focus"] = Finding(float(focus.mean()), _STEP, "s / D", verdict)
     return found
 
 
 def _find_shift(scene: NDArray[Any], camera: Calibration) -> Finding:
-    check, fit = check_camera(camera, scene), check_fit(camera, scene)
+    check = check_camera(camera, scene)
+    fit = check_fit(camera, scene)
     if not check.checked or np.isnan(fit.max_offset):
-        return unmeasured("px", check.problem or "the scene does not show where its microimages are")
+        return unmeasured(
+            "px", check.problem or "the scene does not show where its microimages are"
+        )
     problem = check.problem or fit.warning
     verdict = problem or "the microimages are where the white image has them"
     # What is shown in microimages moves the fit.
-    return Finding(fit.max_offset, fit.limit / 2, "px", verdict, "take a new white image" if problem else "")
+    return Finding(
+        fit.max_offset, fit.limit / 2, "px", verdict, "take a new white image" if problem else ""
+    )

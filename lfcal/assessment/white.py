@@ -42,19 +42,22 @@ def assess(
     calibration : Calibration, optional
         Of the white image, so that it is not calibrated again.
     f_number : float, optional
-        Of the main lens as the sensor sees it, distance of the exit pupil over its diameter: at infinity what is
-        printed on it. Tells tilts in degrees.
+        Of the main lens as the sensor sees it, distance of the exit pupil over its diameter: at
+        infinity what is printed on it. Tells tilts in degrees.
     pupil : float, optional [mm]
-        From the exit pupil of the main lens to the array; by default that of the optics of the calibration.
+        From the exit pupil of the main lens to the array; by default that of the optics of the
+        calibration.
     pixel : float, optional [mm]
         Side of a pixel.
     white_level : float, optional
-        Largest value that pixels can have, 4095 for a sensor of 12 bits; by default as far as the flats show it.
+        Largest value that pixels can have, 4095 for a sensor of 12 bits; by default as far as the
+        flats show it.
 
     Raises
     ------
     FlatError
-        If an image cannot be a flat, or scene and calibration are of other sizes than the white image.
+        If an image cannot be a flat, or scene and calibration are of other sizes than the white
+        image.
     CalibrationError
         If no lattice is on the white image.
 
@@ -66,7 +69,12 @@ def assess(
     >>> found.exposure.verdict
     'of 255: well exposed'
     """
-    for name, value in (("f_number", f_number), ("pupil", pupil), ("pixel", pixel), ("white_level", white_level)):
+    for name, value in (
+        ("f_number", f_number),
+        ("pupil", pupil),
+        ("pixel", pixel),
+        ("white_level", white_level),
+    ):
         if value is not None and not 0 < value < np.inf:
             raise ValueError(f"{name} must be a positive number, got {value!r}")
     flat, *others = check_flats(white)
@@ -76,18 +84,24 @@ def assess(
     camera = calibrate(flat) if calibration is None else calibration
     for name, one in (("the white image", flat), ("the scene", shown)):
         if one is not None and one.shape[1::-1] != camera.image_size:
-            given, own = ("{} x {} px".format(*size) for size in (one.shape[1::-1], camera.image_size))
+            given, own = (
+                "{} x {} px".format(*size) for size in (one.shape[1::-1], camera.image_size)
+            )
             raise FlatError(f"{name} is {given}, the camera is for {own}; give flats of one camera")
     if camera.optics is not None:
-        pixel, pupil = pixel or camera.optics.pixel, pupil or camera.optics.mla_distance
+        pixel = pixel or camera.optics.pixel
+        pupil = pupil or camera.optics.mla_distance
     top = find_range([flat] if shown is None else [flat, shown], white_level)
-    alignment, field = measure_alignment(camera), None
+    alignment = measure_alignment(camera)
+    field = None
     found = {"rotation": find_rotation(alignment, camera)}
     if camera.source == "white":
         field = measure_microimages(flat, camera)
     for name, (find, unit, takes_rims) in FINDINGS.items():
         if camera.source != "white":
-            found[name] = unmeasured(unit, "this takes a white image, and a calibration made from it")
+            found[name] = unmeasured(
+                unit, "this takes a white image, and a calibration made from it"
+            )
         elif field is None and takes_rims:
             found[name] = unmeasured(unit, "the microimages show no rims")
         else:

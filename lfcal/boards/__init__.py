@@ -1,1 +1,3 @@
-"""Boards of known points: made to print, found on flats, their corners located in single microimages."""
+"""Boards of known points: made to print, found on flats, their corners located in single
+microimages.
+"""

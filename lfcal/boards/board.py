@@ -1,4 +1,6 @@
-"""Boards: which points they show, and where; boards to print, as SVG or PDF in true size, with a bar to measure."""
+"""Boards: which points they show, and where; boards to print, as SVG or PDF in true size, with a
+bar to measure.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +28,15 @@ class Board:
     Parameters
     ----------
     columns, rows : int
-        Inner corners of a checkerboard or a ChArUco board (one less than squares), circles of an asymmetric grid: those
-        of a row, and the rows, each shifted by half a step (OpenCV's 4 x 11 has 4 columns and 11 rows).
+        Inner corners of a checkerboard or a ChArUco board (one less than squares), circles of an
+        asymmetric grid: those of a row, and the rows, each shifted by half a step (OpenCV's 4 x 11
+        has 4 columns and 11 rows).
     square : float [mm]
         Side of a square; of circles, the distance between rows.
     pattern : {"checkerboard", "charuco", "circles"}
     marker : float [mm], optional
-        Side of the markers of a ChArUco board, by default 0.75 of the square; diameter of circles, by default 1.2 of
-        the distance between rows.
+        Side of the markers of a ChArUco board, by default 0.75 of the square; diameter of circles,
+        by default 1.2 of the distance between rows.
     dictionary : str
         Of the markers, as OpenCV names it without `DICT_`.
 
@@ -56,19 +59,29 @@ class Board:
             raise ValueError(f"pattern must be {', '.join(PATTERNS)}, got {self.pattern!r}")
         columns, rows = (check_number(getattr(self, name), name) for name in ("columns", "rows"))
         if not (2 <= columns <= 200 and 2 <= rows <= 200):
-            raise BoardError(f"a board has 2 to 200 inner corners each way, got {self.columns} x {self.rows}")
+            raise BoardError(
+                f"a board has 2 to 200 inner corners each way, got {self.columns} x {self.rows}"
+            )
         if self.pattern == "checkerboard" and min(self.columns, self.rows) < 3:
-            raise BoardError(f"a checkerboard needs 3 x 3 inner corners or more, got {self.columns} x {self.rows}")
+            raise BoardError(
+                f"a checkerboard needs 3 x 3 inner corners or more, got {self.columns} x {self.rows}"
+            )
         if not 0 < check_number(self.square, "square") < np.inf:
             raise BoardError(f"the square must have a positive side [mm], got {self.square!r}")
-        marker = check_number(self.marker or self.square * (0.75 if self.pattern == "charuco" else 1.2), "marker")
+        marker = check_number(
+            self.marker or self.square * (0.75 if self.pattern == "charuco" else 1.2), "marker"
+        )
         if not 0 < marker < np.inf or (self.pattern == "charuco" and marker >= self.square):
-            raise BoardError(f"markers must be smaller than the square of {self.square} mm, got {marker!r} mm")
+            raise BoardError(
+                f"markers must be smaller than the square of {self.square} mm, got {marker!r} mm"
+            )
         object.__setattr__(self, "marker", marker)
 
     @property
     def points(self) -> Floats:
-        """(k, 3) corners or centres [mm], row by row: x along the rows, y down, z away from the camera."""
+        """(k, 3) corners or centres [mm], row by row: x along the rows, y down, z away from the
+        camera.
+        """
         column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         x = 2 * column + row % 2 if self.pattern == "circles" else column
         return np.column_stack([x.ravel(), row.ravel(), np.zeros(x.size)]) * self.square
@@ -84,9 +97,13 @@ class Board:
 
         name = f"DICT_{self.dictionary.upper()}"
         if not hasattr(cv2.aruco, name):
-            raise BoardError(f"OpenCV has no dictionary {self.dictionary!r} of markers; 4X4_50 or 5X5_1000 are usual")
+            raise BoardError(
+                f"OpenCV has no dictionary {self.dictionary!r} of markers; 4X4_50 or 5X5_1000 are usual"
+            )
         markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-        return cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.square, float(self.marker or 0), markers)
+        return cv2.aruco.CharucoBoard(
+            (self.columns + 1, self.rows + 1), self.square, float(self.marker or 0), markers
+        )
 
     def __str__(self) -> str:
         return f"{self.pattern} of {self.columns} x {self.rows} {'circles' if self.pattern == 'circles' else 'corners'}"
@@ -95,8 +112,8 @@ class Board:
 def write_board(path: str | os.PathLike[str], board: Board) -> None:
     """Write a board in true size, `.svg` or `.pdf`; the file appears whole or not at all.
 
-    Print it at 100 % on flat, matt material and measure the bar: if it is not 100 mm long, scale `square` by what it
-    is.
+    Print it at 100 % on flat, matt material and measure the bar: if it is not 100 mm long, scale
+    `square` by what it is.
     """
     check_output(path, {".svg", ".pdf"})
     with atomic_write(path) as temporary:
@@ -109,7 +126,8 @@ def draw_board(board: Board) -> Any:
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle, Rectangle
 
-    side, points = board.square, board.points[:, :2]
+    side = board.square
+    points = board.points[:, :2]
     # A square about the points, and a margin of another one.
     shift = 2 * side - points.min(0)
     width, height = np.ptp(points, axis=0) + 4 * side
@@ -120,15 +138,25 @@ def draw_board(board: Board) -> Any:
         shapes += [Circle((x, y), float(board.marker or 0) / 2) for x, y in points + shift]
     else:
         # The square up-left of corner 0 is dark.
-        squares = ((c, r) for r in range(board.rows + 1) for c in range(r % 2, board.columns + 1, 2))
-        shapes += [Rectangle(((c - 1) * side + shift[0], (r - 1) * side + shift[1]), side, side) for c, r in squares]
+        squares = (
+            (c, r) for r in range(board.rows + 1) for c in range(r % 2, board.columns + 1, 2)
+        )
+        shapes += [
+            Rectangle(((c - 1) * side + shift[0], (r - 1) * side + shift[1]), side, side)
+            for c, r in squares
+        ]
     if board.pattern == "charuco":
-        shapes += [Rectangle(place, module, module) for place, module in _marker_modules(board, shift - side)]
+        shapes += [
+            Rectangle(place, module, module)
+            for place, module in _marker_modules(board, shift - side)
+        ]
     figure = Figure((page[0] / 25.4, page[1] / 25.4))
     axes = figure.add_axes((0, 0, 1, 1), xlim=(0, page[0]), ylim=(page[1], 0))
     axes.axis("off")
     axes.add_collection(PatchCollection(shapes, facecolor="black", edgecolor="none", linewidth=0))
-    axes.text(side, bar + 7, f"{board}, {side:g} mm; this bar is 100 mm long", fontsize=4 / 25.4 * 72)
+    axes.text(
+        side, bar + 7, f"{board}, {side:g} mm; this bar is 100 mm long", fontsize=4 / 25.4 * 72
+    )
     return figure
 
 
@@ -144,5 +172,8 @@ def _marker_modules(board: Board, origin: np.ndarray) -> list[tuple[Any, float]]
     for number, corners in zip(target.getIds().ravel(), target.getObjPoints(), strict=True):
         corner = np.asarray(corners)[:, :2].min(0) + origin
         picture = cv2.aruco.generateImageMarker(dictionary, int(number), side, borderBits=1)
-        found += [(corner + module * np.array(place[::-1]), module) for place in np.argwhere(picture < 128)]
+        found += [
+            (corner + module * np.array(place[::-1]), module)
+            for place in np.argwhere(picture < 128)
+        ]
     return found

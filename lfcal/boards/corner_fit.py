@@ -1,10 +1,10 @@
 """Corners in single microimages: a blurred edge cross, or disc, fitted to the pixels.
 
-The camera predicts position, directions and scale of the pattern in each microimage; fitted are the position, two grey
-values, the blur, and for the whole flat the curve of its transfer, as coded values shift blurred edges towards black.
-Pixels within a fraction of a square of the corner count, as far as their microimage is lit. Gauss-Newton on all corners
-side by side. A cross of blurred edges (Mallon and Whelan 2007) has no perspective bias: lines through the corner stay
-lines.
+The camera predicts position, directions and scale of the pattern in each microimage; fitted are the
+position, two grey values, the blur, and for the whole flat the curve of its transfer, as coded
+values shift blurred edges towards black. Pixels within a fraction of a square of the corner count,
+as far as their microimage is lit. Gauss-Newton on all corners side by side. A cross of blurred
+edges (Mallon and Whelan 2007) has no perspective bias: lines through the corner stay lines.
 """
 
 from __future__ import annotations
@@ -28,14 +28,18 @@ class CornerFits(NamedTuple):
 
     position: Array  # (n, 2) [px]
     error: Array  # (n,) [px] standard error along each axis, from the residuals
-    contrast: Array  # (n,) half the difference of the grey values; its sign tells which squares are dark
+    contrast: (
+        Array  # (n,) half the difference of the grey values; its sign tells which squares are dark
+    )
     blur: Array  # (n,) [px] standard deviation of the blur
     good: Booleans  # (n,) whether the fit can be used
 
 
 class _Sums(NamedTuple):
-    """Of each corner: normal equations (n, 5, 6) with their right side, number of pixels and squared residuals (n, 2),
-    and the normal equations of the transfer (n, 5): three of the matrix, two of the right side."""
+    """Of each corner: normal equations (n, 5, 6) with their right side, number of pixels and
+    squared residuals (n, 2), and the normal equations of the transfer (n, 5): three of the matrix,
+    two of the right side.
+    """
 
     normal: Array
     pixels: Array
@@ -43,54 +47,94 @@ class _Sums(NamedTuple):
 
 
 @kernel(error_model="numpy", share=lambda flat, centres, *_: len(centres))
-def _add_pixels(begin, end, flat, centres, radius, predicted, inverse, reach, disc, margin, transfer, parameters, sums):
-    """Add the pixels of corners to their sums; `inverse` (n, 2, 2) squares per px, `reach` (n,) px to each side.
+def _add_pixels(
+    begin,
+    end,
+    flat,
+    centres,
+    radius,
+    predicted,
+    inverse,
+    reach,
+    disc,
+    margin,
+    transfer,
+    parameters,
+    sums,
+):
+    """Add the pixels of corners to their sums; `inverse` (n, 2, 2) squares per px, `reach` (n,) px
+    to each side.
 
-    Grey values are `mean + contrast y + |contrast| (1 - y^2) (t_0 + t_1 y)` of the blurred pattern `y` with light
-    positive: straight from black to white where the transfer is 0. `disc` is the radius of circles, 0 of corners; of
-    those, pixels within `margin` squares of an edge count.
+    Grey values are `mean + contrast y + |contrast| (1 - y^2) (t_0 + t_1 y)` of the blurred pattern
+    `y` with light positive: straight from black to white where the transfer is 0. `disc` is the
+    radius of circles, 0 of corners; of those, pixels within `margin` squares of an edge count.
     """
     row = np.empty(_UNKNOWNS)
     for n in range(begin, end):
-        a, b, c, d = inverse[n, 0, 0], inverse[n, 0, 1], inverse[n, 1, 0], inverse[n, 1, 1]
-        mean, contrast, blur = parameters[n, 2], parameters[n, 3], parameters[n, 4]
+        a = inverse[n, 0, 0]
+        b = inverse[n, 0, 1]
+        c = inverse[n, 1, 0]
+        d = inverse[n, 1, 1]
+        mean = parameters[n, 2]
+        contrast = parameters[n, 3]
+        blur = parameters[n, 4]
         light = 1.0 if contrast >= 0 else -1.0
-        x0, y0 = round(predicted[n, 0]), round(predicted[n, 1])
-        half, flank = math.ceil(reach[n]), math.sqrt(2 / math.pi) / blur
+        x0 = round(predicted[n, 0])
+        y0 = round(predicted[n, 1])
+        half = math.ceil(reach[n])
+        flank = math.sqrt(2 / math.pi) / blur
         for y in range(max(y0 - half, 0), min(y0 + half + 1, flat.shape[0])):
             for x in range(max(x0 - half, 0), min(x0 + half + 1, flat.shape[1])):
                 # The edge of a microimage is soft over a pixel.
                 if (x - centres[n, 0]) ** 2 + (y - centres[n, 1]) ** 2 >= (radius - 1) ** 2:
                     continue
-                dx, dy = x - predicted[n, 0], y - predicted[n, 1]
-                u, v = abs(a * dx + b * dy), abs(c * dx + d * dy)
+                dx = x - predicted[n, 0]
+                dy = y - predicted[n, 1]
+                u = abs(a * dx + b * dy)
+                v = abs(c * dx + d * dy)
                 # [squares] to each side of the corner; 1 is the next corner.
                 if max(u, v) >= 0.7 or min(u, v) >= margin:
                     continue
                 dx -= parameters[n, 0]
                 dy -= parameters[n, 1]
-                u, v = a * dx + b * dy, c * dx + d * dy
+                u = a * dx + b * dy
+                v = c * dx + d * dy
                 if disc > 0:
                     size = math.sqrt(u * u + v * v) + 1e-9
-                    gx, gy = (u * a + v * c) / size, (u * b + v * d) / size
+                    gx = (u * a + v * c) / size
+                    gy = (u * b + v * d) / size
                     steep = math.sqrt(gx * gx + gy * gy) + 1e-9
                     far = (size - disc) / steep
-                    level, slope = math.erf(far / (math.sqrt(2.0) * blur)), math.exp(-0.5 * (far / blur) ** 2) * flank
-                    gx, gy, gb = slope * gx / steep, slope * gy / steep, slope * far
+                    level = math.erf(far / (math.sqrt(2.0) * blur))
+                    slope = math.exp(-0.5 * (far / blur) ** 2) * flank
+                    gx = slope * gx / steep
+                    gy = slope * gy / steep
+                    gb = slope * far
                 else:
-                    p, q = math.sqrt(a * a + b * b), math.sqrt(c * c + d * d)
-                    u, v = u / p, v / q
-                    first, second = math.erf(u / (math.sqrt(2.0) * blur)), math.erf(v / (math.sqrt(2.0) * blur))
+                    p = math.sqrt(a * a + b * b)
+                    q = math.sqrt(c * c + d * d)
+                    u = u / p
+                    v = v / q
+                    first = math.erf(u / (math.sqrt(2.0) * blur))
+                    second = math.erf(v / (math.sqrt(2.0) * blur))
                     s = second * math.exp(-0.5 * (u / blur) ** 2) * flank
                     t = first * math.exp(-0.5 * (v / blur) ** 2) * flank
                     level = first * second
-                    gx, gy, gb = s * a / p + t * c / q, s * b / p + t * d / q, s * u + t * v
+                    gx = s * a / p + t * c / q
+                    gy = s * b / p + t * d / q
+                    gb = s * u + t * v
                 level *= light
                 rest = 1 - level * level
                 curve = transfer[0] + transfer[1] * level
                 gain = contrast * (1 - 2 * level * curve + transfer[1] * rest)
                 coded = light * (level + rest * curve)
-                row[0], row[1], row[2], row[3], row[4] = -gain * gx, -gain * gy, 1.0, coded, -gain / blur * gb
+                row[0], row[1], row[2], row[3], row[4] = (
+                    -gain * gx,
+                    -gain * gy,
+                    1.0,
+                    coded,
+                    -gain / blur * gb,
+                )
                 residual = flat[y, x] - mean - contrast * coded
                 for k in range(_UNKNOWNS):
                     for j in range(_UNKNOWNS):
@@ -114,13 +158,16 @@ def fit_corners(
     `shape` (n, 2, 2) [px] are the columns d(position) / d(board), one square long.
     """
     n = len(predicted)
-    parameters, noise, transfer = np.zeros((n, _UNKNOWNS)), np.zeros(n), np.zeros(2)
+    parameters = np.zeros((n, _UNKNOWNS))
+    noise = np.zeros(n)
+    transfer = np.zeros(2)
     parameters[:, 4] = 1.0
     marker = float(board.marker or 0) / board.square
     # Markers fill the white squares up to a margin.
     margin = 0.8 * (1 - marker) / 2 if board.pattern == "charuco" else np.inf
     disc = marker / 2 if board.pattern == "circles" else 0.0
-    reach, inverse = np.minimum(0.7 * np.abs(shape).sum(2).max(1), 2 * radius), np.linalg.inv(shape)
+    reach = np.minimum(0.7 * np.abs(shape).sum(2).max(1), 2 * radius)
+    inverse = np.linalg.inv(shape)
     fitted = (flat, centres, radius, predicted, inverse, reach, disc, margin)
     for iteration in range(9):
         sums = _Sums(np.zeros((n, _UNKNOWNS, _UNKNOWNS + 1)), np.zeros((n, 2)), np.zeros((n, 5)))
@@ -136,8 +183,12 @@ def fit_corners(
     normal = sums.normal[..., :_UNKNOWNS]
     scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-30))
     unit = normal / (scale[:, :, None] * scale[:, None, :])
-    covariance = np.linalg.inv(unit + 1e-9 * np.eye(_UNKNOWNS)) / (scale[:, :, None] * scale[:, None, :])
-    variances = np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :2], 0) * (noise**2)[:, None]
+    covariance = np.linalg.inv(unit + 1e-9 * np.eye(_UNKNOWNS)) / (
+        scale[:, :, None] * scale[:, None, :]
+    )
+    variances = (
+        np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :2], 0) * (noise**2)[:, None]
+    )
     contrast = np.abs(parameters[:, 3])
     good = (
         (np.linalg.eigvalsh(unit)[:, 0] > 0.02)
@@ -148,7 +199,9 @@ def fit_corners(
         & (np.sqrt(variances.max(1)) < 0.5)
     )
     error = np.sqrt(variances.mean(1))
-    return CornerFits(predicted + parameters[:, :2], error, parameters[:, 3], parameters[:, 4], good)
+    return CornerFits(
+        predicted + parameters[:, :2], error, parameters[:, 3], parameters[:, 4], good
+    )
 
 
 def _stepped(parameters: Array, equations: Array, iteration: int) -> Array:
@@ -156,7 +209,8 @@ def _stepped(parameters: Array, equations: Array, iteration: int) -> Array:
     free = np.ones(_UNKNOWNS)
     if iteration == 0:
         free[[0, 1, 4]] = 0
-    normal, gradient = equations[..., :_UNKNOWNS], equations[..., _UNKNOWNS]
+    normal = equations[..., :_UNKNOWNS]
+    gradient = equations[..., _UNKNOWNS]
     scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-12))
     unit = normal / (scale[:, :, None] * scale[:, None, :]) * np.outer(free, free)
     unit = unit + np.eye(_UNKNOWNS) * (1e-4 + (1 - free))

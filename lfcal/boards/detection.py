@@ -1,9 +1,11 @@
-"""Boards on flats: an all-in-focus picture by a plane sweep, and the points of a board on it by OpenCV's detectors.
+"""Boards on flats: an all-in-focus picture by a plane sweep, and the points of a board on it by
+OpenCV's detectors.
 
-Every candidate of `s / D` draws the scene with the formula of docs/geometry.md, `p = c - (X - c) s / D`, from all
-lenses that see a point. Where the candidate is right they agree: the variance among them, averaged over a window,
-chooses the candidate of every point (plane sweep; Collins 1996). `lfrender` has the accurate form of this, but stands
-above `lfcal`: boards need a picture that a detector finds them on, corners are then measured in the microimages.
+Every candidate of `s / D` draws the scene with the formula of docs/geometry.md, `p = c - (X - c) s
+/ D`, from all lenses that see a point. Where the candidate is right they agree: the variance among
+them, averaged over a window, chooses the candidate of every point (plane sweep; Collins 1996).
+`lfrender` has the accurate form of this, but stands above `lfcal`: boards need a picture that a
+detector finds them on, corners are then measured in the microimages.
 """
 
 from __future__ import annotations
@@ -35,11 +37,16 @@ class FocusSweep:
 
     def __init__(self, lattice: Lattice) -> None:
         # Candidates are compared at points a fifth of a pitch apart.
-        self._coarse, self._fine = (_Views(lattice, share * lattice.pitch) for share in (0.2, 0.075))
+        self._coarse, self._fine = (
+            _Views(lattice, share * lattice.pitch) for share in (0.2, 0.075)
+        )
 
     def draw(self, flat: Array) -> FocusedPicture:
-        """Draw a grey flat (h, w), divided by its gain, with the patch size that makes the lenses agree best."""
-        # Nearer to 0, or beyond 0.75, neighbours share too little of the scene; steps are half a pixel at D = 23 px.
+        """Draw a grey flat (h, w), divided by its gain, with the patch size that makes the lenses
+        agree best.
+        """
+        # Nearer to 0, or beyond 0.75, neighbours share too little of the scene; steps are half a
+        # pixel at D = 23 px.
         half = np.arange(0.05, 0.75, 0.025)
         best = np.full(self._coarse.shape, np.inf, np.float32)
         ratio = np.full(self._coarse.shape, -half[-1], np.float32)
@@ -51,12 +58,16 @@ class FocusSweep:
             cost = cv2.blur(variance * known, (7, 7)) / np.maximum(share, 1e-3)
             better = (cost < best) & (share >= 0.3)
             best[better], ratio[better] = cost[better], candidate
-        ratio = cv2.resize(cv2.medianBlur(ratio, 5), self._fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        ratio = cv2.resize(
+            cv2.medianBlur(ratio, 5), self._fine.shape[::-1], interpolation=cv2.INTER_LINEAR
+        )
         return FocusedPicture(self._fine.draw(flat, ratio)[0], ratio, self._fine.step)
 
 
 class _Views:
-    """The nearest lenses of every point of a grid of scene coordinates: the nearest one and a ring about it."""
+    """The nearest lenses of every point of a grid of scene coordinates: the nearest one and a ring
+    about it.
+    """
 
     def __init__(self, lattice: Lattice, step: float) -> None:
         width, height = lattice.image_size
@@ -65,18 +76,26 @@ class _Views:
         points = np.stack([columns, rows], axis=2).astype(np.float32) * np.float32(step)
         centres = lattice.centres()
         far, nearest = cKDTree(centres).query(points.reshape(-1, 2), k=min(7, len(centres)))
-        self.centres = np.moveaxis(centres.astype(np.float32)[nearest.reshape(*self.shape, -1)], 2, 0)
+        self.centres = np.moveaxis(
+            centres.astype(np.float32)[nearest.reshape(*self.shape, -1)], 2, 0
+        )
         self.offsets = self.centres - points
         self.distances = np.moveaxis(far.astype(np.float32).reshape(*self.shape, -1), 2, 0)
 
     def draw(self, flat: Array, ratio: float | Array) -> tuple[Array, Array, Array]:
-        """Mean, unbiased variance and number of the lenses that see each point, whose patch size is `ratio` D."""
+        """Mean, unbiased variance and number of the lenses that see each point, whose patch size is
+        `ratio` D.
+        """
         total, square, count = (np.zeros(self.shape, np.float32) for _ in range(3))
         no_map: Any = None  # positions are in one map
         over = np.asarray(ratio, np.float32)
-        for centre, offset, distance in zip(self.centres, self.offsets, self.distances, strict=True):
+        for centre, offset, distance in zip(
+            self.centres, self.offsets, self.distances, strict=True
+        ):
             place = centre + offset * over[..., None]
-            value = cv2.remap(flat, place, no_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            value = cv2.remap(
+                flat, place, no_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
             seen = distance * np.abs(over) < self.radius
             value *= seen
             total += value
@@ -98,11 +117,19 @@ class DetectedBoard(NamedTuple):
 def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
     """Find the points of a board, or None where it is not found whole (ChArUco: not enough of it)."""
     best: DetectedBoard | None = None
-    low, high = np.percentile(picture.image[picture.image > 0], (1, 99)) if (picture.image > 0).any() else (0, 1)
+    low, high = (
+        np.percentile(picture.image[picture.image > 0], (1, 99))
+        if (picture.image > 0).any()
+        else (0, 1)
+    )
     grey = np.clip((picture.image - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
     # Detectors need squares of 8 px.
     for zoom in (1, 2):
-        large: Any = cv2.resize(grey, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC) if zoom > 1 else grey
+        large: Any = (
+            cv2.resize(grey, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)
+            if zoom > 1
+            else grey
+        )
         corner, pixels = _FINDERS[board.pattern](large, board)
         if len(corner) < 6:
             continue
@@ -122,11 +149,14 @@ def other_size(image: Singles, board: Board, larger: bool) -> str:
     """The number of corners of another checkerboard, where there is one; or only of a `larger` one."""
     if board.pattern != "checkerboard":
         return ""
-    grey = np.clip(image * (255 / max(float(np.percentile(image, 99)), 1e-6)), 0, 255).astype(np.uint8)
+    grey = np.clip(image * (255 / max(float(np.percentile(image, 99)), 1e-6)), 0, 255).astype(
+        np.uint8
+    )
     # Of three corners each way a board is found in noise.
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_LARGER
     found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (4, 4), flags)
-    own, seen = sorted((board.columns, board.rows)), sorted(meta.shape) if found else []
+    own = sorted((board.columns, board.rows))
+    seen = sorted(meta.shape) if found else []
     if not found or own == seen or (larger and (seen[0] < own[0] or seen[1] < own[1])):
         return ""
     return f"{seen[1]} x {seen[0]}" if board.columns >= board.rows else f"{seen[0]} x {seen[1]}"
@@ -160,7 +190,9 @@ _FINDERS = {"checkerboard": _checkerboard, "charuco": _charuco, "circles": _circ
 
 
 def _is_mirrored(points: Floats, pixels: Floats) -> bool:
-    """Whether the picture shows the points in the other sense of rotation: another board, or a wrong detection."""
+    """Whether the picture shows the points in the other sense of rotation: another board, or a
+    wrong detection.
+    """
     affine = np.linalg.lstsq(np.column_stack([points, np.ones(len(points))]), pixels, rcond=None)[0]
     return bool(np.linalg.det(affine[:2]) <= 0)
 
@@ -182,7 +214,9 @@ def _ordered(image: Singles, board: Board, pixels: Floats) -> Floats:
 
 
 def _plane(picture: FocusedPicture, pixels: Floats) -> Floats:
-    """`D / s` at the pixels, of the plane that fits their patch sizes: `1 / s` of a plane is linear in `X`."""
+    """`D / s` at the pixels, of the plane that fits their patch sizes: `1 / s` of a plane is linear
+    in `X`.
+    """
     x, y = np.rint(pixels).astype(int).T
     height, width = picture.ratio.shape
     ratio = picture.ratio[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float64)
@@ -194,5 +228,7 @@ def _plane(picture: FocusedPicture, pixels: Floats) -> Floats:
         # Huber's weights.
         off = np.abs(inverse - design @ plane)
         weight = kept / np.sqrt(np.maximum(off / (0.05 * abs(plane[0])), 1))
-        plane = np.linalg.lstsq(design * weight[:, None], np.where(kept, inverse, 0) * weight, rcond=None)[0]
+        plane = np.linalg.lstsq(
+            design * weight[:, None], np.where(kept, inverse, 0) * weight, rcond=None
+        )[0]
     return np.asarray(design @ plane)

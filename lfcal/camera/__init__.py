@@ -1,1 +1,3 @@
-"""The result of a calibration: lattice, gain, lens types and uncertainties of one camera, with its JSON form."""
+"""The result of a calibration: lattice, gain, lens types and uncertainties of one camera, with its
+JSON form.
+"""

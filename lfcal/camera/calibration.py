@@ -1,4 +1,6 @@
-"""A calibrated camera: its lattice, light falloff and uncertainties, and their JSON form (docs/formats.md)."""
+"""A calibrated camera: its lattice, light falloff and uncertainties, and their JSON form
+(docs/formats.md).
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,15 @@ _VERSION = 2
 _ROW_ORDER_VERSION = 1
 # Fields that are records.
 _PARTS: dict[str, Any] = {
-    "lens_types": LensTypes, "gain_map": GainMap, "defects": Defects, "errors": LatticeErrors, "residuals": Residuals,
-    "optics": Optics, "lens_blur": LensBlur, "evidence": Evidence,
-}  # fmt: skip
+    "lens_types": LensTypes,
+    "gain_map": GainMap,
+    "defects": Defects,
+    "errors": LatticeErrors,
+    "residuals": Residuals,
+    "optics": Optics,
+    "lens_blur": LensBlur,
+    "evidence": Evidence,
+}
 # Fields that are in files as they are, and of the fit, NaN as null.
 _VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded")
 _FIT = ("residual_rms", "lenses_used", "confidence")
@@ -66,7 +74,8 @@ class Calibration(Frozen):
     lens_types : LensTypes or None
         Types of microlenses of a multi-focus array; None where one type was found.
     mosaic : str or None
-        Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"`, `"GBRG"`.
+        Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`,
+        `"GRBG"`, `"GBRG"`.
     gain_map : GainMap or None
         Relative illumination at every position in every microimage.
     defects : Defects
@@ -74,9 +83,11 @@ class Calibration(Frozen):
     errors : LatticeErrors or None
         Standard errors of the lattice's parameters and centres.
     residuals : Residuals or None
-        How far single microimages lie from the lattice; None where single ones do not show it, as in scenes.
+        How far single microimages lie from the lattice; None where single ones do not show it, as
+        in scenes.
     white_level : float or None
-        Largest value of its flats where that is less than their type holds, as 4095 for 12 bits in files of 16.
+        Largest value of its flats where that is less than their type holds, as 4095 for 12 bits in
+        files of 16.
     optics : Optics or None
         Main lens, distances and their covariance, which turn patch sizes into metres.
     evidence : Evidence or None
@@ -84,10 +95,11 @@ class Calibration(Frozen):
     lens_blur : LensBlur or None
         Blur of the microlenses, which pictures with `detail` undo.
     encoded : bool or None
-        Whether its flats are encoded for display, about as the square root of light, or linear; None where only their
-        type tells it: those of 8 bits are.
+        Whether its flats are encoded for display, about as the square root of light, or linear;
+        None where only their type tells it: those of 8 bits are.
     mosaic_guessed : bool
-        Whether the colour filters were found on a flat: which are red and which blue is a guess then.
+        Whether the colour filters were found on a flat: which are red and which blue is a guess
+        then.
 
     Examples
     --------
@@ -123,7 +135,10 @@ class Calibration(Frozen):
         check_type(self.lattice, Lattice, "lattice", "lfcal.state_lattice makes one of figures")
         if self.mosaic not in (None, *MOSAICS):
             raise ValueError(f"mosaic must be {', '.join(MOSAICS)} or None, got {self.mosaic!r}")
-        if self.white_level is not None and not 0 < check_number(self.white_level, "white_level") < np.inf:
+        if (
+            self.white_level is not None
+            and not 0 < check_number(self.white_level, "white_level") < np.inf
+        ):
             raise ValueError(f"white_level must be positive or None, got {self.white_level!r}")
 
     @property
@@ -133,7 +148,9 @@ class Calibration(Frozen):
 
     def with_mosaic(self, mosaic: Mosaic | None, guessed: bool = False) -> Calibration:
         """The camera with these colour filters, and a warning if they are guessed."""
-        warnings = [text for text in self.warnings if "look exchanged, name the filters" not in text]
+        warnings = [
+            text for text in self.warnings if "look exchanged, name the filters" not in text
+        ]
         if guessed and mosaic is not None:
             other = mosaic.translate(str.maketrans("RB", "BR"))
             warnings.append(
@@ -143,7 +160,9 @@ class Calibration(Frozen):
         return replace(self, mosaic=mosaic, mosaic_guessed=guessed, warnings=tuple(warnings))
 
     def with_mosaic_of(self, flat: NDArray[Any]) -> Calibration:
-        """The camera with the colour filters that are found on a flat (h, w), where they are not known for certain."""
+        """The camera with the colour filters that are found on a flat (h, w), where they are not
+        known for certain.
+        """
         from ..images.mosaic import find_mosaic
 
         known = self.mosaic is not None and not self.mosaic_guessed
@@ -152,26 +171,35 @@ class Calibration(Frozen):
 
     def to_dict(self) -> dict[str, Any]:
         """The camera as plain numbers and strings, as written by `save`."""
-        lattice, vignetting = self.lattice, self.vignetting
+        lattice = self.lattice
+        vignetting = self.vignetting
         known: dict[str, Any] = {
-            "origin": lattice.origin.tolist(), "basis": lattice.basis.tolist(), "radius": lattice.radius,
+            "origin": lattice.origin.tolist(),
+            "basis": lattice.basis.tolist(),
+            "radius": lattice.radius,
             "pitch": lattice.pitch,
-        }  # fmt: skip
+        }
         if lattice.distortion is not None:
             known["distortion"] = lattice.distortion.to_dict()
         fit = {name: getattr(self, name) for name in _FIT}
         return {
-            "schema": _SCHEMA, "version": _VERSION, "image_size": list(self.image_size), "lattice": known,
-            "vignetting": vignetting and {"step": vignetting.step, "profile": vignetting.profile.tolist()},
+            "schema": _SCHEMA,
+            "version": _VERSION,
+            "image_size": list(self.image_size),
+            "lattice": known,
+            "vignetting": vignetting
+            and {"step": vignetting.step, "profile": vignetting.profile.tolist()},
             "fit": {name: None if np.isnan(value) else value for name, value in fit.items()},
             "warnings": list(self.warnings),
             **{name: getattr(self, name) for name in _VALUES},
             **{name: (part := getattr(self, name)) and part.to_dict() for name in _PARTS},
-        }  # fmt: skip
+        }
 
     @classmethod
     def from_dict(cls, data: Any) -> Calibration:
-        """Rebuild a camera from `to_dict`; raises CameraFileError with the name of the field that is wrong."""
+        """Rebuild a camera from `to_dict`; raises CameraFileError with the name of the field that
+        is wrong.
+        """
         if not isinstance(data, dict) or data.get("schema") != _SCHEMA:
             raise CameraFileError(f"not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE'")
         version = data.get("version")
@@ -182,11 +210,21 @@ class Calibration(Frozen):
 
         known = read_fields(data)
         with _field_errors("lattice.distortion"):
-            bend = Distortion.from_dict(known.lattice.distortion) if known.lattice.distortion else None
+            bend = (
+                Distortion.from_dict(known.lattice.distortion) if known.lattice.distortion else None
+            )
         with _field_errors("lattice"):
-            lattice = Lattice(known.lattice.origin, known.lattice.basis, known.image_size, known.lattice.radius, bend)
+            lattice = Lattice(
+                known.lattice.origin,
+                known.lattice.basis,
+                known.image_size,
+                known.lattice.radius,
+                bend,
+            )
         with _field_errors("vignetting"):
-            light = known.vignetting and Vignetting(known.vignetting["profile"], known.vignetting["step"])
+            light = known.vignetting and Vignetting(
+                known.vignetting["profile"], known.vignetting["step"]
+            )
         values = {name: getattr(known, name) for name in _VALUES}
         fit = {name: getattr(known.fit, name) for name in _FIT}
         values |= {name: float("nan") if value is None else value for name, value in fit.items()}
@@ -201,21 +239,30 @@ class Calibration(Frozen):
         return camera
 
     def gain(self) -> NDArray[np.float32]:
-        """(h, w) relative illumination of every pixel, 1 at the brightest; NaN where unknown: gaps, unlit lenses."""
+        """(h, w) relative illumination of every pixel, 1 at the brightest; NaN where unknown: gaps,
+        unlit lenses.
+        """
         return self.region_gain().at(0, 0, *self.image_size)
 
     def flatten(self, flat: ArrayLike) -> NDArray[Any]:
         """Divide a flat by the gain of the camera, so that a white image of it becomes even.
 
-        `flat` (h, w) or (h, w, c), of unsigned integers or floats, keeps its type: integers are rounded and clipped.
-        Pixels whose gain is unknown, NaN in `gain()`, are left as they are. Raises FlatError for another size.
+        `flat` (h, w) or (h, w, c), of unsigned integers or floats, keeps its type: integers are
+        rounded and clipped. Pixels whose gain is unknown, NaN in `gain()`, are left as they are.
+        Raises FlatError for another size.
         """
         pixels = np.asarray(flat)
         if pixels.ndim not in (2, 3) or pixels.dtype.kind not in "uf" or 0 in pixels.shape:
-            raise FlatError(f"flat of shape {pixels.shape} and type {pixels.dtype}; give a grey or colour picture")
+            raise FlatError(
+                f"flat of shape {pixels.shape} and type {pixels.dtype}; give a grey or colour picture"
+            )
         if pixels.shape[1::-1] != self.image_size:
-            given, own = ("{} x {} px".format(*size) for size in (pixels.shape[1::-1], self.image_size))
-            raise FlatError(f"flat is {given}, the camera is for {own}; calibrate on a flat of that size")
+            given, own = (
+                "{} x {} px".format(*size) for size in (pixels.shape[1::-1], self.image_size)
+            )
+            raise FlatError(
+                f"flat is {given}, the camera is for {own}; calibrate on a flat of that size"
+            )
         return self.region_gain().flatten(pixels)[0]
 
     def region_gain(self) -> RegionGain:
@@ -223,15 +270,17 @@ class Calibration(Frozen):
         return RegionGain(self._gain_map(), self.lattice)
 
     def usable_radius(self) -> NDArray[np.float64]:
-        """(n,) radius [px] up to which each microimage has half its light, in the order of `lattice.centres()`.
+        """(n,) radius [px] up to which each microimage has half its light, in the order of
+        `lattice.centres()`.
 
-        At most half the distance to the nearest microimage; the distance to the cut where mechanical vignetting cuts a
-        microimage; 0 for unlit lenses.
+        At most half the distance to the nearest microimage; the distance to the cut where
+        mechanical vignetting cuts a microimage; 0 for unlit lenses.
         """
         return self._gain_map().usable_radius(self.lattice)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the mean residuals over the flat, or the centres of the lattice where residuals are not measured.
+        """Draw the mean residuals over the flat, or the centres of the lattice where residuals are
+        not measured.
 
         On Matplotlib axes, by default the current ones, which are returned.
         """
@@ -240,7 +289,9 @@ class Calibration(Frozen):
         return plot_calibration(self, ax)
 
     def __repr__(self) -> str:
-        sure = "" if self.source in ("published", "truth") else f", confidence {self.confidence:.2f}"
+        sure = (
+            "" if self.source in ("published", "truth") else f", confidence {self.confidence:.2f}"
+        )
         return f"Calibration({self.lattice!r}, source {self.source!r}{sure})"
 
     def _repr_html_(self) -> str:
@@ -252,7 +303,9 @@ class Calibration(Frozen):
         if self.gain_map is not None:
             return self.gain_map
         if self.vignetting is None:
-            raise CalibrationError("the camera file holds no gain map; make one with 'lfcal calibrate IMAGE'")
+            raise CalibrationError(
+                "the camera file holds no gain map; make one with 'lfcal calibrate IMAGE'"
+            )
         return GainMap.round(self.vignetting.profile, self.vignetting.step, self.lattice.radius)
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -1,8 +1,10 @@
-"""Evidence that a lattice is that of the microimages of a flat, and the probability that follows from it.
+"""Evidence that a lattice is that of the microimages of a flat, and the probability that follows
+from it.
 
 The same evidence is measured for every lattice, kind of camera and kind of flat. No single figure
-decides: a logistic function of all of them was fitted to lattices of simulated cameras of all kinds,
-right and wrong ones, and of pictures that are no flats (`python -m benchmarks.lattices fit`).
+decides: a logistic function of all of them was fitted to lattices of simulated cameras of all
+kinds, right and wrong ones, and of pictures that are no flats (`python -m benchmarks.lattices
+fit`).
 """
 
 from __future__ import annotations
@@ -17,19 +19,22 @@ __all__ = ["Evidence", "white_probability"]
 # Fitted by `python -m benchmarks.lattices fit`: log odds without any evidence, and for each term.
 _CONSTANT = -21.2
 _WEIGHTS = {"proof": 6.6, "both_proofs": 8.4, "edges": 18.4, "tiles": -4.3}
-# The same for a white image against a scene. Lenses unlike their neighbours have the weight that tells a capture of
-# an unfocused camera from its white image: simulated cameras leave it open.
+# The same for a white image against a scene. Lenses unlike their neighbours have the weight that
+# tells a capture of an unfocused camera from its white image: simulated cameras leave it open.
 _WHITE_CONSTANT = -7.95
 _WHITE_WEIGHTS = {"inside": -2.7, "detail": -3.94, "unlike": -15.0}
-# Probability of a lattice that ends the search for others, where the cells have the shape of lenses, and where not.
-_CERTAIN_BY_SHAPE, _CERTAIN = 0.96, 0.985
+# Probability of a lattice that ends the search for others, where the cells have the shape of
+# lenses, and where not.
+_CERTAIN_BY_SHAPE = 0.96
+_CERTAIN = 0.985
 # [pitch] error up to which a lattice is right.
 _RIGHT = 0.05
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Figures that tell a lattice of microimages from other patterns, and from the same lattice shifted.
+    """Figures that tell a lattice of microimages from other patterns, and from the same lattice
+    shifted.
 
     Parameters
     ----------
@@ -40,32 +45,38 @@ class Evidence:
     roundness : float
         Share of the average cell that is a function of the distance from the centre, 0..1.
     shape : float
-        Share of the average cell that the distances from the centre and from the border explain, 0..1.
+        Share of the average cell that the distances from the centre and from the border explain,
+        0..1.
     light : float
         Logarithm of the light in the middle of cells over that at their borders.
     content : float
         Logarithm of what varies from lens to lens in the middle over that at the borders.
     outline : float
-        Steps of brightness on the outline of lenses, round or along the cell, less those inside [local deviations].
+        Steps of brightness on the outline of lenses, round or along the cell, less those inside
+        [local deviations].
     circles : float
-        Share of the lattice points that are centres of circles or peaks found without the lattice, or of these that
-        lie on it, the smaller, beyond chance.
+        Share of the lattice points that are centres of circles or peaks found without the lattice,
+        or of these that lie on it, the smaller, beyond chance.
     circles_beside : float
         The same of the lattice shifted by half or a third of a cell, the largest.
     fine : float
         Share of the energy of the average cell beyond its first harmonics: waves have none.
     inverted : float
-        Correlation of the average cell with itself half a cell further, the least: boards are their own negative.
+        Correlation of the average cell with itself half a cell further, the least: boards are their
+        own negative.
     explained : float
-        Gain in log likelihood of a pixel if each place of a cell has a mean and a variance of its own [nats].
+        Gain in log likelihood of a pixel if each place of a cell has a mean and a variance of its
+        own [nats].
     parallax : float
-        Logarithm of how much less neighbours differ when they are shifted by the disparity than at any shift.
+        Logarithm of how much less neighbours differ when they are shifted by the disparity than at
+        any shift.
     fit_halves : float or None [pitch]
         `halves` of the final fit, and how far that has moved the lattice; None before it.
     inside : float
         Logarithm of the scatter of light inside typical microimages.
     detail : float
-        Logarithm of that scatter in the microimages with most detail (95 %) over that in typical ones.
+        Logarithm of that scatter in the microimages with most detail (95 %) over that in typical
+        ones.
     between : float
         Logarithm of the scatter of light from one microimage to the next.
     unlike : float
@@ -106,14 +117,17 @@ class Evidence:
     @property
     def probability(self) -> float:
         """Probability that the lattice is right, to a twentieth of the pitch."""
-        # The lattices of two halves differ by twice the error of the whole, which has a normal distribution.
+        # The lattices of two halves differ by twice the error of the whole, which has a normal
+        # distribution.
         halves = self.halves if self.fit_halves is None else self.fit_halves
         precise = 1 - np.exp(-2 * (_RIGHT / max(halves, 1e-6)) ** 2)
         return float(precise / (1 + np.exp(-self._log_odds())))
 
     @property
     def rank(self) -> float:
-        """What lattices of one flat are sorted by: the log odds, and what goes beyond the proofs they need."""
+        """What lattices of one flat are sorted by: the log odds, and what goes beyond the proofs
+        they need.
+        """
         return (
             self._log_odds()
             + 0.5 * (self.parallax + self.outlined)
@@ -123,7 +137,9 @@ class Evidence:
 
     @property
     def is_certain(self) -> bool:
-        """Whether no other lattice needs to be tried: parallax alone may be that of a multiple or a part of a cell."""
+        """Whether no other lattice needs to be tried: parallax alone may be that of a multiple or a
+        part of a cell.
+        """
         return self.probability > (_CERTAIN_BY_SHAPE if self.by_shape() > 0.9 else _CERTAIN)
 
     def _log_odds(self) -> float:
@@ -131,12 +147,16 @@ class Evidence:
 
     @property
     def outlined(self) -> float:
-        """How much cells look like lenses: which centres to try first, before neighbours are compared."""
+        """How much cells look like lenses: which centres to try first, before neighbours are
+        compared.
+        """
         return self.shape + self.roundness + self.circles - self.circles_beside + self.outline
 
     @property
     def white_probability(self) -> float:
-        """Probability that the flat is a white image: lenses are evenly lit, and as bright as their neighbours."""
+        """Probability that the flat is a white image: lenses are evenly lit, and as bright as their
+        neighbours.
+        """
         return white_probability(self.inside, self.detail, self.unlike)
 
     def describe_doubt(self) -> str:
@@ -147,7 +167,9 @@ class Evidence:
         if terms["edges"] < 0.5:
             return "light and dark places have one shape, as in waves and on boards"
         if self.circles_beside > max(self.circles, 0.3):
-            return f"circles lie between its points (at {self.circles_beside:.0%} of the places there)"
+            return (
+                f"circles lie between its points (at {self.circles_beside:.0%} of the places there)"
+            )
         if terms["tiles"] > 0.5:
             return "neighbours do not show the same, shifted, though they differ"
         shown = f"circles lie on {max(self.circles, 0.0):.0%} of its points, {self.shape:.0%} of the average cell have"
@@ -171,7 +193,9 @@ class Evidence:
         }
 
     def by_shape(self) -> float:
-        """How far the average cell proves lenses, 0 to 1: its shape, and circles or gaps that never change."""
+        """How far the average cell proves lenses, 0 to 1: its shape, and circles or gaps that never
+        change.
+        """
         # What neighbours share is no noise.
         scene = self._shows_scene() * _ramp(self.parallax, 0.2, 0.35)
         windows = _ramp(self.content, 0.5, 2.0) * scene
@@ -186,7 +210,9 @@ class Evidence:
         return _ramp(self.fine, 0.01, 0.06) * (1 - _ramp(-self.inverted, 0.93, 0.97))
 
     def _content_proof(self) -> float:
-        """How far parallax proves lenses, 0 to 1: neighbours of a scene match, in cells that have an outline."""
+        """How far parallax proves lenses, 0 to 1: neighbours of a scene match, in cells that have
+        an outline.
+        """
         shape = _ramp(self.shape, 0.55, 0.8) * _ramp(self.circles, 0.02, 0.12)
         outlined = max(shape, _ramp(self.circles, 0.1, 0.4), _ramp(self.outline, 0.1, 0.6))
         symmetric = _ramp(self.roundness, 0.1, 0.5)
@@ -202,13 +228,19 @@ class Evidence:
     def to_dict(self) -> dict[str, float]:
         """The figures, and the probability that follows from them."""
         figures = {name: value and float(value) for name, value in asdict(self).items()}
-        return {**figures, "probability": self.probability, "white_probability": self.white_probability}
+        return {
+            **figures,
+            "probability": self.probability,
+            "white_probability": self.white_probability,
+        }
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Evidence:
         """Rebuild the record from `to_dict`."""
         values: dict[str, Any] = {field.name: data[field.name] for field in fields(cls)}
-        figures: dict[str, Any] = {name: value if value is None else float(value) for name, value in values.items()}
+        figures: dict[str, Any] = {
+            name: value if value is None else float(value) for name, value in values.items()
+        }
         return cls(**figures)
 
 

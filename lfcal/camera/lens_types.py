@@ -1,4 +1,6 @@
-"""Types of microlenses in a multi-focus array with the focus of each, and the disc over which each type blurs."""
+"""Types of microlenses in a multi-focus array with the focus of each, and the disc over which each
+type blurs.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ _LARGEST_CELL = 16
 class LensTypes(Frozen):
     """The type of each microlens, as a cell that repeats over the lattice.
 
-    If `ordered`, type 0 is focused at the largest patch size `|s|`, that is at the smallest virtual depth (nearest to
-    the microlenses), and the last type at the smallest `|s|`.
+    If `ordered`, type 0 is focused at the largest patch size `|s|`, that is at the smallest virtual
+    depth (nearest to the microlenses), and the last type at the smallest `|s|`.
 
     Parameters
     ----------
@@ -31,7 +33,8 @@ class LensTypes(Frozen):
     ordered : bool
         Types are in the order of their focus; else their numbers have no meaning.
     focus : (count,) float
-        Signed patch size over the pitch, `s / D`, at which each type is sharpest; NaN where not known.
+        Signed patch size over the pitch, `s / D`, at which each type is sharpest; NaN where not
+        known.
     confidence : float
         0..1, how far this pattern exceeds other repeating patterns in sharpness differences.
 
@@ -48,17 +51,32 @@ class LensTypes(Frozen):
 
     def __post_init__(self) -> None:
         given = np.asarray(self.cell)
-        if given.ndim != 2 or given.shape[0] != given.shape[1] or not 1 <= len(given) <= _LARGEST_CELL:
-            raise ValueError(f"cell of lens types must be (m, m) with m from 1 to {_LARGEST_CELL}, got {given.shape}")
-        if given.dtype.kind not in "iu" or not np.array_equal(np.unique(given), np.arange(given.max() + 1)):
-            raise ValueError(f"lens types must be numbered 0, 1, 2 ... without gaps, got {given.tolist()}")
+        if (
+            given.ndim != 2
+            or given.shape[0] != given.shape[1]
+            or not 1 <= len(given) <= _LARGEST_CELL
+        ):
+            raise ValueError(
+                f"cell of lens types must be (m, m) with m from 1 to {_LARGEST_CELL}, got {given.shape}"
+            )
+        if given.dtype.kind not in "iu" or not np.array_equal(
+            np.unique(given), np.arange(given.max() + 1)
+        ):
+            raise ValueError(
+                f"lens types must be numbered 0, 1, 2 ... without gaps, got {given.tolist()}"
+            )
         count = int(given.max()) + 1
         focus = np.full(count, np.nan) if self.focus is None else check_numbers(self.focus, "focus")
         if focus.shape != (count,) or np.isinf(focus).any():
-            raise ValueError(f"focus must be one number or NaN for each of {count} types, got {self.focus!r}")
+            raise ValueError(
+                f"focus must be one number or NaN for each of {count} types, got {self.focus!r}"
+            )
         if not 0 <= check_number(self.confidence, "confidence") <= 1:
-            raise ValueError(f"confidence of lens types must be from 0 to 1, got {self.confidence!r}")
-        cell, confidence = given.astype(np.int8), float(self.confidence)
+            raise ValueError(
+                f"confidence of lens types must be from 0 to 1, got {self.confidence!r}"
+            )
+        cell = given.astype(np.int8)
+        confidence = float(self.confidence)
         self._set(cell=cell, focus=focus, ordered=bool(self.ordered), confidence=confidence)
 
     @property
@@ -70,7 +88,9 @@ class LensTypes(Frozen):
         """(n,) int8 types of the lenses with lattice indices `i, j` (n, 2), also beyond the flat."""
         index = np.asarray(indices)
         if index.dtype.kind not in "iu" or index.shape[-1:] != (2,):
-            raise ValueError(f"indices must be whole numbers (n, 2), got {index.dtype} {index.shape}")
+            raise ValueError(
+                f"indices must be whole numbers (n, 2), got {index.dtype} {index.shape}"
+            )
         i, j = np.moveaxis(index % len(self.cell), -1, 0)
         return self.cell[i, j]
 
@@ -78,23 +98,30 @@ class LensTypes(Frozen):
         """Plain numbers, as in a camera file."""
         assert self.focus is not None
         focus = [None if np.isnan(f) else f for f in self.focus.tolist()]
-        return {"count": self.count, "cell": self.cell.tolist(), "ordered": self.ordered, "focus": focus,
-                "confidence": self.confidence}  # fmt: skip
+        return {
+            "count": self.count,
+            "cell": self.cell.tolist(),
+            "ordered": self.ordered,
+            "focus": focus,
+            "confidence": self.confidence,
+        }
 
     @classmethod
     def from_dict(cls, data: Any) -> LensTypes:
         """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
         focus = [float("nan") if f is None else float(f) for f in data["focus"]]
-        return cls(np.array(data["cell"]), data["ordered"], np.array(focus), float(data["confidence"]))
+        return cls(
+            np.array(data["cell"]), data["ordered"], np.array(focus), float(data["confidence"])
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class LensBlur(Frozen):
     """The disc over which each type of microlens blurs, at any depth.
 
-    A microlens with the aperture `A` that is in focus at `s / D = f` blurs a place of patch size `s` over a disc with
-    the diameter `A |s / D - f|`. The rims of microimages are images of the main lens' pupil, which lies at `s = 0`:
-    their blur is the disc there.
+    A microlens with the aperture `A` that is in focus at `s / D = f` blurs a place of patch size
+    `s` over a disc with the diameter `A |s / D - f|`. The rims of microimages are images of the
+    main lens' pupil, which lies at `s = 0`: their blur is the disc there.
 
     Parameters
     ----------
@@ -124,17 +151,32 @@ class LensBlur(Frozen):
     disc_errors: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        aperture, error = (check_number(getattr(self, name), name) for name in ("aperture", "aperture_error"))
+        aperture, error = (
+            check_number(getattr(self, name), name) for name in ("aperture", "aperture_error")
+        )
         if not 0 < aperture < np.inf or not 0 <= error < np.inf:
             raise ValueError(f"aperture of the microlenses must be positive, got {self.aperture!r}")
         self._set(aperture=aperture, aperture_error=error)
-        focus, ratios = (np.size(self.focus),), (np.size(self.ratios),)
+        focus = (np.size(self.focus),)
+        ratios = (np.size(self.ratios),)
         both = focus + ratios
-        shapes = {"focus": focus, "focus_error": focus, "ratios": ratios, "discs": both, "disc_errors": both}
+        shapes = {
+            "focus": focus,
+            "focus_error": focus,
+            "ratios": ratios,
+            "discs": both,
+            "disc_errors": both,
+        }
         for name, shape in shapes.items():
             values = check_numbers(getattr(self, name), name)
-            if values.shape != shape or not np.isfinite(values).all() or (name == "disc_errors" and values.min() <= 0):
-                raise ValueError(f"{name} of the blur must be {shape} finite numbers, errors positive, got {values}")
+            if (
+                values.shape != shape
+                or not np.isfinite(values).all()
+                or (name == "disc_errors" and values.min() <= 0)
+            ):
+                raise ValueError(
+                    f"{name} of the blur must be {shape} finite numbers, errors positive, got {values}"
+                )
             self._set(**{name: values})
 
     @property
@@ -158,7 +200,9 @@ class LensBlur(Frozen):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as in a camera file."""
-        return {field.name: np.asarray(getattr(self, field.name)).tolist() for field in fields(self)}
+        return {
+            field.name: np.asarray(getattr(self, field.name)).tolist() for field in fields(self)
+        }
 
     @classmethod
     def from_dict(cls, data: Any) -> LensBlur:

@@ -22,20 +22,40 @@ Array = NDArray[np.float64]
 
 #: Order of the rows of `Optics.covariance`.
 OPTICS_PARAMETERS = (
-    "focal_length", "mla_distance", "sensor_distance", "principal_x", "principal_y", "k1", "k2", "k3", "p1", "p2",
-    "tilt_x", "tilt_y", "curvature", "pupil",
-)  # fmt: skip
+    "focal_length",
+    "mla_distance",
+    "sensor_distance",
+    "principal_x",
+    "principal_y",
+    "k1",
+    "k2",
+    "k3",
+    "p1",
+    "p2",
+    "tilt_x",
+    "tilt_y",
+    "curvature",
+    "pupil",
+)
 _LENGTHS = ("focal_length", "mla_distance", "sensor_distance", "pixel")
 _IN_MM = (*_LENGTHS, "pupil", "microlens_focal_lengths")
 _WANTED = ", ".join(f"{name}_mm" for name in _LENGTHS)
 # Fields that are tuples, and their lengths.
-_VECTORS = {"principal_point": 2, "radial": 3, "tangential": 2, "tilt": 2, "microlens_focal_lengths": None}
+_VECTORS = {
+    "principal_point": 2,
+    "radial": 3,
+    "tangential": 2,
+    "tilt": 2,
+    "microlens_focal_lengths": None,
+}
 # Step of the differences that errors are propagated with, in standard errors of a parameter.
 _STEP = 0.1
 
 
 def object_slopes(image: Array, coefficients: Sequence[float] | Array) -> Array:
-    """Slopes (n, 2) in front of the main lens of slopes (n, 2) behind it; `coefficients` k1, k2, k3, p1, p2."""
+    """Slopes (n, 2) in front of the main lens of slopes (n, 2) behind it; `coefficients` k1, k2,
+    k3, p1, p2.
+    """
     k1, k2, k3, p1, p2 = coefficients
     x, y = image.T
     square = x * x + y * y
@@ -46,9 +66,13 @@ def object_slopes(image: Array, coefficients: Sequence[float] | Array) -> Array:
 
 
 def turn_to_array(tilt: Sequence[float] | Array) -> Array:
-    """Rotation (3, 3) from the frame of the main lens to that of an array tilted about x, then about y [rad]."""
+    """Rotation (3, 3) from the frame of the main lens to that of an array tilted about x, then
+    about y [rad].
+    """
     (cx, sx), (cy, sy) = ((np.cos(a), np.sin(a)) for a in tilt)
-    return np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+    return np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
+        [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +92,19 @@ class Optics(Frozen):
     principal_point : (float, float) [px] or None
         Where the axis of the main lens meets the flat; None where it is not known.
     radial : (float, float, float)
-        `k1, k2, k3`: slope `t` behind the main lens is `t (1 + k1 |t|^2 + ...)` in front of it. That is the inverse
-        of OpenCV's direction.
+        `k1, k2, k3`: slope `t` behind the main lens is `t (1 + k1 |t|^2 + ...)` in front of it.
+        That is the inverse of OpenCV's direction.
     tangential : (float, float)
         `p1, p2`, in the same direction.
     tilt : (float, float) [rad]
-        Of microlens array and sensor together, about the x and the y axis of the flat: with a positive first angle the
-        lower part of the flat lies farther from the main lens, with a positive second angle its right part nearer.
+        Of microlens array and sensor together, about the x and the y axis of the flat: with a
+        positive first angle the lower part of the flat lies farther from the main lens, with a
+        positive second angle its right part nearer.
     curvature : float
         Of the image field: the power of the main lens is `(1 + curvature |t|^2) / F`.
     pupil : float [mm]
-        How far the principal plane of the main lens lies behind its entrance pupil, seen from the scene.
+        How far the principal plane of the main lens lies behind its entrance pupil, seen from the
+        scene.
     microlens_focal_lengths : tuple of floats [mm]
         One for each lens type, where known.
     covariance : (14, 14) float64 or None
@@ -115,8 +141,13 @@ class Optics(Frozen):
                 self._set(**{name: _numbers(name, getattr(self, name), length)})
         if self.covariance is not None:
             covariance = check_numbers(self.covariance, "covariance")
-            if covariance.shape != (len(OPTICS_PARAMETERS),) * 2 or not np.isfinite(covariance).all():
-                raise ValueError(f"covariance must be 14 x 14 finite numbers, got shape {covariance.shape}")
+            if (
+                covariance.shape != (len(OPTICS_PARAMETERS),) * 2
+                or not np.isfinite(covariance).all()
+            ):
+                raise ValueError(
+                    f"covariance must be 14 x 14 finite numbers, got shape {covariance.shape}"
+                )
             self._set(covariance=covariance)
 
     @property
@@ -124,7 +155,17 @@ class Optics(Frozen):
         """(14,) values of `OPTICS_PARAMETERS`; the principal point is NaN where it is not known."""
         principal = self.principal_point or (np.nan, np.nan)
         lengths = (self.focal_length, self.mla_distance, self.sensor_distance)
-        return np.array([*lengths, *principal, *self.radial, *self.tangential, *self.tilt, self.curvature, self.pupil])
+        return np.array(
+            [
+                *lengths,
+                *principal,
+                *self.radial,
+                *self.tangential,
+                *self.tilt,
+                self.curvature,
+                self.pupil,
+            ]
+        )
 
     @property
     def standard_errors(self) -> Array:
@@ -137,67 +178,90 @@ class Optics(Frozen):
         """The same optics with other values (14,) of `OPTICS_PARAMETERS`."""
         v = np.asarray(values, dtype=np.float64).tolist()
         principal = None if np.isnan(v[3]) else tuple(v[3:5])
-        vectors: dict[str, Any] = {"radial": tuple(v[5:8]), "tangential": tuple(v[8:10]), "tilt": tuple(v[10:12])}
+        vectors: dict[str, Any] = {
+            "radial": tuple(v[5:8]),
+            "tangential": tuple(v[8:10]),
+            "tilt": tuple(v[10:12]),
+        }
         lengths = dict(zip(_LENGTHS[:3], v[:3], strict=True))
-        return replace(self, **lengths, principal_point=principal, **vectors, curvature=v[12], pupil=v[13])
+        return replace(
+            self, **lengths, principal_point=principal, **vectors, curvature=v[12], pupil=v[13]
+        )
 
     def distance(self, ratio: ArrayLike, points: ArrayLike | None = None) -> Array:
-        """Distance [m] in front of the main lens of places with signed patch size over pitch `s / D`.
+        """Distance [m] in front of the main lens of places with signed patch size over pitch `s /
+        D`.
 
-        docs/geometry.md: `s / D = (b / a - b / L) / (1 + b / L)`, where the image lies `a` in front of the microlenses
-        and thus `L - a` behind the main lens. NaN where `ratio` is, or where no object can be imaged there; inf at
-        infinity.
+        docs/geometry.md: `s / D = (b / a - b / L) / (1 + b / L)`, where the image lies `a` in front
+        of the microlenses and thus `L - a` behind the main lens. NaN where `ratio` is, or where no
+        object can be imaged there; inf at infinity.
 
         Parameters
         ----------
         ratio : array_like (...)
         points : array_like (..., 2) [px], optional
-            Scene coordinates of the places, for the tilt of the array and the curvature of the field; by default all
-            lie on the axis.
+            Scene coordinates of the places, for the tilt of the array and the curvature of the
+            field; by default all lie on the axis.
         """
-        values, where = check_numbers(ratio, "ratio"), np.zeros((np.size(ratio), 2))
+        values = check_numbers(ratio, "ratio")
+        where = np.zeros((np.size(ratio), 2))
         if points is not None and self.principal_point is not None:
             where = np.asarray(points, dtype=np.float64).reshape(-1, 2) - self.principal_point
         return self._behind(where, values.ravel())[0].reshape(values.shape)  # type: ignore[no-any-return]
 
     def positions(self, points: Array, ratio: ArrayLike, middle: ArrayLike | None = None) -> Array:
-        """(n, 3) places [m] seen at scene coordinates (n, 2) [px]: x right, y down, z in front of the main lens.
+        """(n, 3) places [m] seen at scene coordinates (n, 2) [px]: x right, y down, z in front of
+        the main lens.
 
-        `middle` (2,) [px] is where the axis of the main lens meets the flat where `principal_point` is not known.
+        `middle` (2,) [px] is where the axis of the main lens meets the flat where `principal_point`
+        is not known.
         """
         centre = self.principal_point if self.principal_point is not None else middle
         if centre is None:
-            raise ValueError("middle must be given: the principal point of these optics is not known")
+            raise ValueError(
+                "middle must be given: the principal point of these optics is not known"
+            )
         where = np.asarray(points, dtype=np.float64) - np.asarray(centre, dtype=np.float64)
         distance, slopes = self._behind(where, np.asarray(ratio, dtype=np.float64))
         slopes = object_slopes(slopes, (*self.radial, *self.tangential))
         return np.column_stack([slopes * distance[:, None], distance])
 
-    def distance_error(self, ratio: ArrayLike, ratio_error: ArrayLike, points: ArrayLike | None = None) -> Array:
+    def distance_error(
+        self, ratio: ArrayLike, ratio_error: ArrayLike, points: ArrayLike | None = None
+    ) -> Array:
         """Standard errors [m] of `distance`, made of those of `ratio` and of the calibration.
 
-        The part of the calibration is left out where its covariance is not known. inf where an error is; NaN where the
-        distance is.
+        The part of the calibration is left out where its covariance is not known. inf where an
+        error is; NaN where the distance is.
         """
-        ratio, error = np.asarray(ratio, dtype=np.float64), np.asarray(ratio_error, dtype=np.float64)
+        ratio = np.asarray(ratio, dtype=np.float64)
+        error = np.asarray(ratio_error, dtype=np.float64)
         step = np.where(np.isfinite(error) & (error > 0), np.minimum(_STEP * error, 1e-3), 1e-6)
         with np.errstate(invalid="ignore"):
-            by_ratio = (self.distance(ratio + step, points) - self.distance(ratio - step, points)) / (2 * step)
+            by_ratio = (
+                self.distance(ratio + step, points) - self.distance(ratio - step, points)
+            ) / (2 * step)
             variance = (by_ratio * error) ** 2
         if self.covariance is not None:
-            # Along the principal axes of the covariance, so that F, L and b move together as they are known.
+            # Along the principal axes of the covariance, so that F, L and b move together as they
+            # are known.
             scale = self.standard_errors
             inverse = np.divide(1, scale, out=np.zeros_like(scale), where=scale > 0)
             values, axes = np.linalg.eigh(self.covariance * np.outer(inverse, inverse))
             known = values > values[-1] * 1e-15
             for move in (_STEP * np.sqrt(values[known]) * axes[:, known]).T * scale:
-                near, far = (self.with_parameters(self.parameters + m).distance(ratio, points) for m in (move, -move))
+                near, far = (
+                    self.with_parameters(self.parameters + m).distance(ratio, points)
+                    for m in (move, -move)
+                )
                 with np.errstate(invalid="ignore"):
                     variance = variance + ((near - far) / (2 * _STEP)) ** 2
         return np.sqrt(variance)  # type: ignore[no-any-return]
 
     def _behind(self, where: Array, ratio: Array) -> tuple[Array, Array]:
-        """Distance (n,) [m] and slope (n, 2) behind the main lens of what is seen at `where` (n, 2) [px from axis]."""
+        """Distance (n,) [m] and slope (n, 2) behind the main lens of what is seen at `where` (n, 2)
+        [px from axis].
+        """
         turn = turn_to_array(self.tilt)
         axis = turn[:, 2]
         far = self.mla_distance * axis[2]
@@ -217,17 +281,26 @@ class Optics(Frozen):
     def to_dict(self) -> dict[str, Any]:
         """The optics as plain numbers, as written by `save`."""
         # Tuples and arrays as lists.
-        known = {name: value if value is None else np.asarray(value).tolist() for name, value in vars(self).items()}
+        known = {
+            name: value if value is None else np.asarray(value).tolist()
+            for name, value in vars(self).items()
+        }
         return {f"{name}_mm" if name in _IN_MM else name: value for name, value in known.items()}
 
     @classmethod
     def from_dict(cls, data: Any) -> Optics:
-        """Rebuild from `to_dict`; the four distances are enough. KeyError or ValueError if a number is not right."""
+        """Rebuild from `to_dict`; the four distances are enough. KeyError or ValueError if a number
+        is not right.
+        """
         if not isinstance(data, dict):
             raise ValueError(f"optics must be an object with {_WANTED}")
-        known = {field.name: data.get(f"{field.name}_mm", data.get(field.name)) for field in fields(cls)}
+        known = {
+            field.name: data.get(f"{field.name}_mm", data.get(field.name)) for field in fields(cls)
+        }
         lengths = {name: data[f"{name}_mm"] for name in _LENGTHS}
-        return cls(**({name: value for name, value in known.items() if value is not None} | lengths))
+        return cls(
+            **({name: value for name, value in known.items() if value is not None} | lengths)
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, as `load` reads it."""
@@ -236,14 +309,18 @@ class Optics(Frozen):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Optics:
-        """Read a JSON file with `focal_length_mm`, `mla_distance_mm`, `sensor_distance_mm` and `pixel_mm`.
+        """Read a JSON file with `focal_length_mm`, `mla_distance_mm`, `sensor_distance_mm` and
+        `pixel_mm`.
 
-        Camera files with optics, made by `lfcal metric`, can be read too. CameraFileError if a number is wrong.
+        Camera files with optics, made by `lfcal metric`, can be read too. CameraFileError if a
+        number is wrong.
         """
         file = check_path(path)
         try:
             data = json.loads(read_text(file))
-            return cls.from_dict(data["optics"] if isinstance(data, dict) and data.get("optics") else data)
+            return cls.from_dict(
+                data["optics"] if isinstance(data, dict) and data.get("optics") else data
+            )
         except (OSError, KeyError, ValueError, TypeError, RecursionError) as error:
             reason = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             if isinstance(error, OSError):

@@ -1,4 +1,6 @@
-"""A calibration in a notebook: a card with a drawing of its lattice, and plots of its parts with Matplotlib."""
+"""A calibration in a notebook: a card with a drawing of its lattice, and plots of its parts with
+Matplotlib.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,15 @@ if TYPE_CHECKING:
     from .calibration import Calibration
 
 __all__ = [
-    "TYPE_COLOURS", "calibration_card", "draw_circles", "draw_lenses", "plot_calibration", "plot_falloff", "plot_gain",
+    "TYPE_COLOURS",
+    "calibration_card",
+    "draw_circles",
+    "draw_lenses",
+    "plot_calibration",
+    "plot_falloff",
+    "plot_gain",
     "plot_residuals",
-]  # fmt: skip
+]
 
 #: Colours of lens types.
 TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
@@ -31,12 +39,18 @@ def calibration_card(calibration: Calibration) -> str:
         "pitch": f"{lattice.pitch:.4f} px",
         "usable radius": f"{lattice.radius:.2f} px",
         "flat": f"{width} x {height} px, {len(lattice)} lenses",
-        "lens types": str(calibration.lens_types.count if calibration.lens_types is not None else 1),
+        "lens types": str(
+            calibration.lens_types.count if calibration.lens_types is not None else 1
+        ),
         "measured on": f"{calibration.source}, confidence {calibration.confidence:.2f}",
     }
     if np.isfinite(calibration.residual_rms):
-        figures["residual"] = f"{calibration.residual_rms:.3f} px RMS of {calibration.lenses_used} lenses"
-    return html_card("Calibration", figures, lambda ax: _plot_centres(calibration, ax, 40), calibration.warnings)
+        figures["residual"] = (
+            f"{calibration.residual_rms:.3f} px RMS of {calibration.lenses_used} lenses"
+        )
+    return html_card(
+        "Calibration", figures, lambda ax: _plot_centres(calibration, ax, 40), calibration.warnings
+    )
 
 
 def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
@@ -55,9 +69,17 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
 
 
 def plot_residuals(calibration: Calibration, ax: Any, **style: Any) -> tuple[Any, float]:
-    """Arrows of the mean residuals over the flat, coloured by their significance, and the longest [px]."""
+    """Arrows of the mean residuals over the flat, coloured by their significance, and the longest
+    [px].
+    """
     width, height = calibration.image_size
-    ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="x [px]", ylabel="y [px]")
+    ax.set(
+        xlim=(-0.5, width - 0.5),
+        ylim=(height - 0.5, -0.5),
+        aspect="equal",
+        xlabel="x [px]",
+        ylabel="y [px]",
+    )
     if calibration.residuals is None:
         return None, float("nan")
     positions, mean, error = calibration.residuals.mean_over_grid(calibration.lattice)
@@ -70,7 +92,8 @@ def plot_residuals(calibration: Calibration, ax: Any, **style: Any) -> tuple[Any
 
 def plot_gain(calibration: Calibration, ax: Any) -> None:
     """The gain map of the top left corner, four pitches wide, or words where there is none."""
-    known, defects = calibration.gain_map is not None, calibration.defects
+    known = calibration.gain_map is not None
+    defects = calibration.defects
     ax.set(title="Gain map, top left" if known else "Gain map: not measured", xticks=[], yticks=[])
     if known:
         reach = max(8, int(4 * calibration.lattice.pitch))
@@ -80,12 +103,17 @@ def plot_gain(calibration: Calibration, ax: Any) -> None:
 
 def plot_falloff(calibration: Calibration, ax: Any) -> None:
     """Light inside a microimage over the distance to its centre, and the usable radius."""
-    vignetting, radius = calibration.vignetting, calibration.lattice.radius
+    vignetting = calibration.vignetting
+    radius = calibration.lattice.radius
     title = "Light in a microimage" if vignetting else "Light: not measured"
     ax.set(title=title, xlabel=f"radius [px], R {radius:.1f}")
     ax.axvline(radius, color=TYPE_COLOURS[0])
     if vignetting is not None:
-        ax.plot(np.arange(len(vignetting.profile)) * vignetting.step, vignetting.profile, color=TYPE_COLOURS[1])
+        ax.plot(
+            np.arange(len(vignetting.profile)) * vignetting.step,
+            vignetting.profile,
+            color=TYPE_COLOURS[1],
+        )
 
 
 def draw_circles(ax: Any, centres: Any, radii: Any, colours: Any, **style: Any) -> None:
@@ -93,26 +121,39 @@ def draw_circles(ax: Any, centres: Any, radii: Any, colours: Any, **style: Any) 
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
 
-    discs = [Circle(*disc) for disc in zip(centres, np.broadcast_to(radii, len(centres)), strict=True)]
+    discs = [
+        Circle(*disc) for disc in zip(centres, np.broadcast_to(radii, len(centres)), strict=True)
+    ]
     ax.add_collection(PatchCollection(discs, facecolor="none", edgecolor=colours, **style))
 
 
 def draw_lenses(calibration: Calibration, ax: Any, shown: Any, **style: Any) -> None:
     """The usable circles of those microimages that are `shown` (n,), in the colours of their types."""
-    lattice, types = calibration.lattice, calibration.lens_types
+    lattice = calibration.lattice
+    types = calibration.lens_types
     kinds = np.zeros(shown.sum(), int) if types is None else types.of(lattice.indices()[shown])
     colours = [TYPE_COLOURS[kind % len(TYPE_COLOURS)] for kind in kinds]
     draw_circles(ax, lattice.centres()[shown], lattice.radius, colours, **style)
 
 
 def _plot_centres(calibration: Calibration, ax: Any, most: int = 600) -> None:
-    lattice, size = calibration.lattice, np.array(calibration.image_size)
+    lattice = calibration.lattice
+    size = np.array(calibration.image_size)
     centres = lattice.centres()
-    half, title = size / 2, f"{len(centres):,} microimages"
+    half = size / 2
+    title = f"{len(centres):,} microimages"
     if len(centres) > most:
-        half, title = np.minimum(half, lattice.pitch * most**0.5 / 2), f"{title}, those in the middle"
+        half = np.minimum(half, lattice.pitch * most**0.5 / 2)
+        title = f"{title}, those in the middle"
     (left, top), (right, bottom) = (size - 1) / 2 - half, (size - 1) / 2 + half
     inside = ((centres > (left, top)) & (centres < (right, bottom))).all(1)
     draw_lenses(calibration, ax, inside, linewidth=0.6)
     ax.plot(*centres[inside].T, ".", markersize=2, color=TYPE_COLOURS[1])
-    ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x [px]", ylabel="y [px]", title=title)
+    ax.set(
+        xlim=(left, right),
+        ylim=(bottom, top),
+        aspect="equal",
+        xlabel="x [px]",
+        ylabel="y [px]",
+        title=title,
+    )

@@ -1,4 +1,6 @@
-"""Fields of a camera file: types and ranges of those that no record checks, and whether values fit together."""
+"""Fields of a camera file: types and ranges of those that no record checks, and whether values fit
+together.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ __all__ = ["check_plausible", "check_together", "read_fields"]
 
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _Point = tuple[_Number, _Number]
-# Light over that of the brightest place, or its natural logarithm: measured ones lie between -0.3 and 1.1.
+# Light over that of the brightest place, or its natural logarithm: measured ones lie between -0.3
+# and 1.1.
 _MOST_LIGHT = 10.0
 
 
@@ -51,22 +54,32 @@ class _Camera(Struct):
 
 
 def read_fields(data: dict[str, Any]) -> Any:
-    """The fields; CameraFileError with the name of the first that has a wrong type or an impossible value."""
+    """The fields; CameraFileError with the name of the first that has a wrong type or an impossible
+    value.
+    """
     try:
         return msgspec.convert(data, _Camera)
     except msgspec.ValidationError as error:
         reason, _, place = str(error).partition(" - at ")
         name = place.strip("`").removeprefix("$").lstrip(".")
-        raise CameraFileError(f"field {name or 'of the camera'}: {reason}; calibrate again") from error
+        raise CameraFileError(
+            f"field {name or 'of the camera'}: {reason}; calibrate again"
+        ) from error
 
 
 def check_together(camera: Calibration, pitch: float | None) -> None:
-    """Raise CameraFileError with the name of a field that does not fit the lattice; `pitch` [px] as the file has it."""
-    lattice, gain, vignetting = camera.lattice, camera.gain_map, camera.vignetting
+    """Raise CameraFileError with the name of a field that does not fit the lattice; `pitch` [px] as
+    the file has it.
+    """
+    lattice = camera.lattice
+    gain = camera.gain_map
+    vignetting = camera.vignetting
     check_plausible(lattice)
     # The pitch is written for people, with fewer digits at times.
     if pitch is not None and not abs(pitch / lattice.pitch - 1) <= 0.01:
-        raise _misfit("lattice.pitch", f"{pitch:.6g} px are not the {lattice.pitch:.6g} px of lattice.basis")
+        raise _misfit(
+            "lattice.pitch", f"{pitch:.6g} px are not the {lattice.pitch:.6g} px of lattice.basis"
+        )
     lengths = {"gain_map.radius": gain.radius, "gain_map.step": gain.step} if gain else {}
     _check_lengths(lattice, lengths | ({"vignetting.step": vignetting.step} if vignetting else {}))
     if vignetting is not None:
@@ -92,24 +105,34 @@ def _check_largest(field: str, values: Any, largest: float) -> None:
 
 def check_plausible(lattice: Lattice) -> None:
     """Raise CameraFileError with the name of a field of the lattice that does not fit the others."""
-    steps, side, bend = np.hypot(*(lattice.steps @ lattice.basis).T), max(lattice.image_size), lattice.distortion
+    steps = np.hypot(*(lattice.steps @ lattice.basis).T)
+    side = max(lattice.image_size)
+    bend = lattice.distortion
     # Nearer ones would show nothing, and a flat have millions of them.
     if not 1 <= steps.min() <= steps.max() <= side:
-        apart, size = f"{steps.min():.6g} to {steps.max():.6g} px apart", "{} x {}".format(*lattice.image_size)
+        apart = f"{steps.min():.6g} to {steps.max():.6g} px apart"
+        size = "{} x {}".format(*lattice.image_size)
         raise _misfit("lattice.basis", f"microimages {apart} do not fit a flat of {size} px")
     _check_lengths(lattice, {"lattice.radius": lattice.radius})
     if bend is not None and np.abs(bend.centre).max() > 100 * side:
         raise _misfit("lattice.distortion.centre", f"{bend.centre.tolist()} is far off the flat")
     if bend is not None and not side / 100 < bend.reach < 100 * side:
-        raise _misfit("lattice.distortion.reach", f"{bend.reach:.6g} px is not about half the diagonal")
+        raise _misfit(
+            "lattice.distortion.reach", f"{bend.reach:.6g} px is not about half the diagonal"
+        )
 
 
 def _check_lengths(lattice: Lattice, lengths: dict[str, float]) -> None:
-    """A microimage reaches at most to the corner of its cell, at 0.71 of the longer step of a square array."""
+    """A microimage reaches at most to the corner of its cell, at 0.71 of the longer step of a
+    square array.
+    """
     longest = float(np.hypot(*(lattice.steps @ lattice.basis).T).max())
     for field, length in lengths.items():
         if length > longest:
-            raise _misfit(field, f"{length:.6g} px are more than the {longest:.6g} px from one microimage to the next")
+            raise _misfit(
+                field,
+                f"{length:.6g} px are more than the {longest:.6g} px from one microimage to the next",
+            )
 
 
 def _misfit(field: str, reason: str) -> CameraFileError:

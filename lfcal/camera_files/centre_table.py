@@ -1,7 +1,8 @@
-"""Tables of microimage centres: ours, `i,j,x,y,radius,type`, and those of makers, with lines and columns in any order.
+"""Tables of microimage centres: ours, `i,j,x,y,radius,type`, and those of makers, with lines and
+columns in any order.
 
-Where a table has no indices `i, j` they are counted from neighbour to neighbour, which no distortion misleads; lattice
-and distortion are robust least squares through the centres.
+Where a table has no indices `i, j` they are counted from neighbour to neighbour, which no
+distortion misleads; lattice and distortion are robust least squares through the centres.
 """
 
 from __future__ import annotations
@@ -30,14 +31,18 @@ Array = NDArray[np.float64]
 
 
 def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> Calibration:
-    """The lattice through the centres of a table, whose y counts from the bottom of the flat if `y_up`."""
+    """The lattice through the centres of a table, whose y counts from the bottom of the flat if
+    `y_up`.
+    """
     try:
         table = _read_columns(text)
         centres = np.column_stack([table["x"], table["y"]])
         if y_up:
             centres[:, 1] = size[1] - 1 - centres[:, 1]
         named = "i" in table and "j" in table
-        index = np.rint(np.column_stack([table["i"], table["j"]])) if named else _find_indices(centres)
+        index = (
+            np.rint(np.column_stack([table["i"], table["j"]])) if named else _find_indices(centres)
+        )
         known = np.isfinite(index).all(1)
         lattice, rms = _fit_lattice(index[known], centres[known], size)
         if rms > 0.1 * lattice.pitch:
@@ -45,7 +50,8 @@ def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> 
     except (ValueError, np.linalg.LinAlgError) as error:
         raise CameraFileError(f"cannot be read as a table of centres ({error})") from error
     radius = float(np.median(table["radius"])) if "radius" in table else lattice.radius
-    types, warnings = None, []
+    types = None
+    warnings = []
     if "type" in table and len(np.unique(table["type"])) > 1:
         types = _find_types(index[known].astype(np.int64), table["type"][known])
         warnings = [
@@ -54,30 +60,43 @@ def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> 
             else "a table does not say which lens type is focused at which depth; calibrate on a flat"
         ]
     if rms > 0.2:
-        warnings.append(f"the centres lie {rms:.2f} px (RMS) off the lattice read from them; calibrate on a flat")
+        warnings.append(
+            f"the centres lie {rms:.2f} px (RMS) off the lattice read from them; calibrate on a flat"
+        )
     return Calibration(
-        lattice.with_radius(radius), residual_rms=rms, lenses_used=int(known.sum()), lens_types=types,
+        lattice.with_radius(radius),
+        residual_rms=rms,
+        lenses_used=int(known.sum()),
+        lens_types=types,
         warnings=tuple(warnings),
-    )  # fmt: skip
+    )
 
 
 def format_centre_table(calibration: Calibration) -> str:
-    """The columns `i, j, x, y, radius`, and `type` if known, of all microimages whose centre lies on the flat."""
-    lattice, types = calibration.lattice, calibration.lens_types
+    """The columns `i, j, x, y, radius`, and `type` if known, of all microimages whose centre lies
+    on the flat.
+    """
+    lattice = calibration.lattice
+    types = calibration.lens_types
     index = lattice.indices()
     ends = [f",{lattice.radius:.9g}"] * len(index)
     if types is not None:
         ends = [f"{end},{kind}" for end, kind in zip(ends, types.of(index), strict=True)]
     rows = zip(index, lattice.centres(), ends, strict=True)
     header = "i,j,x,y,radius" + (",type" if types is not None else "")
-    return "\n".join([header, *(f"{i},{j},{x:.9f},{y:.9f}{end}" for (i, j), (x, y), end in rows)]) + "\n"
+    return (
+        "\n".join([header, *(f"{i},{j},{x:.9f},{y:.9f}{end}" for (i, j), (x, y), end in rows)])
+        + "\n"
+    )
 
 
 def _read_columns(text: str) -> dict[str, Array]:
     names: list[str] = []
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), 1):
-        cells = re.split(r"\s*[,;\s]\s*", re.sub(r"\[.*?\]|\(.*?\)|\"", "", line).strip("#,; \t").lower())
+        cells = re.split(
+            r"\s*[,;\s]\s*", re.sub(r"\[.*?\]|\(.*?\)|\"", "", line).strip("#,; \t").lower()
+        )
         if cells == [""]:
             continue
         is_remark = line.lstrip().startswith("#")
@@ -92,7 +111,11 @@ def _read_columns(text: str) -> dict[str, Array]:
         elif not is_remark:
             raise ValueError(f"line {number} is neither numbers nor a header with x and y")
     names = names or list(_COLUMNS[: len(rows[0])] if rows else _COLUMNS)
-    if any(len(row) != len(names) for row in rows) or len(rows) < 3 or not (np.abs(rows) <= LARGEST).all():
+    if (
+        any(len(row) != len(names) for row in rows)
+        or len(rows) < 3
+        or not (np.abs(rows) <= LARGEST).all()
+    ):
         numbers = f"{len(names)} numbers of at most {LARGEST:g}"
         raise ValueError(f"at least three lines of {numbers} are needed: {', '.join(names)}")
     table = dict(zip(names, np.array(rows).T, strict=True))
@@ -111,7 +134,11 @@ def _find_indices(centres: Array) -> Array:
     steps = centres[near] - centres[:, None]
     middle = int(np.linalg.norm(centres - np.median(centres, axis=0), axis=1).argmin())
     first, *others = steps[middle]
-    across = [v for v in others if abs(first[0] * v[1] - first[1] * v[0]) > 0.5 * np.hypot(*first) * np.hypot(*v)]
+    across = [
+        v
+        for v in others
+        if abs(first[0] * v[1] - first[1] * v[0]) > 0.5 * np.hypot(*first) * np.hypot(*v)
+    ]
     if not across:
         raise ValueError("the centres are in one row")
     basis = np.array([first, across[0]])
@@ -125,7 +152,9 @@ def _find_indices(centres: Array) -> Array:
     graph = csr_matrix((np.ones(len(start)), (start, near[good])), (len(centres),) * 2)
     order, before = breadth_first_order(graph, middle, directed=False)
     if len(order) < max(4, 0.9 * len(centres)):
-        raise ValueError(f"{len(centres) - len(order)} of {len(centres)} centres lie on no lattice with the others")
+        raise ValueError(
+            f"{len(centres) - len(order)} of {len(centres)} centres lie on no lattice with the others"
+        )
     found = np.full(centres.shape, np.nan)
     found[middle] = 0
     moves = np.rint((centres[order[1:]] - centres[before[order[1:]]]) @ np.linalg.inv(basis))
@@ -143,19 +172,26 @@ def _fit_lattice(index: Array, centres: Array, size: tuple[int, int]) -> tuple[L
         return float(np.sqrt(np.square(centres - model @ fit)[weight > 0].sum(1).mean()))
 
     straight, weight = fit_affine(design, centres, np.ones(len(index)))
-    misfit, bend = rms(design, straight, weight), None
+    misfit = rms(design, straight, weight)
+    bend = None
     if len(index) > 50 and misfit > 1e-3:
         zero = Distortion.zero(size)
         zero = replace(zero, general=np.zeros((2, 7)), middle=zero.centre)
         bent: Any = straight
         for _ in range(3):
-            columns = [column for name, column in zero.derivatives(design @ bent[:3]) if name == "general"]
+            columns = [
+                column for name, column in zero.derivatives(design @ bent[:3]) if name == "general"
+            ]
             model = np.column_stack([design, *(column[:, 0] for column in columns[:7])])
             bent, weight = fit_affine(model, centres, np.ones(len(index)))
         if rms(model, bent, weight) < 0.9 * misfit:
-            misfit, straight, bend = rms(model, bent, weight), bent[:3], replace(zero, general=bent[3:].T)
+            misfit = rms(model, bent, weight)
+            straight = bent[:3]
+            bend = replace(zero, general=bent[3:].T)
     lattice = Lattice(straight[0], straight[1:], size, 1.0, bend)
-    return lattice.with_radius(float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2)), misfit
+    return lattice.with_radius(
+        float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2)
+    ), misfit
 
 
 def _find_types(index: NDArray[np.int64], kinds: Array) -> LensTypes | None:
@@ -164,7 +200,11 @@ def _find_types(index: NDArray[np.int64], kinds: Array) -> LensTypes | None:
     for side in range(2, 9):
         place = index % side @ [side, 1] * len(names) + numbers.ravel()
         votes = np.bincount(place, minlength=side * side * len(names)).reshape(-1, len(names))
-        if 4 * len(votes) <= len(index) and votes.sum(1).all() and votes.max(1).sum() >= 0.99 * len(index):
+        if (
+            4 * len(votes) <= len(index)
+            and votes.sum(1).all()
+            and votes.max(1).sum() >= 0.99 * len(index)
+        ):
             cell = votes.argmax(1).reshape(side, side)
             return LensTypes(cell) if len(np.unique(cell)) == len(names) else None
     return None

@@ -1,7 +1,9 @@
-"""Camera files: reading any known format, recognised by its content, and writing the one that a suffix names.
+"""Camera files: reading any known format, recognised by its content, and writing the one that a
+suffix names.
 
-Published files hold lattices that others have found. Some contradict themselves (a rotation given twice), some
-are good to a few pixels only: what is read from them carries warnings, and calibrating on a flat is the better choice.
+Published files hold lattices that others have found. Some contradict themselves (a rotation given
+twice), some are good to a few pixels only: what is read from them carries warnings, and calibrating
+on a flat is the better choice.
 """
 
 from __future__ import annotations
@@ -35,43 +37,58 @@ def _parse_json(text: str, _image_size: tuple[int, int] | None) -> Calibration:
     try:
         return Calibration.from_dict(json.loads(text))
     except (json.JSONDecodeError, RecursionError) as error:
-        raise CameraFileError(f"not valid JSON ({error}); make one with 'lfcal calibrate'") from error
+        raise CameraFileError(
+            f"not valid JSON ({error}); make one with 'lfcal calibrate'"
+        ) from error
 
 
 class CameraFormat(NamedTuple):
     """One camera file format."""
 
     parse: Callable[..., Calibration]  # from the text of a file and the image size
-    format: Callable[[Calibration, Mode | None], str]  # the text of a file, of captures of that mode
+    format: Callable[
+        [Calibration, Mode | None], str
+    ]  # the text of a file, of captures of that mode
     recognise: str  # regular expression of the first line that is neither empty nor a comment
     has_size: bool  # whether files have the image size; readers of others are given it
-    is_exact: bool = False  # any lattice can be written; else what was written is read again and compared
+    is_exact: bool = (
+        False  # any lattice can be written; else what was written is read again and compared
+    )
 
 
 # Of tables: a line of numbers, or names of columns.
 _TABLE = r"[-+.\d]+(e[-+]?\d+)?[,;\s]+[-+.\d]|(?=[^:{<]*$)(?=.*x)(?=.*y)"
-#: Every camera file format by its suffix. A new one is a line here and a module with its two functions.
+#: Every camera file format by its suffix. A new one is a line here and a module with its two
+#: functions.
 FORMATS = {
-    ".json": CameraFormat(_parse_json, lambda camera, _: camera.to_json(), r"{", True, is_exact=True),
+    ".json": CameraFormat(
+        _parse_json, lambda camera, _: camera.to_json(), r"{", True, is_exact=True
+    ),
     ".xml": CameraFormat(parse_xml, lambda camera, _: format_xml(camera), r"<", False),
     ".cfg": CameraFormat(parse_key_value, format_key_value, r"\w+\s*:\s*[-+.\d]", True),
-    ".csv": CameraFormat(parse_centre_table, lambda camera, _: format_centre_table(camera), _TABLE, False, True),
+    ".csv": CameraFormat(
+        parse_centre_table, lambda camera, _: format_centre_table(camera), _TABLE, False, True
+    ),
 }
 
 
-def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None, *, y_up: bool = False) -> Calibration:
+def load(
+    path: str | os.PathLike[str], image_size: tuple[int, int] | None = None, *, y_up: bool = False
+) -> Calibration:
     """Read a camera file: our own JSON, or one of another program.
 
     Parameters
     ----------
     path : path-like
-        JSON of `Calibration.save`, `RayCalibData` or `TSPCCalibData` XML, key : value lines, or a table of centres with
-        the columns x, y, and radius, type, i, j where known; recognised by its content.
+        JSON of `Calibration.save`, `RayCalibData` or `TSPCCalibData` XML, key : value lines, or a
+        table of centres with the columns x, y, and radius, type, i, j where known; recognised by
+        its content.
     image_size : (int, int) or None [px]
-        Width and height of the flats; needed for XML and tables, which lack it. CameraFileError if the file has another
-        one, is missing, or wrong.
+        Width and height of the flats; needed for XML and tables, which lack it. CameraFileError if
+        the file has another one, is missing, or wrong.
     y_up : bool
-        Whether y of a table of centres counts from the middle of the lowest row of pixels up, as makers do.
+        Whether y of a table of centres counts from the middle of the lowest row of pixels up, as
+        makers do.
 
     Examples
     --------
@@ -94,14 +111,18 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
     lines = (line.strip() for line in text.splitlines())
     first = next((line for line in lines if line and not line.startswith("#")), "")
     by_suffix = FORMATS.get(source.suffix.lower(), FORMATS[".json"])
-    form = next((form for form in FORMATS.values() if re.match(form.recognise, first, re.I)), by_suffix)
+    form = next(
+        (form for form in FORMATS.values() if re.match(form.recognise, first, re.I)), by_suffix
+    )
     try:
         if image_size is None and not form.has_size:
             raise CameraFileError("has no image size; give image_size as (width, height)")
         camera = form.parse(text, image_size, *(y_up,) * (form.parse is parse_centre_table))
         if image_size is not None and tuple(image_size) != camera.image_size:
             own, given = ("{} x {} px".format(*size) for size in (camera.image_size, image_size))
-            raise CameraFileError(f"is for flats of {own}, not of {given}; calibrate on a flat of that size")
+            raise CameraFileError(
+                f"is for flats of {own}, not of {given}; calibrate on a flat of that size"
+            )
         check_plausible(camera.lattice)
         return camera
     except CameraFileError as error:
@@ -110,16 +131,19 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
         raise CameraFileError(f"{source}: {error}; calibrate on a flat instead") from error
 
 
-def convert(calibration: Calibration, path: str | os.PathLike[str], *, mode: Mode | None = None) -> None:
+def convert(
+    calibration: Calibration, path: str | os.PathLike[str], *, mode: Mode | None = None
+) -> None:
     """Write a camera in the format its suffix names; the file appears whole or not at all.
 
-    `.json` is our own format and keeps everything. `.xml` (`RayCalibData`) keeps lattice, radius and the three lens
-    types of a hexagonal array, `.cfg` (key : value, with four corner centres) a hexagonal lattice, `.csv` the columns
-    `i, j, x, y, radius, type` of all centres. A `.cfg` file also states the `mode` of the captures; without one it is
-    that in which the lens types are focused, or binocular where they do not tell.
+    `.json` is our own format and keeps everything. `.xml` (`RayCalibData`) keeps lattice, radius
+    and the three lens types of a hexagonal array, `.cfg` (key : value, with four corner centres) a
+    hexagonal lattice, `.csv` the columns `i, j, x, y, radius, type` of all centres. A `.cfg` file
+    also states the `mode` of the captures; without one it is that in which the lens types are
+    focused, or binocular where they do not tell.
 
-    OutputError if the suffix is of no known format or the file cannot be written, CameraFileError if the format cannot
-    hold this lattice.
+    OutputError if the suffix is of no known format or the file cannot be written, CameraFileError
+    if the format cannot hold this lattice.
 
     Examples
     --------
@@ -136,7 +160,8 @@ def convert(calibration: Calibration, path: str | os.PathLike[str], *, mode: Mod
     text = form.format(calibration, mode)
     if not form.is_exact:
         # Indices may be others: the same cell, and whole indices, are the same centres.
-        lattice, again = calibration.lattice, form.parse(text, calibration.image_size).lattice
+        lattice = calibration.lattice
+        again = form.parse(text, calibration.image_size).lattice
         index = again.to_index(lattice.centres())
         apart = np.abs((index - np.rint(index)) @ again.basis).max()
         cell = abs(abs(np.linalg.det(again.basis) / np.linalg.det(lattice.basis)) - 1)

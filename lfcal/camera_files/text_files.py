@@ -1,7 +1,7 @@
 """Camera files of lines `key : value`, for hexagonal lattices.
 
-They are those of the converters for lenslet video (TLCT, RLC 4.0), whose programs expect `IsKepler` and, for three lens
-types, `NearFocalLenType`.
+They are those of the converters for lenslet video (TLCT, RLC 4.0), whose programs expect `IsKepler`
+and, for three lens types, `NearFocalLenType`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,14 @@ from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CameraFileError
 
-__all__ = ["LARGEST", "Mode", "PublishedNumbers", "calibration_from_corners", "format_key_value", "parse_key_value"]
+__all__ = [
+    "LARGEST",
+    "Mode",
+    "PublishedNumbers",
+    "calibration_from_corners",
+    "format_key_value",
+    "parse_key_value",
+]
 
 _CORNERS = ("LeftTop", "RightTop", "LeftBottom", "RightBottom")
 
@@ -27,7 +34,9 @@ Mode = Literal["telescopic", "binocular"]
 
 
 class PublishedNumbers(dict[str, str]):
-    """The texts of a file by their names, read as finite numbers; CameraFileError with the name where one is none."""
+    """The texts of a file by their names, read as finite numbers; CameraFileError with the name
+    where one is none.
+    """
 
     def number(self, name: str, above: float = -np.inf) -> float:
         if name not in self:
@@ -54,7 +63,8 @@ class PublishedNumbers(dict[str, str]):
 def calibration_from_corners(
     corners: list[NDArray[np.float64]], pitch: float, upright: bool, image_size: tuple[int, int]
 ) -> Calibration:
-    """Hexagonal lattice through the outermost centres: left top, right top, left bottom, right bottom.
+    """Hexagonal lattice through the outermost centres: left top, right top, left bottom, right
+    bottom.
 
     `upright` lattices have rows of nearest neighbours that run down the flat.
     """
@@ -66,7 +76,8 @@ def calibration_from_corners(
     steps = round(float(np.hypot(*along)) / pitch)
     if rows < 1 or steps < 1:
         raise CameraFileError("the corner centres are less than a pitch apart")
-    along, sideways = along / steps, sideways / rows
+    along = along / steps
+    sideways = sideways / rows
     if rows % 2:
         # The last row is shifted by half a step, to whichever side leaves the axes perpendicular.
         slip = np.sign(float(sideways @ along)) or 1.0
@@ -75,10 +86,13 @@ def calibration_from_corners(
     lattice = Lattice(first, reduce_basis([along, sideways + along / 2]), image_size, pitch / 2)
     apart = np.hypot(*(lattice.steps @ lattice.basis).T)
     gap = float(np.hypot(*(right_top - left_top - right_low + left_low)))
-    # Published corners are good to a few pixels: those of real cameras leave 9 px of 70 px, and lattices off by 0.6 %.
+    # Published corners are good to a few pixels: those of real cameras leave 9 px of 70 px, and
+    # lattices off by 0.6 %.
     if gap > pitch / 2 or np.abs(apart / pitch - 1).max() > 0.1:
         found = f"microimages {apart.min():.4g} to {apart.max():.4g} px apart, and a gap of {gap:.4g} px"
-        raise CameraFileError(f"the corner centres do not fit a diameter of {pitch:.4g} px: they give {found}")
+        raise CameraFileError(
+            f"the corner centres do not fit a diameter of {pitch:.4g} px: they give {found}"
+        )
     warning = "only the corner centres are published, good to a few pixels; calibrate on a flat for better"
     return Calibration(lattice, warnings=(warning,))
 
@@ -94,13 +108,19 @@ def parse_key_value(text: str, _image_size: tuple[int, int] | None) -> Calibrati
             numbers[key.strip()] = value
     width, height = (numbers.positive(f"Lenslet{side}") for side in ("Width", "Height"))
     if width % 1 or height % 1:
-        raise CameraFileError(f"LensletWidth and LensletHeight must be whole numbers of px, got {width} and {height}")
+        raise CameraFileError(
+            f"LensletWidth and LensletHeight must be whole numbers of px, got {width} and {height}"
+        )
     size = int(width), int(height)
-    pitch, upright = numbers.positive("MIDiameter"), numbers.number("MLADirection") == 1
+    pitch = numbers.positive("MIDiameter")
+    upright = numbers.number("MLADirection") == 1
     if "LeftTopMICenterX" in numbers:
         corners = [numbers.point(f"{name}MICenterX", f"{name}MICenterY") for name in _CORNERS]
         return calibration_from_corners(corners, pitch, upright, size)
-    origin = (np.array(size) - 1) / 2 + numbers.point("CentralMIOffsetX", "CentralMIOffsetY") * [1, -1]
+    origin = (np.array(size) - 1) / 2 + numbers.point("CentralMIOffsetX", "CentralMIOffsetY") * [
+        1,
+        -1,
+    ]
     basis = pitch * np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
     warning = "the file gives no angle finer than upright or level rows"
     lattice = Lattice(origin, reduce_basis(basis[:, ::-1] if upright else basis), size, pitch / 2)
@@ -110,13 +130,16 @@ def parse_key_value(text: str, _image_size: tuple[int, int] | None) -> Calibrati
 def format_key_value(calibration: Calibration, mode: Mode | None = None) -> str:
     """Key : value lines with the centres of four microimages at the corners of a parallelogram.
 
-    `IsKepler` is 1 for binocular captures: the flag names the modes the other way round. Without a `mode` it follows
-    from the focus of the lens types, and is 1, which its readers take for granted, where that is not known. A camera of
-    three lens types also gets the central microimage and `NearFocalLenType`, which its readers need together.
+    `IsKepler` is 1 for binocular captures: the flag names the modes the other way round. Without a
+    `mode` it follows from the focus of the lens types, and is 1, which its readers take for
+    granted, where that is not known. A camera of three lens types also gets the central microimage
+    and `NearFocalLenType`, which its readers need together.
     """
     lattice = calibration.lattice
     if len(lattice.steps) != 6:
-        raise CameraFileError("the key : value format holds hexagonal lattices only; write .xml, .csv or .json")
+        raise CameraFileError(
+            "the key : value format holds hexagonal lattices only; write .xml, .csv or .json"
+        )
     steps = lattice.steps @ lattice.basis
     upright = bool(np.abs(steps[:, 1]).max() > np.abs(steps[:, 0]).max())
     axis = 1 if upright else 0
@@ -129,29 +152,45 @@ def format_key_value(calibration: Calibration, mode: Mode | None = None) -> str:
     mode = mode or _mode_of_types(calibration)
     width, height = lattice.image_size
     values: dict[str, object] = {
-        "IsKepler": int(mode != "telescopic"), "LensletWidth": width, "LensletHeight": height,
-        "MIDiameter": f"{lattice.pitch:.12f}", "MLADirection": int(upright),
-    }  # fmt: skip
+        "IsKepler": int(mode != "telescopic"),
+        "LensletWidth": width,
+        "LensletHeight": height,
+        "MIDiameter": f"{lattice.pitch:.12f}",
+        "MLADirection": int(upright),
+    }
     for k, name in enumerate(_CORNERS):
         corner = first + k % 2 * columns * across + k // 2 * rows * down
-        values |= {f"{name}MICenter{axis}": f"{value:.9f}" for axis, value in zip("XY", corner, strict=True)}
+        values |= {
+            f"{name}MICenter{axis}": f"{value:.9f}"
+            for axis, value in zip("XY", corner, strict=True)
+        }
     near = _near_type(calibration, mode, middle, upright)
     if near is not None:
         offset = (middle - (np.array([width, height]) - 1) / 2) * [1, -1]
-        values |= {f"CentralMIOffset{axis}": f"{value:.9f}" for axis, value in zip("XY", offset, strict=True)}
+        values |= {
+            f"CentralMIOffset{axis}": f"{value:.9f}"
+            for axis, value in zip("XY", offset, strict=True)
+        }
         values["NearFocalLenType"] = near
     return "".join(f"{key} : {value}\n" for key, value in values.items())
 
 
-def _outermost(lattice: Lattice, middle: Vector, across: Vector, down: Vector) -> tuple[Vector, int, int]:
-    """The whole microimage at the top left, and how many steps `across` and `down` lead to the last whole ones: readers
-    take the first one for the first of its row and begin with its row."""
-    low, high = lattice.pitch / 2 - 0.5, np.array(lattice.image_size) - 0.5 - lattice.pitch / 2
+def _outermost(
+    lattice: Lattice, middle: Vector, across: Vector, down: Vector
+) -> tuple[Vector, int, int]:
+    """The whole microimage at the top left, and how many steps `across` and `down` lead to the last
+    whole ones: readers take the first one for the first of its row and begin with its row.
+    """
+    low = lattice.pitch / 2 - 0.5
+    high = np.array(lattice.image_size) - 0.5 - lattice.pitch / 2
     straight = lattice.origin + lattice.indices() @ lattice.basis
     whole = straight[((straight >= low) & (straight <= high)).all(1)]
     first = whole[whole.sum(1).argmin()] if len(whole) else middle
-    # In a turned lattice, the last ones may be beyond the border: at least one step is needed each way.
-    columns, rows = (max(1, int((high - first)[axis] / step[axis])) for axis, step in ((0, across), (1, down)))
+    # In a turned lattice, the last ones may be beyond the border: at least one step is needed each
+    # way.
+    columns, rows = (
+        max(1, int((high - first)[axis] / step[axis])) for axis, step in ((0, across), (1, down))
+    )
     return first, columns, rows
 
 
@@ -162,18 +201,24 @@ def _mode_of_types(calibration: Calibration) -> Mode | None:
     return "telescopic" if focus[0] > 0 else "binocular"
 
 
-def _near_type(calibration: Calibration, mode: str | None, middle: Vector, upright: bool) -> int | None:
-    """Number that such files give the lens type that is focused nearest, None where it is not known.
+def _near_type(
+    calibration: Calibration, mode: str | None, middle: Vector, upright: bool
+) -> int | None:
+    """Number that such files give the lens type that is focused nearest, None where it is not
+    known.
 
-    They count the types along the first row of whole microimages, which runs down the flat if `upright`.
+    They count the types along the first row of whole microimages, which runs down the flat if
+    `upright`.
     """
-    types, lattice = calibration.lens_types, calibration.lattice
+    types = calibration.lens_types
+    lattice = calibration.lattice
     if types is None or types.count != 3 or not types.ordered:
         return None
     # Nearer objects have larger `s` of either sign.
     nearest = 0 if mode == "telescopic" else 2
     x, y = middle[::-1] + 0.5 if upright else middle + 0.5
-    pitch, row = lattice.pitch, lattice.pitch * np.sqrt(0.75)
+    pitch = lattice.pitch
+    row = lattice.pitch * np.sqrt(0.75)
     start = x - pitch * int((x - pitch / 2) / pitch)
     if int((y - pitch / 2) / row) % 2:
         start += pitch / 2 if start <= pitch else -pitch / 2

@@ -1,4 +1,5 @@
-"""The XML formats of published camera files: `RayCalibData`, which is also written, and `TSPCCalibData`.
+"""The XML formats of published camera files: `RayCalibData`, which is also written, and
+`TSPCCalibData`.
 
 In them y points up and angles turn counter-clockwise on the screen.
 """
@@ -40,10 +41,15 @@ def parse_xml(text: str, size: tuple[int, int]) -> Calibration:
         types = [PublishedNumbers(_texts(element)) for element in root.findall("lens_type")]
         return _parse_raytrix(numbers, types, size)
     if root.tag == "TSPCCalibData":
-        corners = [numbers.point(f"centers/{k}/x", f"centers/{k}/y") for k in ("ltop", "rtop", "lbot", "rbot")]
+        corners = [
+            numbers.point(f"centers/{k}/x", f"centers/{k}/y")
+            for k in ("ltop", "rtop", "lbot", "rbot")
+        ]
         upright = abs(np.sin(numbers.number("rotation"))) > np.sqrt(0.5)
         return calibration_from_corners(corners, numbers.positive("diameter"), upright, size)
-    raise CameraFileError(f"<{root.tag}> is no known camera file; known are RayCalibData and TSPCCalibData")
+    raise CameraFileError(
+        f"<{root.tag}> is no known camera file; known are RayCalibData and TSPCCalibData"
+    )
 
 
 def _texts(element: Any, place: str = "") -> Iterator[tuple[str, str]]:
@@ -52,9 +58,14 @@ def _texts(element: Any, place: str = "") -> Iterator[tuple[str, str]]:
         yield from _texts(child, f"{place}{child.tag}/")
 
 
-def _parse_raytrix(numbers: PublishedNumbers, types: list[PublishedNumbers], size: tuple[int, int]) -> Calibration:
-    pitch, rotation = numbers.positive("diameter"), numbers.number("rotation")
-    base = np.array([numbers.point(f"{name}/x", f"{name}/y") for name in ("lens_base_x", "lens_base_y")])
+def _parse_raytrix(
+    numbers: PublishedNumbers, types: list[PublishedNumbers], size: tuple[int, int]
+) -> Calibration:
+    pitch = numbers.positive("diameter")
+    rotation = numbers.number("rotation")
+    base = np.array(
+        [numbers.point(f"{name}/x", f"{name}/y") for name in ("lens_base_x", "lens_base_y")]
+    )
     if abs(np.linalg.det(base)) < 1e-3:
         raise CameraFileError("lens_base_x and lens_base_y do not span a lattice")
     warnings = []
@@ -62,11 +73,16 @@ def _parse_raytrix(numbers: PublishedNumbers, types: list[PublishedNumbers], siz
     if _angle_between(turned, rotation) < _angle_between(turned, 0.0):
         # The basis already contains the rotation.
         if _angle_between(rotation, 0.0) > _SAME_ANGLE:
-            warnings.append("the rotation is given twice, in lens_base and in rotation; it was applied once")
+            warnings.append(
+                "the rotation is given twice, in lens_base and in rotation; it was applied once"
+            )
         rotation = 0.0
     elif _angle_between(turned, 0.0) > _SAME_ANGLE:
-        warnings.append("lens_base and rotation name two different angles; both were applied, check on a flat")
-    cos, sin = np.cos(rotation), np.sin(rotation)
+        warnings.append(
+            "lens_base and rotation name two different angles; both were applied, check on a flat"
+        )
+    cos = np.cos(rotation)
+    sin = np.sin(rotation)
     to_pixels = np.array([[cos, sin], [-sin, cos]]) * pitch * [1, -1]
     origin = (np.array(size) - 1) / 2 + numbers.point("offset/x", "offset/y") * [1, -1]
     radius = pitch / 2 - (numbers.number("lens_border") if "lens_border" in numbers else 0.0)
@@ -74,10 +90,15 @@ def _parse_raytrix(numbers: PublishedNumbers, types: list[PublishedNumbers], siz
         raise CameraFileError(f"radius must be positive, got {radius}")
     parameters = numbers.get("distortion/parameter", "")
     if any(abs(float(v)) > 0 for v in parameters.replace(",", ";").split(";") if v.strip()):
-        warnings.append("the file names a lens distortion, which is left out; calibrate on a flat for better")
-    lattice, found = Lattice(origin, reduce_basis(base @ to_pixels), size, radius), None
+        warnings.append(
+            "the file names a lens distortion, which is left out; calibrate on a flat for better"
+        )
+    lattice = Lattice(origin, reduce_basis(base @ to_pixels), size, radius)
+    found = None
     if len(types) > 1:
-        found = _types_at(np.array([one.point("offset/x", "offset/y") for one in types]) @ to_pixels, lattice)
+        found = _types_at(
+            np.array([one.point("offset/x", "offset/y") for one in types]) @ to_pixels, lattice
+        )
         warnings.append(
             "the lens types of the file do not lie on its lattice and are left out; calibrate on a flat"
             if found is None
@@ -87,41 +108,54 @@ def _parse_raytrix(numbers: PublishedNumbers, types: list[PublishedNumbers], siz
 
 
 def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | None:
-    """Types of a hexagonal array from the positions (3, 2) [px] of one lens of each relative to the origin."""
+    """Types of a hexagonal array from the positions (3, 2) [px] of one lens of each relative to the
+    origin.
+    """
     index = offsets @ np.linalg.inv(lattice.basis)
     numbers = _type_numbers(np.rint(index).astype(int), lattice)
     three = len(offsets) == len(set(numbers.tolist())) == 3 and len(lattice.steps) == 6
     if not three or np.abs(index - np.rint(index)).max() > 0.2:
         return None
     i, j = np.meshgrid(np.arange(3), np.arange(3), indexing="ij")
-    return LensTypes(np.argsort(numbers).astype(np.int8)[_type_numbers(np.stack([i, j], axis=-1), lattice)])
+    return LensTypes(
+        np.argsort(numbers).astype(np.int8)[_type_numbers(np.stack([i, j], axis=-1), lattice)]
+    )
 
 
 def _type_numbers(index: NDArray[np.int64], lattice: Lattice) -> NDArray[np.int64]:
-    """(...) 0, 1 or 2 for indices (..., 2) of a hexagonal lattice: the one way in which no neighbours are alike."""
+    """(...) 0, 1 or 2 for indices (..., 2) of a hexagonal lattice: the one way in which no
+    neighbours are alike.
+    """
     along = 1 if ((lattice.steps.sum(1)) % 3 != 0).all() else -1
     return (index[..., 0] + along * index[..., 1]) % 3
 
 
 def _angle_between(a: float, b: float) -> float:
-    """Smallest difference of two angles [rad], which repeat every 60 degrees in a hexagonal lattice."""
+    """Smallest difference of two angles [rad], which repeat every 60 degrees in a hexagonal
+    lattice.
+    """
     return float(abs((a - b + np.pi / 6) % (np.pi / 3) - np.pi / 6))
 
 
 def format_xml(calibration: Calibration) -> str:
     """A camera as `RayCalibData`: the basis lies along x before the rotation turns it.
 
-    Lens types are kept where there are three in a hexagonal array; their ranges of depth where their focus is known.
+    Lens types are kept where there are three in a hexagonal array; their ranges of depth where
+    their focus is known.
     """
     lattice = calibration.lattice
     up = lattice.basis * [1, -1]
     rotation = float(np.arctan2(up[0, 1], up[0, 0]))
-    cos, sin = np.cos(rotation), np.sin(rotation)
+    cos = np.cos(rotation)
+    sin = np.sin(rotation)
     to_lens = np.array([[cos, -sin], [sin, cos]]) / lattice.pitch
     base = up @ to_lens
     base[0, 1] = 0.0
     middle = lattice.middle
-    offset = (lattice.origin + middle @ lattice.basis - (np.array(lattice.image_size) - 1) / 2) * [1, -1]
+    offset = (lattice.origin + middle @ lattice.basis - (np.array(lattice.image_size) - 1) / 2) * [
+        1,
+        -1,
+    ]
     elements = [
         _element("offset", "pix", x=offset[0], y=offset[1]),
         f'<diameter units="pix">{lattice.pitch:.12f}</diameter>',
@@ -137,9 +171,14 @@ def format_xml(calibration: Calibration) -> str:
 
 
 def _type_elements(
-    types: LensTypes | None, lattice: Lattice, middle: NDArray[np.int64], to_lens: NDArray[np.float64]
+    types: LensTypes | None,
+    lattice: Lattice,
+    middle: NDArray[np.int64],
+    to_lens: NDArray[np.float64],
 ) -> Iterator[str]:
-    """Where three types repeat, a lens of each beside `middle` (2,), and depths, which part half way in `s`."""
+    """Where three types repeat, a lens of each beside `middle` (2,), and depths, which part half
+    way in `s`.
+    """
     steps = np.vstack([np.zeros((1, 2), dtype=int), lattice.steps])
     if types is None or types.focus is None or types.count != 3 or len(lattice.steps) != 6:
         return
@@ -152,7 +191,11 @@ def _type_elements(
     yield _element("sub_grid_base", "lens", x=3.0, y=np.sqrt(3.0))
     for kind in range(3):
         x, y = (steps[np.flatnonzero(kinds == kind)[0]] @ lattice.basis * [1, -1]) @ to_lens
-        depths = _element("depth_range", "virtual_depth", min=ends[kind], max=ends[kind + 1]) if known else ""
+        depths = (
+            _element("depth_range", "virtual_depth", min=ends[kind], max=ends[kind + 1])
+            if known
+            else ""
+        )
         yield f'<lens_type id="{kind}">{_element("offset", "lens", x=x, y=y)}{depths}</lens_type>'
 
 

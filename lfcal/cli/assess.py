@@ -11,15 +11,29 @@ from ..runtime.output_file import check_output
 
 __all__ = ["assess"]
 
-_INPUT, _MM, _UM = cl.InputPath(), cl.Quantity(after="mm"), cl.Quantity(after="[uµ]m")
+_INPUT = cl.InputPath()
+_MM = cl.Quantity(after="mm")
+_UM = cl.Quantity(after="[uµ]m")
 
 
-@cl.command("lfcal assess white.png", "lfcal assess white.png scene.png --f-number 4 --pixel 5.5 -o page.html")
+@cl.command(
+    "lfcal assess white.png",
+    "lfcal assess white.png scene.png --f-number 4 --pixel 5.5 -o page.html",
+)
 @click.argument("white", type=_INPUT)
 @click.argument("scene", type=_INPUT, required=False)
-@cl.option("-c --camera", _INPUT, "Camera file made from WHITE, which is not calibrated again then.")
-@cl.option("--f-number", cl.Quantity("f *[/=]"), "Of the main lens as the sensor sees it: for tilts in degrees.", "N")
-@cl.option("--pupil", _MM, "From the exit pupil of the main lens to the array [mm]; takes --pixel.", "MM")
+@cl.option(
+    "-c --camera", _INPUT, "Camera file made from WHITE, which is not calibrated again then."
+)
+@cl.option(
+    "--f-number",
+    cl.Quantity("f *[/=]"),
+    "Of the main lens as the sensor sees it: for tilts in degrees.",
+    "N",
+)
+@cl.option(
+    "--pupil", _MM, "From the exit pupil of the main lens to the array [mm]; takes --pixel.", "MM"
+)
 @cl.option("--pixel", _UM, "Side of a pixel of the sensor [um].", "UM")
 @cl.option(
     "--white-level",
@@ -32,11 +46,13 @@ _INPUT, _MM, _UM = cl.InputPath(), cl.Quantity(after="mm"), cl.Quantity(after="[
 def assess(report: cl.Report, given: Any) -> int:
     """Tell from the white image WHITE how the microlens array is mounted, and what to turn.
 
-    Rotation, tilt, distance and gaps of the microimages, each with its error and a verdict; light and dirt; from SCENE,
-    a capture of the same camera, whether the array has moved, its exposure, and where each lens type is in focus. Of a
-    WHITE that is no white image nothing but the rotation is measured (exit code 1).
+    Rotation, tilt, distance and gaps of the microimages, each with its error and a verdict; light
+    and dirt; from SCENE, a capture of the same camera, whether the array has moved, its exposure,
+    and where each lens type is in focus. Of a WHITE that is no white image nothing but the rotation
+    is measured (exit code 1).
     """
-    output, closing = given.output, []
+    output = given.output
+    closing = []
     if output is not None:
         check_output(output, {".html", ".htm"}, [given.white, given.scene, given.camera])
     if given.pupil is not None and given.pixel is None:
@@ -50,13 +66,20 @@ def assess(report: cl.Report, given: Any) -> int:
         camera = given.camera and load(given.camera, (white.shape[1], white.shape[0]))
     with report.stage("assess"), cl.name_file_in_errors(given.white):
         found = run(
-            white, scene, calibration=camera, f_number=given.f_number, pupil=given.pupil,
-            pixel=given.pixel and given.pixel / 1000, white_level=given.white_level,
-        )  # fmt: skip
+            white,
+            scene,
+            calibration=camera,
+            f_number=given.f_number,
+            pupil=given.pupil,
+            pixel=given.pixel and given.pixel / 1000,
+            white_level=given.white_level,
+        )
     if output is not None:
         with report.stage("write"):
             found.write_page(output, f"Microlens array on {given.white.name}")
         closing = [f"{output} in {report.took}: open it in a browser."]
     figures = {"findings": found.to_dict(), "confidence": found.calibration.confidence}
-    report.finish({**figures, "warnings": found.calibration.warnings}, *str(found).splitlines(), *closing)
+    report.finish(
+        {**figures, "warnings": found.calibration.warnings}, *str(found).splitlines(), *closing
+    )
     return 0 if found.calibration.source == "white" else 1

@@ -18,22 +18,40 @@ def describe(camera: Calibration) -> dict[str, Any]:
     """The figures of a calibration that commands print."""
     from ..lattice.lattice import describe_orientation
 
-    lattice, types, defects = camera.lattice, camera.lens_types, camera.defects
+    lattice = camera.lattice
+    types = camera.lens_types
+    defects = camera.defects
     shape, rows, rotation = describe_orientation(lattice)
     return {
-        "size": camera.image_size, "lattice": shape, "rows": rows, "rotation_degrees": rotation,
-        "pitch": lattice.pitch, "radius": lattice.radius, "origin": lattice.origin, "basis": lattice.basis,
-        "lenses": len(lattice), "source": camera.source,
-        "lens_types": types and {
-            "count": types.count, "by_focus": types.ordered, "confidence": types.confidence, "focus": types.focus,
+        "size": camera.image_size,
+        "lattice": shape,
+        "rows": rows,
+        "rotation_degrees": rotation,
+        "pitch": lattice.pitch,
+        "radius": lattice.radius,
+        "origin": lattice.origin,
+        "basis": lattice.basis,
+        "lenses": len(lattice),
+        "source": camera.source,
+        "lens_types": types
+        and {
+            "count": types.count,
+            "by_focus": types.ordered,
+            "confidence": types.confidence,
+            "focus": types.focus,
             "cell": types.cell,
         },
-        "lenses_used": camera.lenses_used, "residual_rms": camera.residual_rms, "confidence": camera.confidence,
-        "evidence": camera.evidence and camera.evidence.to_dict(), "mosaic": camera.mosaic or "none",
-        "defect_pixels": len(defects.pixels), "defect_lenses": len(defects.lenses),
+        "lenses_used": camera.lenses_used,
+        "residual_rms": camera.residual_rms,
+        "confidence": camera.confidence,
+        "evidence": camera.evidence and camera.evidence.to_dict(),
+        "mosaic": camera.mosaic or "none",
+        "defect_pixels": len(defects.pixels),
+        "defect_lenses": len(defects.lenses),
         "lens_blur": camera.lens_blur and camera.lens_blur.to_dict(),
-        "optics": camera.optics and describe_optics(camera.optics), "warnings": camera.warnings,
-    }  # fmt: skip
+        "optics": camera.optics and describe_optics(camera.optics),
+        "warnings": camera.warnings,
+    }
 
 
 def describe_optics(optics: Optics) -> dict[str, Any]:
@@ -42,7 +60,9 @@ def describe_optics(optics: Optics) -> dict[str, Any]:
 
     lengths = ("focal_length", "mla_distance", "sensor_distance", "pupil")
     figures: dict[str, Any] = {}
-    for name, value, error in zip(OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True):
+    for name, value, error in zip(
+        OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True
+    ):
         unit = "_mm" if name in lengths else "_px" if name.startswith("principal") else ""
         if error > 0 or name in lengths[:3]:
             figures[name + unit] = float(f"{value:.8g}")
@@ -56,13 +76,20 @@ def summarise(camera: Calibration) -> list[str]:
     from ..lattice.lattice import describe_orientation
 
     shape, _, rotation = describe_orientation(camera.lattice)
-    sources = {"white": "Measured on a white image", "scene": "Measured on a capture", "published": "As published"}
+    sources = {
+        "white": "Measured on a white image",
+        "scene": "Measured on a capture",
+        "published": "As published",
+    }
     told = sources.get(camera.source, f"From {camera.source}")
     if camera.source != "published":
         told += f", confidence {100 * camera.confidence:.0f} %"
     if camera.lens_types is not None:
         told += f"; {camera.lens_types.count} types of lenses"
-    counts = (len(camera.defects.pixels), "defective pixels"), (len(camera.defects.lenses), "unlit lenses")
+    counts = (
+        (len(camera.defects.pixels), "defective pixels"),
+        (len(camera.defects.lenses), "unlit lenses"),
+    )
     told += "".join(f"; {number:,} {what}" for number, what in counts if number)
     lenses = f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
     sentences = [f"{lenses}: a {shape} lattice turned by {rotation:.2f} degrees.", f"{told}."]

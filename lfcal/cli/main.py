@@ -1,4 +1,6 @@
-"""Command line of lfcal: calibrate a camera from images; show, compare, convert and apply camera files."""
+"""Command line of lfcal: calibrate a camera from images; show, compare, convert and apply camera
+files.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,11 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-_INPUT, _SIZE = cl.InputPath(), cl.Pair("WxH", "2048x1536")
-_CAMERA = cl.option("-o --output", cl.OutputPath(".json"), "Camera file to write.", "CAMERA.json", required=True)
+_INPUT = cl.InputPath()
+_SIZE = cl.Pair("WxH", "2048x1536")
+_CAMERA = cl.option(
+    "-o --output", cl.OutputPath(".json"), "Camera file to write.", "CAMERA.json", required=True
+)
 # fmt: off
 _SIZE_OPTIONS = (
     cl.option("--size", _SIZE, "Size of the flats [px], for files without it (.xml, .csv)."),
@@ -83,10 +88,11 @@ def _write(report: cl.Report, camera: Calibration, output: Path, *lines: str) ->
 def calibrate(report: cl.Report, given: Any) -> None:
     """Find the microlenses on IMAGE and write them as a camera file.
 
-    IMAGE is a white image, or any capture of a scene. Several white images, or several captures of one camera, are
-    combined.
+    IMAGE is a white image, or any capture of a scene. Several white images, or several captures of
+    one camera, are combined.
     """
-    images, output = given.images, given.output
+    images = given.images
+    output = given.output
     check_output(output, {".json"}, [*images, given.dark])
     if given.rotation is not None and given.pitch is None:
         raise click.UsageError("--rotation needs --pitch")
@@ -94,13 +100,25 @@ def calibrate(report: cl.Report, given: Any) -> None:
         from .. import calibrate as run
         from .. import read_flat, subtract_dark
 
-        flats = [read_flat(path, given.page, size=given.size, pixel_format=given.pixel_format) for path in images]
+        flats = [
+            read_flat(path, given.page, size=given.size, pixel_format=given.pixel_format)
+            for path in images
+        ]
         if given.dark is not None:
             frame = read_flat(given.dark)
             with cl.name_file_in_errors(given.dark):
                 flats = [subtract_dark(flat, frame) for flat in flats]
-    with report.stage("calibrate"), cl.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
-        camera = run(flats if len(flats) > 1 else flats[0], given.kind, given.mosaic, given.pitch, given.rotation)
+    with (
+        report.stage("calibrate"),
+        cl.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."),
+    ):
+        camera = run(
+            flats if len(flats) > 1 else flats[0],
+            given.kind,
+            given.mosaic,
+            given.pitch,
+            given.rotation,
+        )
         camera = camera if given.linear is None else replace(camera, encoded=not given.linear)
     _write(report, camera, output, *summarise(camera), f"{output} in {report.took}.")
 
@@ -114,7 +132,8 @@ def calibrate(report: cl.Report, given: Any) -> None:
 def lattice(report: cl.Report, given: Any) -> None:
     """State the lattice of a camera that no flat shows well enough.
 
-    The light of the microimages stays unknown. Commands that use the file check it against the flat.
+    The light of the microimages stays unknown. Commands that use the file check it against the
+    flat.
     """
     output = given.output
     check_output(output, {".json"})
@@ -122,12 +141,20 @@ def lattice(report: cl.Report, given: Any) -> None:
     from ..lattice.stated import state_lattice
 
     try:
-        stated = state_lattice(given.size, given.pitch, given.arrangement, given.rotation, given.centre, given.radius)
+        stated = state_lattice(
+            given.size, given.pitch, given.arrangement, given.rotation, given.centre, given.radius
+        )
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     warning = "the lattice was stated, not measured"
     camera = Calibration(stated, source="published", confidence=1.0, warnings=(warning,))
-    _write(report, camera, output, summarise(camera)[0], f"{output} is written; check it with 'lfcal show'.")
+    _write(
+        report,
+        camera,
+        output,
+        summarise(camera)[0],
+        f"{output} is written; check it with 'lfcal show'.",
+    )
 
 
 @cl.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
@@ -165,8 +192,13 @@ def show(report: cl.Report, given: Any) -> None:
         from PIL import Image
 
         Image.fromarray(pixels).save(temporary, compress_level=4)
-    lines = (*(f"look: {words}" for words in look), f"{output}: the circles should lie on the microimages.")
-    report.finish({"picture": str(output), **describe(camera), "look_at": look}, *summarise(camera), *lines)
+    lines = (
+        *(f"look: {words}" for words in look),
+        f"{output}: the circles should lie on the microimages.",
+    )
+    report.finish(
+        {"picture": str(output), **describe(camera), "look_at": look}, *summarise(camera), *lines
+    )
 
 
 @cl.command("lfcal flatten flat.png -c camera.json -o even.tif")
@@ -194,8 +226,15 @@ def flatten(report: cl.Report, given: Any) -> None:
         import tifffile
 
         tifffile.imwrite(temporary, even, photometric="rgb" if even.ndim == 3 else "minisblack")
-    figures = {"written": str(output), "size": [width, height], "type": str(even.dtype), "warnings": warnings}
-    report.finish(figures, f"{output}: {width} x {height} px of {even.dtype}, evenly lit, in {report.took}.")
+    figures = {
+        "written": str(output),
+        "size": [width, height],
+        "type": str(even.dtype),
+        "warnings": warnings,
+    }
+    report.finish(
+        figures, f"{output}: {width} x {height} px of {even.dtype}, evenly lit, in {report.took}."
+    )
 
 
 @cl.command("lfcal compare monday.json friday.json")
@@ -212,7 +251,8 @@ def compare(report: cl.Report, given: Any) -> None:
     from .. import compare as run
     from ..display.compare import REGIONS
 
-    paths, size = (given.a, given.b), _read_size(given)
+    paths = (given.a, given.b)
+    size = _read_size(given)
     for path in paths:
         # A published file has none.
         with suppress(CameraFileError):
@@ -220,14 +260,24 @@ def compare(report: cl.Report, given: Any) -> None:
     cameras = [_read(path, size) for path in paths]
     found = run(*cameras)
     field = dict(zip(REGIONS, found.field.reshape(-1, 2).round(6), strict=True))
-    warnings = [f"{path}: {text}" for path, camera in zip(paths, cameras, strict=True) for text in camera.warnings]
+    warnings = [
+        f"{path}: {text}"
+        for path, camera in zip(paths, cameras, strict=True)
+        for text in camera.warnings
+    ]
     report.finish(
         {
-            "a": str(given.a), "b": str(given.b), "rms": round(found.rms, 6), "max": round(found.max, 6),
-            "mean_shift": found.mean_shift.round(6), "scale": round(found.scale, 9),
-            "rotation_degrees": round(found.rotation_degrees, 7), "field": field, "warnings": warnings,
+            "a": str(given.a),
+            "b": str(given.b),
+            "rms": round(found.rms, 6),
+            "max": round(found.max, 6),
+            "mean_shift": found.mean_shift.round(6),
+            "scale": round(found.scale, 9),
+            "rotation_degrees": round(found.rotation_degrees, 7),
+            "field": field,
+            "warnings": warnings,
         }
-    )  # fmt: skip
+    )
 
 
 @cl.command(
@@ -239,29 +289,36 @@ def compare(report: cl.Report, given: Any) -> None:
 @click.argument("camera", type=_INPUT)
 @_output("FILE", ".xml, .cfg, .csv or .json to write.")
 @cl.option(
-    "--mode", click.Choice(["telescopic", "binocular"]),
+    "--mode",
+    click.Choice(["telescopic", "binocular"]),
     "Of the captures, which a .cfg file states.  [default: as --image, or the focus of the lens types]",
-)  # fmt: skip
+)
 @cl.option(
-    "--y-up/--y-down", None, "Where y of a table of centres points.  [default: as --image shows, else down]",
+    "--y-up/--y-down",
+    None,
+    "Where y of a table of centres points.  [default: as --image shows, else down]",
     default=None,
-)  # fmt: skip
+)
 @cl.with_options(*_SIZE_OPTIONS)
 @cl.report_options
 def convert(report: cl.Report, given: Any) -> None:
     """Write CAMERA in the format of another program, or the reverse.
 
-    The suffix of the output chooses the format. CAMERA may be a maker's table of centres: lines of x, y, radius and
-    type, or with a header that names the columns.
+    The suffix of the output chooses the format. CAMERA may be a maker's table of centres: lines of
+    x, y, radius and type, or with a header that names the columns.
     """
     from ..camera_files.read_write import FORMATS
     from ..camera_files.read_write import convert as run
 
-    output, image, mode = given.output, given.image, given.mode
+    output = given.output
+    image = given.image
+    mode = given.mode
     check_output(output, FORMATS, [given.camera, image])
     pixels = given.image and _read_image(given)
     size = given.size if pixels is None else pixels.shape[1::-1]
-    camera, up, told = _read(given.camera, size), _read(given.camera, size, True), ""
+    camera = _read(given.camera, size)
+    up = _read(given.camera, size, True)
+    told = ""
     if camera == up and given.y_up is not None:
         raise click.UsageError("--y-up and --y-down are for tables of centres")
     if camera != up and given.y_up is None and pixels is not None:
@@ -269,7 +326,11 @@ def convert(report: cl.Report, given: Any) -> None:
 
         camera = choose_orientation(camera, up, pixels)
     elif camera != up:
-        told = "; y was taken to point down: --image shows whether it does" if given.y_up is None else ""
+        told = (
+            "; y was taken to point down: --image shows whether it does"
+            if given.y_up is None
+            else ""
+        )
         camera = up if given.y_up else camera
     if mode is None and pixels is not None and output.suffix.lower() == ".cfg":
         from ..lens_types.coarse_disparity import find_scene_mode
@@ -278,7 +339,11 @@ def convert(report: cl.Report, given: Any) -> None:
     run(camera, output, mode=mode)
     if camera.source == "published" and camera.lenses_used:
         told = f", {camera.residual_rms:.3f} px (RMS) from the centres of the table{told}"
-    report.finish({"written": str(output), **describe(camera)}, *summarise(camera), f"{output} is written{told}.")
+    report.finish(
+        {"written": str(output), **describe(camera)},
+        *summarise(camera),
+        f"{output} is written{told}.",
+    )
 
 
 def _read_image(given: Any) -> NDArray[Any]:
@@ -290,7 +355,9 @@ def _read_image(given: Any) -> NDArray[Any]:
 
 
 def _read_size(given: Any) -> tuple[int, int] | None:
-    size: tuple[int, int] | None = given.size if given.image is None else _read_image(given).shape[1::-1]
+    size: tuple[int, int] | None = (
+        given.size if given.image is None else _read_image(given).shape[1::-1]
+    )
     return size
 
 
@@ -302,7 +369,9 @@ def _read(path: Path, size: tuple[int, int] | None, y_up: bool = False) -> Calib
         return load(path, size, y_up=y_up)
     except CameraFileError as error:
         if size is None and "image_size" in str(error):
-            raise CameraFileError(f"{path}: has no image size; add --size WxH or --image") from error
+            raise CameraFileError(
+                f"{path}: has no image size; add --size WxH or --image"
+            ) from error
         raise
 
 

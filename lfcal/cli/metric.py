@@ -1,4 +1,6 @@
-"""`lfcal metric` and `lfcal board`: measure the optics of a camera on flats of a board, and make the board."""
+"""`lfcal metric` and `lfcal board`: measure the optics of a camera on flats of a board, and make
+the board.
+"""
 
 from __future__ import annotations
 
@@ -61,14 +63,20 @@ def _read_board(given: Any) -> Board:
 def metric(report: cl.Report, given: Any) -> None:
     """Measure the optics of a camera on FLATs of a board, for metres.
 
-    Focal length, distances, distortion and tilt are fitted to several poses of the board. With the camera file that is
-    written, depth and point clouds of its flats are in metres.
+    Focal length, distances, distortion and tilt are fitted to several poses of the board. With the
+    camera file that is written, depth and point clouds of its flats are in metres.
     """
-    flats, camera, output = given.flats, given.camera, given.output
+    flats = given.flats
+    camera = given.camera
+    output = given.output
     # The camera may be written over: it is the same one, which knows more.
     check_output(output, {".json"}, flats)
     exchange = {".js", ".yml", ".yaml", ".xml"}
-    for path, suffixes in ((given.poses, {".json"}), (given.page, {".html"}), (given.exchange, exchange)):
+    for path, suffixes in (
+        (given.poses, {".json"}),
+        (given.page, {".html"}),
+        (given.exchange, exchange),
+    ):
         if path is not None:
             check_output(path, suffixes, [*flats, camera, output])
     board = _read_board(given)
@@ -78,8 +86,11 @@ def metric(report: cl.Report, given: Any) -> None:
         pixels = [read_flat(flat) for flat in flats]
         calibration = load(camera, (pixels[0].shape[1], pixels[0].shape[0]))
     with report.stage("measure"), report.progress("boards") as step:
-        pixel, names = given.pixel and given.pixel / 1000, [flat.name for flat in flats]
-        found = calibrate_metric(pixels, calibration, board, pixel=pixel, names=names, progress=step)
+        pixel = given.pixel and given.pixel / 1000
+        names = [flat.name for flat in flats]
+        found = calibrate_metric(
+            pixels, calibration, board, pixel=pixel, names=names, progress=step
+        )
     with report.stage("write"):
         from ..metric.exchange import write_libpleno, write_pinhole
         from ..metric_report.report import write_metric_report
@@ -94,7 +105,10 @@ def metric(report: cl.Report, given: Any) -> None:
         elif given.exchange is not None:
             write_pinhole(given.exchange, found.calibration)
     optics = found.optics
-    if given.focal_length and abs(optics.focal_length / given.focal_length - 1) > _FOCAL_LENGTH_TOLERANCE:
+    if (
+        given.focal_length
+        and abs(optics.focal_length / given.focal_length - 1) > _FOCAL_LENGTH_TOLERANCE
+    ):
         report.warn(
             f"the focal length is {optics.focal_length:.4g} mm, and not {given.focal_length:g} mm as stated: "
             "--pixel is wrong by as much, or the lens is zoomed"
@@ -129,7 +143,9 @@ def board(report: cl.Report, given: Any) -> None:
     with report.stage("write"):
         write_board(given.output, target)
     closing = f"{given.output}: {target}. Print it in true size: the bar is 100 mm long."
-    report.finish({"written": str(given.output), "board": str(target), "square_mm": target.square}, closing)
+    report.finish(
+        {"written": str(given.output), "board": str(target), "square_mm": target.square}, closing
+    )
 
 
 def _describe(found: MetricCalibration) -> dict[str, Any]:
@@ -137,12 +153,16 @@ def _describe(found: MetricCalibration) -> dict[str, Any]:
 
     bound = np.array([pose.standard_errors for pose in found.poses]) / np.sqrt(found.widening)
     return {
-        **describe_optics(found.optics), "flats_used": len(found.poses), "corners": len(found.residual),
-        "outliers": int((~found.used).sum()), "rms_px": round(found.rms, 4), "corner_noise_px": round(found.noise, 4),
+        **describe_optics(found.optics),
+        "flats_used": len(found.poses),
+        "corners": len(found.residual),
+        "outliers": int((~found.used).sum()),
+        "rms_px": round(found.rms, 4),
+        "corner_noise_px": round(found.noise, 4),
         "variance_widened_by": round(found.widening, 2),
         "cramer_rao_position_mm": np.round(np.median(bound[:, 3:], axis=0), 4),
         "cramer_rao_turn_degrees": np.round(np.rad2deg(np.median(bound[:, :3], axis=0)), 4),
         "distances_mm": [round(float(pose.translation[2]), 2) for pose in found.poses],
         "distance_errors_mm": [round(float(pose.standard_errors[5]), 3) for pose in found.poses],
         "warnings": [*found.warnings, *found.degeneracies],
-    }  # fmt: skip
+    }

@@ -1,4 +1,6 @@
-"""Whether a flat is a white image or a scene, by the light inside its microimages and from one to the next."""
+"""Whether a flat is a white image or a scene, by the light inside its microimages and from one to
+the next.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ __all__ = ["is_white_image"]
 
 
 def is_white_image(picture: Singles, lattice: Lattice) -> bool:
-    """Whether a picture (h, w), the square root of the luminance, shows evenly lit microimages on a lattice."""
+    """Whether a picture (h, w), the square root of the luminance, shows evenly lit microimages on a
+    lattice.
+    """
     tones = measure_tones(picture, lattice)
     if tones is None:
         return False

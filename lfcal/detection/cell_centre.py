@@ -1,4 +1,6 @@
-"""Where in an average cell a microimage may have its centre: where the cell is a function of the distance to it."""
+"""Where in an average cell a microimage may have its centre: where the cell is a function of the
+distance to it.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ class CentreGuess(NamedTuple):
 
 
 def find_round_centres(cells: list[Floats], basis: Floats) -> list[CentreGuess]:
-    """Up to four points about which the average cells (bins, bins) are round, roundest first, 0.3 pitch apart."""
+    """Up to four points about which the average cells (bins, bins) are round, roundest first, 0.3
+    pitch apart.
+    """
     bins = cells[0].shape[0]
     distance = _distance_to_corner(basis, bins)
     rings = 24
@@ -49,5 +53,7 @@ def find_round_centres(cells: list[Floats], basis: Floats) -> list[CentreGuess]:
 
 
 def _distance_to_corner(basis: Floats, bins: int) -> Floats:
-    """(bins, bins) distance [px] from each bin to the lattice point nearest to it, if one is the middle of bin 0, 0."""
+    """(bins, bins) distance [px] from each bin to the lattice point nearest to it, if one is the
+    middle of bin 0, 0.
+    """
     return np.linalg.norm(bin_offsets(basis, bins, np.array([0.5, 0.5]) / bins), axis=2)

@@ -35,7 +35,9 @@ class CellParts:
         border = to_border < max(1.5 * inradius / BINS, 0.5)
         shape = (BINS, BINS)
         distance = (far / inradius).reshape(shape)
-        return cls(distance, (to_border / inradius).reshape(shape), distance < 0.6, border.reshape(shape))
+        return cls(
+            distance, (to_border / inradius).reshape(shape), distance < 0.6, border.reshape(shape)
+        )
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ class CellMaps:
         return cls(basis, mean, variance, edge_mean, second.mean(), light.mean() ** 2, tiles)
 
     def explained(self) -> float:
-        """Gain in log likelihood [nats per pixel] if each place of a cell has a mean and a variance of its own.
+        """Gain in log likelihood [nats per pixel] if each place of a cell has a mean and a variance
+        of its own.
 
         It is greatest where gaps lie over gaps in all of the flat, while what they part differs.
         """
@@ -74,5 +77,7 @@ class CellMaps:
 
 
 def tile_side(features: FlatFeatures, pitch: float) -> int:
-    """Side [px] of tiles that hold enough lenses for an average, and are small against a wandering period."""
+    """Side [px] of tiles that hold enough lenses for an average, and are small against a wandering
+    period.
+    """
     return int(max(2.5 * pitch, min(8 * pitch, min(features.picture.shape) / 5)))

@@ -1,4 +1,5 @@
-"""Features of a flat that repeat with its lattice: brightness, edges, and steps of brightness from pixel to pixel.
+"""Features of a flat that repeat with its lattice: brightness, edges, and steps of brightness from
+pixel to pixel.
 
 Each is normalised by its local mean and deviation. Brightness and edges are normalised over two
 pitches, so that the light of the scene does not outweigh the rims of the microimages. Steps are
@@ -22,7 +23,9 @@ _STEP_WINDOW = 7.0
 
 
 class FlatFeatures:
-    """Features of a picture (h, w), the square root of the luminance, each computed when it is first used."""
+    """Features of a picture (h, w), the square root of the luminance, each computed when it is
+    first used.
+    """
 
     def __init__(self, picture: Singles) -> None:
         self.picture = picture

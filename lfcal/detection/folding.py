@@ -1,4 +1,5 @@
-"""Average microimage of each tile of a flat: pixels are summed by their place in the cell of a lattice.
+"""Average microimage of each tile of a flat: pixels are summed by their place in the cell of a
+lattice.
 
 What all microimages have in common adds up, what the scene shows averages out.
 """
@@ -19,57 +20,85 @@ from ..runtime.arrays import Booleans, Floats, Singles
 from ..runtime.kernels import kernel
 
 __all__ = [
-    "BINS", "CELL_TILES", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_lit_tiles", "fold_tiles",
+    "BINS",
+    "CELL_TILES",
+    "VECTOR_LENGTH",
+    "TileFolds",
+    "compute_cell_bins",
+    "fold_lit_tiles",
+    "fold_tiles",
     "measure_repeatability",
-]  # fmt: skip
+]
 
 #: Bins along an average cell: a multiple of 6, so that halves and thirds of a cell are whole bins.
 BINS = 36
 #: Tiles that give an average cell, evenly spread.
 CELL_TILES = 60
-#: Pixels of a row handled by one vector loop of fixed length: rows of microimages are too short for others.
+#: Pixels of a row handled by one vector loop of fixed length: rows of microimages are too short for
+#: others.
 VECTOR_LENGTH = 16
 
 
 @njit(error_model="numpy", forceinline=True)
 def compute_cell_bins(u, v, step_u, step_v, bins, begin, count, out):
-    """Set `out` from `begin` on to the bins, row by row, of `count` pixels of a line from lattice coordinates (u, v).
+    """Set `out` from `begin` on to the bins, row by row, of `count` pixels of a line from lattice
+    coordinates (u, v).
 
     Bins are set in whole runs of `VECTOR_LENGTH`: `out` needs room for as many more.
     """
     # A cell is 2**32 units each way, so that unsigned places in it wrap around by themselves.
-    whole, half, many = 4294967296.0, np.uint32(16), np.uint32(bins)
-    across, down = np.uint32(np.int64(step_u * whole)), np.uint32(np.int64(step_v * whole))
-    first, upper = np.uint32(np.int64(u * whole)), np.uint32(np.int64(v * whole))
+    whole = 4294967296.0
+    half = np.uint32(16)
+    many = np.uint32(bins)
+    across = np.uint32(np.int64(step_u * whole))
+    down = np.uint32(np.int64(step_v * whole))
+    first = np.uint32(np.int64(u * whole))
+    upper = np.uint32(np.int64(v * whole))
     for start in range(np.uint32(0), np.uint32(count), np.uint32(VECTOR_LENGTH)):
         begun = np.uint64(begin) + np.uint64(start)
         for lane in range(VECTOR_LENGTH):
             k = np.uint32(start + np.uint32(lane))
-            a, b = np.uint32(first + np.uint32(across * k)), np.uint32(upper + np.uint32(down * k))
-            column, row = np.uint32(np.uint32(a >> half) * many) >> half, np.uint32(np.uint32(b >> half) * many) >> half
+            a = np.uint32(first + np.uint32(across * k))
+            b = np.uint32(upper + np.uint32(down * k))
+            column = np.uint32(np.uint32(a >> half) * many) >> half
+            row = np.uint32(np.uint32(b >> half) * many) >> half
             out[begun + np.uint64(lane)] = np.uint32(row * many) + column
 
 
-@kernel(share=lambda first, second, inverse, side, columns, bins, tiles, *_: len(tiles), error_model="numpy")
+@kernel(
+    share=lambda first, second, inverse, side, columns, bins, tiles, *_: len(tiles),
+    error_model="numpy",
+)
 def _fold(begin, end, first, second, inverse, side, columns, bins, tiles, totals, count):
-    """Fill the `totals` (2, t, bins * bins) of both pictures, and the `count` (t, bins * bins) of pixels."""
+    """Fill the `totals` (2, t, bins * bins) of both pictures, and the `count` (t, bins * bins) of
+    pixels.
+    """
     height, width = first.shape
     one = np.float32(1)
     for place in range(begin, end):
         tile = tiles[place]
-        y0, x0 = (tile // columns) * side, (tile % columns) * side
+        y0 = (tile // columns) * side
+        x0 = (tile % columns) * side
         across = max(min(side, width - x0), 0)
         at = np.empty(across + VECTOR_LENGTH, np.uint32)
         cells = np.zeros((bins * bins, 4), np.float32)
         for y in range(y0, min(y0 + side, height)):
-            u, v = x0 * inverse[0, 0] + y * inverse[1, 0], x0 * inverse[0, 1] + y * inverse[1, 1]
+            u = x0 * inverse[0, 0] + y * inverse[1, 0]
+            v = x0 * inverse[0, 1] + y * inverse[1, 1]
             compute_cell_bins(u, v, inverse[0, 0], inverse[0, 1], bins, 0, across, at)
-            row, other = first[y, x0 : x0 + across], second[y, x0 : x0 + across]
+            row = first[y, x0 : x0 + across]
+            other = second[y, x0 : x0 + across]
             for k in range(across):
                 n = np.uint64(at[k])
                 # Four values read and written together take one vector instruction.
-                a, b, c, d = cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3]
-                a, b, c, d = a + row[k], b + other[k], c + one, d + one
+                a = cells[n, 0]
+                b = cells[n, 1]
+                c = cells[n, 2]
+                d = cells[n, 3]
+                a = a + row[k]
+                b = b + other[k]
+                c = c + one
+                d = d + one
                 cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3] = a, b, c, d
         for cell in range(len(cells)):
             totals[0, place, cell], totals[1, place, cell] = cells[cell, 0], cells[cell, 1]
@@ -80,7 +109,8 @@ def _fold(begin, end, first, second, inverse, side, columns, bins, tiles, totals
 class TileFolds:
     """Average cell of a lattice in each tile of a flat."""
 
-    # (t, bins, bins) sum of pixels by fractional lattice coordinate: column along a1, row along a2, from (0, 0)
+    # (t, bins, bins) sum of pixels by fractional lattice coordinate: column along a1, row along a2,
+    # from (0, 0)
     total: Singles
     count: Singles  # (t, bins, bins) number of pixels
     centre: Floats  # (t, 2) [px] middle of each tile, order x, y
@@ -109,21 +139,30 @@ class TileFolds:
 
     @cached_property
     def harmonics(self) -> NDArray[np.complex64]:
-        """(t, bins, 7) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 + k*b2`, h up to 6.
+        """(t, bins, 7) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 +
+        k*b2`, h up to 6.
 
         Structure finer than a sixth of the pitch tells little about the place of a microimage.
         """
-        level = self.total.sum((1, 2), keepdims=True) / np.maximum(self.count.sum((1, 2), keepdims=True), 1)
+        level = self.total.sum((1, 2), keepdims=True) / np.maximum(
+            self.count.sum((1, 2), keepdims=True), 1
+        )
         # Sums of deviations: bins without pixels must not count as dark.
         values = self.total - level * self.count
         # For so few harmonics a matrix product is several times as fast as a transform.
         phase = 2 * np.pi / self.bins * np.outer(np.arange(self.bins), np.arange(7))
         waves = np.exp(-1j * phase).astype(np.complex64).view(np.float32)
-        rows = (values.reshape(-1, self.bins) @ waves).view(np.complex64).reshape(len(values), self.bins, -1)
+        rows = (
+            (values.reshape(-1, self.bins) @ waves)
+            .view(np.complex64)
+            .reshape(len(values), self.bins, -1)
+        )
         return np.fft.fft(rows, axis=1).astype(np.complex64)
 
     def half_means(self) -> list[Floats]:
-        """Average cells (bins, bins) of two halves of the tiles, like the colours of a checkerboard."""
+        """Average cells (bins, bins) of two halves of the tiles, like the colours of a
+        checkerboard.
+        """
         place = np.rint((self.centre - self.centre[0]) / self.side).astype(int)
         colour = place.sum(1) % 2
         if not 0 < colour.sum() < len(colour):
@@ -132,42 +171,66 @@ class TileFolds:
 
     def mean(self, chosen: Any = slice(None)) -> Floats:
         """(bins, bins) average cell over the `chosen` tiles, at the resolution of the pixels."""
-        total, count = self.total[chosen].sum(0, dtype=np.float64), self.count[chosen].sum(0, dtype=np.float64)
+        total = self.total[chosen].sum(0, dtype=np.float64)
+        count = self.count[chosen].sum(0, dtype=np.float64)
         level = total.sum() / max(count.sum(), 1)
         # A pitch of a whole number of pixels leaves bins empty: average over the width of a pixel.
         for axis, length in ((1, np.hypot(*self.basis[0])), (0, np.hypot(*self.basis[1]))):
             half = int(np.ceil(self.bins / length)) // 2
-            total, count = (sum(np.roll(v, k, axis) for k in range(-half, half + 1)) for v in (total, count))
+            total, count = (
+                sum(np.roll(v, k, axis) for k in range(-half, half + 1)) for v in (total, count)
+            )
         return np.where(count > 0.5, total / np.maximum(count, 0.5), level)
 
 
 def fold_tiles(
     pictures: Sequence[Singles], basis: Floats, side: int, bins: int = BINS, most: int | None = None
 ) -> list[TileFolds]:
-    """Average one or two pictures (h, w) over the cells of a lattice with its origin at (0, 0), tile by tile.
+    """Average one or two pictures (h, w) over the cells of a lattice with its origin at (0, 0),
+    tile by tile.
 
-    `side` [px] is about that of the square tiles, `bins` the bins along each lattice vector; about `most` tiles are
-    used, evenly spread, or all of them.
+    `side` [px] is about that of the square tiles, `bins` the bins along each lattice vector; about
+    `most` tiles are used, evenly spread, or all of them.
     """
     height, width = pictures[0].shape
-    rows, columns = max(1, round(height / side)), max(1, round(width / side))
+    rows = max(1, round(height / side))
+    columns = max(1, round(width / side))
     side = max(-(-height // rows), -(-width // columns))
-    rows, columns = -(-height // side), -(-width // side)
+    rows = -(-height // side)
+    columns = -(-width // side)
     tiles = np.arange(rows * columns)
     if most is not None and len(tiles) > most:
         tiles = np.unique(np.linspace(0, len(tiles) - 1, most).astype(int))
     *totals, count = planes = np.empty((3, len(tiles), bins, bins), np.float32)
     flat = planes.reshape(3, len(tiles), -1)
-    _fold(pictures[0], pictures[-1], np.linalg.inv(basis), side, columns, bins, tiles, flat[:2], flat[2])
+    _fold(
+        pictures[0],
+        pictures[-1],
+        np.linalg.inv(basis),
+        side,
+        columns,
+        bins,
+        tiles,
+        flat[:2],
+        flat[2],
+    )
     y, x = np.divmod(tiles, columns)
-    right, low = np.minimum((x + 1) * side, width), np.minimum((y + 1) * side, height)
+    right = np.minimum((x + 1) * side, width)
+    low = np.minimum((y + 1) * side, height)
     centre = np.column_stack([(x * side + right - 1) / 2, (y * side + low - 1) / 2])
     basis = np.array(basis, dtype=np.float64)
-    return [TileFolds(total, count, centre, basis, (rows, columns), side) for total in totals[: len(pictures)]]
+    return [
+        TileFolds(total, count, centre, basis, (rows, columns), side)
+        for total in totals[: len(pictures)]
+    ]
 
 
-def fold_lit_tiles(picture: Singles, features: list[Singles], basis: Floats, side: int) -> list[TileFolds]:
-    """Folds of the features, without tiles beside the array: dark ones in which next to nothing repeats."""
+def fold_lit_tiles(
+    picture: Singles, features: list[Singles], basis: Floats, side: int
+) -> list[TileFolds]:
+    """Folds of the features, without tiles beside the array: dark ones in which next to nothing
+    repeats.
+    """
     folds = fold_tiles(features, basis, side)
     power = np.sum([fold.lattice_power() for fold in folds], axis=0)
     tone = np.ravel(cv2.resize(picture, folds[0].grid[::-1], interpolation=cv2.INTER_AREA))
@@ -177,7 +240,9 @@ def fold_lit_tiles(picture: Singles, features: list[Singles], basis: Floats, sid
 
 
 def measure_repeatability(folds: list[TileFolds]) -> float:
-    """Correlation of the average cells of two halves of the tiles: the weaker feature unless the other is certain."""
+    """Correlation of the average cells of two halves of the tiles: the weaker feature unless the
+    other is certain.
+    """
     found = []
     for fold in folds:
         if len(fold.centre) < 2:

@@ -34,14 +34,17 @@ _FEWEST_MARKS = 20
 _SHIFTS = ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3))
 
 
-def measure_evidence(maps: CellMaps, centre: Floats, lattice: Lattice, marks: Sequence[Marks]) -> Evidence:
+def measure_evidence(
+    maps: CellMaps, centre: Floats, lattice: Lattice, marks: Sequence[Marks]
+) -> Evidence:
     """Evidence from average cells and circles, without parallax and the agreement of halves.
 
-    `centre` (2,) is that of the microimage in fractional coordinates of the maps, `marks` are circles
-    and peaks of its pitch, found without the lattice.
+    `centre` (2,) is that of the microimage in fractional coordinates of the maps, `marks` are
+    circles and peaks of its pitch, found without the lattice.
     """
     parts = CellParts.about(centre, maps.basis)
-    middle, border = parts.middle, parts.border
+    middle = parts.middle
+    border = parts.border
     content = maps.variance[middle].mean() + 1e-3
     content_beside = maps.variance[border].mean() + 1e-3
     own, beside = max(_count_marks(one, lattice) for one in marks)
@@ -49,7 +52,9 @@ def measure_evidence(maps: CellMaps, centre: Floats, lattice: Lattice, marks: Se
         repeats=measure_repeatability(maps.tiles),
         halves=_UNKNOWN_HALVES,
         roundness=0.5 * (_roundness(maps.brightness, parts) + _roundness(maps.edges, parts)),
-        light=float(np.log((maps.light[middle].mean() + 1e-3) / (maps.light[border].mean() + 1e-3))),
+        light=float(
+            np.log((maps.light[middle].mean() + 1e-3) / (maps.light[border].mean() + 1e-3))
+        ),
         content=float(np.log(content / content_beside)),
         outline=_outline_strength(maps.steps, parts),
         circles=own,
@@ -79,7 +84,9 @@ def add_parallax(evidence: Evidence, picture: Singles, lattice: Lattice) -> Evid
 
 def _roundness(cell: Floats, parts: CellParts) -> float:
     """Share of the variance of a map (bins, bins) that its mean in rings about the centre explains."""
-    ring = np.minimum((parts.distance / parts.distance.max() * _RINGS).astype(int), _RINGS - 1).ravel()
+    ring = np.minimum(
+        (parts.distance / parts.distance.max() * _RINGS).astype(int), _RINGS - 1
+    ).ravel()
     rest = cell.ravel() - cell.mean()
     total = np.bincount(ring, rest, _RINGS)
     count = np.bincount(ring, minlength=_RINGS)
@@ -87,7 +94,9 @@ def _roundness(cell: Floats, parts: CellParts) -> float:
 
 
 def _shape_share(maps: CellMaps, parts: CellParts, centre: Floats) -> float:
-    """Share of the average cell that is the sum of functions of the distances from the centre and from the border."""
+    """Share of the average cell that is the sum of functions of the distances from the centre and
+    from the border.
+    """
     columns = []
     for distance in (parts.distance.ravel(), parts.to_border.ravel()):
         place = (distance - distance.min()) / max(float(np.ptp(distance)), 1e-12) * (_NODES - 1)
@@ -108,10 +117,18 @@ def _smooth(cell: Floats) -> Floats:
 
 
 def _outline_strength(steps: Floats, parts: CellParts) -> float:
-    """Mean of the steps on the strongest outline of a lens, round or along the border, less that in the middle."""
+    """Mean of the steps on the strongest outline of a lens, round or along the border, less that in
+    the middle.
+    """
     inner = float(steps[parts.middle].mean())
-    bands = [(parts.distance >= low) & (parts.distance < low + _BAND) for low in np.arange(0.6, 1.05, _BAND)]
-    bands += [(parts.to_border >= low) & (parts.to_border < low + _BAND) for low in np.arange(0.0, 0.4, _BAND)]
+    bands = [
+        (parts.distance >= low) & (parts.distance < low + _BAND)
+        for low in np.arange(0.6, 1.05, _BAND)
+    ]
+    bands += [
+        (parts.to_border >= low) & (parts.to_border < low + _BAND)
+        for low in np.arange(0.0, 0.4, _BAND)
+    ]
     return max(float(steps[band].mean()) for band in bands if band.any()) - inner
 
 
@@ -139,7 +156,9 @@ class Marks:
 
     @classmethod
     def of(cls, circles: Circles, picture: Singles, pitch: float) -> Marks:
-        """Marks on a picture (h, w); light is averaged over three pitches, so that gaps count as lit."""
+        """Marks on a picture (h, w); light is averaged over three pitches, so that gaps count as
+        lit.
+        """
         import cv2
 
         centres = circles.centres
@@ -155,7 +174,9 @@ class Marks:
 
 
 def _count_marks(marks: Marks, lattice: Lattice) -> tuple[float, float]:
-    """Shares of lit lattice points with a mark, of this lattice and of it shifted, beyond chance; 0 for few marks."""
+    """Shares of lit lattice points with a mark, of this lattice and of it shifted, beyond chance; 0
+    for few marks.
+    """
     if len(marks.centres) == 0:
         return 0.0, 0.0
     area = abs(float(np.linalg.det(lattice.basis)))
@@ -168,7 +189,8 @@ def _count_marks(marks: Marks, lattice: Lattice) -> tuple[float, float]:
         whole = np.rint(index - shift)
         away = np.hypot(*((index - shift - whole) @ lattice.basis).T)
         found = len(np.unique(whole[away < near], axis=0))
-        # Of the points, and of the marks: a lattice too fine has points, one too coarse marks without the other.
+        # Of the points, and of the marks: a lattice too fine has points, one too coarse marks
+        # without the other.
         both = min(found / points, found / len(marks.centres))
         return float((both - chance) / (1 - chance))
 

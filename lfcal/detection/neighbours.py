@@ -1,4 +1,5 @@
-"""Parallax: neighbouring microimages show the same content, shifted, which no print, tiles or meshes do.
+"""Parallax: neighbouring microimages show the same content, shifted, which no print, tiles or
+meshes do.
 
 A lens is compared with its neighbours along the steps between them. Disparity is the same share of
 the step in all directions: a shift is judged in one direction after it was chosen in the others, so
@@ -53,7 +54,9 @@ def measure_parallax(picture: Singles, lattice: Lattice) -> float | None:
 
 
 def _select_lit(picture: Singles, centres: Floats, radius: float) -> Floats:
-    """The centres (n, 2) of lenses that are no darker than 0.45 of the brightest: stray light has a sixth."""
+    """The centres (n, 2) of lenses that are no darker than 0.45 of the brightest: stray light has a
+    sixth.
+    """
     around = radius * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
     if len(centres) == 0:
         return centres
@@ -61,8 +64,11 @@ def _select_lit(picture: Singles, centres: Floats, radius: float) -> Floats:
     return centres[tones > 0.45 * np.quantile(tones, 0.95)]
 
 
-def _sample_lines(picture: Singles, centres: Floats, step: Floats, along: Floats) -> tuple[Floats, Floats]:
-    """Samples (n, m, 3) on three lines along `step` (2,) through lenses, and through the neighbours there.
+def _sample_lines(
+    picture: Singles, centres: Floats, step: Floats, along: Floats
+) -> tuple[Floats, Floats]:
+    """Samples (n, m, 3) on three lines along `step` (2,) through lenses, and through the neighbours
+    there.
 
     What all lenses have in common, such as vignetting, is divided out.
     """
@@ -78,7 +84,8 @@ def _sample_lines(picture: Singles, centres: Floats, step: Floats, along: Floats
 
 
 def _compare(own: Floats, other: Floats, shift: int) -> tuple[Floats, Floats]:
-    """(n,) mean difference of lines of lenses and those of their neighbours, `shift` samples further; and contrast.
+    """(n,) mean difference of lines of lenses and those of their neighbours, `shift` samples
+    further; and contrast.
 
     The contrast is the mean distance from the mean, of both together.
     """
@@ -88,12 +95,15 @@ def _compare(own: Floats, other: Floats, shift: int) -> tuple[Floats, Floats]:
     first = own[:, : _SAMPLES - shift]
     second = other[:, shift:]
     difference = np.abs(first - second).mean((1, 2))
-    contrast = sum(np.abs(part - part.mean((1, 2), keepdims=True)).mean((1, 2)) for part in (first, second))
+    contrast = sum(
+        np.abs(part - part.mean((1, 2), keepdims=True)).mean((1, 2)) for part in (first, second)
+    )
     return difference, np.asarray(contrast)
 
 
 def _log_gain(differences: Floats, contrasts: Floats) -> float:
-    """Logarithm of the gain of the right shifts over all; arguments are (directions, shifts, lenses).
+    """Logarithm of the gain of the right shifts over all; arguments are (directions, shifts,
+    lenses).
 
     The right shift in a direction is the best one of the other directions.
     """

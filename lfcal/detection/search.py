@@ -1,4 +1,6 @@
-"""Candidates of the lattice on a flat: periods times centres, each with its evidence, the most probable first."""
+"""Candidates of the lattice on a flat: periods times centres, each with its evidence, the most
+probable first.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +34,14 @@ _SHORTEST = 6.0
 _MOST_PERIODS = 16
 _MOST_CENTRES = 3
 _ALL_CENTRES = 8
-#: [px] pictures of more pixels are searched at half their size first, where microimages stay larger than `_HALVED`.
+#: [px] pictures of more pixels are searched at half their size first, where microimages stay larger
+#: than `_HALVED`.
 _LARGE = 3e6
 _HALVED = 11.0
-#: [px] pitch at half the size from which on it shows all, and probability of a lattice that is taken then.
-_CLEAR, _LIKELY = 16.0, 0.5
+#: [px] pitch at half the size from which on it shows all, and probability of a lattice that is
+#: taken then.
+_CLEAR = 16.0
+_LIKELY = 0.5
 
 
 @dataclass(frozen=True)
@@ -59,10 +64,14 @@ class Candidate:
         return CellMaps.measure(self.features, basis * scale).explained()
 
 
-def find_candidates(picture: Singles, hint: LatticeHint | None = None, thorough: bool = False) -> list[Candidate]:
-    """Lattices that may be on a picture (h, w), the square root of the luminance, the most probable first.
+def find_candidates(
+    picture: Singles, hint: LatticeHint | None = None, thorough: bool = False
+) -> list[Candidate]:
+    """Lattices that may be on a picture (h, w), the square root of the luminance, the most probable
+    first.
 
-    A certain one ends the search; a `thorough` one measures all periods and centres, at the full size.
+    A certain one ends the search; a `thorough` one measures all periods and centres, at the full
+    size.
 
     Raises
     ------
@@ -71,14 +80,22 @@ def find_candidates(picture: Singles, hint: LatticeHint | None = None, thorough:
     """
     mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
     if mean == 0 or deviation < 1e-4 * mean:
-        raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
+        raise CalibrationError(
+            "the image is one even grey; give a flat with light on it and without saturation"
+        )
     found: list[Candidate] = []
     if picture.size >= _LARGE and not thorough:
         height, width = (length // 2 for length in picture.shape)
-        half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        half: Any = cv2.resize(
+            picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA
+        )
         small = _search(FlatFeatures(half), hint and hint.scaled(2))
         size = picture.shape[1], picture.shape[0]
-        found = [replace(one, lattice=one.lattice.scaled(2, size)) for one in small if one.lattice.pitch >= _HALVED]
+        found = [
+            replace(one, lattice=one.lattice.scaled(2, size))
+            for one in small
+            if one.lattice.pitch >= _HALVED
+        ]
     if not any(one.evidence.is_certain or _is_clear(one) for one in found):
         found += _search(FlatFeatures(picture), hint, thorough)
     if found:
@@ -100,13 +117,17 @@ def _is_clear(found: Candidate) -> bool:
 
 
 def measure_basis(picture: Singles, lattice: Lattice) -> list[Candidate]:
-    """Candidates on a picture (h, w) near the basis of a lattice, wherever its centres are, the most probable first."""
+    """Candidates on a picture (h, w) near the basis of a lattice, wherever its centres are, the
+    most probable first.
+    """
     features = FlatFeatures(picture)
     found = _measure_period(features, _refine_period(features, lattice.basis))
     return sorted(found, key=lambda one: -one.evidence.rank)
 
 
-def _search(features: FlatFeatures, hint: LatticeHint | None, thorough: bool = False) -> list[Candidate]:
+def _search(
+    features: FlatFeatures, hint: LatticeHint | None, thorough: bool = False
+) -> list[Candidate]:
     """Candidates of all periods, or of those up to a certain one, the most probable first."""
     found: list[Candidate] = []
     tried: list[Floats] = []
@@ -121,7 +142,9 @@ def _search(features: FlatFeatures, hint: LatticeHint | None, thorough: bool = F
         periods = chain(periods, hint.bases())
     for period in periods:
         basis = _refine_period(features, period)
-        if np.hypot(*basis.T).min() < _SHORTEST or any(is_same_lattice(basis, other, 0.01) for other in tried):
+        if np.hypot(*basis.T).min() < _SHORTEST or any(
+            is_same_lattice(basis, other, 0.01) for other in tried
+        ):
             continue
         if hint is not None and not hint.allows(Lattice(np.zeros(2), basis, (1, 1), 1.0)):
             continue
@@ -137,7 +160,8 @@ def _search(features: FlatFeatures, hint: LatticeHint | None, thorough: bool = F
 
 
 def _find_finer_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[Floats]:
-    """The two lattices that explain the flat best of those with two or three lenses in each cell of the first basis.
+    """The two lattices that explain the flat best of those with two or three lenses in each cell of
+    the first basis.
 
     An array of several lens types repeats exactly with a cell of several lenses only.
     """
@@ -146,13 +170,16 @@ def _find_finer_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator
         thirds = [(a / 3, b), (a, b / 3), ((a + b) / 3, b), ((a + 2 * b) / 3, b)]
         finer = [reduce_basis(np.array(pair)) for pair in (*halves, *thirds)]
         finer = [basis for basis in finer if np.hypot(*basis.T).min() >= _SHORTEST]
-        yield from sorted(finer, key=lambda basis: -CellMaps.measure(features, basis).explained())[:2]
+        yield from sorted(finer, key=lambda basis: -CellMaps.measure(features, basis).explained())[
+            :2
+        ]
 
 
 def _find_more_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[Floats]:
     """The most frequent steps between circles, then regular arrays near the bases tried so far.
 
-    An array of three lens types repeats with a cell three times as large: its pitch is a root of three shorter.
+    An array of three lens types repeats with a cell three times as large: its pitch is a root of
+    three shorter.
     """
     known = list(tried)
     pitches: list[float] = []
@@ -170,7 +197,9 @@ def _find_more_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[
 
 
 def _regular_bases(basis: Floats) -> Iterator[Floats]:
-    """Square and hexagonal bases (2, 2) [px] with one of the vectors of a basis, within a twentieth of it."""
+    """Square and hexagonal bases (2, 2) [px] with one of the vectors of a basis, within a twentieth
+    of it.
+    """
     a, b = basis
     sign = np.sign(a[0] * b[1] - a[1] * b[0])
     for degrees in (90.0, 60.0, 120.0):
@@ -189,7 +218,9 @@ def _refine_period(features: FlatFeatures, basis: Floats) -> Floats:
     """
     pitch = float(np.sqrt(abs(np.linalg.det(basis))))
     levelled = list(features.levelled(pitch))
-    refined = refine_basis(fold_lit_tiles(features.picture, levelled, basis, tile_side(features, pitch)))
+    refined = refine_basis(
+        fold_lit_tiles(features.picture, levelled, basis, tile_side(features, pitch))
+    )
     if has_run_away(refined, basis):
         return reduce_basis(basis)
     if not is_same_lattice(refined, basis, 0.01):
@@ -198,7 +229,9 @@ def _refine_period(features: FlatFeatures, basis: Floats) -> Floats:
     return reduce_basis(refined)
 
 
-def _measure_period(features: FlatFeatures, basis: Floats, most: int = _MOST_CENTRES) -> list[Candidate]:
+def _measure_period(
+    features: FlatFeatures, basis: Floats, most: int = _MOST_CENTRES
+) -> list[Candidate]:
     """Candidates of one period, at so many centres that look most like those of lenses."""
     maps = CellMaps.measure(features, basis)
     height, width = features.picture.shape
@@ -210,14 +243,19 @@ def _measure_period(features: FlatFeatures, basis: Floats, most: int = _MOST_CEN
     middle = (np.array([width, height]) - 1) / 2
     for centre in _propose_centres(maps):
         lattice = replace(start, origin=_nearest_point(middle, centre @ basis, basis))
-        found.append(Candidate(lattice, measure_evidence(maps, centre, lattice, marks), features, maps))
+        found.append(
+            Candidate(lattice, measure_evidence(maps, centre, lattice, marks), features, maps)
+        )
     found.sort(key=lambda one: -one.evidence.outlined)
     return [one for rough in found[:most] for one in _refine_candidate(rough)]
 
 
 def _refine_candidate(rough: Candidate) -> list[Candidate]:
-    """The candidate with its lattice fitted to all tiles, and with parallax; none where no lattice fits."""
-    lattice, maps = rough.lattice, rough.maps
+    """The candidate with its lattice fitted to all tiles, and with parallax; none where no lattice
+    fits.
+    """
+    lattice = rough.lattice
+    maps = rough.maps
     fit = fit_harmonics(maps.tiles[1:], lattice.origin)
     if has_run_away(fit.basis, lattice.basis):
         return []
@@ -231,8 +269,12 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
 
 
 def _propose_centres(maps: CellMaps) -> list[Floats]:
-    """Centres (2,) in fractional coordinates: round places, the cell between steps, and half a cell from the first."""
-    guesses = [guess.position for guess in find_round_centres([maps.brightness, maps.edges], maps.basis)]
+    """Centres (2,) in fractional coordinates: round places, the cell between steps, and half a cell
+    from the first.
+    """
+    guesses = [
+        guess.position for guess in find_round_centres([maps.brightness, maps.edges], maps.basis)
+    ]
     first = guesses[0]
     guesses.append(_between_steps(maps))
     guesses += [(first + shift) % 1 for shift in ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5))]
@@ -246,7 +288,9 @@ def _propose_centres(maps: CellMaps) -> list[Floats]:
 
 
 def _between_steps(maps: CellMaps) -> Floats:
-    """The centre (2,) of the cell that has the strongest steps at its borders against those in its middle."""
+    """The centre (2,) of the cell that has the strongest steps at its borders against those in its
+    middle.
+    """
     parts = CellParts.about(np.array([0.5, 0.5]) / BINS, maps.basis)
     weight = parts.border / parts.border.sum() - parts.middle / parts.middle.sum()
     found = np.fft.ifft2(np.fft.fft2(maps.steps) * np.conj(np.fft.fft2(weight))).real

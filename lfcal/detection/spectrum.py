@@ -1,7 +1,8 @@
 """Candidate bases of the lattice from the narrow peaks of power spectra.
 
-Microimages repeat with one and the same period all over a flat, scene content does not: only the lattice makes
-peaks that are one frequency bin wide and lie at all integer combinations of two frequencies.
+Microimages repeat with one and the same period all over a flat, scene content does not: only the
+lattice makes peaks that are one frequency bin wide and lie at all integer combinations of two
+frequencies.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ _PROMINENCE = 4.0  # [standard deviations] of the whitened log power from which 
 _CLEAR_SUPPORT = 0.3  # of a basis by the spectrum, above which longer periods are not looked for
 _MIN_SUPPORT = 0.1  # below which no pattern repeats
 _WIDE = 21  # [bins] side of the box whose mean is the background of peaks
-_NARROW = (9, 7)  # [bins] the same where only peaks of a bin or two, those of lattices, are to stand out
+_NARROW = (
+    9,
+    7,
+)  # [bins] the same where only peaks of a bin or two, those of lattices, are to stand out
 _MOST = 7  # bases of the highest support that are given
 
 
@@ -40,11 +44,14 @@ def is_same_lattice(one: Floats, other: Floats, tolerance: float = 0.04) -> bool
     """Whether two bases span the same points, to a share of their steps."""
     steps = one @ np.linalg.inv(other)
     whole = np.rint(steps)
-    return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < tolerance)
+    return bool(
+        abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < tolerance
+    )
 
 
 def _log_power(pictures: Sequence[Singles]) -> Singles | None:
-    """(n, n // 2 + 1) mean log power of pictures (h, w) over a few windows; row n // 2 is zero frequency.
+    """(n, n // 2 + 1) mean log power of pictures (h, w) over a few windows; row n // 2 is zero
+    frequency.
 
     None where they are too small for four of the shortest periods.
     """
@@ -57,14 +64,18 @@ def _log_power(pictures: Sequence[Singles]) -> Singles | None:
     windows = {((height - size) // 2, (width - size) // 2), (0, 0), (height - size, width - size)}
     for y, x in sorted(windows):
         for picture in pictures:
-            levelled = normalise_locally(np.ascontiguousarray(picture[y : y + size, x : x + size]), size / 10)
+            levelled = normalise_locally(
+                np.ascontiguousarray(picture[y : y + size, x : x + size]), size / 10
+            )
             power = np.abs(np.fft.rfft2(levelled * taper[:, None] * taper)) ** 2
             log_power += np.log(power + np.float32(1e-6))
     return np.fft.fftshift(log_power / np.float32(len(pictures) * len(windows)), axes=0)
 
 
 def _whiten(log_power: Singles, side: int) -> Singles:
-    """Log power less its mean in a box of `side` bins, over its spread: its prominence in standard deviations."""
+    """Log power less its mean in a box of `side` bins, over its spread: its prominence in standard
+    deviations.
+    """
     # Mirror the half plane across zero frequency before averaging: there is no edge at fx = 0.
     margin = min(side, len(log_power) // 4)
     mirrored = np.roll(log_power[::-1, margin:0:-1], 1, axis=0)
@@ -78,7 +89,9 @@ def _whiten(log_power: Singles, side: int) -> Singles:
 
 
 def _find_peaks(p: Singles) -> tuple[Floats, Floats]:
-    """Strongest narrow peaks: frequencies (k, 2) [cycles per px], refined within the bin, and prominences (k,)."""
+    """Strongest narrow peaks: frequencies (k, 2) [cycles per px], refined within the bin, and
+    prominences (k,).
+    """
     n = len(p)
     highest = cv2.dilate(p, np.ones((5, 5), np.uint8))
     y, x = np.nonzero((p >= highest) & (p > _PROMINENCE))
@@ -86,14 +99,18 @@ def _find_peaks(p: Singles) -> tuple[Floats, Floats]:
     period = n / np.maximum(np.hypot(x, fy), 1e-9)
     keep = (period >= 2.2) & (period <= n / 4) & ((x > 0) | (fy > 0))
     keep &= (x < p.shape[1] - 1) & (y > 0) & (y < n - 1)
-    y, x = y[keep], x[keep]
+    y = y[keep]
+    x = x[keep]
     order = np.argsort(-p[y, x], kind="stable")[:40]
-    y, x = y[order], x[order]
+    y = y[order]
+    x = x[order]
     strength = p[y, x].astype(np.float64)
 
     def vertex(below: NDArray, above: NDArray) -> NDArray:
         bend = below - 2 * strength + above
-        return np.where(bend < 0, np.clip(0.5 * (below - above) / np.minimum(bend, -1e-9), -0.5, 0.5), 0.0)
+        return np.where(
+            bend < 0, np.clip(0.5 * (below - above) / np.minimum(bend, -1e-9), -0.5, 0.5), 0.0
+        )
 
     left = np.where(x > 0, p[y, np.abs(x - 1)], strength)
     dx = vertex(left, p[y, x + 1]) * (x > 0)
@@ -102,8 +119,11 @@ def _find_peaks(p: Singles) -> tuple[Floats, Floats]:
 
 
 def _reduce_bases(pairs: Floats) -> Floats:
-    """(m, 2, 2) shortest bases of the lattices that pairs span, shorter vector first (Lagrange-Gauss reduction)."""
-    a, b = pairs[:, 0], pairs[:, 1]
+    """(m, 2, 2) shortest bases of the lattices that pairs span, shorter vector first
+    (Lagrange-Gauss reduction).
+    """
+    a = pairs[:, 0]
+    b = pairs[:, 1]
     while True:
         swap = ((a * a).sum(1) > (b * b).sum(1))[:, None]
         a, b = np.where(swap, b, a), np.where(swap, a, b)
@@ -113,8 +133,11 @@ def _reduce_bases(pairs: Floats) -> Floats:
         b = b - times[:, None] * a
 
 
-def _fit_to_peaks(reciprocal: Floats, peaks: Floats, strength: Floats, size: int) -> tuple[Floats, Booleans]:
-    """Least-squares reciprocal bases (m, 2, 2) through all peaks near their nodes, and a mask (m, k) of those.
+def _fit_to_peaks(
+    reciprocal: Floats, peaks: Floats, strength: Floats, size: int
+) -> tuple[Floats, Booleans]:
+    """Least-squares reciprocal bases (m, 2, 2) through all peaks near their nodes, and a mask (m,
+    k) of those.
 
     Without those whose peaks all lie on one line.
     """
@@ -127,14 +150,17 @@ def _fit_to_peaks(reciprocal: Floats, peaks: Floats, strength: Floats, size: int
         gram = chosen.transpose(0, 2, 1) @ chosen
         # Whole numbers: nodes on one line give exactly 0.
         crossed = gram[:, 0, 0] * gram[:, 1, 1] != gram[:, 0, 1] ** 2
-        chosen, on = chosen[crossed], on[crossed]
+        chosen = chosen[crossed]
+        on = on[crossed]
         weighted = chosen.transpose(0, 2, 1) * strength
         reciprocal = np.linalg.solve(weighted @ chosen, weighted @ peaks)
     return reciprocal, on
 
 
 def _lowest_nodes(reciprocal: Floats, count: int = 12) -> Floats:
-    """(m, count, 2) nodes nearest to zero frequency, one of each opposite pair, of reciprocal bases (m, 2, 2)."""
+    """(m, count, 2) nodes nearest to zero frequency, one of each opposite pair, of reciprocal bases
+    (m, 2, 2).
+    """
     span = np.arange(-5, 6)
     h, k = (v.ravel() for v in np.meshgrid(span, span))
     half = (h > 0) | ((h == 0) & (k > 0))
@@ -146,26 +172,33 @@ def _lowest_nodes(reciprocal: Floats, count: int = 12) -> Floats:
 def _find_candidates(prominence: Singles, reduction: int) -> list[Candidate]:
     """Lattices whose harmonics explain the peaks, six at most, best supported first.
 
-    Support is the share of peaks on the nodes of the candidate (a fraction of the true period misses most) times
-    the share of its lowest nodes that have a peak (a multiple of the true period leaves most without).
+    Support is the share of peaks on the nodes of the candidate (a fraction of the true period
+    misses most) times the share of its lowest nodes that have a peak (a multiple of the true period
+    leaves most without).
     """
     peaks, strength = _find_peaks(prominence)
     if len(peaks) < 3:
         return []
     n = len(prominence)
-    # Pairs of peaks, not nearly parallel, of the strongest ones and those of the lowest frequencies.
+    # Pairs of peaks, not nearly parallel, of the strongest ones and those of the lowest
+    # frequencies.
     by_period = np.argsort(np.hypot(*peaks.T), kind="stable")[:10].tolist()
     chosen = dict.fromkeys([*range(min(10, len(peaks))), *by_period])
     pairs = peaks[np.array(list(combinations(chosen, 2)))]
     lengths = np.hypot(pairs[..., 0], pairs[..., 1])
-    reciprocal = _reduce_bases(pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]])
+    reciprocal = _reduce_bases(
+        pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]]
+    )
     lengths = np.hypot(reciprocal[..., 0], reciprocal[..., 1])
-    # Periods of four pixels to a quarter of the window: shorter ones leave nothing to see in a microimage.
+    # Periods of four pixels to a quarter of the window: shorter ones leave nothing to see in a
+    # microimage.
     possible = (lengths.min(1) * n >= 4 * 0.9) & (lengths.max(1) <= 1 / (4 * np.sqrt(0.75)))
     reciprocal, on_node = _fit_to_peaks(reciprocal[possible], peaks, strength, n)
     area = np.abs(np.linalg.det(reciprocal))
     regular = (on_node.sum(1) >= 3) & (area >= 1e-9)
-    reciprocal, on_node, area = reciprocal[regular], on_node[regular], area[regular]
+    reciprocal = reciprocal[regular]
+    on_node = on_node[regular]
+    area = area[regular]
     # Share of the peaks that are on nodes by chance.
     chance = np.minimum(0.9, np.pi / n**2 / area)
     covered = np.maximum(0.0, (on_node @ strength**2 / (strength**2).sum() - chance) / (1 - chance))
@@ -175,11 +208,16 @@ def _find_candidates(prominence: Singles, reduction: int) -> list[Candidate]:
     x, y = np.moveaxis(np.rint(nodes * np.where(nodes[..., :1] < 0, -1, 1) * n).astype(int), -1, 0)
     peak = highest[(y + n // 2) % n, x.clip(0, highest.shape[1] - 1)] > _PROMINENCE
     occupied = peak & near
-    support = np.where(near.sum(1) >= 3, covered * occupied.sum(1) / np.maximum(near.sum(1), 1), 0.0)
+    support = np.where(
+        near.sum(1) >= 3, covered * occupied.sum(1) / np.maximum(near.sum(1), 1), 0.0
+    )
     distinct: list[Candidate] = []
     for best in np.argsort(-support, kind="stable").tolist():
         basis = reduce_basis(np.linalg.inv(reciprocal[best]).T) * reduction
-        if all(np.abs(basis - other.basis).max() > 0.02 * np.abs(other.basis).max() for other in distinct):
+        if all(
+            np.abs(basis - other.basis).max() > 0.02 * np.abs(other.basis).max()
+            for other in distinct
+        ):
             distinct.append(Candidate(basis, float(support[best])))
         if len(distinct) == 6:
             break
@@ -189,8 +227,9 @@ def _find_candidates(prominence: Singles, reduction: int) -> list[Candidate]:
 def find_periods(features: FlatFeatures) -> Iterator[Floats]:
     """Bases (2, 2) [px] of what repeats on a flat, the best supported by its spectrum first.
 
-    Brightness and edges show most lattices. Borders without gaps show in steps alone, whose peaks are
-    harmonics of the lattice along two lines: multiples of the periods found there are periods too.
+    Brightness and edges show most lattices. Borders without gaps show in steps alone, whose peaks
+    are harmonics of the lattice along two lines: multiples of the periods found there are periods
+    too.
     """
     given: list[Floats] = []
     for basis in chain(_find_supported(features), _find_step_periods(features.steps)):
@@ -202,7 +241,8 @@ def find_periods(features: FlatFeatures) -> Iterator[Floats]:
 def _find_supported(features: FlatFeatures) -> Iterator[Floats]:
     """Bases with the most support by brightness and edges, over short and long periods.
 
-    Longer periods and those that stand out in few bins alone are looked for once the first has been refused.
+    Longer periods and those that stand out in few bins alone are looked for once the first has been
+    refused.
     """
     picture = features.picture
     first: list[Candidate] = []
@@ -210,7 +250,11 @@ def _find_supported(features: FlatFeatures) -> Iterator[Floats]:
     for reduction in (1, 2, 4):
         if reduction > 1:
             smaller: Any = cv2.resize(
-                features.picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA
+                features.picture,
+                None,
+                fx=1 / reduction,
+                fy=1 / reduction,
+                interpolation=cv2.INTER_AREA,
             )
             picture = smaller
         log_power = _log_power([picture, edge_strength(picture)])
@@ -232,7 +276,9 @@ def _find_supported(features: FlatFeatures) -> Iterator[Floats]:
 
 
 def _find_step_periods(steps: Singles) -> Iterator[Floats]:
-    """Periods of borders without gaps, from the two best combs of peaks on lines through zero frequency."""
+    """Periods of borders without gaps, from the two best combs of peaks on lines through zero
+    frequency.
+    """
     log_power = _log_power([steps])
     if log_power is None:
         return
@@ -256,9 +302,11 @@ def _find_step_periods(steps: Singles) -> Iterator[Floats]:
 
 
 def _score_combs(prominence: Singles, combs: Floats) -> Floats:
-    """(m,) sum of the prominence at all multiples of frequencies (m, 2) [cycles per px], over its deviation.
+    """(m,) sum of the prominence at all multiples of frequencies (m, 2) [cycles per px], over its
+    deviation.
 
-    A fraction of the true frequency has as many peaks among more places, a multiple has fewer peaks.
+    A fraction of the true frequency has as many peaks among more places, a multiple has fewer
+    peaks.
     """
     size = len(prominence)
     highest = cv2.dilate(prominence, np.ones((3, 3), np.uint8))

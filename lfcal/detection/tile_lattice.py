@@ -1,12 +1,14 @@
-"""The lattice through the tiles of a flat: its periods, then its place by the harmonics of average microimages.
+"""The lattice through the tiles of a flat: its periods, then its place by the harmonics of average
+microimages.
 
-Periods: all tiles of a flat must have the average microimage at the same place of the cell.
-With a period that is slightly off, the average microimage drifts from tile to tile, and the energy of the mean over all
-tiles drops. This energy is maximised; it has many side maxima but one clear peak.
+Periods: all tiles of a flat must have the average microimage at the same place of the cell. With a
+period that is slightly off, the average microimage drifts from tile to tile, and the energy of the
+mean over all tiles drops. This energy is maximised; it has many side maxima but one clear peak.
 
-Scene content disturbs the low harmonics of a tile far more than the fine ones that gaps and edges make. The scatter of
-each harmonic over the tiles gives its weight: a matched filter for noise that is not white. Each tile then has a shift
-against the point-symmetric mean of all tiles, and the lattice is fitted to the shifts by robust least squares.
+Scene content disturbs the low harmonics of a tile far more than the fine ones that gaps and edges
+make. The scatter of each harmonic over the tiles gives its weight: a matched filter for noise that
+is not white. Each tile then has a shift against the point-symmetric mean of all tiles, and the
+lattice is fitted to the shifts by robust least squares.
 """
 
 from __future__ import annotations
@@ -24,16 +26,21 @@ __all__ = ["HarmonicFit", "fit_harmonics", "has_run_away", "refine_basis"]
 
 
 def has_run_away(refined: Floats, basis: Floats) -> bool:
-    """Whether a refinement has changed a basis (2, 2) by more than a twentieth; right ones move by a thousandth."""
+    """Whether a refinement has changed a basis (2, 2) by more than a twentieth; right ones move by
+    a thousandth.
+    """
     return not np.abs(refined @ np.linalg.inv(basis) - np.eye(2)).max() < 0.05
 
 
 def refine_basis(folds: list[TileFolds]) -> Floats:
-    """Basis (2, 2) [px] that makes the tiles of all features, on the same tiles and basis, coherent."""
+    """Basis (2, 2) [px] that makes the tiles of all features, on the same tiles and basis,
+    coherent.
+    """
     first = folds[0]
     rows, columns = first.grid
     centre = first.centre
-    beside, below = centre[min(1, columns - 1), 0], centre[min(columns, len(centre) - 1), 1]
+    beside = centre[min(1, columns - 1), 0]
+    below = centre[min(columns, len(centre) - 1), 1]
     spacing = np.array([beside - centre[0, 0] or 1.0, below - centre[0, 1] or 1.0])
     spectra = [fold.harmonics for fold in folds]
     # The eight strongest low harmonics, one of each opposite pair.
@@ -59,13 +66,17 @@ def refine_basis(folds: list[TileFolds]) -> Floats:
     stack = np.array(fields)
     fringes = [_fringe(field.reshape(rows, columns), spacing) for field in stack]
     weight = np.array([share for _, share in fringes])[:, None]
-    start = np.linalg.lstsq(index * weight, np.array([f for f, _ in fringes]) * weight, rcond=None)[0]
+    start = np.linalg.lstsq(index * weight, np.array([f for f, _ in fringes]) * weight, rcond=None)[
+        0
+    ]
     change = _maximise_coherence(stack, index, centre - centre.mean(0), start)
     return np.asarray(np.linalg.inv(np.linalg.inv(first.basis).T + change).T)
 
 
 def _fringe(field: NDArray[np.complex64], spacing: Floats) -> tuple[Floats, float]:
-    """Frequency (2,) [cycles per px] of the strongest fringe on the tile grid, and its share of the energy."""
+    """Frequency (2,) [cycles per px] of the strongest fringe on the tile grid, and its share of the
+    energy.
+    """
     # A quarter of a fringe is enough for the local search.
     shape = tuple(max(8, 4 * n) for n in field.shape)
     power = np.abs(np.fft.fft2(field, shape)) ** 2
@@ -74,8 +85,12 @@ def _fringe(field: NDArray[np.complex64], spacing: Floats) -> tuple[Floats, floa
     return frequency, float(power[y, x] / max((np.abs(field) ** 2).sum() * field.size, 1e-30))
 
 
-def _maximise_coherence(stack: NDArray[np.complex64], index: Floats, offset: Floats, start: Floats) -> Floats:
-    """Change (2, 2) of the reciprocal basis at which the fields (m, t) of tiles at `offset` (t, 2) agree best."""
+def _maximise_coherence(
+    stack: NDArray[np.complex64], index: Floats, offset: Floats, start: Floats
+) -> Floats:
+    """Change (2, 2) of the reciprocal basis at which the fields (m, t) of tiles at `offset` (t, 2)
+    agree best.
+    """
     import nlopt
 
     reach = np.abs(offset).max() + 1.0
@@ -102,14 +117,18 @@ class HarmonicFit:
 
     origin: Floats  # (2,) [px]
     basis: Floats  # (2, 2) [px]
-    # [px] RMS distance over the flat of lattices of two halves of the tiles; infinite if these are too few
+    # [px] RMS distance over the flat of lattices of two halves of the tiles; infinite if these are
+    # too few
     half_difference: float
 
 
 def fit_harmonics(folds: list[TileFolds], origin: Floats) -> HarmonicFit:
-    """Refine a basis, right to a fraction of the pitch, and a microimage centre `origin` (2,) [px] by folded tiles."""
+    """Refine a basis, right to a fraction of the pitch, and a microimage centre `origin` (2,) [px]
+    by folded tiles.
+    """
     first = folds[0]
-    basis, centre = first.basis, first.centre
+    basis = first.basis
+    centre = first.centre
     inverse = np.linalg.inv(basis)
     field, index = _coefficients(folds, origin)
     reach = np.abs(centre - origin).max() + 1.0
@@ -117,7 +136,8 @@ def fit_harmonics(folds: list[TileFolds], origin: Floats) -> HarmonicFit:
     area = first.count.sum((1, 2))
     # Smaller tiles at the edges are left out.
     whole = (area > 0.3 * area.max()).astype(np.float64)
-    weight, total = whole, np.zeros((3, 2))
+    weight = whole
+    total = np.zeros((3, 2))
     for _ in range(20):
         turned = field * np.exp(2j * np.pi * ((design @ total) @ inverse @ index.T))
         cells = _tile_shifts(turned, index, weight)
@@ -137,10 +157,14 @@ def fit_harmonics(folds: list[TileFolds], origin: Floats) -> HarmonicFit:
     return HarmonicFit(origin + total[0], basis + basis @ (total[1:] / reach), half_difference)
 
 
-def _coefficients(folds: list[TileFolds], origin: Floats) -> tuple[NDArray[np.complex128], Integers]:
+def _coefficients(
+    folds: list[TileFolds], origin: Floats
+) -> tuple[NDArray[np.complex128], Integers]:
     """Coefficients (t, m) relative to `origin`, bounded in size, and their harmonics (m, 2)."""
     # Finer harmonics are aliases of coarser ones, or the colour mosaic.
-    highest = max(1, min(folds[0].harmonics.shape[2] - 1, int(np.hypot(*folds[0].basis.T).min() / 2.2)))
+    highest = max(
+        1, min(folds[0].harmonics.shape[2] - 1, int(np.hypot(*folds[0].basis.T).min() / 2.2))
+    )
     span = range(-highest, highest + 1)
     index = np.array([(h, k) for h in span for k in span if h > 0 or (h == 0 and k > 0)])
     phase = index @ (origin @ np.linalg.inv(folds[0].basis)) - index.sum(1) * 0.5 / folds[0].bins
@@ -157,14 +181,19 @@ def _coefficients(folds: list[TileFolds], origin: Floats) -> tuple[NDArray[np.co
 
 
 def _tile_shifts(field: NDArray[np.complex128], index: Integers, weight: Floats) -> Floats | None:
-    """(t, 2) shift of each tile against the mean of all [cells]; None where no two directions are significant."""
+    """(t, 2) shift of each tile against the mean of all [cells]; None where no two directions are
+    significant.
+    """
     share = weight[:, None] / max(weight.sum(), 1e-12)
     mean = (share * field.real).sum(0)
     scatter = (share * np.abs(field - mean) ** 2).sum(0) + 1e-12
     # Harmonics of three standard errors count.
     filter_ = mean / scatter * (mean**2 / scatter * weight.sum() > 9)
     fisher = (2 * np.pi) ** 2 * (index.T * (filter_ * mean)) @ index
-    if not np.isfinite(fisher).all() or np.linalg.matrix_rank(fisher, tol=1e-6 * (np.trace(fisher) + 1e-12)) < 2:
+    if (
+        not np.isfinite(fisher).all()
+        or np.linalg.matrix_rank(fisher, tol=1e-6 * (np.trace(fisher) + 1e-12)) < 2
+    ):
         return None
     pull = -2 * np.pi * (field.imag * filter_) @ index
     return np.asarray(np.linalg.solve(fisher, pull.T).T)

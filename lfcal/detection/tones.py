@@ -17,7 +17,8 @@ from ..runtime.arrays import Floats, Integers, Singles
 
 __all__ = ["Tones", "measure_tones"]
 
-#: Lenses measured, evenly spread over the flat, and lens types told apart in each lattice direction.
+#: Lenses measured, evenly spread over the flat, and lens types told apart in each lattice
+#: direction.
 _LENSES = 500
 _PERIOD = 6
 
@@ -32,19 +33,26 @@ class Tones(NamedTuple):
 
 
 def measure_tones(picture: Singles, lattice: Lattice) -> Tones | None:
-    """Tones of lenses on a picture (h, w), the square root of the luminance; None for fewer than 24 lit lenses."""
+    """Tones of lenses on a picture (h, w), the square root of the luminance; None for fewer than 24
+    lit lenses.
+    """
     steps = lattice.steps @ lattice.basis
     nearest = float(np.hypot(*steps.T).min())
     indices, centres = sample_lenses(lattice, 1.5 * float(np.hypot(*steps.T).max()) + 1, _LENSES)
     grid = np.linspace(-1, 1, 7)
     core = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     core = core[np.hypot(*core.T) < 1 + 1e-9] * min(0.25 * nearest, 0.6 * lattice.radius)
-    values = interpolate_linear(picture, centres[:, None] + core) if len(centres) else np.zeros((0, 1))
+    values = (
+        interpolate_linear(picture, centres[:, None] + core) if len(centres) else np.zeros((0, 1))
+    )
     tones = values.mean(1)
     lit = tones > 0.3 * np.quantile(tones, 0.95) if len(tones) else np.zeros(0, np.bool_)
     if lit.sum() < 24:
         return None
-    indices, centres, values, tones = indices[lit], centres[lit], values[lit], tones[lit]
+    indices = indices[lit]
+    centres = centres[lit]
+    values = values[lit]
+    tones = tones[lit]
     scatter = _scatter_inside(values / tones[:, None], core)
     inside, most = np.quantile(scatter, (0.5, 0.95))
     if most == 0:
@@ -54,20 +62,27 @@ def measure_tones(picture: Singles, lattice: Lattice) -> Tones | None:
     types = indices[:, 0] % _PERIOD * _PERIOD + indices[:, 1] % _PERIOD
     bends = []
     for step in steps[: len(steps) // 2]:
-        beside = [interpolate_linear(picture, (centres + side * step)[:, None] + core).mean(1) for side in (-1, 1)]
-        bend = np.log(np.maximum(beside[0], 1e-6) / tones) + np.log(np.maximum(beside[1], 1e-6) / tones)
+        beside = [
+            interpolate_linear(picture, (centres + side * step)[:, None] + core).mean(1)
+            for side in (-1, 1)
+        ]
+        bend = np.log(np.maximum(beside[0], 1e-6) / tones) + np.log(
+            np.maximum(beside[1], 1e-6) / tones
+        )
         bends.append(_without_types(bend, types))
     bend = np.abs(np.array(bends)).min(0)
-    # Half of all squares of normal values lie below 0.4549; a second difference has six times the variance.
+    # Half of all squares of normal values lie below 0.4549; a second difference has six times the
+    # variance.
     between = float(np.median([np.sqrt(np.median(one**2) / 0.4549 / 6) for one in bends]))
     return Tones(float(inside), between, detail, float((bend > 0.1).mean()))
 
 
 def _scatter_inside(shape: Floats, core: Floats) -> Floats:
-    """(n,) scatter of lenses of `shape` (n, m) at places `core` (m, 2), without what all have in common, and planes.
+    """(n,) scatter of lenses of `shape` (n, m) at places `core` (m, 2), without what all have in
+    common, and planes.
 
-    Vignetting is about a plane in each lens. Where all are darker, as around spots, nothing is compared; spots of a
-    few pixels show nothing at all.
+    Vignetting is about a plane in each lens. Where all are darker, as around spots, nothing is
+    compared; spots of a few pixels show nothing at all.
     """
     common = np.median(shape, axis=0)
     bright = common > 0.9 * common.max()

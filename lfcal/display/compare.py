@@ -13,12 +13,17 @@ from ..runtime.errors import CAMERA_ADVICE, CalibrationError, check_type
 __all__ = ["REGIONS", "LatticeDifference", "compare"]
 
 #: Names of corners, edge middles and middle of a flat, in rows from the top.
-REGIONS = [f"{row} {column}" for row in ("top", "middle", "bottom") for column in ("left", "centre", "right")]
+REGIONS = [
+    f"{row} {column}"
+    for row in ("top", "middle", "bottom")
+    for column in ("left", "centre", "right")
+]
 
 
 @dataclass(frozen=True, eq=False)
 class LatticeDifference(Frozen):
-    """Centres of calibration B minus those of calibration A, up to a lattice shift of the whole flat.
+    """Centres of calibration B minus those of calibration A, up to a lattice shift of the whole
+    flat.
 
     Parameters
     ----------
@@ -31,7 +36,8 @@ class LatticeDifference(Frozen):
     rotation_degrees : float
         Rotation from A to B, clockwise on the screen.
     positions, field : (3, 3, 2) float64 [px]
-        Corners, edge middles and middle of the flat, in rows from the top, and the difference at each.
+        Corners, edge middles and middle of the flat, in rows from the top, and the difference at
+        each.
 
     Examples
     --------
@@ -55,9 +61,9 @@ class LatticeDifference(Frozen):
 def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     """Compare the centres of two calibrations over flats of one size.
 
-    Origins may be any lenses, and bases any two of one lattice; CalibrationError if a basis vector differs by more than
-    a quarter of the pitch. Differences over half a pitch, where the pitches differ, are not reduced to the nearest
-    lens.
+    Origins may be any lenses, and bases any two of one lattice; CalibrationError if a basis vector
+    differs by more than a quarter of the pitch. Differences over half a pitch, where the pitches
+    differ, are not reduced to the nearest lens.
 
     Examples
     --------
@@ -70,8 +76,11 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
         check_type(camera, Calibration, name, CAMERA_ADVICE)
     if a.image_size != b.image_size:
         sizes = " and ".join("{} x {}".format(*size) for size in (a.image_size, b.image_size))
-        raise CalibrationError(f"the cameras are for flats of {sizes} px; compare calibrations of flats of one size")
-    first, second = a.lattice, b.lattice
+        raise CalibrationError(
+            f"the cameras are for flats of {sizes} px; compare calibrations of flats of one size"
+        )
+    first = a.lattice
+    second = b.lattice
     same = np.rint(first.basis @ np.linalg.inv(second.basis))
     leftover = np.linalg.norm(first.basis - same @ second.basis, axis=1)
     if round(abs(np.linalg.det(same))) != 1 or (leftover > 0.25 * first.pitch).any():
@@ -89,14 +98,18 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     # A plane through the differences gives scale and rotation.
     design = np.column_stack([np.ones(len(centres)), centres])
     matrix = np.eye(2) + np.linalg.lstsq(design, offset, rcond=None)[0][1:]
-    positions = np.stack(np.meshgrid(*(np.linspace(0, side - 1, 3) for side in a.image_size)), axis=-1)
+    positions = np.stack(
+        np.meshgrid(*(np.linspace(0, side - 1, 3) for side in a.image_size)), axis=-1
+    )
     lengths = np.hypot(*offset.T)
     return LatticeDifference(
         rms=float(np.sqrt(np.mean(lengths**2))),
         max=float(lengths.max()),
         mean_shift=offset.mean(0),
         scale=float(np.sqrt(abs(np.linalg.det(matrix)))),
-        rotation_degrees=float(np.degrees(np.arctan2(matrix[0, 1] - matrix[1, 0], np.trace(matrix)))),
+        rotation_degrees=float(
+            np.degrees(np.arctan2(matrix[0, 1] - matrix[1, 0], np.trace(matrix)))
+        ),
         positions=positions,
         field=difference(positions.reshape(-1, 2)).reshape(3, 3, 2),
     )

@@ -1,8 +1,10 @@
-"""Whether a camera fits a flat: how far the microimages lie from its lattice, and whether it is the right camera.
+"""Whether a camera fits a flat: how far the microimages lie from its lattice, and whether it is the
+right camera.
 
-The lattice that repeats on the flat is fitted anew, from the basis of the camera and nothing of its centres; where none
-repeats at that basis, it is searched without the camera. Where it is that of the camera, it is fitted to the edges
-between the microimages (`scene_fit`). Flats are reduced to microimages of some ten pixels.
+The lattice that repeats on the flat is fitted anew, from the basis of the camera and nothing of its
+centres; where none repeats at that basis, it is searched without the camera. Where it is that of
+the camera, it is fitted to the edges between the microimages (`scene_fit`). Flats are reduced to
+microimages of some ten pixels.
 """
 
 from __future__ import annotations
@@ -24,9 +26,11 @@ from .compare import REGIONS
 __all__ = ["CameraCheck", "FitCheck", "check_camera", "check_fit", "choose_orientation"]
 
 _REMEDY = "give the camera of this flat, or calibrate on it"
-# [pitch] from which on pictures show a shift of the whole flat, at most 0.05 with right cameras on 60 simulated flats;
-# and one of a corner by a change of scale or rotation: 0.028 with right cameras on 11 captures, 0.039 with a wrong one.
-_SHIFT, _STRETCH = 0.06, 0.033
+# [pitch] from which on pictures show a shift of the whole flat, at most 0.05 with right cameras on
+# 60 simulated flats; and one of a corner by a change of scale or rotation: 0.028 with right cameras
+# on 11 captures, 0.039 with a wrong one.
+_SHIFT = 0.06
+_STRETCH = 0.033
 # Least probability of a lattice that a camera is compared with.
 _LIKELY = 0.5
 # The same at the basis of the camera: what repeats there is hardly anything else.
@@ -42,7 +46,8 @@ class FitCheck(Frozen):
     positions : (3, 3, 2) float64 [px]
         Corners, edge middles and middle of the flat, in rows from the top.
     offset : (3, 3, 2) float64 [px]
-        From the given centres to the measured ones there: a shift and a linear map. NaN where the flat shows none.
+        From the given centres to the measured ones there: a shift and a linear map. NaN where the
+        flat shows none.
     pitch : float [px]
         Of the given lattice.
 
@@ -63,7 +68,9 @@ class FitCheck(Frozen):
 
     @property
     def limit(self) -> float:
-        """Offset [px] of a corner up to which not to worry; what a scene shows moves microimages as much."""
+        """Offset [px] of a corner up to which not to worry; what a scene shows moves microimages as
+        much.
+        """
         return _STRETCH * self.pitch
 
     @property
@@ -97,11 +104,13 @@ class CameraCheck:
     Parameters
     ----------
     fits : bool
-        False where the flat shows another lattice altogether, so that nothing computed with the camera has a meaning.
+        False where the flat shows another lattice altogether, so that nothing computed with the
+        camera has a meaning.
     problem : str or None
         What is wrong and what to do, None where nothing is.
     adjusted : Calibration or None
-        The camera moved onto the microimages, where a shift is all that is wrong with its lattice: crops of a sensor.
+        The camera moved onto the microimages, where a shift is all that is wrong with its lattice:
+        crops of a sensor.
     checked : bool
         False where no microimages can be seen on the flat.
 
@@ -118,18 +127,25 @@ class CameraCheck:
     checked: bool = True
 
     def warn(self, calibration: Calibration, name: object) -> Calibration:
-        """The camera, with what is doubtful about it as a warning; CameraFileError with its name if it is refuted."""
+        """The camera, with what is doubtful about it as a warning; CameraFileError with its name if
+        it is refuted.
+        """
         if not self.fits:
             raise CameraFileError(f"{name}: {self.problem}")
         unseen = "no microimages can be seen on this flat, so that the camera could not be checked; give a brighter one"
         warning = self.problem if self.checked else unseen
-        return calibration if warning is None else replace(calibration, warnings=(*calibration.warnings, warning))
+        return (
+            calibration
+            if warning is None
+            else replace(calibration, warnings=(*calibration.warnings, warning))
+        )
 
 
 def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     """Measure on a flat how far the microimages are from the centres of `calibration`.
 
-    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it is of another size.
+    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it is of another
+    size.
 
     Examples
     --------
@@ -148,11 +164,13 @@ def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
 def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
     """Check whether a flat can have been made with a camera, in about a tenth of a second.
 
-    Noticed are flats or cameras that are turned or mirrored, shifts of more than a tenth of the pitch, pitches that are
-    wrong by more than a quarter of a percent, another array, and lens types in another order. A flat that shows no
-    lattice, such as a dark one, shows nothing of the camera (`CameraCheck.checked`).
+    Noticed are flats or cameras that are turned or mirrored, shifts of more than a tenth of the
+    pitch, pitches that are wrong by more than a quarter of a percent, another array, and lens types
+    in another order. A flat that shows no lattice, such as a dark one, shows nothing of the camera
+    (`CameraCheck.checked`).
 
-    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it is of another size.
+    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it is of another
+    size.
 
     Examples
     --------
@@ -163,7 +181,8 @@ def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
     >>> check_camera(Calibration(Lattice([4, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).problem[:19]
     'the microimages lie'
     """
-    reduced, lattice = _prepare(calibration, image), calibration.lattice
+    reduced = _prepare(calibration, image)
+    lattice = calibration.lattice
     found, misfit = _compare(reduced, lattice)
     if found is None and reduced.factor > 1:
         # Microimages that are much smaller than those of the camera may be lost at that size.
@@ -175,7 +194,9 @@ def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
         return CameraCheck(False, _describe_other(lattice, found, reduced.factor))
     if misfit.is_small:
         conflict = _find_type_conflict(calibration, reduced.flat)
-        return CameraCheck(problem=conflict or _fit_offsets(calibration, reduced, found, misfit).warning)
+        return CameraCheck(
+            problem=conflict or _fit_offsets(calibration, reduced, found, misfit).warning
+        )
     if not misfit.is_straight:
         step = np.eye(2) + misfit.linear
         scale = 100 * (float(np.sqrt(abs(np.linalg.det(step)))) - 1)
@@ -193,8 +214,13 @@ def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
 
 
 def choose_orientation(down: Calibration, up: Calibration, image: ArrayLike) -> Calibration:
-    """Of two readings of a table of centres, whose y points down or up, the one that an image confirms."""
-    right = [check.checked and check.problem is None for check in (check_camera(one, image) for one in (down, up))]
+    """Of two readings of a table of centres, whose y points down or up, the one that an image
+    confirms.
+    """
+    right = [
+        check.checked and check.problem is None
+        for check in (check_camera(one, image) for one in (down, up))
+    ]
     index = up.lattice.to_index(down.lattice.centres())
     if right[0] != right[1] or np.abs(index - np.rint(index)).max() < _STRETCH:
         return up if right[1] and not right[0] else down
@@ -203,7 +229,10 @@ def choose_orientation(down: Calibration, up: Calibration, image: ArrayLike) -> 
 
 
 def _describe_other(given: Lattice, found: Lattice, factor: int) -> str:
-    (shape, rows, _), (own_shape, own_rows, _) = describe_orientation(found), describe_orientation(given)
+    (shape, rows, _), (own_shape, own_rows, _) = (
+        describe_orientation(found),
+        describe_orientation(given),
+    )
     return (
         f"the flat was not made with this camera: its microimages are {shape}, rows {rows}, pitch "
         f"{factor * found.pitch:.2f} px, those of the camera {own_shape}, rows {own_rows}, pitch {given.pitch:.2f} px, "
@@ -212,14 +241,19 @@ def _describe_other(given: Lattice, found: Lattice, factor: int) -> str:
 
 
 def _find_type_conflict(calibration: Calibration, flat: Array) -> str | None:
-    """Why the lens types of a camera are not those of a flat: by the light at their rims, and by their sharpness."""
+    """Why the lens types of a camera are not those of a flat: by the light at their rims, and by
+    their sharpness.
+    """
     from ..images.preprocessing import sqrt_luminance
     from ..lens_types.type_check import find_rim_conflict, find_type_conflict
 
-    types, gain, lattice = calibration.lens_types, calibration.gain_map, calibration.lattice
+    types = calibration.lens_types
+    gain = calibration.gain_map
+    lattice = calibration.lattice
     if types is None or not types.ordered:
         return None
-    conflict, rims_known = None, False
+    conflict = None
+    rims_known = False
     if gain is not None and gain.type_light.size:
         conflict = find_rim_conflict(types, gain, lattice.radius)
         # A difference of light between types at the rims that tells their order.
@@ -246,8 +280,10 @@ def _prepare(calibration: Calibration, image: ArrayLike) -> _Reduced:
         )
     if flat.ndim == 2 and (calibration.mosaic or find_mosaic(flat)):
         flat = remove_mosaic(equalise_mosaic(flat))
-    # Finer microimages than of 18 px take time and tell no more; large flats are reduced to 4 MP, or to 10 px.
-    pitch, large = calibration.lattice.pitch, int(np.ceil(np.sqrt(width * height / 4e6)))
+    # Finer microimages than of 18 px take time and tell no more; large flats are reduced to 4 MP,
+    # or to 10 px.
+    pitch = calibration.lattice.pitch
+    large = int(np.ceil(np.sqrt(width * height / 4e6)))
     factor = max(1, int(pitch / 18), min(int(pitch / 10), large))
     return _Reduced(flat, factor, _reduce(flat, factor))
 
@@ -267,7 +303,9 @@ def _reduce(flat: Array, factor: int) -> Singles:
 
 
 class _Misfit(NamedTuple):
-    """A found lattice against the given one: at `p`, centres are `shift + (p - middle) @ linear` [px] further."""
+    """A found lattice against the given one: at `p`, centres are `shift + (p - middle) @ linear`
+    [px] further.
+    """
 
     shift: Floats  # (2,) [px] in the middle of the flat, to the nearest
     linear: Floats  # (2, 2)
@@ -284,18 +322,23 @@ class _Misfit(NamedTuple):
             return None
         middle = (np.array(given.image_size) - 1) / 2
         index = found.to_index(given.points(np.rint(given.to_index(middle[None]))))[0]
-        shifts = (np.rint(index) + [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)] - index) @ found.basis
+        shifts = (
+            np.rint(index) + [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)] - index
+        ) @ found.basis
         return cls(shifts[np.linalg.norm(shifts, axis=1).argmin()], linear, given)
 
     @property
     def is_straight(self) -> bool:
-        """Whether scale and angle are the same: right cameras differ by at most 0.0011 on 60 simulated flats."""
+        """Whether scale and angle are the same: right cameras differ by at most 0.0011 on 60
+        simulated flats.
+        """
         return float(np.linalg.norm(self.linear, 2)) < 0.0025
 
     @property
     def is_small(self) -> bool:
         """Whether the camera fits, for all that its flat can tell."""
-        half, pitch = np.array(self.given.image_size) / 2, self.given.pitch
+        half = np.array(self.given.image_size) / 2
+        pitch = self.given.pitch
         corners = self.shift + (half * [[1, 1], [1, -1], [-1, 1], [-1, -1]]) @ self.linear
         # In the corners right cameras are at most 0.08 pitches off.
         near = np.linalg.norm(corners, axis=1).max() < 0.2 * pitch
@@ -303,13 +346,16 @@ class _Misfit(NamedTuple):
 
 
 def _compare(reduced: _Reduced, given: Lattice) -> tuple[Lattice | None, _Misfit | None]:
-    """A lattice on the reduced flat, None where none is found, and its misfit, None where it is another one."""
+    """A lattice on the reduced flat, None where none is found, and its misfit, None where it is
+    another one.
+    """
     if given.distortion is not None:
         index = given.indices()[:: max(1, len(given) // 4000)]
         design = np.column_stack([np.ones(len(index)), index])
         line: Array = np.linalg.lstsq(design, given.points(index), rcond=None)[0]
         given = Lattice(line[0], line[1:], given.image_size, given.radius)
-    small, first = given.downscaled(reduced.factor), None
+    small = given.downscaled(reduced.factor)
+    first = None
     with suppress(CalibrationError, np.linalg.LinAlgError):
         for found in _find_lattices(reduced.picture, small):
             misfit = _Misfit.between(small, found)
@@ -338,22 +384,36 @@ def _fit_offsets(
     """`check_fit` on a reduced flat, from the found lattice where that of the camera is far off."""
     from ..gain.rows import RegionGain
 
-    lattice, factor, gain = calibration.lattice, reduced.factor, calibration.gain_map
+    lattice = calibration.lattice
+    factor = reduced.factor
+    gain = calibration.gain_map
     width, height = lattice.image_size
-    positions = np.stack(np.meshgrid([0, (width - 1) / 2, width - 1], [0, (height - 1) / 2, height - 1]), -1)
+    positions = np.stack(
+        np.meshgrid([0, (width - 1) / 2, width - 1], [0, (height - 1) / 2, height - 1]), -1
+    )
     offset = np.full((3, 3, 2), np.nan)
     if found is not None and misfit is not None:
         small = lattice.downscaled(factor)
-        offset = _measure(reduced.picture, small, small if misfit.is_small else found, positions / factor) * factor
+        offset = (
+            _measure(
+                reduced.picture, small, small if misfit.is_small else found, positions / factor
+            )
+            * factor
+        )
         if gain is not None and len(gain.cut) and misfit.is_small:
-            # Mechanical vignetting moves rims: offsets that the gain map shows as well are no misfit.
-            light = _reduce(np.nan_to_num(RegionGain(gain, lattice).at(0, 0, width, height)), factor)
+            # Mechanical vignetting moves rims: offsets that the gain map shows as well are no
+            # misfit.
+            light = _reduce(
+                np.nan_to_num(RegionGain(gain, lattice).at(0, 0, width, height)), factor
+            )
             offset -= np.nan_to_num(_measure(light, small, small, positions / factor)) * factor
     return FitCheck(positions, offset, lattice.pitch)
 
 
 def _measure(picture: Singles, given: Lattice, start: Lattice, positions: Floats) -> Floats:
-    """(3, 3, 2) offsets [px] of the lattice on a picture from the given one; NaN where its halves do not agree."""
+    """(3, 3, 2) offsets [px] of the lattice on a picture from the given one; NaN where its halves
+    do not agree.
+    """
     from ..images.preprocessing import edge_strength, normalise_locally
     from ..scene_fit.fit import fit_scene
 
@@ -368,7 +428,8 @@ def _measure(picture: Singles, given: Lattice, start: Lattice, positions: Floats
     index = given.indices()[:: max(1, len(given) // 4000)]
     centres = given.points(index)
     # From the middle one on, so that all are compared with lenses to the same side.
-    own, first = found.to_index(centres), found.to_index(given.points(given.middle[None]))
+    own = found.to_index(centres)
+    first = found.to_index(given.points(given.middle[None]))
     away = found.points(np.rint(first) + np.rint(own - first)) - centres
     # A distortion that single flats show is not told from what the scene shows.
     middle = (np.array(given.image_size) - 1) / 2

@@ -1,4 +1,6 @@
-"""A picture that shows how a calibration fits a flat: its centre, three corners and where to look first."""
+"""A picture that shows how a calibration fits a flat: its centre, three corners and where to look
+first.
+"""
 
 from __future__ import annotations
 
@@ -23,19 +25,22 @@ class PlaceToCheck(NamedTuple):
 
     position: Floats  # (2,) [px]
     sentence: str
-    circles: Floats  # (n, 3) x, y and radius [px] of circles found without the lattice; none if (0, 3)
+    circles: (
+        Floats  # (n, 3) x, y and radius [px] of circles found without the lattice; none if (0, 3)
+    )
 
 
 def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
-    """Draw the centres and usable circles of a calibration over a flat: its centre, three corners, and where to look.
+    """Draw the centres and usable circles of a calibration over a flat: its centre, three corners,
+    and where to look.
 
-    Circles of lens types 0 to 3 are blue, orange, green and violet. Unlit lenses are crossed out, defect pixels
-    circled. White circles were found without the lattice (Hough vote).
-    Beside the five crops are the offsets of nine regions of the flat from the lattice, the residuals of the
+    Circles of lens types 0 to 3 are blue, orange, green and violet. Unlit lenses are crossed out,
+    defect pixels circled. White circles were found without the lattice (Hough vote). Beside the
+    five crops are the offsets of nine regions of the flat from the lattice, the residuals of the
     calibration, the gain map, and the light falloff inside a microimage.
 
-    `image` (h, w) or (h, w, 3) is a white image or scene capture of this camera; FlatError if it is of another size.
-    The picture is (h, w, 3) uint8, RGB.
+    `image` (h, w) or (h, w, 3) is a white image or scene capture of this camera; FlatError if it is
+    of another size. The picture is (h, w, 3) uint8, RGB.
 
     Examples
     --------
@@ -50,22 +55,38 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     flat = np.asarray(image)
     fit = check_fit(calibration, flat)
     places = find_places_to_check(calibration, flat)
-    # Six pitches across a crop, enlarged three to four times where that leaves at least two and a half.
-    size, pitch = np.array(calibration.image_size), calibration.lattice.pitch
+    # Six pitches across a crop, enlarged three to four times where that leaves at least two and a
+    # half.
+    size = np.array(calibration.image_size)
+    pitch = calibration.lattice.pitch
     reach = min(max(float(np.clip(6 * pitch, 140, 190)), 2.5 * pitch), *size)
     (left, top), (right, low) = np.full(2, reach / 2 - 0.5), size - 0.5 - reach / 2
-    crops = {"top left": (left, top), "centre": (size - 1) / 2, "top right": (right, top), "bottom left": (left, low)}
+    crops = {
+        "top left": (left, top),
+        "centre": (size - 1) / 2,
+        "top right": (right, top),
+        "bottom left": (left, low),
+    }
     last = "look here" if places else "bottom right"
     crops[last] = np.clip(places[0].position, (left, top), (right, low)) if places else (right, low)
     figure = Figure((18, 12.9), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     figure.suptitle(_describe(calibration, fit), x=0.01, ha="left", fontsize=13)
-    axes = figure.subplot_mosaic([
-        ["top left", "centre", "top right"],
-        ["bottom left", [["misfit", "misfit"], ["gain", "falloff"]], last],
-    ])  # fmt: skip
+    axes = figure.subplot_mosaic(
+        [
+            ["top left", "centre", "top right"],
+            ["bottom left", [["misfit", "misfit"], ["gain", "falloff"]], last],
+        ]
+    )
     for name, middle in crops.items():
-        _draw_crop(axes[name], calibration, flat, np.array(middle), reach, places if name == "look here" else [])
+        _draw_crop(
+            axes[name],
+            calibration,
+            flat,
+            np.array(middle),
+            reach,
+            places if name == "look here" else [],
+        )
         axes[name].set_title(name)
     _draw_misfit(axes["misfit"], calibration, fit)
     plot_gain(calibration, axes["gain"])
@@ -75,20 +96,28 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
 
 
 def find_places_to_check(calibration: Calibration, flat: Array) -> list[PlaceToCheck]:
-    """Places on a flat (h, w) or (h, w, 3) of the size of the calibration, the most telling one first.
+    """Places on a flat (h, w) or (h, w, 3) of the size of the calibration, the most telling one
+    first.
 
     The circle by Hough vote, and the lens measured alone, that lies farthest from the lattice.
     """
-    lattice, residuals, places = calibration.lattice, calibration.residuals, []
+    lattice = calibration.lattice
+    residuals = calibration.residuals
+    places = []
     circles = find_circles(sqrt_luminance(flat), lattice.pitch)
     if len(circles.centres):
-        beside = np.hypot(*(lattice.points(np.rint(lattice.to_index(circles.centres))) - circles.centres).T)
-        worst, off = circles.centres[beside.argmax()], int((beside > lattice.pitch / 4).sum())
+        beside = np.hypot(
+            *(lattice.points(np.rint(lattice.to_index(circles.centres))) - circles.centres).T
+        )
+        worst = circles.centres[beside.argmax()]
+        off = int((beside > lattice.pitch / 4).sum())
         sentence = (
             f"{off} of {len(beside)} circles found without the lattice (white) lie more than a quarter of the pitch "
             f"beside it, the farthest at x {worst[0]:.0f}, y {worst[1]:.0f}: see whether they are microimages or scene"
         )
-        places.append(PlaceToCheck(worst, sentence, np.column_stack([circles.centres, circles.radii])))
+        places.append(
+            PlaceToCheck(worst, sentence, np.column_stack([circles.centres, circles.radii]))
+        )
     if residuals is not None and len(residuals.offset):
         beside = np.hypot(*residuals.offset.T)
         i, j = index = residuals.indices[beside.argmax()]
@@ -105,7 +134,11 @@ def _describe(calibration: Calibration, fit: FitCheck) -> str:
     """Two lines: the lattice; and the flat, its lens types, how well it is known and fits."""
     lattice = calibration.lattice
     shape, rows, turned = describe_orientation(lattice)
-    residual = "" if np.isnan(calibration.residual_rms) else f", residual {calibration.residual_rms:.3f} px RMS"
+    residual = (
+        ""
+        if np.isnan(calibration.residual_rms)
+        else f", residual {calibration.residual_rms:.3f} px RMS"
+    )
     worry = "too much, calibrate on this flat" if fit.warning else f"no worry below {fit.limit:.1f}"
     off = "its fit to this flat is unknown"
     if not np.isnan(fit.max_offset):
@@ -120,13 +153,21 @@ def _describe(calibration: Calibration, fit: FitCheck) -> str:
 
 
 def _draw_crop(
-    axes: Any, calibration: Calibration, flat: Array, middle: Array, reach: float, places: list[PlaceToCheck]
+    axes: Any,
+    calibration: Calibration,
+    flat: Array,
+    middle: Array,
+    reach: float,
+    places: list[PlaceToCheck],
 ) -> None:
-    """Crop of the flat, `reach` [px] wide around `middle` (2,), with centres, usable circles and defects."""
+    """Crop of the flat, `reach` [px] wide around `middle` (2,), with centres, usable circles and
+    defects.
+    """
     from matplotlib.patheffects import withStroke
 
     (left, top), (right, bottom) = middle - reach / 2, middle + reach / 2
-    x0, y0 = max(int(left) - 1, 0), max(int(top) - 1, 0)
+    x0 = max(int(left) - 1, 0)
+    y0 = max(int(top) - 1, 0)
     crop = _stretch_contrast(flat[y0 : int(bottom) + 2, x0 : int(right) + 2])
     extent = x0 - 0.5, x0 + crop.shape[1] - 0.5, y0 + crop.shape[0] - 0.5, y0 - 0.5
     axes.imshow(crop, extent=extent, interpolation="bicubic")
@@ -136,8 +177,12 @@ def _draw_crop(
         return (np.abs(positions - middle) < reach / 2 + calibration.lattice.pitch).all(1)
 
     # A dark line below a light one is visible on any background.
-    style = {"linewidth": 1.2, "path_effects": [withStroke(linewidth=2.7, foreground=(0, 0, 0, 0.4))]}
-    centres, pixels = calibration.lattice.centres(), calibration.defects.pixels
+    style = {
+        "linewidth": 1.2,
+        "path_effects": [withStroke(linewidth=2.7, foreground=(0, 0, 0, 0.4))],
+    }
+    centres = calibration.lattice.centres()
+    pixels = calibration.defects.pixels
     missing = calibration.lattice.points(calibration.defects.lenses)
     draw_lenses(calibration, axes, near(centres), **style)
     axes.plot(*centres[near(centres)].T, "+", color="gold", markersize=9, markeredgewidth=1.2)
@@ -149,14 +194,19 @@ def _draw_crop(
 
 
 def _draw_misfit(axes: Any, calibration: Calibration, fit: FitCheck) -> None:
-    """Arrows from the centres of the lattice to those measured in nine regions of this flat, over the residuals."""
+    """Arrows from the centres of the lattice to those measured in nine regions of this flat, over
+    the residuals.
+    """
     plot_residuals(calibration, axes, alpha=0.5)
-    positions, offset = fit.positions.reshape(-1, 2), fit.offset.reshape(-1, 2)
+    positions = fit.positions.reshape(-1, 2)
+    offset = fit.offset.reshape(-1, 2)
     if np.nan_to_num(offset).any():
         axes.quiver(*positions.T, *offset.T, angles="xy", color="firebrick", width=0.008)
     for place, length in zip(positions, np.hypot(*offset.T), strict=True):
         axes.annotate("?" if np.isnan(length) else f"{length:.2g}", place, fontsize=9)
-    axes.set_title("Offset of this flat from the lattice [px] (red), residuals of the fit", fontsize=10)
+    axes.set_title(
+        "Offset of this flat from the lattice [px] (red), residuals of the fit", fontsize=10
+    )
     axes.margins(0.1)
 
 

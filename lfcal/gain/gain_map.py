@@ -1,8 +1,10 @@
-"""Gain map: relative illumination at every place of every microimage, compact enough for a camera file; and defects.
+"""Gain map: relative illumination at every place of every microimage, compact enough for a camera
+file; and defects.
 
-The light of a lens is its level times the shape of its microimage. The shape is one profile over the distance to the
-centre, stretched in each direction to the rim there, cut by a second disc where the barrel of the main lens does so
-(cat-eye), and shaded by a low-order polynomial. What changes over the field is a low-order polynomial of the place.
+The light of a lens is its level times the shape of its microimage. The shape is one profile over
+the distance to the centre, stretched in each direction to the rim there, cut by a second disc where
+the barrel of the main lens does so (cat-eye), and shaded by a low-order polynomial. What changes
+over the field is a low-order polynomial of the place.
 """
 
 from __future__ import annotations
@@ -17,36 +19,48 @@ from ..lattice.lattice import Lattice
 from ..runtime.arrays import Array, Floats, Frozen, Integers, Singles, decode_array, encode_array
 from .kernel import RIM_START, Shape, evaluate_light
 
-__all__ = ["Defects", "GainMap", "Vignetting", "count_terms", "field_monomials", "field_place", "nearest_half"]
+__all__ = [
+    "Defects",
+    "GainMap",
+    "Vignetting",
+    "count_terms",
+    "field_monomials",
+    "field_place",
+    "nearest_half",
+]
 
 
 @dataclass(frozen=True, eq=False)
 class GainMap(Frozen):
-    """Relative illumination of a camera, 1 at the brightest place of the brightest part of the field.
+    """Relative illumination of a camera, 1 at the brightest place of the brightest part of the
+    field.
 
-    Polynomials of the field have the terms `1, X, Y, X^2, X*Y, Y^2, ...` of the place `(X, Y)` of a lens, measured from
-    the middle of the flat in half diagonals.
+    Polynomials of the field have the terms `1, X, Y, X^2, X*Y, Y^2, ...` of the place `(X, Y)` of a
+    lens, measured from the middle of the flat in half diagonals.
 
     Parameters
     ----------
     profile : (k,) float64
-        Light over the distance to the centre, at `0, step, 2*step, ...`, of a lens with a round uncut rim.
+        Light over the distance to the centre, at `0, step, 2*step, ...`, of a lens with a round
+        uncut rim.
     step : float [px]
     radius : float [px]
         Unit of length of `shading`, and where `rim` applies in full.
     level : (t,) float64
-        Polynomial of the natural logarithm of the light of a lens (natural vignetting); `t` = 1, 3, 6, 10 ...
+        Polynomial of the natural logarithm of the light of a lens (natural vignetting); `t` = 1, 3,
+        6, 10 ...
     lens_gain : (n,) float32
-        Light of each lens over that of the polynomial, in the order of `lattice.centres()`; 0 for an unlit lens.
-        Empty if all are 1.
+        Light of each lens over that of the polynomial, in the order of `lattice.centres()`; 0 for
+        an unlit lens. Empty if all are 1.
     shading : (5, t) float64
-        Polynomials of the factors of `u, v, u^2, u*v, v^2` with `(u, v) = delta / radius`; 1 is added to their sum.
+        Polynomials of the factors of `u, v, u^2, u*v, v^2` with `(u, v) = delta / radius`; 1 is
+        added to their sum.
     rim : (1 + 2*m, t) float64 [px]
-        Polynomials of how far the rim lies outside that of `profile`: mean, then cosine and sine of each harmonic of
-        the direction.
+        Polynomials of how far the rim lies outside that of `profile`: mean, then cosine and sine of
+        each harmonic of the direction.
     cut : (5,) float64 [px]
-        Cutting disc: displacement (2) in the middle, displacement added up to the corner, radius, standard deviation
-        of its edge. Empty if there is none.
+        Cutting disc: displacement (2) in the middle, displacement added up to the corner, radius,
+        standard deviation of its edge. Empty if there is none.
     stray_light : float
         Light outside the cutting disc.
     type_light : (t, k) float64
@@ -78,10 +92,15 @@ class GainMap(Frozen):
 
     def __post_init__(self) -> None:
         for name, kind, dimensions in (
-            ("profile", np.float64, 1), ("level", np.float64, 1), ("lens_gain", np.float32, 1),
-            ("shading", np.float64, 2), ("rim", np.float64, 2), ("cut", np.float64, 1),
-            ("type_light", np.float64, 2), ("type_cell", np.int8, 2),
-        ):  # fmt: skip
+            ("profile", np.float64, 1),
+            ("level", np.float64, 1),
+            ("lens_gain", np.float32, 1),
+            ("shading", np.float64, 2),
+            ("rim", np.float64, 2),
+            ("cut", np.float64, 1),
+            ("type_light", np.float64, 2),
+            ("type_cell", np.int8, 2),
+        ):
             values: Array = np.array(getattr(self, name), dtype=kind)
             if values.ndim != dimensions or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be a finite array of {dimensions} dimension(s)")
@@ -89,15 +108,25 @@ class GainMap(Frozen):
         numbers = {name: float(getattr(self, name)) for name in ("step", "radius", "stray_light")}
         self._set(**numbers)
         if not (np.isfinite(list(numbers.values())).all() and self.step > 0 and self.radius > 0):
-            raise ValueError("step and radius of a gain map must be positive numbers of px, stray_light finite")
+            raise ValueError(
+                "step and radius of a gain map must be positive numbers of px, stray_light finite"
+            )
         sizes = {count_terms(degree) for degree in range(9)}
         tables = (len(self.level), self.shading.shape[1], self.rim.shape[1])
         if len(self.profile) < 2 or self.shading.shape[0] != 5 or not set(tables) <= sizes:
             raise ValueError("profile, level, shading or rim of a gain map is of a wrong shape")
-        if self.rim.shape[0] % 2 != 1 or len(self.cut) not in (0, 5) or (len(self.cut) and not self.cut[4] > 0):
+        if (
+            self.rim.shape[0] % 2 != 1
+            or len(self.cut) not in (0, 5)
+            or (len(self.cut) and not self.cut[4] > 0)
+        ):
             raise ValueError("rim or cut of a gain map is of a wrong shape")
-        types, light = self.type_cell, self.type_light
-        fits = light.shape == (types.max(initial=-1) + 1, len(self.profile)) and types.shape[0] == types.shape[1]
+        types = self.type_cell
+        light = self.type_light
+        fits = (
+            light.shape == (types.max(initial=-1) + 1, len(self.profile))
+            and types.shape[0] == types.shape[1]
+        )
         if types.size + light.size and not (fits and types.min(initial=0) == 0 and light.min() > 0):
             raise ValueError("type_light or type_cell of a gain map is of a wrong shape")
 
@@ -105,7 +134,16 @@ class GainMap(Frozen):
     def round(cls, profile: Any, step: float, radius: float, cut: Any = ()) -> GainMap:
         """A map in which all lenses are equal, with one radial profile."""
         none = np.zeros(0, np.float32)
-        return cls(profile, step, radius, np.zeros(1), none, np.zeros((5, 1)), np.zeros((1, 1)), np.array(cut))
+        return cls(
+            profile,
+            step,
+            radius,
+            np.zeros(1),
+            none,
+            np.zeros((5, 1)),
+            np.zeros((1, 1)),
+            np.array(cut),
+        )
 
     def light(self, centres: Floats, lattice: Lattice) -> Floats:
         """(n,) light of lenses at centres (n, 2) [px] by the polynomial of the field."""
@@ -115,10 +153,16 @@ class GainMap(Frozen):
         """(n, s) lenses at centres (n, 2) [px] as kernels take them: see `kernel`."""
         lenses = np.zeros((len(centres), RIM_START + len(self.rim)))
         unit = np.array([1.0, 1, 2, 2, 2])
-        lenses[:, :5] = field_monomials(centres, lattice, self.shading.shape[1]) @ self.shading.T / self.radius**unit
+        lenses[:, :5] = (
+            field_monomials(centres, lattice, self.shading.shape[1])
+            @ self.shading.T
+            / self.radius**unit
+        )
         if len(self.cut):
             lenses[:, 5:7] = self.cut[:2] + self.cut[2] * field_place(centres, lattice)
-        lenses[:, RIM_START:] = field_monomials(centres, lattice, self.rim.shape[1]) @ self.rim.T / self.radius
+        lenses[:, RIM_START:] = (
+            field_monomials(centres, lattice, self.rim.shape[1]) @ self.rim.T / self.radius
+        )
         return lenses
 
     @property
@@ -130,9 +174,12 @@ class GainMap(Frozen):
         return Shape(self.profile, self.step, cut)
 
     def usable_radius(self, lattice: Lattice) -> Floats:
-        """(n,) largest distance [px] within which a lens has half its light in every direction; 0 if it is unlit."""
+        """(n,) largest distance [px] within which a lens has half its light in every direction; 0
+        if it is unlit.
+        """
         limit = nearest_half(lattice)
-        lenses, least = self.describe(lattice.centres(), lattice), np.full(len(lattice), limit)
+        lenses = self.describe(lattice.centres(), lattice)
+        least = np.full(len(lattice), limit)
         # In parts, so that memory does not grow with the flat.
         for part in np.array_split(np.arange(len(lenses)), len(lenses) // 500 + 1):
             light = self.sample(lenses[part], int(limit / self.step) + 2)
@@ -144,7 +191,8 @@ class GainMap(Frozen):
         return np.where(self.lens_gain == 0, 0, least) if len(self.lens_gain) else least
 
     def evaluate(self, lenses: Floats, lens: Integers, x: Any, y: Any) -> Floats:
-        """(3, p) at places `x, y` (p,) [px] from the centres of described lenses, in rows `lens` (p,).
+        """(3, p) at places `x, y` (p,) [px] from the centres of described lenses, in rows `lens`
+        (p,).
 
         Relative light, distance on the profile [px], share that the cutting disc leaves.
         """
@@ -168,31 +216,53 @@ class GainMap(Frozen):
         return profiles
 
     def type_rims(self, radius: float) -> Floats:
-        """(t, k) `type_light` at those rings within `radius` [px] that lie before the middle of the rim."""
+        """(t, k) `type_light` at those rings within `radius` [px] that lie before the middle of the
+        rim.
+        """
         inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > 0.75)
         return self.type_light[:, inside]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings; `profile` and `lens_gain` as encoded arrays."""
-        light, cell = encode_array(self.type_light.astype("<f4")), self.type_cell.tolist()
+        light = encode_array(self.type_light.astype("<f4"))
+        cell = self.type_cell.tolist()
         return {
-            "profile": encode_array(self.profile.astype("<f4")), "step": self.step, "radius": self.radius,
-            "level": self.level.tolist(), "own": encode_array(self.lens_gain.astype("<f2")),
-            "shade": self.shading.tolist(), "rim": self.rim.tolist(), "cut": self.cut.tolist(),
-            "dark": self.stray_light, "types": {"cell": cell, "light": light} if self.type_light.size else None,
-        }  # fmt: skip
+            "profile": encode_array(self.profile.astype("<f4")),
+            "step": self.step,
+            "radius": self.radius,
+            "level": self.level.tolist(),
+            "own": encode_array(self.lens_gain.astype("<f2")),
+            "shade": self.shading.tolist(),
+            "rim": self.rim.tolist(),
+            "cut": self.cut.tolist(),
+            "dark": self.stray_light,
+            "types": {"cell": cell, "light": light} if self.type_light.size else None,
+        }
 
     @classmethod
     def from_dict(cls, data: Any) -> GainMap:
         """Inverse of `to_dict`; KeyError, TypeError or ValueError if `data` is malformed."""
-        profile, types = decode_array(data["profile"], "<f4"), data.get("types")
+        profile = decode_array(data["profile"], "<f4")
+        types = data.get("types")
         cell = np.array(types["cell"] if types else np.zeros((0, 0)))
-        light = decode_array(types["light"], "<f4").reshape(-1, len(profile)) if types else np.zeros((0, 0))
+        light = (
+            decode_array(types["light"], "<f4").reshape(-1, len(profile))
+            if types
+            else np.zeros((0, 0))
+        )
         return cls(
-            profile, data["step"], data["radius"], data["level"],
-            decode_array(data["own"], "<f2"), data["shade"], data["rim"], data["cut"], data["dark"],
-            light, cell,
-        )  # fmt: skip
+            profile,
+            data["step"],
+            data["radius"],
+            data["level"],
+            decode_array(data["own"], "<f2"),
+            data["shade"],
+            data["rim"],
+            data["cut"],
+            data["dark"],
+            light,
+            cell,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +295,11 @@ class Vignetting(Frozen):
 
     def at(self, radius: ArrayLike) -> Floats:
         """Relative illumination at distances `radius` [px] from the microimage centre."""
-        return np.interp(np.asarray(radius, dtype=np.float64), np.arange(len(self.profile)) * self.step, self.profile)
+        return np.interp(
+            np.asarray(radius, dtype=np.float64),
+            np.arange(len(self.profile)) * self.step,
+            self.profile,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,12 +332,17 @@ class Defects(Frozen):
 
     def to_dict(self) -> dict[str, Any]:
         """Two encoded arrays."""
-        return {"pixels": encode_array(self.pixels.astype("<i4")), "lenses": encode_array(self.lenses.astype("<i4"))}
+        return {
+            "pixels": encode_array(self.pixels.astype("<i4")),
+            "lenses": encode_array(self.lenses.astype("<i4")),
+        }
 
     @classmethod
     def from_dict(cls, data: Any) -> Defects:
         """Inverse of `to_dict`; KeyError, TypeError or ValueError if `data` is malformed."""
-        pixels, lenses = (decode_array(data[name], "<i4").reshape(-1, 2) for name in ("pixels", "lenses"))
+        pixels, lenses = (
+            decode_array(data[name], "<i4").reshape(-1, 2) for name in ("pixels", "lenses")
+        )
         return cls(pixels, lenses)
 
 
@@ -287,4 +366,6 @@ def field_monomials(points: Floats, lattice: Lattice, terms: int) -> Floats:
     """(n, terms) `1, X, Y, X^2, X*Y, Y^2, ...` at flat positions (n, 2) [px]."""
     degree = next(degree for degree in range(99) if count_terms(degree) >= terms)
     xs, ys = (np.vander(v, degree + 1, increasing=True) for v in field_place(points, lattice).T)
-    return np.column_stack([xs[:, d - b] * ys[:, b] for d in range(degree + 1) for b in range(d + 1)])
+    return np.column_stack(
+        [xs[:, d - b] * ys[:, b] for d in range(degree + 1) for b in range(d + 1)]
+    )

@@ -1,7 +1,8 @@
 """Gain model of one lens: the relative light at a place in it (kernels).
 
-A lens is described by an array: factors of `u, v, u^2, uv, v^2` of its shading [1/px, 1/px^2], displacement x, y of its
-cutting disc [px], then the harmonics of its rim [share of the radius] from `RIM_START` on; `GainMap.describe` makes it.
+A lens is described by an array: factors of `u, v, u^2, uv, v^2` of its shading [1/px, 1/px^2],
+displacement x, y of its cutting disc [px], then the harmonics of its rim [share of the radius] from
+`RIM_START` on; `GainMap.describe` makes it.
 """
 
 from __future__ import annotations
@@ -29,15 +30,19 @@ class Shape(NamedTuple):
 
 @njit(error_model="numpy", inline="always")
 def relative_light(dx, dy, lens, profile, step, cut):
-    """Relative light at `(dx, dy)` [px] from the centre of a lens, distance on the profile [px], share not cut off."""
+    """Relative light at `(dx, dy)` [px] from the centre of a lens, distance on the profile [px],
+    share not cut off.
+    """
     r = math.sqrt(dx * dx + dy * dy)
     stretched = r
     count = len(lens) - RIM_START
     if count == 1:
         stretched = r * (1 - lens[RIM_START])
     elif r > 0:
-        c, s = dx / r, dy / r
-        ck, sk = c, s
+        c = dx / r
+        s = dy / r
+        ck = c
+        sk = s
         change = lens[RIM_START]
         for k in range(RIM_START + 1, RIM_START + count, 2):
             change += lens[k] * ck + lens[k + 1] * sk
@@ -52,7 +57,8 @@ def relative_light(dx, dy, lens, profile, step, cut):
         value = profile[ring] * (1 - part) + profile[ring + 1] * part
     through = 1.0
     if cut[4] > 0:
-        ex, ey = dx - lens[5], dy - lens[6]
+        ex = dx - lens[5]
+        ey = dy - lens[6]
         depth = (cut[3] - math.sqrt(ex * ex + ey * ey)) / cut[4]
         # Beyond four standard deviations the edge is all or nothing.
         if depth < -4:
@@ -66,15 +72,23 @@ def relative_light(dx, dy, lens, profile, step, cut):
 
 @kernel(error_model="numpy", share=lambda lens, *_: len(lens))
 def evaluate_light(begin, end, lens, dx, dy, lenses, shape, out):
-    """Write `relative_light` at places (p,) in lenses, rows `lens` of `lenses` (n, s), into `out` (3, p)."""
-    profile, step, cut = shape.profile, shape.step, shape.cut
+    """Write `relative_light` at places (p,) in lenses, rows `lens` of `lenses` (n, s), into `out`
+    (3, p).
+    """
+    profile = shape.profile
+    step = shape.step
+    cut = shape.cut
     for p in range(begin, end):
-        out[0, p], out[1, p], out[2, p] = relative_light(dx[p], dy[p], lenses[lens[p]], profile, step, cut)
+        out[0, p], out[1, p], out[2, p] = relative_light(
+            dx[p], dy[p], lenses[lens[p]], profile, step, cut
+        )
 
 
 @kernel(error_model="numpy", share=lambda flat, gain, out, *_: len(out))
 def flatten_rows(begin, end, flat, gain, out, highest):
-    """`flat` (h, w, c) divided by `gain` (h, w) where that is not NaN; rounded and clipped at `highest` if above 0."""
+    """`flat` (h, w, c) divided by `gain` (h, w) where that is not NaN; rounded and clipped at
+    `highest` if above 0.
+    """
     for y in range(begin, end):
         for x in range(out.shape[1]):
             g = gain[y, x]

@@ -1,7 +1,7 @@
 """Gain of all pixels of a region, row by row from lens to lens.
 
-Along a row of pixels the nearest lens changes where the bisector to one of its neighbours is crossed, so no pixel has
-to search for its lens.
+Along a row of pixels the nearest lens changes where the bisector to one of its neighbours is
+crossed, so no pixel has to search for its lens.
 """
 
 from __future__ import annotations
@@ -34,9 +34,12 @@ class RegionGain:
     def __init__(self, gain_map: GainMap, lattice: Lattice) -> None:
         self._model = _make_row_tables(lattice, gain_map), gain_map.shape, gain_map.profiles
 
-    def at(self, left: int, top: int, width: int, height: int, least_light: float = 0.25) -> Singles:
-        """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is below `least_light` of
-        the light of the lens: mostly noise and stray light."""
+    def at(
+        self, left: int, top: int, width: int, height: int, least_light: float = 0.25
+    ) -> Singles:
+        """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is
+        below `least_light` of the light of the lens: mostly noise and stray light.
+        """
         out = np.empty((height, width), np.float32)
         _fill_gain(out, top, left, least_light, *self._model)
         return out
@@ -58,7 +61,8 @@ class RegionGain:
             Pixels of unknown gain, which keep their values.
         """
         deep = pixels.reshape(*pixels.shape[:2], -1)
-        out, unknown = np.empty_like(deep), np.empty(deep.shape[:2], np.bool_)
+        out = np.empty_like(deep)
+        unknown = np.empty(deep.shape[:2], np.bool_)
         highest = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 0.0
         # In bands of rows, so that memory does not grow with the flat.
         for first in range(0, len(deep), 512):
@@ -83,23 +87,28 @@ class _RowTables(NamedTuple):
 def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
     """Tables of a flat. ValueError if the gain map is of other lenses."""
     width, height = lattice.image_size
-    rows, indices = np.arange(height, dtype=np.float64), lattice.indices()
+    rows = np.arange(height, dtype=np.float64)
+    indices = lattice.indices()
     if len(gain.lens_gain) not in (0, len(indices)):
-        raise ValueError(f"the gain map is of {len(gain.lens_gain)} lenses, the lattice has {len(indices)}")
+        raise ValueError(
+            f"the gain map is of {len(gain.lens_gain)} lenses, the lattice has {len(indices)}"
+        )
     starts, ends = (
         np.rint(lattice.to_index(np.column_stack([np.full(height, column), rows]))).astype(np.int64)
         for column in (0.0, width - 1)
     )
     # Rows begin and end in lenses around the flat.
     every = [np.concatenate([of[:, axis] for of in (starts, ends, indices)]) for axis in (0, 1)]
-    low, high = np.array([of.min() for of in every]) - 4, np.array([of.max() for of in every]) + 4
+    low = np.array([of.min() for of in every]) - 4
+    high = np.array([of.max() for of in every]) + 4
     i, j = (np.arange(low[axis], high[axis] + 1) for axis in (0, 1))
     centres = lattice.points(np.stack(np.meshgrid(i, j), -1))
     points = centres.reshape(-1, 2)
     light = gain.light(points, lattice).reshape(centres.shape[:2])
     if len(gain.lens_gain):
         light[indices[:, 1] - low[1], indices[:, 0] - low[0]] *= gain.lens_gain
-    types, cell = np.zeros(light.shape, np.int8), gain.type_cell
+    types = np.zeros(light.shape, np.int8)
+    cell = gain.type_cell
     if cell.size:
         types[:] = cell[i[None, :] % len(cell), j[:, None] % len(cell)]
     # With the shorter diagonal: cells have at most six sides.
@@ -113,45 +122,65 @@ def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
 
 @njit(error_model="numpy")
 def _find_first_lens(y, a, b, centres):
-    """Column and row of the lens nearest to the first pixel of row `y`, by descent from lens `(a, b)`."""
+    """Column and row of the lens nearest to the first pixel of row `y`, by descent from lens `(a,
+    b)`.
+    """
     while True:
         least = centres[b, a, 0] ** 2 + (centres[b, a, 1] - y) ** 2
-        p, q = a, b
+        p = a
+        q = b
         for v in range(max(b - 1, 0), min(b + 2, centres.shape[0])):
             for u in range(max(a - 1, 0), min(a + 2, centres.shape[1])):
                 far = centres[v, u, 0] ** 2 + (centres[v, u, 1] - y) ** 2
                 if far < least:
-                    least, p, q = far, u, v
+                    least = far
+                    p = u
+                    q = v
         if p == a and q == b:
             return a, b
-        a, b = p, q
+        a = p
+        b = q
 
 
 @njit(error_model="numpy")
 def _find_next_lens(y, a, b, width, centres, ahead):
-    """First pixel of row `y` that is nearer to the next lens than to `(a, b)`, and column and row of that lens."""
+    """First pixel of row `y` that is nearer to the next lens than to `(a, b)`, and column and row
+    of that lens.
+    """
     if a < 1 or b < 1 or a > centres.shape[1] - 2 or b > centres.shape[0] - 2:
         return width, a, b
-    cx, cy = centres[b, a, 0], centres[b, a, 1]
-    least, p, q = width - cx, a, b
+    cx = centres[b, a, 0]
+    cy = centres[b, a, 1]
+    least = width - cx
+    p = a
+    q = b
     for k in range(len(ahead)):
-        u, v = a + ahead[k, 0], b + ahead[k, 1]
-        dx, dy = centres[v, u, 0] - cx, centres[v, u, 1] - cy
+        u = a + ahead[k, 0]
+        v = b + ahead[k, 1]
+        dx = centres[v, u, 0] - cx
+        dy = centres[v, u, 1] - cy
         # Lenses above each other do not follow each other in a row.
         if dx > 1e-9:
             most = 0.5 * (dx * dx + dy * dy) - dy * (y - cy)
             if most < least * dx:
-                least, p, q = most / dx, u, v
+                least = most / dx
+                p = u
+                q = v
     return min(max(math.ceil(cx + least), 0), width), p, q
 
 
 @kernel(error_model="numpy", share=lambda out, *_: len(out))
 def _fill_gain(begin, end, out, top, left, least, tables, shape, profiles):
-    """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where there is less than
-    `least` of the light of a lens; `profiles` (t, k) are those of the types of lenses."""
+    """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where
+    there is less than `least` of the light of a lens; `profiles` (t, k) are those of the types of
+    lenses.
+    """
     lens = np.empty(tables.lenses.shape[2])
     right = left + out.shape[1]
-    centres, ahead, step, cut = tables.centres, tables.ahead, shape.step, shape.cut
+    centres = tables.centres
+    ahead = tables.ahead
+    step = shape.step
+    cut = shape.cut
     for row in range(begin, end):
         y = top + row
         a, b = _find_first_lens(y, tables.starts[y, 0], tables.starts[y, 1], centres)
@@ -162,9 +191,17 @@ def _fill_gain(begin, end, out, top, left, least, tables, shape, profiles):
                 # Copied: a view of the row would cost more than these few numbers.
                 for k in range(len(lens)):
                     lens[k] = tables.lenses[b, a, k]
-                light, cx, cy = tables.light[b, a], centres[b, a, 0], centres[b, a, 1]
+                light = tables.light[b, a]
+                cx = centres[b, a, 0]
+                cy = centres[b, a, 1]
                 profile = profiles[tables.types[b, a]]
                 for at in range(max(x, left), stop):
-                    value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if light > 0 else 0.0
+                    value = (
+                        relative_light(at - cx, y - cy, lens, profile, step, cut)[0]
+                        if light > 0
+                        else 0.0
+                    )
                     out[row, at - left] = value * light if value >= least else np.nan
-            x, a, b = max(x, stop), p, q
+            x = max(x, stop)
+            a = p
+            b = q

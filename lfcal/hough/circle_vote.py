@@ -1,7 +1,9 @@
-"""Circles of microimages by Hough vote: what lattice they propose, and how well they agree with one.
+"""Circles of microimages by Hough vote: what lattice they propose, and how well they agree with
+one.
 
-Each edge pixel votes for the centres that it may belong to, along its gradient (Ballard 1981; Yuen et al. 1990, as in
-`cv2.HoughCircles`). Content of the scene makes circles too, but only those of the lens rims lie on a lattice.
+Each edge pixel votes for the centres that it may belong to, along its gradient (Ballard 1981; Yuen
+et al. 1990, as in `cv2.HoughCircles`). Content of the scene makes circles too, but only those of
+the lens rims lie on a lattice.
 """
 
 from __future__ import annotations
@@ -24,8 +26,19 @@ __all__ = ["Circles", "find_circles", "find_peaks", "propose_basis"]
 _SCALED_PITCH = 24
 #: Circles whose distances are compared.
 _MOST_CIRCLES = 400
-# Places of the part that is searched, in shares of the room to the left and above: the middle, and around it.
-_PLACES = ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8), (0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
+# Places of the part that is searched, in shares of the room to the left and above: the middle, and
+# around it.
+_PLACES = (
+    (0.5, 0.5),
+    (0.2, 0.5),
+    (0.8, 0.5),
+    (0.5, 0.2),
+    (0.5, 0.8),
+    (0.0, 0.0),
+    (1.0, 0.0),
+    (0.0, 1.0),
+    (1.0, 1.0),
+)
 
 
 @dataclass(frozen=True)
@@ -36,7 +49,8 @@ class Circles:
     radii: Floats  # (n,) [px]
 
     def agreement(self, lattice: Lattice) -> float:
-        """Share of the circles that lie on the lattice, 0..1, beyond what chance puts there; NaN for too few circles.
+        """Share of the circles that lie on the lattice, 0..1, beyond what chance puts there; NaN
+        for too few circles.
 
         0 is that of circles anywhere, 1 that of circles which all lie on lattice points.
         """
@@ -70,7 +84,9 @@ def find_circles(picture: Singles, pitch: float) -> Circles:
 
 
 def find_peaks(picture: Singles, pitch: float) -> Circles:
-    """Brightest places of a `pitch` [px] about them, as spots are, in the middle of a picture (h, w)."""
+    """Brightest places of a `pitch` [px] about them, as spots are, in the middle of a picture (h,
+    w).
+    """
     part = _ScaledPart.of(picture, pitch)
     smooth = cv2.GaussianBlur(part.grey.astype(np.float32), (0, 0), 0.15 * _SCALED_PITCH)
     side = int(0.7 * _SCALED_PITCH) | 1
@@ -107,16 +123,24 @@ class _ScaledPart:
 
 
 def _brightest_part(picture: Singles, side: int) -> tuple[int, int]:
-    """Left and top [px] of the square part in the middle, or of one beside it that has more than twice its light."""
+    """Left and top [px] of the square part in the middle, or of one beside it that has more than
+    twice its light.
+    """
     height, width = picture.shape
-    places = [(int(across * (width - side)), int(down * (height - side))) for across, down in _PLACES]
-    means = [float(picture[top : top + side : 4, left : left + side : 4].mean()) for left, top in places]
+    places = [
+        (int(across * (width - side)), int(down * (height - side))) for across, down in _PLACES
+    ]
+    means = [
+        float(picture[top : top + side : 4, left : left + side : 4].mean()) for left, top in places
+    ]
     best = int(np.argmax(means))
     return places[best] if means[best] > 2 * means[0] else places[0]
 
 
 def propose_basis(picture: Singles, pitch: float) -> Floats | None:
-    """Basis (2, 2) [px] of the two most frequent steps between circles of about this pitch; None if none stand out."""
+    """Basis (2, 2) [px] of the two most frequent steps between circles of about this pitch; None if
+    none stand out.
+    """
     centres = find_circles(picture, pitch).centres
     if len(centres) < 20:
         return None
@@ -136,7 +160,9 @@ def propose_basis(picture: Singles, pitch: float) -> Floats | None:
 
 
 def _frequent_steps(steps: Floats, size: float) -> list[Floats]:
-    """Up to six most frequent steps, of those (n, 2) to the right, in a histogram of squares of this size [px]."""
+    """Up to six most frequent steps, of those (n, 2) to the right, in a histogram of squares of
+    this size [px].
+    """
     count = 24
     edges = size * (np.arange(2 * count + 1) - count)
     histogram = np.histogram2d(steps[:, 0], steps[:, 1], bins=(edges[count:], edges))[0]
@@ -156,7 +182,9 @@ def _frequent_steps(steps: Floats, size: float) -> list[Floats]:
 
 
 def _refine(basis: Floats, steps: Floats) -> Floats:
-    """A basis (2, 2) [px] fitted to longer and longer ones of the `steps` (n, 2) [px] between circles."""
+    """A basis (2, 2) [px] fitted to longer and longer ones of the `steps` (n, 2) [px] between
+    circles.
+    """
     for reach in (1, 2, 3, 4):
         index = np.rint(steps @ np.linalg.inv(basis))
         near = np.hypot(*(steps - index @ basis).T) < 0.15 * np.hypot(*basis[0])

@@ -1,8 +1,10 @@
-"""Find defects: pixels of a white image that differ from the gain map, and from the same place in other lenses.
+"""Find defects: pixels of a white image that differ from the gain map, and from the same place in
+other lenses.
 
-Residuals from the gain map are tested pixel by pixel, and as means over small and large squares, which show dust too
-faint for single pixels. What the map lacks, such as rims, tone curves or compression, looks alike in all lenses: a
-defect also differs from the residuals at the same place of the nearest lenses by more than these scatter.
+Residuals from the gain map are tested pixel by pixel, and as means over small and large squares,
+which show dust too faint for single pixels. What the map lacks, such as rims, tone curves or
+compression, looks alike in all lenses: a defect also differs from the residuals at the same place
+of the nearest lenses by more than these scatter.
 """
 
 from __future__ import annotations
@@ -17,8 +19,10 @@ from .lens_light import LensLights
 
 __all__ = ["find_defects"]
 
-# Standard deviation of normal values over their median absolute deviation, and over the distance of the farthest tenth.
-_TO_SIGMA, _TENTH_TO_SIGMA = 1.4826, 1 / 1.6449
+# Standard deviation of normal values over their median absolute deviation, and over the distance of
+# the farthest tenth.
+_TO_SIGMA = 1.4826
+_TENTH_TO_SIGMA = 1 / 1.6449
 # Levels of light, at each of which the noise is measured.
 _LEVELS = 32
 # Standard deviations beyond what Gaussian noise reaches in a flat.
@@ -26,7 +30,8 @@ _SIGNIFICANT = 6.0
 
 
 def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tuple[Defects, float]:
-    """Defects of a white image, and the share of the pixels of lit lenses that differ from the gain map of `lights`.
+    """Defects of a white image, and the share of the pixels of lit lenses that differ from the gain
+    map of `lights`.
 
     `picture` (h, w) is the square root of the luminance.
     """
@@ -34,14 +39,17 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
 
     residual, clipped = _compute_residuals(picture, lattice, lights)
     small, large = (
-        np.float32(side) * np.asarray(cv2.blur(clipped, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
+        np.float32(side)
+        * np.asarray(cv2.blur(clipped, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
         for side in (3, 7)
     )
-    outside, bad = np.zeros(picture.shape, np.bool_), np.zeros(picture.shape, np.bool_)
+    outside = np.zeros(picture.shape, np.bool_)
+    bad = np.zeros(picture.shape, np.bool_)
     for values in (residual, small, large):
         differs = np.abs(values) > _SIGNIFICANT
         if values is large:
-            # A large square that reaches over the rim of a speck does not make its middle part of it.
+            # A large square that reaches over the rim of a speck does not make its middle part of
+            # it.
             differs &= small * np.sign(large) > 3
         else:
             # Large squares show errors of the map that harm no centre.
@@ -49,7 +57,8 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
         rows, columns = np.nonzero(differs & ~bad)
         if values is residual:
             beside = _differs_from_pixels(picture, rows, columns)
-            rows, columns = rows[beside], columns[beside]
+            rows = rows[beside]
+            columns = columns[beside]
         places = np.column_stack([columns, rows])
         # In parts, so that memory does not grow with the flat.
         for part in np.array_split(places, len(places) // 20_000 + 1):
@@ -60,10 +69,14 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
     return Defects(pixels, unlit), float(outside.sum() / max(np.isfinite(residual).sum(), 1))
 
 
-def _compute_residuals(picture: Singles, lattice: Lattice, lights: LensLights) -> tuple[Singles, Singles]:
-    """(h, w) pixels less the map, in standard deviations of those that should be as bright; and clipped, of mean 0.
+def _compute_residuals(
+    picture: Singles, lattice: Lattice, lights: LensLights
+) -> tuple[Singles, Singles]:
+    """(h, w) pixels less the map, in standard deviations of those that should be as bright; and
+    clipped, of mean 0.
 
-    Clipped ones are for means over squares: one bright pixel does not make a square of them a defect.
+    Clipped ones are for means over squares: one bright pixel does not make a square of them a
+    defect.
     """
     gain = RegionGain(lights.gain, lattice).at(0, 0, *lattice.image_size, least_light=-np.inf)
     unlit = gain == 0
@@ -75,15 +88,20 @@ def _compute_residuals(picture: Singles, lattice: Lattice, lights: LensLights) -
     middle, mean = np.zeros((2, _LEVELS), np.float32)
     scale, even = np.ones((2, _LEVELS), np.float32)
     every = max(1, residual.size // 1_000_000)
-    some, of = residual.ravel()[::every], np.where(unlit, _LEVELS, level).ravel()[::every]
+    some = residual.ravel()[::every]
+    of = np.where(unlit, _LEVELS, level).ravel()[::every]
     for k in range(_LEVELS):
         own = some[of == k]
         if len(own):
             middle[k] = np.median(own)
             # Where noise is cut off at black, more than half of the pixels may have the same value.
-            noise = float(np.max(np.quantile(np.abs(own - middle[k]), (0.5, 0.9)) * (_TO_SIGMA, _TENTH_TO_SIGMA)))
-            # Residuals of half a per cent of the light harm no picture, and lenses differ by three times as much; the
-            # root of dark pixels is steep.
+            noise = float(
+                np.max(
+                    np.quantile(np.abs(own - middle[k]), (0.5, 0.9)) * (_TO_SIGMA, _TENTH_TO_SIGMA)
+                )
+            )
+            # Residuals of half a per cent of the light harm no picture, and lenses differ by three
+            # times as much; the root of dark pixels is steep.
             least = 0.005 * brightest / np.sqrt((k + 0.5) / _LEVELS)
             scale[k] = max(noise, least)
             even[k] = scale[k] / max(noise, 3 * least)
@@ -106,7 +124,8 @@ def _differs_from_pixels(picture: Singles, rows: Integers, columns: Integers) ->
 
 
 def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) -> Booleans:
-    """Which `places` (n, 2) [px] have values that differ from those at the same place in 36 lenses around.
+    """Which `places` (n, 2) [px] have values that differ from those at the same place in 36 lenses
+    around.
 
     Every third lens each way, as dust may cover some beside each other.
     """
@@ -128,7 +147,8 @@ def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) ->
     # Their scatter to the same side: types of lenses, rims.
     spread = np.maximum(_TENTH_TO_SIGMA * np.where(own > middle, high - middle, middle - low), 1)
     beyond = np.abs(own - middle) / spread
-    # The light of lenses whose centre is off the flat is not measured: they may be darker by themselves.
+    # The light of lenses whose centre is off the flat is not measured: they may be darker by
+    # themselves.
     x, y = (places - offset).T
     off = (x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)
     beyond[off] = (own - middle)[off] / (2 * spread[off])

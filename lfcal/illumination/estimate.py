@@ -1,12 +1,15 @@
-"""Estimate a gain map: the common shape of the microimages of a flat and its changes over the field.
+"""Estimate a gain map: the common shape of the microimages of a flat and its changes over the
+field.
 
-The pixels of a sample of lenses are compared with the current map. Their residuals, summed over the distance to the
-centre, correct the profile; over the direction, the rim; over the place in the microimage, the shading. Low-order
-polynomials of the field follow them if significant (least squares).
+The pixels of a sample of lenses are compared with the current map. Their residuals, summed over the
+distance to the centre, correct the profile; over the direction, the rim; over the place in the
+microimage, the shading. Low-order polynomials of the field follow them if significant (least
+squares).
 
-On a white image a lens has one unknown, its light. On a scene capture a plane is fitted to its inner part, and lenses
-that are no plane there have little weight. That suffices for the rims; the profile itself is taken from sums over many
-lenses (`profiles`). The light of single lenses cannot be measured from scenes.
+On a white image a lens has one unknown, its light. On a scene capture a plane is fitted to its
+inner part, and lenses that are no plane there have little weight. That suffices for the rims; the
+profile itself is taken from sums over many lenses (`profiles`). The light of single lenses cannot
+be measured from scenes.
 """
 
 from __future__ import annotations
@@ -35,8 +38,8 @@ def estimate_gain(
 ) -> GainMap:
     """Estimate the shape of the microimages of a flat, without the light of single lenses.
 
-    `picture` (h, w), or crops of a white image, is the square root of the luminance; `cat_eye` the cutting disc if
-    known.
+    `picture` (h, w), or crops of a white image, is the square root of the luminance; `cat_eye` the
+    cutting disc if known.
     """
     sample = draw_sample(lattice, picture, 1.5e5, scene)
     # [px] between samples of the profile; a rim is about one pixel soft.
@@ -56,8 +59,11 @@ def estimate_gain(
             largest = TUKEY_CUTOFF * _estimate_noise(residuals, rings)
         gain = _correct_profile(gain, residuals)
         if terms and len(gain.cut):
-            # From new residuals: where the two rims coincide, both would else be moved to correct the same error.
-            gain = replace(gain, cut=_fit_cut(collect_residuals(sample, gain, scene, largest), gain))
+            # From new residuals: where the two rims coincide, both would else be moved to correct
+            # the same error.
+            gain = replace(
+                gain, cut=_fit_cut(collect_residuals(sample, gain, scene, largest), gain)
+            )
     return replace(gain, profile=fit_scene_profile(picture, lattice, gain)) if scene else gain
 
 
@@ -72,12 +78,16 @@ def _estimate_noise(residuals: Residuals, rings: int) -> Array:
 
 def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
     """The map with its profile, 1 at its brightest, and its stray light corrected."""
-    r, rings = residuals, len(gain.profile)
+    r = residuals
+    rings = len(gain.profile)
     bright = r.weight * r.through * r.plane * (r.through > 0.5)
     pixels = r.spread(bright * r.through * r.plane, rings)
-    found = np.maximum(gain.profile + r.spread(bright * r.error, rings) / np.maximum(pixels, 1e-300), 0.0)
+    found = np.maximum(
+        gain.profile + r.spread(bright * r.error, rings) / np.maximum(pixels, 1e-300), 0.0
+    )
     # Rings with hardly any pixel are interpolated.
-    at, filled = np.arange(rings), pixels > 1e-3 * pixels.max()
+    at = np.arange(rings)
+    filled = pixels > 1e-3 * pixels.max()
     profile = np.interp(at, at[filled], found[filled]) if filled.any() else gain.profile
     stray = max(profile.min() if math.isnan(r.stray) else gain.stray_light + r.stray, 0.0)
     smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
@@ -86,7 +96,8 @@ def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
 
 
 def _fit_significant(blocks: list[Floats], target: Floats, weight: Floats) -> list[Floats]:
-    """Weighted least-squares factors of the columns of each block, zero for those that hardly move the rim.
+    """Weighted least-squares factors of the columns of each block, zero for those that hardly move
+    the rim.
 
     By 0.02 px RMS, and four standard errors.
     """
@@ -94,7 +105,8 @@ def _fit_significant(blocks: list[Floats], target: Floats, weight: Floats) -> li
     root = np.sqrt(weight)[:, None]
     usable = int((weight > 0).sum())
     ends = np.cumsum([0] + [b.shape[1] for b in blocks])
-    keep, factors = np.ones(table.shape[1], dtype=bool), np.zeros(table.shape[1])
+    keep = np.ones(table.shape[1], dtype=bool)
+    factors = np.zeros(table.shape[1])
     if usable <= 2 * table.shape[1]:
         return [np.zeros(b.shape[1]) for b in blocks]
     for _ in range(2):
@@ -107,7 +119,9 @@ def _fit_significant(blocks: list[Floats], target: Floats, weight: Floats) -> li
         whole[np.ix_(keep, keep)] = covariance * float(miss @ miss) / (usable - int(keep.sum()))
         for first, last in pairwise(ends):
             own = slice(first, last)
-            size = math.sqrt(float(weight @ (table[:, own] @ factors[own]) ** 2) / float(weight.sum()))
+            size = math.sqrt(
+                float(weight @ (table[:, own] @ factors[own]) ** 2) / float(weight.sum())
+            )
             ratio = factors[own] @ np.linalg.pinv(whole[own, own]) @ factors[own] / (last - first)
             keep[own] &= size > 0.02 and ratio > 16
     return [factors[a:b] * keep[a:b] for a, b in pairwise(ends)]
@@ -115,23 +129,32 @@ def _fit_significant(blocks: list[Floats], target: Floats, weight: Floats) -> li
 
 def _select_rims(residuals: Residuals, gain: GainMap) -> tuple[Booleans, Array]:
     """Pixels (q,) of rims, and how their light falls towards the outside there, over the radius."""
-    r, slope = residuals, np.gradient(gain.profile, gain.step)
+    r = residuals
+    slope = np.gradient(gain.profile, gain.step)
     far = np.hypot(r.sample.x, r.sample.y) / gain.radius
     steep = (slope[r.ring] * (1 - r.part) + slope[r.ring + 1] * r.part) * r.through * r.plane * far
     return np.abs(steep) > 0.02, steep
 
 
-def _fit_rim(residuals: Residuals, gain: GainMap, rims: Booleans, steep: Array, scene: bool) -> Array:
-    """New polynomials of the rim: harmonics of the direction times monomials of the field, the significant ones.
+def _fit_rim(
+    residuals: Residuals, gain: GainMap, rims: Booleans, steep: Array, scene: bool
+) -> Array:
+    """New polynomials of the rim: harmonics of the direction times monomials of the field, the
+    significant ones.
 
-    Only the mean and the first three harmonics may change over the field, and the mean rim of the whole field is in
-    the profile. Of scenes, whose content leaks into them, none changes.
+    Only the mean and the first three harmonics may change over the field, and the mean rim of the
+    whole field is in the profile. Of scenes, whose content leaks into them, none changes.
     """
-    sample, directions, harmonics = residuals.sample, 48, 12  # squares and hexagons with their corners
+    sample = residuals.sample  # squares and hexagons with their corners
+    directions = 48
+    harmonics = 12
     # Sums over the pixels of the rims in each direction of each window: how far they should move.
-    bins = np.floor(np.arctan2(sample.y[rims], sample.x[rims]) / (2 * np.pi) * directions + 0.5).astype(np.int64)
+    bins = np.floor(
+        np.arctan2(sample.y[rims], sample.x[rims]) / (2 * np.pi) * directions + 0.5
+    ).astype(np.int64)
     bins = bins % directions + directions * sample.window[sample.lens[rims]]
-    size, steep = sample.windows * directions, steep[rims]
+    size = sample.windows * directions
+    steep = steep[rims]
     weight: Array = np.bincount(bins, residuals.weight[rims] * steep**2, size)
     pull: Array = np.bincount(bins, -residuals.weight[rims] * steep * residuals.error[rims], size)
     target = pull / np.maximum(weight, 1e-30)
@@ -140,16 +163,28 @@ def _fit_rim(residuals: Residuals, gain: GainMap, rims: Booleans, steep: Array, 
     field = np.repeat(field_monomials(sample.middle, sample.lattice, terms), directions, axis=0)
     old, rim = np.zeros((2, 1 + 2 * harmonics, terms))
     old[: len(gain.rim), : gain.rim.shape[1]] = gain.rim
-    blocks, places = [], []
+    blocks = []
+    places = []
     for k in range(harmonics + 1):
-        waves = {2 * k: np.sin(k * angle), 2 * k - 1: np.cos(k * angle)} if k else {0: np.ones_like(angle)}
-        own = [(row, c) for row in sorted(waves) for c in range(terms if k <= 3 else 1) if (row, c) != (0, 0)]
+        waves = (
+            {2 * k: np.sin(k * angle), 2 * k - 1: np.cos(k * angle)}
+            if k
+            else {0: np.ones_like(angle)}
+        )
+        own = [
+            (row, c)
+            for row in sorted(waves)
+            for c in range(terms if k <= 3 else 1)
+            if (row, c) != (0, 0)
+        ]
         if own:
             places.append(tuple(np.array(own).T))
             blocks.append(np.column_stack([waves[row] * field[:, c] for row, c in own]))
             # What the map holds already is fitted again, so that its significance is tested again.
             target = target + blocks[-1] @ old[places[-1]]
-    for place, factors in zip(places, _fit_significant(blocks, np.where(weight > 0, target, 0), weight), strict=True):
+    for place, factors in zip(
+        places, _fit_significant(blocks, np.where(weight > 0, target, 0), weight), strict=True
+    ):
         rim[place] = factors
     last = int(np.flatnonzero(rim.any(1)).max(initial=0) + 1) // 2
     return rim[: 1 + 2 * last]
@@ -160,13 +195,29 @@ def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
     edge = np.flatnonzero((residuals.through > 0.001) & (residuals.through < 0.999))
     sample, light, through, plane, error, weight = (
         residuals.sample.select(edge),
-        *(v[edge] for v in (residuals.light, residuals.through, residuals.plane, residuals.error, residuals.weight)),
+        *(
+            v[edge]
+            for v in (
+                residuals.light,
+                residuals.through,
+                residuals.plane,
+                residuals.error,
+                residuals.weight,
+            )
+        ),
     )
-    field, cut = field_place(sample.centres, sample.lattice)[sample.lens], gain.cut
+    field = field_place(sample.centres, sample.lattice)[sample.lens]
+    cut = gain.cut
     offset = np.stack([sample.x, sample.y], axis=1) - cut[:2] - cut[2] * field
     far = np.hypot(*offset.T)
     depth = (cut[3] - far) / cut[4]
-    push = (light - gain.stray_light) / through * np.exp(-0.5 * depth**2) / (math.sqrt(2 * math.pi) * cut[4]) * plane
+    push = (
+        (light - gain.stray_light)
+        / through
+        * np.exp(-0.5 * depth**2)
+        / (math.sqrt(2 * math.pi) * cut[4])
+        * plane
+    )
     shift = push[:, None] * offset / far[:, None]
     rows = np.column_stack([shift, (shift * field).sum(1), push, -push * depth])
     normal = rows.T @ (rows * weight[:, None])
@@ -183,24 +234,30 @@ def _fit_shading(residuals: Residuals, gain: GainMap, rims: Booleans) -> Array:
     """New polynomials of the shading: least squares on the normal equations of all windows."""
     inside = np.flatnonzero(~rims & (residuals.light > 0.7) & (residuals.through > 0.95))
     sample, light, error, weight = (
-        residuals.sample.select(inside), *(v[inside] for v in (residuals.light, residuals.error, residuals.weight))
-    )  # fmt: skip
-    u, v = sample.x / gain.radius, sample.y / gain.radius
+        residuals.sample.select(inside),
+        *(v[inside] for v in (residuals.light, residuals.error, residuals.weight)),
+    )
+    u = sample.x / gain.radius
+    v = sample.y / gain.radius
     rows = light[:, None] * np.column_stack([u, v, u * u, u * v, v * v, np.ones_like(u)])
-    windows, window = sample.windows, sample.window[sample.lens]
+    windows = sample.windows
+    window = sample.window[sample.lens]
     terms = next((count_terms(d) for d in (3, 1) if windows > 2 * count_terms(d)), 1)
     field = field_monomials(sample.middle, sample.lattice, terms)
     shading = np.zeros((5, terms))
     shading[:, : gain.shading.shape[1]] = gain.shading[:, :terms]
     cells = [(row, c) for row in range(5) for c in range(terms if row < 2 else min(6, terms))]
-    matrix, right = np.zeros((len(cells), len(cells))), np.zeros(len(cells))
+    matrix = np.zeros((len(cells), len(cells)))
+    right = np.zeros(len(cells))
     for k in range(windows):
         own = rows[window == k]
         weighted = own.T * weight[window == k]
-        normal, pull = weighted @ own, weighted @ error[window == k]
+        normal = weighted @ own
+        pull = weighted @ error[window == k]
         # The light of a window is eliminated (Schur complement).
         mixed = normal[:5, 5] / max(normal[5, 5], 1e-30)
-        normal, pull = normal[:5, :5] - np.outer(mixed, normal[5, :5]), pull[:5] - mixed * pull[5]
+        normal = normal[:5, :5] - np.outer(mixed, normal[5, :5])
+        pull = pull[:5] - mixed * pull[5]
         design = np.zeros((5, len(cells)))
         for column, (row, c) in enumerate(cells):
             design[row, column] = field[k, c]
@@ -208,6 +265,8 @@ def _fit_shading(residuals: Residuals, gain: GainMap, rims: Booleans) -> Array:
         right += design.T @ pull
     # The mean curvature is in the profile.
     curvature = np.array([1.0 * (cell in ((2, 0), (4, 0))) for cell in cells])
-    matrix += np.outer(curvature, curvature) * np.trace(matrix) + (1e-9 * np.trace(matrix) + 1e-12) * np.eye(len(cells))
+    matrix += np.outer(curvature, curvature) * np.trace(matrix) + (
+        1e-9 * np.trace(matrix) + 1e-12
+    ) * np.eye(len(cells))
     shading[tuple(np.array(cells).T)] += np.linalg.solve(matrix, right)
     return shading

@@ -1,7 +1,8 @@
-"""Light of every lens of a white image: a smooth polynomial of the field, and lenses that differ from it or are unlit.
+"""Light of every lens of a white image: a smooth polynomial of the field, and lenses that differ
+from it or are unlit.
 
-The light of a lens is the mean ratio of its pixels to the shape of its microimage. A robust polynomial (IRLS with
-Tukey's biweight) is fitted to the logarithms.
+The light of a lens is the mean ratio of its pixels to the shape of its microimage. A robust
+polynomial (IRLS with Tukey's biweight) is fitted to the logarithms.
 """
 
 from __future__ import annotations
@@ -39,8 +40,10 @@ class LensLights:
 
 
 class _LensMeasurements(NamedTuple):
-    """Of every lens (n,): light, number of pixels it comes from, their standard deviation, mean and maximum of all; how
-    they correlate with the shape of microimages, and the contrast of that shape."""
+    """Of every lens (n,): light, number of pixels it comes from, their standard deviation, mean and
+    maximum of all; how they correlate with the shape of microimages, and the contrast of that
+    shape.
+    """
 
     light: Singles
     number: Singles
@@ -52,22 +55,37 @@ class _LensMeasurements(NamedTuple):
 
 
 @kernel(error_model="numpy", share=lambda picture, top, chosen, *_: len(chosen))
-def _measure_lenses(begin, end, picture, top, chosen, centres, lenses, cell, stride, shape, profile, out):
-    """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n); `picture` begins at row `top` of the flat."""
+def _measure_lenses(
+    begin, end, picture, top, chosen, centres, lenses, cell, stride, shape, profile, out
+):
+    """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n); `picture` begins at row
+    `top` of the flat.
+    """
     height, width = picture.shape
     lens = np.empty(lenses.shape[1])
-    step, cut, reach = shape.step, shape.cut, cell.circumradius
+    step = shape.step
+    cut = shape.cut
+    reach = cell.circumradius
     for k in range(begin, end):
         n = chosen[k]
         lens[:] = lenses[n]
-        cx, cy = centres[n, 0], centres[n, 1] - top
-        total = squares = inside = every = light = largest = shapes = shapes2 = product = light2 = 0.0
-        for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
+        cx = centres[n, 0]
+        cy = centres[n, 1] - top
+        total = squares = inside = every = light = largest = shapes = shapes2 = product = light2 = (
+            0.0
+        )
+        for y in range(
+            max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride
+        ):
             dy = y - cy
             half = math.sqrt(max(reach * reach - dy * dy, 0.0))
-            for x in range(max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1, stride):
+            for x in range(
+                max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1, stride
+            ):
                 dx = x - cx
-                if dx * dx + dy * dy > cell.inradius * cell.inradius and is_outside_cell(dx, dy, cell.normals):
+                if dx * dx + dy * dy > cell.inradius * cell.inradius and is_outside_cell(
+                    dx, dy, cell.normals
+                ):
                     continue
                 v = picture[y, x] * picture[y, x]
                 every += 1
@@ -86,20 +104,33 @@ def _measure_lenses(begin, end, picture, top, chosen, centres, lenses, cell, str
         if every > 0:
             out[3, n], out[4, n] = light / every, largest
             # Nothing correlates with what hardly varies.
-            spread, own = shapes2 / every - (shapes / every) ** 2, light2 / every - (light / every) ** 2
+            spread = shapes2 / every - (shapes / every) ** 2
+            own = light2 / every - (light / every) ** 2
             if spread > 1e-6 * (shapes / every) ** 2 and own > 1e-6 * (light / every) ** 2:
-                out[5, n] = (product / every - shapes * light / (every * every)) / math.sqrt(spread * own)
+                out[5, n] = (product / every - shapes * light / (every * every)) / math.sqrt(
+                    spread * own
+                )
             out[6, n] = math.sqrt(max(spread, 0.0)) / max(shapes / every, 1e-9)
         if inside > 0:
             mean = total / inside
-            out[0, n], out[1, n], out[2, n] = mean, inside, math.sqrt(max(squares / inside - mean * mean, 0.0))
+            out[0, n], out[1, n], out[2, n] = (
+                mean,
+                inside,
+                math.sqrt(max(squares / inside - mean * mean, 0.0)),
+            )
 
 
-def _measure(picture: Singles | ReadCrop, lattice: Lattice, gain: GainMap, centres: Floats) -> _LensMeasurements:
+def _measure(
+    picture: Singles | ReadCrop, lattice: Lattice, gain: GainMap, centres: Floats
+) -> _LensMeasurements:
     """Measure all lenses in about 48 pixels of each, or 12 where there are very many."""
-    cell, out = Cell.of(lattice), np.zeros((7, len(centres)), np.float32)
-    stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / (48 if len(centres) < 1e6 else 12))))
-    lenses, kinds = gain.describe(centres, lattice), np.zeros(len(centres), np.int8)
+    cell = Cell.of(lattice)
+    out = np.zeros((7, len(centres)), np.float32)
+    stride = max(
+        1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / (48 if len(centres) < 1e6 else 12)))
+    )
+    lenses = gain.describe(centres, lattice)
+    kinds = np.zeros(len(centres), np.int8)
     if gain.type_cell.size:
         kinds = LensTypes(gain.type_cell).of(lattice.indices())
 
@@ -130,25 +161,35 @@ def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: Gai
     """
     centres = lattice.centres()
     found = _measure(picture, lattice, gain, centres)
-    seen, light = found.number > 0, found.light
+    seen = found.number > 0
+    light = found.light
     few = slice(None, None, max(1, len(centres) // 20_000))
     top = float(np.percentile(light[few][seen[few]], 95)) if seen[few].any() else 1.0
     lit = seen & (light > 0.03 * top)
     # Stray light has not the shape of microimages.
     shaped = found.contrast > 0.1
-    typical = float(np.median(found.correlation[few][(lit & shaped)[few]])) if (lit & shaped)[few].any() else 0.0
+    typical = (
+        float(np.median(found.correlation[few][(lit & shaped)[few]]))
+        if (lit & shaped)[few].any()
+        else 0.0
+    )
     lit &= ~(shaped & (found.correlation < min(0.25, 0.4 * typical)))
     # Beside the lit lenses of Letters.white it correlates up to 0.62, lenses under dust (w08) 0.67.
     lit &= ~(shaped & (found.correlation < 0.65 * typical) & (light < 0.25 * top))
     if not lit[few].any():
         return LensLights(gain, 1.0, np.zeros(0, np.int64))
-    level = _fit_level(light, lit & (found.number > 0.3 * np.median(found.number[few][seen[few]])), centres, lattice)
+    level = _fit_level(
+        light,
+        lit & (found.number > 0.3 * np.median(found.number[few][seen[few]])),
+        centres,
+        lattice,
+    )
     smooth = replace(gain, level=level).light(centres, lattice).astype(np.float32)
     # Far from all light a polynomial can be close to 0; squares of the ratio stay finite.
     np.maximum(smooth, np.float32(1e-9) * np.max(light), out=smooth)
     ratio = light / smooth
-    # Photon noise grows with the root of the light. Dust darkens parts of a lens: the lens itself has the light of the
-    # polynomial.
+    # Photon noise grows with the root of the light. Dust darkens parts of a lens: the lens itself
+    # has the light of the polynomial.
     relative = found.scatter / np.maximum(light, np.float32(1e-30))
     noise = relative * np.sqrt(smooth)
     ratio[noise > 2 * np.median(noise[few][lit[few]])] = 1
@@ -158,30 +199,40 @@ def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: Gai
     level[0] -= math.log(brightest)
     if np.all(own == 1):
         own = np.zeros(0, np.float32)
-    return LensLights(replace(gain, level=level, lens_gain=own), brightest, np.flatnonzero(seen & ~lit))
+    return LensLights(
+        replace(gain, level=level, lens_gain=own), brightest, np.flatnonzero(seen & ~lit)
+    )
 
 
 def _fit_level(lights: Singles, use: Booleans, centres: Floats, lattice: Lattice) -> Floats:
-    """Robust polynomial through the logarithms of the lights of lenses, of the fourth degree if there are enough."""
+    """Robust polynomial through the logarithms of the lights of lenses, of the fourth degree if
+    there are enough.
+    """
     rows = np.flatnonzero(use)
     rows = rows[:: max(1, len(rows) // 4000)]
     log = np.log(np.maximum(lights[rows], 1e-12))
     degree = next((d for d in (4, 2) if len(rows) >= 12 * count_terms(d)), 0)
-    table, weight = field_monomials(centres[rows], lattice, count_terms(degree)), np.ones(len(rows))
+    table = field_monomials(centres[rows], lattice, count_terms(degree))
+    weight = np.ones(len(rows))
     level: Floats = np.zeros(table.shape[1])
     for _ in range(5):
         weighted = weight[:, None] * table
-        level[:] = np.linalg.solve(weighted.T @ table + 1e-9 * max(len(rows), 1) * np.eye(len(level)), weighted.T @ log)
+        level[:] = np.linalg.solve(
+            weighted.T @ table + 1e-9 * max(len(rows), 1) * np.eye(len(level)), weighted.T @ log
+        )
         miss = np.abs(log - table @ level)
         spread = _TO_SIGMA * float(np.median(miss)) + 1e-9 if len(rows) else 1.0
         weight = np.clip(1 - (miss / (TUKEY_CUTOFF * spread)) ** 2, 0, None) ** 2
     return level
 
 
-def _shrink_lens_gain(ratio: NDArray[np.floating], error: NDArray[np.floating], lit: Booleans, few: slice) -> Singles:
+def _shrink_lens_gain(
+    ratio: NDArray[np.floating], error: NDArray[np.floating], lit: Booleans, few: slice
+) -> Singles:
     """Light of lenses over the polynomial: 1 if not significantly different, 0 if unlit.
 
-    If the lenses scatter by more than their errors, differences are shrunk by their errors (James and Stein 1961).
+    If the lenses scatter by more than their errors, differences are shrunk by their errors (James
+    and Stein 1961).
     """
     miss = ratio - 1
     spread = _TO_SIGMA * float(np.median(np.abs(miss[few][lit[few]])))
@@ -189,13 +240,18 @@ def _shrink_lens_gain(ratio: NDArray[np.floating], error: NDArray[np.floating], 
     true = max(spread**2 - noise**2, 0.0)
     variance = np.float32(true) + error * error
     # Lenses that scatter by 0.3 % may do so by errors of the model.
-    kept = np.float32(true) / variance if true > max(0.003, 0.5 * noise) ** 2 else np.zeros_like(miss)
+    kept = (
+        np.float32(true) / variance if true > max(0.003, 0.5 * noise) ** 2 else np.zeros_like(miss)
+    )
     kept[miss * miss > np.maximum(25 * variance, np.float32(1e-4))] = 1
-    return np.where(lit, np.maximum(1 + kept * miss, np.float32(0.01)), np.float32(0)).astype(np.float32)
+    return np.where(lit, np.maximum(1 + kept * miss, np.float32(0.01)), np.float32(0)).astype(
+        np.float32
+    )
 
 
 def find_unlit_in_scene(picture: Singles, lattice: Lattice, gain: GainMap) -> Integers:
-    """(m,) rows of the lenses of a scene capture that have no light while all their neighbours have some.
+    """(m,) rows of the lenses of a scene capture that have no light while all their neighbours have
+    some.
 
     Their brightest pixel has less than a twentieth of the mean of the darkest neighbour.
     """

@@ -1,4 +1,6 @@
-"""Illumination of a camera from one flat: gain map, vignetting of the average microimage, usable radius and defects."""
+"""Illumination of a camera from one flat: gain map, vignetting of the average microimage, usable
+radius and defects.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,9 @@ from .profiles import fit_type_profiles, order_by_rims
 
 __all__ = ["Illumination", "measure_illumination"]
 
-#: Share of the pixels of a white image beside its gain map, above which that is doubtful: 25 white images have up to
-#: 0.027 (a binary mask), one with large specks of dust 0.05, a checkerboard seen through an array 0.12.
+#: Share of the pixels of a white image beside its gain map, above which that is doubtful: 25 white
+#: images have up to 0.027 (a binary mask), one with large specks of dust 0.05, a checkerboard seen
+#: through an array 0.12.
 MOST_OFF_GAIN = 0.03
 
 
@@ -35,7 +38,9 @@ class Illumination:
     radius: float  # [px] where that falls below half, at most half the distance to the nearest microimage
     defects: Defects
     warnings: tuple[str, ...]
-    outlier_share: float = 0.0  # of the pixels of a white image that differ from the gain map; 0 if not measured
+    outlier_share: float = (
+        0.0  # of the pixels of a white image that differ from the gain map; 0 if not measured
+    )
     lens_types: LensTypes | None = None  # on white images in the order of their rims
 
 
@@ -49,10 +54,11 @@ def measure_illumination(
 ) -> Illumination:
     """Gain map, vignetting and defects from a flat.
 
-    `picture` (h, w), or crops of a white image, is the square root of the luminance. From a scene follow only the
-    common shape of its microimages, and of defects only unlit lenses with lit neighbours. `cat_eye` is the disc that
-    cuts microimages, if known; `read_crop` reads further crops, of which only unlit lenses are found. `find_types`
-    finds the types of the lenses of a lattice with a usable radius.
+    `picture` (h, w), or crops of a white image, is the square root of the luminance. From a scene
+    follow only the common shape of its microimages, and of defects only unlit lenses with lit
+    neighbours. `cat_eye` is the disc that cuts microimages, if known; `read_crop` reads further
+    crops, of which only unlit lenses are found. `find_types` finds the types of the lenses of a
+    lattice with a usable radius.
     """
     gain = estimate_gain(picture, lattice, not white, cat_eye)
     vignetting, radius = _average(gain, lattice)
@@ -96,9 +102,17 @@ def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     radii = np.arange(rings) * gain.step
     radius = limit
     # In clipped flats only the rims of bright microimages are measured.
-    dark = np.flatnonzero((relative < 0.5) & (radii > max(0.3 * limit, float(radii[relative.argmax()]))))
+    dark = np.flatnonzero(
+        (relative < 0.5) & (radii > max(0.3 * limit, float(radii[relative.argmax()])))
+    )
     if len(dark):
         k = int(dark[0])
-        before, after = relative[k - 1], relative[k]
-        radius = min(limit, float(radii[k - 1] + np.clip((before - 0.5) / max(before - after, 1e-9), 0, 1) * gain.step))
+        before = relative[k - 1]
+        after = relative[k]
+        radius = min(
+            limit,
+            float(
+                radii[k - 1] + np.clip((before - 0.5) / max(before - after, 1e-9), 0, 1) * gain.step
+            ),
+        )
     return Vignetting(relative, gain.step), radius

@@ -1,10 +1,11 @@
-"""Profiles of microimages from sums over many lenses: of scene captures, and of the types of a multi-focus array.
+"""Profiles of microimages from sums over many lenses: of scene captures, and of the types of a
+multi-focus array.
 
-On the average a scene is as bright at the rims of microimages as in their middles. The ratio of the summed light at one
-distance to that at others is free of it. The mean of ratios within lenses is not: a lens with something bright in its
-middle is darker around it more often than not. Microlenses of another focal length blur the image of the main aperture,
-and so the rims of their microimages, in another way: their sums in one part of the field, where all types see the same,
-are compared.
+On the average a scene is as bright at the rims of microimages as in their middles. The ratio of the
+summed light at one distance to that at others is free of it. The mean of ratios within lenses is
+not: a lens with something bright in its middle is darker around it more often than not. Microlenses
+of another focal length blur the image of the main aperture, and so the rims of their microimages,
+in another way: their sums in one part of the field, where all types see the same, are compared.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ __all__ = ["fit_scene_profile", "fit_type_profiles", "order_by_rims"]
 def _sum_windows(
     sample: Sample, gain: GainMap, scene: bool, types: NDArray[np.int8], core: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Light over that of the core (w, t, k), its weight, and the level of the core (w, t), of windows that have some.
+    """Light over that of the core (w, t, k), its weight, and the level of the core (w, t), of
+    windows that have some.
 
     `core` [px] is its radius; `types` (n,) are those of the lenses.
     """
@@ -44,10 +46,12 @@ def _sum_windows(
     part = np.minimum(place - ring, 1.0)
     ring += shape[2] * (types[sample.lens[chosen]] + shape[1] * sample.window[sample.lens[chosen]])
     light, weight = (
-        np.bincount(ring, v * (1 - part), math.prod(shape)) + np.bincount(ring + 1, v * part, math.prod(shape))
+        np.bincount(ring, v * (1 - part), math.prod(shape))
+        + np.bincount(ring + 1, v * part, math.prod(shape))
         for v in (sample.value[chosen], through[chosen])
     )
-    light, weight = light.reshape(shape), weight.reshape(shape)
+    light = light.reshape(shape)
+    weight = weight.reshape(shape)
     radii = np.arange(shape[2]) * gain.step
     number = weight[..., radii < core].sum(-1)
     level = light[..., radii < core].sum(-1) / np.maximum(number, 1e-12)
@@ -59,7 +63,9 @@ def _sum_windows(
 
 
 def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
-    """(...) means of values (w, ...) over windows of the field, shrunk by their errors (James and Stein 1961)."""
+    """(...) means of values (w, ...) over windows of the field, shrunk by their errors (James and
+    Stein 1961).
+    """
     total = np.maximum(weight.sum(0), 1e-12)
     mean = (values * weight).sum(0) / total
     windows = max(len(values), 2)
@@ -70,14 +76,16 @@ def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
 def fit_scene_profile(picture: Singles | StackedCrops, lattice: Lattice, gain: GainMap) -> Floats:
     """(k,) profile of a gain map with known rims, from a scene; 1 wherever that cannot be excluded.
 
-    `picture` (h, w) is the square root of the luminance; where it is too dark, the profile of `gain` is returned.
+    `picture` (h, w) is the square root of the luminance; where it is too dark, the profile of
+    `gain` is returned.
     """
     sample = draw_sample(lattice, picture, 1e6, True)
     types = np.zeros(len(sample.centres), np.int8)
     light, weight, _ = _sum_windows(sample, gain, True, types, 0.6 * gain.radius)
     if not len(light):
         return gain.profile
-    rings, pixels = np.arange(len(gain.profile)), weight.sum((0, 1))
+    rings = np.arange(len(gain.profile))
+    pixels = weight.sum((0, 1))
     filled = pixels > 1e-3 * pixels.max()
     away = _shrunk_mean(light[:, 0] / np.maximum(weight[:, 0], 1e-12) - 1, weight[:, 0])
     profile = 1 + np.interp(rings, rings[filled], away[filled])
@@ -86,12 +94,17 @@ def fit_scene_profile(picture: Singles | StackedCrops, lattice: Lattice, gain: G
 
 
 def fit_type_profiles(
-    picture: Singles | StackedCrops, lattice: Lattice, gain: GainMap, types: LensTypes | None, scene: bool
+    picture: Singles | StackedCrops,
+    lattice: Lattice,
+    gain: GainMap,
+    types: LensTypes | None,
+    scene: bool,
 ) -> GainMap:
-    """The gain map with the light of each type of lens, or as it is if types do not differ significantly.
+    """The gain map with the light of each type of lens, or as it is if types do not differ
+    significantly.
 
-    `picture` (h, w), or crops of a white image, is the square root of the luminance; on a white image the light of each
-    lens is in the map.
+    `picture` (h, w), or crops of a white image, is the square root of the luminance; on a white
+    image the light of each lens is in the map.
     """
     if types is None or types.count == 1:
         return gain
@@ -103,8 +116,12 @@ def fit_type_profiles(
     # Over 1.25 px.
     wide = 2 * (round(1.25 / gain.step) // 2) + 1
     edge = ((0, 0), (0, 0), (wide // 2, wide // 2))
-    light, weight = (sliding_window_view(np.pad(sums, edge, "edge"), wide, -1).mean(-1) for sums in (light, weight))
-    radii, least = np.arange(len(gain.profile)) * gain.step, weight.min(1, keepdims=True)
+    light, weight = (
+        sliding_window_view(np.pad(sums, edge, "edge"), wide, -1).mean(-1)
+        for sums in (light, weight)
+    )
+    radii = np.arange(len(gain.profile)) * gain.step
+    least = weight.min(1, keepdims=True)
     ratio = light / np.maximum(weight, 1e-12)
     factor = 1 + _shrunk_mean(ratio / np.maximum(ratio.mean(1, keepdims=True), 1e-12) - 1, least)
     # Rims are measured as far as there is light in them.
@@ -119,11 +136,14 @@ def fit_type_profiles(
     return replace(gain, type_light=factor, type_cell=types.cell)
 
 
-def order_by_rims(types: LensTypes | None, gain: GainMap, radius: float) -> tuple[LensTypes | None, GainMap]:
-    """The `ordered` types of a white image and their gain map, from the softest rims to the hardest where these differ.
+def order_by_rims(
+    types: LensTypes | None, gain: GainMap, radius: float
+) -> tuple[LensTypes | None, GainMap]:
+    """The `ordered` types of a white image and their gain map, from the softest rims to the hardest
+    where these differ.
 
-    Rims are images of the main aperture, at `s = 0`: the farther from that a type is focused, the softer is its rim,
-    and the less light is left before it (`radius` [px]: usable).
+    Rims are images of the main aperture, at `s = 0`: the farther from that a type is focused, the
+    softer is its rim, and the less light is left before it (`radius` [px]: usable).
     """
     if types is None or not types.ordered or not gain.type_light.size:
         return types, gain
@@ -133,5 +153,7 @@ def order_by_rims(types: LensTypes | None, gain: GainMap, radius: float) -> tupl
     if np.diff(rims[order]).min() < 0.005:
         return types, gain
     cell = np.argsort(order)[types.cell].astype(np.int8)
-    ordered = LensTypes(cell, True, types.focus[order] if types.focus is not None else None, types.confidence)
+    ordered = LensTypes(
+        cell, True, types.focus[order] if types.focus is not None else None, types.confidence
+    )
     return ordered, replace(gain, type_light=gain.type_light[order], type_cell=cell)

@@ -1,8 +1,9 @@
-"""Residuals of a gain map: pixels of a sample of lenses, spread over windows of the field, minus the map.
+"""Residuals of a gain map: pixels of a sample of lenses, spread over windows of the field, minus
+the map.
 
-Of every pixel the residual is `v / g - m`, with its luminance `v`, the light `g` of its lens and the relative light `m`
-of the map. The light of a lens is fitted to its inner part first; on scene captures with a plane, and lenses that are
-no plane there have little weight.
+Of every pixel the residual is `v / g - m`, with its luminance `v`, the light `g` of its lens and
+the relative light `m` of the map. The light of a lens is fitted to its inner part first; on scene
+captures with a plane, and lenses that are no plane there have little weight.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ class Sample(NamedTuple):
     def middle(self) -> Array:
         """(windows, 2) mean centre [px] of the lenses of each window, of which each has some."""
         count = np.bincount(self.window)
-        return np.stack([np.bincount(self.window, self.centres[:, axis]) / count for axis in (0, 1)], axis=1)
+        return np.stack(
+            [np.bincount(self.window, self.centres[:, axis]) / count for axis in (0, 1)], axis=1
+        )
 
     def evaluate(self, gain: GainMap) -> Array:
         """(3, p) relative light of each pixel, distance on the profile [px], share not cut off."""
@@ -49,24 +52,31 @@ class Sample(NamedTuple):
 
     def select(self, pixels: Integers) -> Sample:
         """Some of the pixels."""
-        return self._replace(lens=self.lens[pixels], x=self.x[pixels], y=self.y[pixels], value=self.value[pixels])
+        return self._replace(
+            lens=self.lens[pixels], x=self.x[pixels], y=self.y[pixels], value=self.value[pixels]
+        )
 
     def add(self, values: Array) -> Array:
         """(n,) sums over the pixels of each lens."""
         return np.bincount(self.lens, values, len(self.centres))
 
 
-def draw_sample(lattice: Lattice, picture: Singles | StackedCrops, pixels: float, scene: bool) -> Sample:
-    """Sample of the lenses of a flat, or of crops of it, with about so many pixels, but 200 lenses at least.
+def draw_sample(
+    lattice: Lattice, picture: Singles | StackedCrops, pixels: float, scene: bool
+) -> Sample:
+    """Sample of the lenses of a flat, or of crops of it, with about so many pixels, but 200 lenses
+    at least.
 
-    `picture` is the square root of the luminance. Of large lenses rows and columns are left out, so that 700 pixels of
-    each remain, of scenes 350, as their content differs little from row to row. The field has 8 x 6 windows, or fewer,
-    so that six lenses fall into each.
+    `picture` is the square root of the luminance. Of large lenses rows and columns are left out, so
+    that 700 pixels of each remain, of scenes 350, as their content differs little from row to row.
+    The field has 8 x 6 windows, or fewer, so that six lenses fall into each.
     """
-    crops, cell = StackedCrops.of(picture), Cell.of(lattice)
+    crops = StackedCrops.of(picture)
+    cell = Cell.of(lattice)
     area = abs(float(np.linalg.det(lattice.basis)))
     stride = max(1, int(math.sqrt(area / 700)))
-    margin, wanted = cell.circumradius + 1, max(pixels * stride**2 / area, 200)
+    margin = cell.circumradius + 1
+    wanted = max(pixels * stride**2 / area, 200)
     if crops.size == lattice.image_size:
         places = centres = sample_lenses(lattice, margin, wanted)[1]
     else:
@@ -78,13 +88,17 @@ def draw_sample(lattice: Lattice, picture: Singles | StackedCrops, pixels: float
     column, row = np.minimum((centres + 0.5) / lattice.image_size * shape, shape - 1).astype(int).T
     window = np.unique(row * shape[0] + column, return_inverse=True)[1].ravel()
     # Other pixels are left out in each lens.
-    rows, number = stride * (1 + scene), np.arange(len(places))
+    rows = stride * (1 + scene)
+    number = np.arange(len(places))
     first = np.ceil(places - cell.circumradius).astype(int) + np.column_stack(
         [number // stride % stride, number % rows]
     )
     side = int(2 * cell.circumradius) + 1
-    x, y = (first[:, axis, None] + np.arange(0, side, step) for axis, step in ((0, stride), (1, rows)))
-    dx, dy = x - places[:, :1], y - places[:, 1:]
+    x, y = (
+        first[:, axis, None] + np.arange(0, side, step) for axis, step in ((0, stride), (1, rows))
+    )
+    dx = x - places[:, :1]
+    dy = y - places[:, 1:]
     inside = np.ones((len(places), y.shape[1], x.shape[1]), np.bool_)
     for across, down in cell.normals:
         inside &= (across * dx)[:, None, :] + (down * dy)[:, :, None] <= 0.5
@@ -104,12 +118,12 @@ class Residuals(NamedTuple):
     plane: Array  # (q,) of the scene
     ring: Integers  # (q,) sample of the profile before the pixel
     part: Array  # (q,) how far it lies towards the next one
-    stray: (
-        float  # mean error outside the cutting disc, where there is stray light alone; NaN where there is no such place
-    )
+    stray: float  # mean error outside the cutting disc, where there is stray light alone; NaN where there is no such place
 
     def spread(self, values: Array, rings: int) -> Array:
-        """(rings,) sums of values (q,) over the profile, shared out among the two samples about each pixel."""
+        """(rings,) sums of values (q,) over the profile, shared out among the two samples about
+        each pixel.
+        """
         sums: Array = np.bincount(self.ring, values * (1 - self.part), rings)
         return sums + np.bincount(self.ring + 1, values * self.part, rings)
 
@@ -125,10 +139,13 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
     Pixels whose residual is above the `largest` (k,) at their distance are left out.
     """
     light, stretched, through = sample.evaluate(gain)
-    level, slope, share = _fit_lens_lights(sample, light, (0.6 if scene else 0.5) * gain.radius, scene)
+    level, slope, share = _fit_lens_lights(
+        sample, light, (0.6 if scene else 0.5) * gain.radius, scene
+    )
     lens = sample.lens
     plane = np.maximum(1 + slope[0, lens] * sample.x + slope[1, lens] * sample.y, 0.2)
-    error, weight = sample.value / level[lens] - light * plane, share[lens]
+    error = sample.value / level[lens] - light * plane
+    weight = share[lens]
     behind = (through < 0.02) & (weight > 0)
     stray = float(np.average(error[behind], weights=weight[behind])) if behind.any() else math.nan
     place = stretched / gain.step
@@ -139,13 +156,21 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
     return Residuals(sample.select(kept), *chosen, ring[kept], part[kept], stray)
 
 
-def _fit_lens_lights(sample: Sample, light: Array, core: float, scene: bool) -> tuple[Array, Array, Array]:
-    """Light (n,) of each lens, its relative slopes (2, n) [1/px], and its weight: 0 if it is clipped or too steep."""
+def _fit_lens_lights(
+    sample: Sample, light: Array, core: float, scene: bool
+) -> tuple[Array, Array, Array]:
+    """Light (n,) of each lens, its relative slopes (2, n) [1/px], and its weight: 0 if it is
+    clipped or too steep.
+    """
     inside = np.flatnonzero((np.hypot(sample.x, sample.y) <= core) & (light >= 0.5))
     own = sample.select(inside)
-    s, v, clipping = light[inside], own.value, clipping_luminance(sample.value, scene)
-    count, clipped = own.add(np.ones_like(v)), own.add((v >= clipping).astype(np.float64))
-    total, whole = own.add(s * v), own.add(s * s)
+    s = light[inside]
+    v = own.value
+    clipping = clipping_luminance(sample.value, scene)
+    count = own.add(np.ones_like(v))
+    clipped = own.add((v >= clipping).astype(np.float64))
+    total = own.add(s * v)
+    whole = own.add(s * s)
     good = (count >= 4) & (total > 0) & (clipped * 20 <= count)
     level = np.where(good, total / np.maximum(whole, 1e-300), 1.0)
     if not scene:
@@ -155,7 +180,11 @@ def _fit_lens_lights(sample: Sample, light: Array, core: float, scene: bool) -> 
     sizes = [np.maximum(own.add(s * s * d * d), 1e-300) for d in (own.x, own.y)]
     slope = np.array([side / size for side, size in zip(sides, sizes, strict=True)]) / level
     good &= (slope**2).sum(0) * core**2 <= 1
-    left = own.add(v * v) - total * level - sum(side**2 / size for side, size in zip(sides, sizes, strict=True))
+    left = (
+        own.add(v * v)
+        - total * level
+        - sum(side**2 / size for side, size in zip(sides, sizes, strict=True))
+    )
     left = np.maximum(left, 0) / np.maximum(count, 1) / level**2
     # Lenses with little contrast beside a plane, relative to its light, show the rim best.
     contrast = 0.06**2

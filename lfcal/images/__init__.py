@@ -1,1 +1,3 @@
-"""Flats as arrays: reading image files whole or in parts, and preparing pixels for the search of the lattice."""
+"""Flats as arrays: reading image files whole or in parts, and preparing pixels for the search of
+the lattice.
+"""

@@ -1,4 +1,6 @@
-"""Files that a library of their own reads: HDF5 (h5py), OpenEXR, raw photos (LibRaw), and Zarr arrays, part by part."""
+"""Files that a library of their own reads: HDF5 (h5py), OpenEXR, raw photos (LibRaw), and Zarr
+arrays, part by part.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +18,43 @@ from ..runtime.image_formats import identify_format
 from .pixels import MAX_PIXELS, check_only_page, check_size, import_reader
 from .tiff import open_tiff
 
-__all__ = ["ZarrFlat", "check_zarr", "is_zarr", "open_zarr", "read_hdf5", "read_openexr", "read_raw_photo"]
+__all__ = [
+    "ZarrFlat",
+    "check_zarr",
+    "is_zarr",
+    "open_zarr",
+    "read_hdf5",
+    "read_openexr",
+    "read_raw_photo",
+]
 
-# Datasets by what they are called, the capture first: plenoptomos, HCI (Heidelberg), and other common names.
+# Datasets by what they are called, the capture first: plenoptomos, HCI (Heidelberg), and other
+# common names.
 _CAPTURES = ("data/image", "LF", "lightfield", "light_field", "flat", "image", "raw", "data")
 _FURTHER = ("data/white", "data/dark", "white", "dark")
-# Codecs of version 2 that give numbers. Others rebuild Python objects, and `pickle` among them executes code from the
-# file, which Zarr before 3.1 allows.
+# Codecs of version 2 that give numbers. Others rebuild Python objects, and `pickle` among them
+# executes code from the file, which Zarr before 3.1 allows.
 _NUMERIC_CODECS = {
-    "adler32", "astype", "bitround", "blosc", "bz2", "crc32", "crc32c", "delta", "fixedscaleoffset", "fletcher32",
-    "gzip", "jenkins_lookup3", "lz4", "lzma", "packbits", "quantize", "shuffle", "zlib", "zstd",
-}  # fmt: skip
+    "adler32",
+    "astype",
+    "bitround",
+    "blosc",
+    "bz2",
+    "crc32",
+    "crc32c",
+    "delta",
+    "fixedscaleoffset",
+    "fletcher32",
+    "gzip",
+    "jenkins_lookup3",
+    "lz4",
+    "lzma",
+    "packbits",
+    "quantize",
+    "shuffle",
+    "zlib",
+    "zstd",
+}
 # Header of a Blosc block: bytes of its pixels, and of the block.
 _BLOSC_HEADER = struct.Struct("<4xI4xI")
 
@@ -34,20 +62,28 @@ _BLOSC_HEADER = struct.Struct("<4xI4xI")
 def read_hdf5(path: Path, page: int | None) -> NDArray[Any]:
     """The capture in an HDF5 file, or with `page` 1 and more its white and dark images.
 
-    Raw pictures (plenoptomos `.vox`), flats, and light fields of views `(v, u, y, x)`, of which a flat is made with a
-    microimage of `v x u` pixels about every `(y, x)`.
+    Raw pictures (plenoptomos `.vox`), flats, and light fields of views `(v, u, y, x)`, of which a
+    flat is made with a microimage of `v x u` pixels about every `(y, x)`.
     """
     h5py = import_reader("h5py", "hdf5")
     with h5py.File(path, "r") as file:
-        found = [name for name in (_FURTHER if page else _CAPTURES) if isinstance(file.get(name), h5py.Dataset)]
+        found = [
+            name
+            for name in (_FURTHER if page else _CAPTURES)
+            if isinstance(file.get(name), h5py.Dataset)
+        ]
         if page and not 0 < page <= len(found):
             raise FlatError(f"holds {1 + len(found)} pictures and no page {page}")
         if not found:
             # Where none has a known name, the only one that can be a picture.
-            file.visititems(lambda name, item: found.append(name) if _may_be_picture(item) else None)
+            file.visititems(
+                lambda name, item: found.append(name) if _may_be_picture(item) else None
+            )
             if len(found) != 1:
                 known = ", ".join(_CAPTURES[:3])
-                raise FlatError(f"holds {len(found) or 'no'} pictures; name the dataset of the flat one of {known}")
+                raise FlatError(
+                    f"holds {len(found) or 'no'} pictures; name the dataset of the flat one of {known}"
+                )
         name = found[page - 1 if page else 0]
         return _read_dataset(name, file[name])
 
@@ -62,9 +98,17 @@ def _read_dataset(name: str, data: Any) -> NDArray[Any]:
     if data.dtype.kind not in "uif" or data.dtype.hasobject:
         raise FlatError(f"dataset '{name}' holds {data.dtype}; save it as 8 bit, 16 bit or float")
     views, picture = (shape[:2], shape[2:]) if len(shape) > 3 else ((1, 1), shape)
-    if len(picture) not in (2, 3) or 0 in shape or any(n > 4 for n in picture[2:]) or max(views) > 64:
-        raise FlatError(f"dataset '{name}' of shape {shape} is no picture and no light field (v, u, y, x)")
-    height, width = picture[0] * views[0], picture[1] * views[1]
+    if (
+        len(picture) not in (2, 3)
+        or 0 in shape
+        or any(n > 4 for n in picture[2:])
+        or max(views) > 64
+    ):
+        raise FlatError(
+            f"dataset '{name}' of shape {shape} is no picture and no light field (v, u, y, x)"
+        )
+    height = picture[0] * views[0]
+    width = picture[1] * views[1]
     check_size(width, height)
     _check_stored(name, data)
     pixels: NDArray[Any] = data[()]
@@ -78,20 +122,28 @@ def _read_dataset(name: str, data: Any) -> NDArray[Any]:
 
 
 def _check_stored(name: str, data: Any) -> None:
-    """FlatError where values are missing, which HDF5 fills in, or packed so that they would fill the memory."""
+    """FlatError where values are missing, which HDF5 fills in, or packed so that they would fill
+    the memory.
+    """
     if data.nbytes > 32 * MAX_PIXELS:
         raise FlatError(f"dataset '{name}' has {data.nbytes} bytes, more than this toolkit reads")
-    stored, least, chunks = int(data.id.get_storage_size()), data.nbytes, 0
+    stored = int(data.id.get_storage_size())
+    least = data.nbytes
+    chunks = 0
     if data.chunks is not None:
         # Shuffled and deflated pictures are a tenth of their size, blank ones a thousandth.
         least /= 1100
         chunks = int(np.prod([-(-n // c) for n, c in zip(data.shape, data.chunks, strict=True)]))
     if stored < least or (chunks and data.id.get_num_chunks() < chunks):
-        raise FlatError(f"dataset '{name}' is incomplete: values or chunks are missing; copy the file anew")
+        raise FlatError(
+            f"dataset '{name}' is incomplete: values or chunks are missing; copy the file anew"
+        )
 
 
 def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
-    """(h, w) or (h, w, 3) the only picture of an OpenEXR file: its channels R, G, B, or one of brightness."""
+    """(h, w) or (h, w, 3) the only picture of an OpenEXR file: its channels R, G, B, or one of
+    brightness.
+    """
     exr = import_reader("OpenEXR", "exr")
     check_only_page(page)
     with exr.File(str(path), header_only=True) as file:
@@ -107,18 +159,28 @@ def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
         if not file.parts:
             raise FlatError("damaged or truncated OpenEXR")
         if len(file.parts) != 1:
-            raise FlatError(f"the OpenEXR file holds {len(file.parts)} pictures; save the one that is the flat alone")
-        channels: dict[str, Any] = {name: channel.pixels for name, channel in file.channels().items()}
+            raise FlatError(
+                f"the OpenEXR file holds {len(file.parts)} pictures; save the one that is the flat alone"
+            )
+        channels: dict[str, Any] = {
+            name: channel.pixels for name, channel in file.channels().items()
+        }
     if {"R", "G", "B"} <= set(channels):
         return np.stack([channels[name] for name in "RGB"], -1).astype(np.float32)
-    named = [name for name in ("Y", "L", "luminance") if name in channels] or list(channels)[: len(channels) == 1]
+    named = [name for name in ("Y", "L", "luminance") if name in channels] or list(channels)[
+        : len(channels) == 1
+    ]
     if not named:
-        raise FlatError(f"holds the channels {', '.join(sorted(channels))}; save R, G, B or one channel")
+        raise FlatError(
+            f"holds the channels {', '.join(sorted(channels))}; save R, G, B or one channel"
+        )
     return np.asarray(channels[named[0]], np.float32)
 
 
 def read_raw_photo(path: Path, page: int | None) -> NDArray[Any]:
-    """(h, w) uint16 the colour mosaic of the visible part of the sensor as stored; linear DNG (h, w, 3)."""
+    """(h, w) uint16 the colour mosaic of the visible part of the sensor as stored; linear DNG (h,
+    w, 3).
+    """
     rawpy = import_reader("rawpy", "dng")
     check_only_page(page)
     with path.open("rb") as stream:
@@ -127,7 +189,10 @@ def read_raw_photo(path: Path, page: int | None) -> NDArray[Any]:
         # LibRaw leaves black what is missing at the end.
         with open_tiff(path) as tiff:
             for part in (part for page_ in tiff.pages for part in (page_, *(page_.pages or ()))):
-                ends = (start + count for start, count in zip(part.dataoffsets, part.databytecounts, strict=True))
+                ends = (
+                    start + count
+                    for start, count in zip(part.dataoffsets, part.databytecounts, strict=True)
+                )
                 if max(ends, default=0) > path.stat().st_size:
                     raise FlatError("truncated raw photo: pixel data are missing")
     with rawpy.imread(str(path)) as photo:
@@ -137,7 +202,9 @@ def read_raw_photo(path: Path, page: int | None) -> NDArray[Any]:
 
 
 class ZarrFlat(NamedTuple):
-    """A grey or colour picture in a `zarr.Array` (h, w), (h, w, c), or (c, h, w) with `channels_first`."""
+    """A grey or colour picture in a `zarr.Array` (h, w), (h, w, c), or (c, h, w) with
+    `channels_first`.
+    """
 
     array: Any
     channels_first: bool
@@ -150,7 +217,9 @@ class ZarrFlat(NamedTuple):
         return (*shape[1:], shape[0]) if self.channels_first else shape
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
-        """Pixels as stored, channels last; FlatError if a chunk is missing, which Zarr itself reads as black."""
+        """Pixels as stored, channels last; FlatError if a chunk is missing, which Zarr itself reads
+        as black.
+        """
         channels = [slice(0, self.shape[2])] if len(self.shape) == 3 else []
         parts = [*channels, rows, columns] if self.channels_first else [rows, columns, *channels]
         self._check_chunks(parts)
@@ -159,15 +228,20 @@ class ZarrFlat(NamedTuple):
 
     def _check_chunks(self, parts: list[slice]) -> None:
         metadata = self.array.metadata
-        sides, blosc = metadata.chunk_grid.chunk_shape[self.leading :], _is_blosc(metadata)
+        sides = metadata.chunk_grid.chunk_shape[self.leading :]
+        blosc = _is_blosc(metadata)
         folder = Path(self.array.store.root) / self.array.path
-        numbers = (range(p.start // side, -(-p.stop // side)) for p, side in zip(parts, sides, strict=True))
+        numbers = (
+            range(p.start // side, -(-p.stop // side)) for p, side in zip(parts, sides, strict=True)
+        )
         for chunk in product(*numbers):
             name = metadata.encode_chunk_key((0,) * self.leading + chunk)
             if not (folder / name).is_file():
                 advice = "copy the array anew, or write empty chunks too (in Zarr: write_empty_chunks=True)"
                 raise FlatError(f"the chunk '{name}' is missing; {advice}")
-            if blosc and not _is_whole_blosc(folder / name, math.prod(sides) * self.array.dtype.itemsize):
+            if blosc and not _is_whole_blosc(
+                folder / name, math.prod(sides) * self.array.dtype.itemsize
+            ):
                 raise FlatError(f"the chunk '{name}' is truncated or damaged; copy the array anew")
 
 
@@ -179,9 +253,13 @@ def _is_blosc(metadata: Any) -> bool:
 
 
 def _is_whole_blosc(path: Path, size: int) -> bool:
-    """Whether a block has as many bytes as its header states; its decoder reads beyond the end of shorter ones."""
+    """Whether a block has as many bytes as its header states; its decoder reads beyond the end of
+    shorter ones.
+    """
     with path.open("rb") as file:
-        unpacked, packed = _BLOSC_HEADER.unpack(file.read(_BLOSC_HEADER.size).ljust(_BLOSC_HEADER.size, b"\0"))
+        unpacked, packed = _BLOSC_HEADER.unpack(
+            file.read(_BLOSC_HEADER.size).ljust(_BLOSC_HEADER.size, b"\0")
+        )
     return bool(unpacked == size and packed <= path.stat().st_size)
 
 
@@ -191,42 +269,71 @@ def is_zarr(path: Path) -> bool:
 
 
 def open_zarr(path: Path) -> ZarrFlat:
-    """The picture in a Zarr folder; of a group the array with all pixels (OME-Zarr), the only one, or `0`."""
+    """The picture in a Zarr folder; of a group the array with all pixels (OME-Zarr), the only one,
+    or `0`.
+    """
     array: Any = import_reader("zarr", "zarr").open(str(path), mode="r")
     if not hasattr(array, "shape"):
         names = sorted(array.array_keys())
         attributes = dict(array.attrs)
         try:
-            finest = [str(attributes.get("ome", attributes)["multiscales"][0]["datasets"][0]["path"])]
+            finest = [
+                str(attributes.get("ome", attributes)["multiscales"][0]["datasets"][0]["path"])
+            ]
         except (KeyError, IndexError, TypeError, AttributeError):
             finest = []
-        name = next((name for name in (*finest, *(names if len(names) == 1 else ()), "0") if name in names), None)
+        name = next(
+            (name for name in (*finest, *(names if len(names) == 1 else ()), "0") if name in names),
+            None,
+        )
         if name is None:
-            raise FlatError(f"the Zarr group holds {len(names)} arrays; give the folder of the one that is the flat")
+            raise FlatError(
+                f"the Zarr group holds {len(names)} arrays; give the folder of the one that is the flat"
+            )
         array = array[name]
     return check_zarr(array)
 
 
 def check_zarr(array: Any) -> ZarrFlat:
     """The array as a flat, or a FlatError if its metadata describe none; nothing is decoded."""
-    whole, kind = tuple(int(n) for n in array.shape), np.dtype(array.dtype)
+    whole = tuple(int(n) for n in array.shape)
+    kind = np.dtype(array.dtype)
     # Time, channel and plane of OME-Zarr come first; no flat has one row.
     leading = next((k for k, n in enumerate(whole[:-2]) if n != 1), max(len(whole) - 2, 0))
     shape = whole[leading:]
     first = len(shape) == 3 and shape[2] > 4 >= shape[0]
-    height, width, *channels = (*shape[1:], shape[0]) if first else (*shape, 0, 0)[: max(len(shape), 2)]
-    if len(shape) not in (2, 3) or 0 in shape or height * width > MAX_PIXELS or any(n > 4 for n in channels):
-        raise FlatError(f"a flat is one grey or RGB picture of {MAX_PIXELS} px at most, this array has shape {shape}")
+    height, width, *channels = (
+        (*shape[1:], shape[0]) if first else (*shape, 0, 0)[: max(len(shape), 2)]
+    )
+    if (
+        len(shape) not in (2, 3)
+        or 0 in shape
+        or height * width > MAX_PIXELS
+        or any(n > 4 for n in channels)
+    ):
+        raise FlatError(
+            f"a flat is one grey or RGB picture of {MAX_PIXELS} px at most, this array has shape {shape}"
+        )
     if kind.kind not in "buif":
         raise FlatError(f"pixels of type {kind} are not read; save them as 8 bit, 16 bit or float")
     metadata = array.metadata
     chunk = getattr(metadata.chunk_grid, "chunk_shape", None)
-    if chunk is None or len(chunk) != len(whole) or math.prod(max(n, 1) for n in chunk) > 4 * MAX_PIXELS:
-        raise FlatError(f"chunks of shape {chunk} are not read; store the array in regular chunks of some megapixels")
+    if (
+        chunk is None
+        or len(chunk) != len(whole)
+        or math.prod(max(n, 1) for n in chunk) > 4 * MAX_PIXELS
+    ):
+        raise FlatError(
+            f"chunks of shape {chunk} are not read; store the array in regular chunks of some megapixels"
+        )
     codecs = [*(getattr(metadata, "filters", None) or ()), getattr(metadata, "compressor", None)]
-    unknown = {getattr(one, "codec_id", str(one)) for one in codecs if one is not None} - _NUMERIC_CODECS
+    unknown = {
+        getattr(one, "codec_id", str(one)) for one in codecs if one is not None
+    } - _NUMERIC_CODECS
     if unknown:
-        raise FlatError(f"the codec '{min(unknown)}' is not one of numbers; store the array without it")
+        raise FlatError(
+            f"the codec '{min(unknown)}' is not one of numbers; store the array without it"
+        )
     if getattr(array.store, "root", None) is None:
         raise FlatError("is no Zarr array in a folder")
     return ZarrFlat(array, first, leading)

@@ -1,7 +1,8 @@
-"""Lytro files (`.lfp`, `.lfr`, calibration archives): sections of JSON and of data, named by their SHA-1.
+"""Lytro files (`.lfp`, `.lfr`, calibration archives): sections of JSON and of data, named by their
+SHA-1.
 
-Pixels are packed: of 12 bits, two in three bytes (F01); of 10 bits, four in five bytes, the last of which has the
-lowest bits of all (Illum). They are those of the colour mosaic, as stored.
+Pixels are packed: of 12 bits, two in three bytes (F01); of 10 bits, four in five bytes, the last of
+which has the lowest bits of all (Illum). They are those of the colour mosaic, as stored.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ __all__ = ["read_lytro", "unpack_pixels"]
 
 _HEAD = struct.Struct(">4s4sII")
 _SHA1_BYTES = 80  # "sha1-", 40 digits, zeros
-# Width, height and bits of sensors by the bytes of their packed pixels, for archives without descriptions.
+# Width, height and bits of sensors by the bytes of their packed pixels, for archives without
+# descriptions.
 _SENSORS = {3280 * 3280 * 12 // 8: (3280, 3280, 12), 7728 * 5368 * 10 // 8: (7728, 5368, 10)}
 
 _REMEDY = (
@@ -32,15 +34,24 @@ _REMEDY = (
 
 
 def read_lytro(path: Path, page: int | None) -> NDArray[np.uint16]:
-    """The raw pixels (h, w) of a Lytro file: of its picture, or of white image number `page` of an archive."""
+    """The raw pixels (h, w) of a Lytro file: of its picture, or of white image number `page` of an
+    archive.
+    """
     data = memoryview(path.read_bytes())
     sections = dict(_sections(data))
     tables = [_parse(part) for name, part in sections.items() if not name.startswith("sha1-")]
     for frame in (found for table in tables for found in _find(table, "imageRef")):
         if frame["imageRef"] in sections and frame.get("metadataRef") in sections:
             check_only_page(page)
-            return unpack_pixels(sections[frame["imageRef"]], *_layout(sections[frame["metadataRef"]]))
-    entries = (entry for table in tables for entry in _find(table, "dataRef") if entry["dataRef"] in sections)
+            return unpack_pixels(
+                sections[frame["imageRef"]], *_layout(sections[frame["metadataRef"]])
+            )
+    entries = (
+        entry
+        for table in tables
+        for entry in _find(table, "dataRef")
+        if entry["dataRef"] in sections
+    )
     files = {str(entry.get("name", "")).upper(): sections[entry["dataRef"]] for entry in entries}
     raw = sorted(name for name in files if name.endswith(".RAW"))
     if not raw:
@@ -66,7 +77,9 @@ def _sections(data: memoryview) -> Iterator[tuple[str, memoryview]]:
             name = bytes(data[start : start + _SHA1_BYTES]).rstrip(b"\0").decode("ascii")
             start += _SHA1_BYTES
             if start + length > len(data):
-                raise FlatError(f"truncated Lytro file: {start + length - len(data)} bytes are missing")
+                raise FlatError(
+                    f"truncated Lytro file: {start + length - len(data)} bytes are missing"
+                )
             yield f"table {at}" if kind == b"\x89LFM" else name, data[start : start + length]
         at = start + -(-length // 16) * 16
 
@@ -93,9 +106,15 @@ def _layout(about: memoryview) -> tuple[int, int, int]:
     described = _parse(about)
     try:
         sized = next(found for found in _find(described, "width") if "height" in found)
-        return int(sized["width"]), int(sized["height"]), int(next(_find(described, "bitsPerPixel"))["bitsPerPixel"])
+        return (
+            int(sized["width"]),
+            int(sized["height"]),
+            int(next(_find(described, "bitsPerPixel"))["bitsPerPixel"]),
+        )
     except (StopIteration, TypeError, ValueError) as error:
-        raise FlatError("damaged Lytro file: width, height or bitsPerPixel of its picture are missing") from error
+        raise FlatError(
+            "damaged Lytro file: width, height or bitsPerPixel of its picture are missing"
+        ) from error
 
 
 def unpack_pixels(data: memoryview, width: int, height: int, bits: int) -> NDArray[np.uint16]:

@@ -1,7 +1,9 @@
-"""Pixels of files: what all readers check, and files of one picture (PNG, WebP, JPEG, BMP, PGM, PPM) as stored.
+"""Pixels of files: what all readers check, and files of one picture (PNG, WebP, JPEG, BMP, PGM,
+PPM) as stored.
 
-Pillow reads the size before anything is decoded, the checksums of PNG, and pixels of 8 bits of PNG and JPEG, of which
-OpenCV returns half-empty pictures where files are truncated. OpenCV decodes the others: Pillow cuts colours to 8 bits.
+Pillow reads the size before anything is decoded, the checksums of PNG, and pixels of 8 bits of PNG
+and JPEG, of which OpenCV returns half-empty pictures where files are truncated. OpenCV decodes the
+others: Pillow cuts colours to 8 bits.
 """
 
 from __future__ import annotations
@@ -20,13 +22,28 @@ from ..runtime.errors import FlatError
 from ..runtime.opencv_log import silent_opencv
 
 __all__ = [
-    "MAX_PIXELS", "check_only_page", "check_page", "check_size", "checked_pixels", "decode_picture",
-    "decode_with_opencv", "file_errors", "import_reader",
-]  # fmt: skip
+    "MAX_PIXELS",
+    "check_only_page",
+    "check_page",
+    "check_size",
+    "checked_pixels",
+    "decode_picture",
+    "decode_with_opencv",
+    "file_errors",
+    "import_reader",
+]
 
-#: Largest flat that is read [px]: twice a 25,000 x 22,000 sensor, and what OpenCV accepts out of the box.
+#: Largest flat that is read [px]: twice a 25,000 x 22,000 sensor, and what OpenCV accepts out of
+#: the box.
 MAX_PIXELS = 1 << 30
-_PILLOW_NAMES = {"PNG": "Png", "WebP": "WebP", "JPEG": "Jpeg", "BMP": "Bmp", "PGM": "Ppm", "PPM": "Ppm"}
+_PILLOW_NAMES = {
+    "PNG": "Png",
+    "WebP": "WebP",
+    "JPEG": "Jpeg",
+    "BMP": "Bmp",
+    "PGM": "Ppm",
+    "PPM": "Ppm",
+}
 
 
 def check_size(width: int, height: int) -> None:
@@ -34,11 +51,15 @@ def check_size(width: int, height: int) -> None:
     if width < 1 or height < 1:
         raise FlatError(f"image size {width} x {height} is not valid")
     if width * height > MAX_PIXELS:
-        raise FlatError(f"{width} x {height} px is more than the {MAX_PIXELS} px this toolkit reads")
+        raise FlatError(
+            f"{width} x {height} px is more than the {MAX_PIXELS} px this toolkit reads"
+        )
 
 
 def check_page(page: int | None, count: int, file: str, pictures: str, one: str) -> int:
-    """The number of a picture in a file of several; FlatError where it is not there, or none is given."""
+    """The number of a picture in a file of several; FlatError where it is not there, or none is
+    given.
+    """
     if page is None and count != 1:
         advice = "give the number of one (--page), or use 'lfrender batch'"
         raise FlatError(f"the {file} holds {count} {pictures}; {advice}")
@@ -54,7 +75,9 @@ def check_only_page(page: int | None) -> None:
 
 
 def import_reader(name: str, extra: str) -> Any:
-    """The package that reads a format; FlatError with the extra that installs it, where it is missing."""
+    """The package that reads a format; FlatError with the extra that installs it, where it is
+    missing.
+    """
     try:
         return import_module(name)
     except ImportError as error:
@@ -72,14 +95,17 @@ def file_errors(source: Path) -> Iterator[None]:
         raise FlatError(f"{source}: cannot be read ({error.strerror or error})") from error
     except MemoryError as error:
         raise FlatError(f"{source}: the image does not fit into memory") from error
-    # Damaged bytes make decoders raise anything: IndexError, struct.error, zlib.error, cv2.error, ...
+    # Damaged bytes make decoders raise anything: IndexError, struct.error, zlib.error, cv2.error,
+    # ...
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise FlatError(f"{source}: damaged image file ({reason})") from error
 
 
 def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Decoded pixels as a flat: uint8, uint16 or float32, (h, w) or (h, w, 3), finite and contiguous."""
+    """Decoded pixels as a flat: uint8, uint16 or float32, (h, w) or (h, w, 3), finite and
+    contiguous.
+    """
     native = pixels.dtype.newbyteorder("=")
     if native == np.bool_:
         pixels = pixels.astype(np.uint8) * np.uint8(255)
@@ -88,13 +114,19 @@ def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
         with np.errstate(over="ignore"):
             pixels = pixels.astype(np.float32)
     elif native not in (np.uint8, np.uint16, np.float32):
-        raise FlatError(f"pixels of type {pixels.dtype} are not read; save them as 8 bit, 16 bit or float")
+        raise FlatError(
+            f"pixels of type {pixels.dtype} are not read; save them as 8 bit, 16 bit or float"
+        )
     if pixels.ndim == 3:
         pixels = pixels[..., 0] if pixels.shape[2] <= 2 else pixels[..., :3]
     if pixels.ndim not in (2, 3):
         raise FlatError(f"a flat is one grey or RGB picture, this has shape {pixels.shape}")
-    if pixels.dtype.kind == "f" and (bad := pixels.size - int(np.count_nonzero(np.isfinite(pixels)))):
-        raise FlatError(f"{bad} values are NaN or infinite; replace them by the mean of their neighbours")
+    if pixels.dtype.kind == "f" and (
+        bad := pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
+    ):
+        raise FlatError(
+            f"{bad} values are NaN or infinite; replace them by the mean of their neighbours"
+        )
     return np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("="))
 
 
@@ -108,7 +140,8 @@ def decode_picture(data: bytes, name: str) -> NDArray[Any]:
         # Checksums of all chunks, up to the last one, which decoders do not miss.
         image.verify()
         # Bits of a sample, and the kind of colours: 0 is grey, 4 grey with alpha.
-        depth, colours = data[24], data[25]
+        depth = data[24]
+        colours = data[25]
         if depth > 8:
             return decode_with_opencv(data, grey=colours in (0, 4))
         image = _open_with_pillow(data, name)
@@ -126,7 +159,9 @@ def decode_picture(data: bytes, name: str) -> NDArray[Any]:
 def _open_with_pillow(data: bytes, name: str) -> Any:
     """A Pillow image by the format's own class: `Image.open` refuses sensors above 179 megapixels."""
     pillow = _PILLOW_NAMES[name]
-    return getattr(import_module(f"PIL.{pillow}ImagePlugin"), f"{pillow}ImageFile")(io.BytesIO(data))
+    return getattr(import_module(f"PIL.{pillow}ImagePlugin"), f"{pillow}ImageFile")(
+        io.BytesIO(data)
+    )
 
 
 def decode_with_opencv(data: bytes, grey: bool = False) -> NDArray[Any]:

@@ -1,4 +1,6 @@
-"""Reading flats: the raw pixels of an image file, exactly as stored; damaged and truncated files are refused."""
+"""Reading flats: the raw pixels of an image file, exactly as stored; damaged and truncated files
+are refused.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,12 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError, check_path
-from ..runtime.image_formats import IMAGE_FORMATS, RAW_PHOTO_SUFFIXES, VIDEO_FORMATS, identify_format
+from ..runtime.image_formats import (
+    IMAGE_FORMATS,
+    RAW_PHOTO_SUFFIXES,
+    VIDEO_FORMATS,
+    identify_format,
+)
 from .containers import is_zarr, open_zarr, read_hdf5, read_openexr, read_raw_photo
 from .lytro import read_lytro
 from .pixels import MAX_PIXELS, check_only_page, checked_pixels, decode_picture, file_errors
@@ -23,12 +30,16 @@ __all__ = ["MAX_PIXELS", "count_pages", "read_flat"]
 
 # Formats whose files may hold several pictures; others are decoded by `decode_picture`.
 _READERS: dict[str, Callable[[Path, int | None], NDArray[Any]]] = {
-    "TIFF": read_tiff, "OpenEXR": read_openexr, "HDF5": read_hdf5, "Lytro": read_lytro,
-}  # fmt: skip
+    "TIFF": read_tiff,
+    "OpenEXR": read_openexr,
+    "HDF5": read_hdf5,
+    "Lytro": read_lytro,
+}
 # What is not read, by its suffix, and what can convert it.
 _CONVERTERS = {
     **dict.fromkeys(
-        (".czi", ".lif", ".nd2", ".oib", ".oif"), "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)"
+        (".czi", ".lif", ".nd2", ".oib", ".oif"),
+        "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)",
     ),
     **dict.fromkeys((".ray", ".rays"), "export the raw image as PNG or TIFF with RxLive"),
     ".heic": "convert it to PNG with ImageMagick",
@@ -47,28 +58,33 @@ def read_flat(
 ) -> NDArray[Any]:
     """Read a raw plenoptic picture with its pixel values as stored.
 
-    PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM, PPM and Zarr are read, and
-    OpenEXR, HDF5, Lytro files, raw photos and frames of videos, some of which need a package (docs/formats.md). Alpha
-    is dropped, the colours below it are kept as stored. An orientation tag is not obeyed: a calibration belongs to the
-    sensor, not to how the camera was held. In a TIFF, thumbnails are passed over.
+    PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM, PPM and
+    Zarr are read, and OpenEXR, HDF5, Lytro files, raw photos and frames of videos, some of which
+    need a package (docs/formats.md). Alpha is dropped, the colours below it are kept as stored. An
+    orientation tag is not obeyed: a calibration belongs to the sensor, not to how the camera was
+    held. In a TIFF, thumbnails are passed over.
 
     Parameters
     ----------
     path : path-like
         The image file, or the folder of a Zarr array.
     page : int or None
-        Which of the full pictures in a TIFF, or of the frames of a video, from 0; with None a file with several of
-        them is refused. Of HDF5 files 1 is the white image beside the capture, of Lytro archives any is one.
+        Which of the full pictures in a TIFF, or of the frames of a video, from 0; with None a file
+        with several of them is refused. Of HDF5 files 1 is the white image beside the capture, of
+        Lytro archives any is one.
     size : (int, int) or None [px]
-        Width and height of raw video, if neither its name nor a camera file `.cfg` beside it has them.
+        Width and height of raw video, if neither its name nor a camera file `.cfg` beside it has
+        them.
     pixel_format : str or None
-        Of raw video, such as `"yuv420p10"`; with None by its name, else 4:2:0 with the bits that its samples have.
+        Of raw video, such as `"yuv420p10"`; with None by its name, else 4:2:0 with the bits that
+        its samples have.
 
     Returns
     -------
     (h, w) or (h, w, 3) uint8, uint16 or float32
-        C-contiguous, colours in the order red, green, blue. FlatError if the file is missing, damaged, truncated, no
-        image, larger than `MAX_PIXELS`, holds NaN or infinity, or has no such page.
+        C-contiguous, colours in the order red, green, blue. FlatError if the file is missing,
+        damaged, truncated, no image, larger than `MAX_PIXELS`, holds NaN or infinity, or has no
+        such page.
 
     Examples
     --------
@@ -87,11 +103,15 @@ def read_flat(
 
 
 def count_pages(
-    path: str | os.PathLike[str], *, size: tuple[int, int] | None = None, pixel_format: str | None = None
+    path: str | os.PathLike[str],
+    *,
+    size: tuple[int, int] | None = None,
+    pixel_format: str | None = None,
 ) -> int:
     """Number of full pictures in an image file: 1, but for a TIFF of several pages and raw video.
 
-    A list of pages that is cut off counts as one picture more, which cannot be read. FlatError if the file cannot be.
+    A list of pages that is cut off counts as one picture more, which cannot be read. FlatError if
+    the file cannot be.
 
     Examples
     --------
@@ -112,7 +132,8 @@ def count_pages(
 
 
 def _decode(source: Path, page: int | None) -> NDArray[Any]:
-    suffix, mode = source.suffix.lower(), source.stat().st_mode
+    suffix = source.suffix.lower()
+    mode = source.stat().st_mode
     if stat.S_ISDIR(mode) and is_zarr(source):
         array = open_zarr(source)
         return array.read(*(slice(0, length) for length in array.shape[:2]))

@@ -1,6 +1,8 @@
-"""The flats of one camera: checked, and combined into one, white images by exposure, frames of scenes by their mean.
+"""The flats of one camera: checked, and combined into one, white images by exposure, frames of
+scenes by their mean.
 
-Flats without contrast, such as dark or saturated ones, are left out; clipped pixels are taken from other flats.
+Flats without contrast, such as dark or saturated ones, are left out; clipped pixels are taken from
+other flats.
 """
 
 from __future__ import annotations
@@ -17,15 +19,22 @@ from .preprocessing import is_mask
 from .read import read_flat
 
 __all__ = [
-    "average_scenes", "check_flats", "clipping_level", "combine_whites", "estimate_white_level", "measure_overexposure",
+    "average_scenes",
+    "check_flats",
+    "clipping_level",
+    "combine_whites",
+    "estimate_white_level",
+    "measure_overexposure",
     "select_contrasted",
-]  # fmt: skip
+]
 
 Light = NDArray[np.float32]
 
 
 def check_flats(image: Any) -> list[NDArray[Any]]:
-    """The flats given, one or several, as arrays; FlatError if one cannot be a flat, or their sizes differ."""
+    """The flats given, one or several, as arrays; FlatError if one cannot be a flat, or their sizes
+    differ.
+    """
     given: Any = _read_paths(image)
     several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
     if not several and np.ndim(given) != 4:
@@ -43,7 +52,9 @@ def check_flats(image: Any) -> list[NDArray[Any]]:
 def _read_paths(image: Any) -> Any:
     if isinstance(image, (str, os.PathLike)):
         return read_flat(image)
-    if isinstance(image, (list, tuple)) and any(isinstance(one, (str, os.PathLike)) for one in image):
+    if isinstance(image, (list, tuple)) and any(
+        isinstance(one, (str, os.PathLike)) for one in image
+    ):
         return [_read_paths(one) for one in image]
     return image
 
@@ -51,9 +62,13 @@ def _read_paths(image: Any) -> Any:
 def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
     flat = np.asarray(image)
     if flat.ndim not in (2, 3) or (flat.ndim == 3 and flat.shape[2] != 3):
-        raise FlatError(f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)")
+        raise FlatError(
+            f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)"
+        )
     if flat.dtype.kind not in "uif" or 0 in flat.shape:
-        raise FlatError(f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values")
+        raise FlatError(
+            f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values"
+        )
     if min(flat.shape[:2]) < 16:
         size = "{} x {} px".format(*flat.shape[1::-1])
         raise FlatError(f"{name} of {size} is too small to be a flat; give the whole sensor")
@@ -61,15 +76,22 @@ def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
         bad = ~np.isfinite(flat).reshape(*flat.shape[:2], -1).all(-1)
         if bad.any():
             y, x = np.argwhere(bad)[0]
-            raise FlatError(f"{bad.sum()} pixels of {name} are NaN or infinite, first at x={x}, y={y}; fill them in")
-    # Sums of squares of larger values leave the range of single precision; unsigned ones are never as large.
+            raise FlatError(
+                f"{bad.sum()} pixels of {name} are NaN or infinite, first at x={x}, y={y}; fill them in"
+            )
+    # Sums of squares of larger values leave the range of single precision; unsigned ones are never
+    # as large.
     if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > 1e30:
-        raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most 1e30 first")
+        raise FlatError(
+            f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most 1e30 first"
+        )
     return flat
 
 
 def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
-    """Largest value of the 8, 10, 12 or 14 bits that the sensor has, in 16-bit files; None where that is unknown."""
+    """Largest value of the 8, 10, 12 or 14 bits that the sensor has, in 16-bit files; None where
+    that is unknown.
+    """
     if any(flat.dtype.kind not in "ui" or flat.dtype.itemsize == 1 for flat in flats):
         return None
     largest = max(int(flat.max()) for flat in flats)
@@ -77,9 +99,15 @@ def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
 
 
 def measure_overexposure(flat: NDArray[Any]) -> float:
-    """Share of the pixels at the largest value that their type, or a sensor of fewer bits, can have; 0 for masks."""
+    """Share of the pixels at the largest value that their type, or a sensor of fewer bits, can
+    have; 0 for masks.
+    """
     top = int(flat.max()) if flat.dtype.kind == "u" else 0
-    if is_mask(flat) or top not in (255, 1023, 4095, 16383, 65535) or (flat.dtype.itemsize > 1 and top == 255):
+    if (
+        is_mask(flat)
+        or top not in (255, 1023, 4095, 16383, 65535)
+        or (flat.dtype.itemsize > 1 and top == 255)
+    ):
         return 0.0
     # One channel after the other: reductions over so few values take several times as long.
     channels = np.moveaxis(flat.reshape(*flat.shape[:2], -1), -1, 0)
@@ -96,7 +124,8 @@ def select_contrasted(lights: Sequence[Light]) -> list[int]:
 def combine_whites(lights: Sequence[Light]) -> Light:
     """Weighted least-squares estimate of the light from all white images, by their exposures.
 
-    `lights` (h, w) are linear, with any exposures and black levels; the result is in the scale of the best exposed one.
+    `lights` (h, w) are linear, with any exposures and black levels; the result is in the scale of
+    the best exposed one.
     """
     if len(lights) == 1:
         return lights[0]
@@ -105,14 +134,17 @@ def combine_whites(lights: Sequence[Light]) -> Light:
     # Odd steps sample every phase of a mosaic.
     few = [light[:: step | 1, :: step | 1].ravel().astype(np.float64) for light in lights]
     unclipped = [sample < top for sample, top in zip(few, levels, strict=True)]
-    best = max(range(len(lights)), key=lambda k: float(few[k].std()) * (0.5 + float(unclipped[k].mean())))
+    best = max(
+        range(len(lights)), key=lambda k: float(few[k].std()) * (0.5 + float(unclipped[k].mean()))
+    )
     total = np.zeros(lights[0].shape, np.float32)
     share = np.zeros_like(total)
     for light, top, sample, valid in zip(lights, levels, few, unclipped, strict=True):
         both = valid & unclipped[best]
         if both.sum() < min(1000, both.size // 4):
             continue
-        a, b = few[best][both], sample[both]
+        a = few[best][both]
+        b = sample[both]
         exposure = float(np.mean((a - a.mean()) * (b - b.mean())) / max(float(a.var()), 1e-30))
         if exposure > 0.05:
             good = light < np.float32(top)
@@ -122,7 +154,9 @@ def combine_whites(lights: Sequence[Light]) -> Light:
     known = share > 0
     if not known.any():
         return lights[best]
-    combined = np.where(known, total / np.where(known, share, np.float32(1)), np.float32(levels[best]))
+    combined = np.where(
+        known, total / np.where(known, share, np.float32(1)), np.float32(levels[best])
+    )
     return np.maximum(combined, np.float32(0))
 
 

@@ -1,7 +1,8 @@
 """Flats read part by part, so that they need not fit into memory; pixels are those of `read_flat`.
 
-TIFFs without compression are read row by row in the file; of others only the strips or tiles that overlap a part are
-decoded, and of a Zarr array the chunks. Formats that cannot be read in parts, such as PNG, are read as a whole, once.
+TIFFs without compression are read row by row in the file; of others only the strips or tiles that
+overlap a part are decoded, and of a Zarr array the chunks. Formats that cannot be read in parts,
+such as PNG, are read as a whole, once.
 """
 
 from __future__ import annotations
@@ -69,7 +70,9 @@ class FlatSource(ExitStack):
         """Subtract a dark frame from every part."""
         if dark.shape[:2] != self.shape[:2]:
             sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (dark.shape, self.shape))
-            raise FlatError(f"{dark.path}: dark frame and flat must be of one size, they have {sizes} px")
+            raise FlatError(
+                f"{dark.path}: dark frame and flat must be of one size, they have {sizes} px"
+            )
         plain = self._read
 
         def read(rows: slice, columns: slice) -> NDArray[Any]:
@@ -88,19 +91,25 @@ class FlatSource(ExitStack):
         return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
 
     def read(self, left: int, top: int, right: int, bottom: int) -> NDArray[Any]:
-        """Pixels of the columns from `left` to before `right` and rows from `top` to before `bottom`.
+        """Pixels of the columns from `left` to before `right` and rows from `top` to before
+        `bottom`.
 
-        FlatError if that part is damaged, or holds NaN or infinity; ValueError if it is empty, or not on the flat.
+        FlatError if that part is damaged, or holds NaN or infinity; ValueError if it is empty, or
+        not on the flat.
         """
         height, width = self.shape[:2]
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
-            raise ValueError(f"part {left, top, right, bottom} is not on a flat of {width} x {height} px")
+            raise ValueError(
+                f"part {left, top, right, bottom} is not on a flat of {width} x {height} px"
+            )
         with file_errors(self.path):
             return checked_pixels(self._read(slice(top, bottom), slice(left, right)))
 
 
 def open_flat(
-    path: str | os.PathLike[str], page: int | None = None, dark: str | os.PathLike[str] | None = None
+    path: str | os.PathLike[str],
+    page: int | None = None,
+    dark: str | os.PathLike[str] | None = None,
 ) -> FlatSource:
     """Open a raw plenoptic picture to read it part by part.
 
@@ -109,7 +118,8 @@ def open_flat(
     path : path-like
         The image file, or the folder of a Zarr array.
     page : int or None
-        As in `read_flat`, which also says what is raised; damaged pixels are found when they are read.
+        As in `read_flat`, which also says what is raised; damaged pixels are found when they are
+        read.
     dark : path-like or None
         File of a dark frame, which is subtracted from every part (`subtract_dark`).
 
@@ -145,14 +155,17 @@ def _open(source: Path, page: int | None) -> FlatSource:
             flat.push(opened.pop_all())
             return flat
     pixels = read_flat(source, page)
-    return FlatSource(source, lambda rows, columns: pixels[rows, columns], pixels.shape, in_parts=False)
+    return FlatSource(
+        source, lambda rows, columns: pixels[rows, columns], pixels.shape, in_parts=False
+    )
 
 
 def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
-    """A flat less a dark frame (what the sensor shows without light), in its own type; integers are clipped at 0.
+    """A flat less a dark frame (what the sensor shows without light), in its own type; integers are
+    clipped at 0.
 
-    `flat` and `dark`, a frame or the mean of some with the exposure of the flat, are (h, w) or (h, w, c). FlatError if
-    they are not of one size and kind.
+    `flat` and `dark`, a frame or the mean of some with the exposure of the flat, are (h, w) or (h,
+    w, c). FlatError if they are not of one size and kind.
 
     Examples
     --------
@@ -160,12 +173,19 @@ def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
     >>> subtract_dark(np.array([[5, 90]], np.uint8), np.array([[7, 7]], np.uint8))
     array([[ 0, 83]], dtype=uint8)
     """
-    flat, dark = np.asarray(flat), np.asarray(dark)
+    flat = np.asarray(flat)
+    dark = np.asarray(dark)
     if dark.ndim == 2 and flat.ndim == 3:
         dark = dark[:, :, None]
-    if dark.shape[:2] != flat.shape[:2] or (dark.ndim == 3 and dark.shape[2] not in (1, flat.shape[-1])):
-        raise FlatError(f"dark frame has shape {dark.shape}, the flat {flat.shape}; give one of the same sensor")
+    if dark.shape[:2] != flat.shape[:2] or (
+        dark.ndim == 3 and dark.shape[2] not in (1, flat.shape[-1])
+    ):
+        raise FlatError(
+            f"dark frame has shape {dark.shape}, the flat {flat.shape}; give one of the same sensor"
+        )
     whole = flat.dtype.kind == "u"
     if (dark.dtype.kind == "u") != whole or (whole and dark.dtype.itemsize > flat.dtype.itemsize):
-        raise FlatError(f"dark frame is {dark.dtype}, the flat {flat.dtype}; give both as the sensor stores them")
+        raise FlatError(
+            f"dark frame is {dark.dtype}, the flat {flat.dtype}; give both as the sensor stores them"
+        )
     return np.asarray(flat - (np.minimum(dark, flat) if whole else dark), flat.dtype)

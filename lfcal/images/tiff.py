@@ -1,4 +1,6 @@
-"""TIFF files (tifffile): which page is the flat, whether its pixels are complete, and the pixels, whole or in parts."""
+"""TIFF files (tifffile): which page is the flat, whether its pixels are complete, and the pixels,
+whole or in parts.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def count_tiff_pages(source: Path) -> int:
 
 
 def _full_pages(tiff: Any) -> tuple[list[Any], bool]:
-    """Pages that are no thumbnails, up to the first that cannot be read, and whether the list of pages is cut off."""
+    """Pages that are no thumbnails, up to the first that cannot be read, and whether the list of
+    pages is cut off.
+    """
     pages: list[Any] = []
     try:
         pages.extend(tiff.pages)
@@ -46,24 +50,32 @@ def _full_pages(tiff: Any) -> tuple[list[Any], bool]:
         if not pages:
             raise
     # Where the last page says that another follows.
-    kind, file = tiff.tiff, tiff.filehandle
+    kind = tiff.tiff
+    file = tiff.filehandle
     file.seek(pages[-1].offset)
     (tags,) = struct.unpack(kind.tagnoformat, file.read(kind.tagnosize))
     file.seek(pages[-1].offset + kind.tagnosize + tags * kind.tagsize)
     following = file.read(kind.offsetsize)
     known = {0, *(page.offset for page in pages)}
-    is_cut_off = len(following) < kind.offsetsize or struct.unpack(kind.offsetformat, following)[0] not in known
+    is_cut_off = (
+        len(following) < kind.offsetsize
+        or struct.unpack(kind.offsetformat, following)[0] not in known
+    )
     return [page for page in pages if not page.is_reduced], is_cut_off
 
 
 def select_tiff_page(tiff: Any, number: int | None) -> Any:
-    """The page of a TIFF that is the flat; FlatError if its pixels are incomplete or of an unknown kind."""
+    """The page of a TIFF that is the flat; FlatError if its pixels are incomplete or of an unknown
+    kind.
+    """
     pages, is_cut_off = _full_pages(tiff)
     if number in (None, len(pages)) and is_cut_off:
         raise FlatError(f"truncated TIFF: its list of pages is cut off after {len(pages)}")
     page: Any = pages[check_page(number, len(pages), "TIFF", "pictures", "page")]
     parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
-    if not parts or any(count == 0 or start + count > tiff.filehandle.size for start, count in parts):
+    if not parts or any(
+        count == 0 or start + count > tiff.filehandle.size for start, count in parts
+    ):
         raise FlatError("truncated TIFF: pixel data are missing")
     if len(parts) < np.prod(page.chunked):
         raise FlatError("damaged TIFF: strips or tiles are missing from its table")
@@ -86,7 +98,9 @@ def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
             if "imagecodecs" not in str(error):
                 raise
             if number:
-                raise FlatError("compressed in a way that is read for the first page only; save without it") from error
+                raise FlatError(
+                    "compressed in a way that is read for the first page only; save without it"
+                ) from error
             # OpenCV reads the common compressions that tifffile leaves to an optional package.
             grey = page.samplesperpixel < 3 and page.photometric.name != "PALETTE"
             return decode_with_opencv(source.read_bytes(), grey=grey)
@@ -103,10 +117,14 @@ def _convert(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
     return pixels
 
 
-def part_reader(source: Path, tiff: Any, number: int | None) -> tuple[Callable[[slice, slice], NDArray[Any]], Any]:
-    """A function that reads some rows and columns of a TIFF, and height and width [px]; any error if none can.
+def part_reader(
+    source: Path, tiff: Any, number: int | None
+) -> tuple[Callable[[slice, slice], NDArray[Any]], Any]:
+    """A function that reads some rows and columns of a TIFF, and height and width [px]; any error
+    if none can.
 
-    Rows without compression are mapped into memory; else the strips or tiles are decoded that overlap a part.
+    Rows without compression are mapped into memory; else the strips or tiles are decoded that
+    overlap a part.
     """
     import tifffile
 
@@ -120,16 +138,21 @@ def part_reader(source: Path, tiff: Any, number: int | None) -> tuple[Callable[[
     if side[0] * side[1] * page.samplesperpixel * page.dtype.itemsize > 1 << 27:
         raise NotImplementedError("strips or tiles are too large to be read in parts")
     lock = Lock()
-    return lambda rows, columns: _convert(_read_segments(tiff, page, side, lock, rows, columns), page), shape
+    return lambda rows, columns: _convert(
+        _read_segments(tiff, page, side, lock, rows, columns), page
+    ), shape
 
 
 def _read_segments(
     tiff: Any, page: Any, side: tuple[int, int], lock: Lock, rows: slice, columns: slice
 ) -> NDArray[Any]:
-    """The pixels of some rows and columns, as the strips or tiles of (height, width) `side` have them."""
+    """The pixels of some rows and columns, as the strips or tiles of (height, width) `side` have
+    them.
+    """
     from concurrent.futures import ThreadPoolExecutor
 
-    down, across = -(-page.imagelength // side[0]), -(-page.imagewidth // side[1])
+    down = -(-page.imagelength // side[0])
+    across = -(-page.imagewidth // side[1])
     size = rows.stop - rows.start, columns.stop - columns.start
     channels = (page.samplesperpixel,) if page.samplesperpixel > 1 else ()
     planes = page.axes == "SYX"
@@ -142,11 +165,18 @@ def _read_segments(
         decoded, (plane, _, top, left, _), _ = page.decode(data, number, jpegtables=page.jpegtables)
         if decoded is None:
             return
-        pixels, into = decoded[0], out[plane] if planes else out
-        bottom, right = min(top + pixels.shape[0], rows.stop), min(left + pixels.shape[1], columns.stop)
-        first, start = max(top, rows.start), max(left, columns.start)
-        place = into[first - rows.start : bottom - rows.start, start - columns.start : right - columns.start]
-        place[...] = pixels[first - top : bottom - top, start - left : right - left].reshape(place.shape)
+        pixels = decoded[0]
+        into = out[plane] if planes else out
+        bottom = min(top + pixels.shape[0], rows.stop)
+        right = min(left + pixels.shape[1], columns.stop)
+        first = max(top, rows.start)
+        start = max(left, columns.start)
+        place = into[
+            first - rows.start : bottom - rows.start, start - columns.start : right - columns.start
+        ]
+        place[...] = pixels[first - top : bottom - top, start - left : right - left].reshape(
+            place.shape
+        )
 
     wanted = [
         (plane * down + v) * across + u

@@ -1,8 +1,8 @@
 """Single frames of videos as flats: what FFmpeg decodes, and raw planar video (`.yuv`).
 
-That has no header. Size, subsampling and bits are given, or taken from the name of the file (such as
-`Boys2_3976x2956_30fps_420p10.yuv`), from a camera file `.cfg` of the same name beside it, and, as to the bits, from
-the samples themselves.
+That has no header. Size, subsampling and bits are given, or taken from the name of the file (such
+as `Boys2_3976x2956_30fps_420p10.yuv`), from a camera file `.cfg` of the same name beside it, and,
+as to the bits, from the samples themselves.
 """
 
 from __future__ import annotations
@@ -36,10 +36,13 @@ class RawLayout(NamedTuple):
 
 
 def read_video_frame(path: Path, page: int | None) -> NDArray[Any]:
-    """(h, w, 3) frame `page`, or the only frame, decoded from the first one on: uint16 above 8 bits, else uint8."""
+    """(h, w, 3) frame `page`, or the only frame, decoded from the first one on: uint16 above 8
+    bits, else uint8.
+    """
     if page is not None and page < 0:
         raise FlatError(f"has no frame {page}")
-    av, number = import_av(path.name), page or 0
+    av = import_av(path.name)
+    number = page or 0
     try:
         with av.open(str(path), format=VIDEO_FORMATS[path.suffix.lower()]) as container:
             if not container.streams.video:
@@ -71,21 +74,28 @@ def count_yuv_frames(path: Path, size: tuple[int, int] | None, pixel_format: str
     return -(-path.stat().st_size // find_layout(path, size, pixel_format).frame_bytes)
 
 
-def read_yuv(path: Path, page: int | None, size: tuple[int, int] | None, pixel_format: str | None) -> NDArray[Any]:
-    """Pixels (h, w, 3) of frame `page`, or of the only frame: uint8, or uint16 where samples have more bits.
+def read_yuv(
+    path: Path, page: int | None, size: tuple[int, int] | None, pixel_format: str | None
+) -> NDArray[Any]:
+    """Pixels (h, w, 3) of frame `page`, or of the only frame: uint8, or uint16 where samples have
+    more bits.
 
-    Colours are those that FFmpeg gives a decoded frame without a colour space: BT.601 of limited range. Files without
-    colours give their samples (h, w) as they are.
+    Colours are those that FFmpeg gives a decoded frame without a colour space: BT.601 of limited
+    range. Files without colours give their samples (h, w) as they are.
     """
     layout = find_layout(path, size, pixel_format)
-    number = check_page(page, -(-path.stat().st_size // layout.frame_bytes), "video", "frames", "frame")
+    number = check_page(
+        page, -(-path.stat().st_size // layout.frame_bytes), "video", "frames", "frame"
+    )
     with path.open("rb") as stream:
         stream.seek(number * layout.frame_bytes)
         data = stream.read(layout.frame_bytes)
     width, height, kind, bits, length = layout
     if len(data) < length:
         given = f"frame {number} has {len(data)} of {length} bytes"
-        raise FlatError(f"truncated raw video: {given}; is its size {width} x {height} px {kind} (--size)?")
+        raise FlatError(
+            f"truncated raw video: {given}; is its size {width} x {height} px {kind} (--size)?"
+        )
     if kind.startswith("gray"):
         return np.frombuffer(data, "<u2" if bits > 8 else np.uint8).reshape(height, width)
     options = {"video_size": f"{width}x{height}", "pixel_format": kind}
@@ -93,14 +103,20 @@ def read_yuv(path: Path, page: int | None, size: tuple[int, int] | None, pixel_f
         return rgb_pixels(next(film.decode(video=0)))
 
 
-def find_layout(path: Path, size: tuple[int, int] | None = None, pixel_format: str | None = None) -> RawLayout:
-    """The layout of a raw video: what is not given follows from its name, a `.cfg` file beside it, and its samples.
+def find_layout(
+    path: Path, size: tuple[int, int] | None = None, pixel_format: str | None = None
+) -> RawLayout:
+    """The layout of a raw video: what is not given follows from its name, a `.cfg` file beside it,
+    and its samples.
 
-    FlatError if the size cannot be told, the pixel format is not known, or the file does not hold a single frame.
+    FlatError if the size cannot be told, the pixel format is not known, or the file does not hold a
+    single frame.
     """
     size = size or _size_of(path)
     if size is None:
-        raise FlatError("raw video has no header; give its size (--size WxH), or name it like NAME_2048x2048.yuv")
+        raise FlatError(
+            "raw video has no header; give its size (--size WxH), or name it like NAME_2048x2048.yuv"
+        )
     width, height = size
     if pixel_format is None:
         subsampling, named = _format_in_name(path.stem)
@@ -129,12 +145,16 @@ def _size_of(path: Path) -> tuple[int, int] | None:
         text = camera.read_text(encoding="utf-8-sig") if camera.stat().st_size < 1 << 16 else ""
     except (OSError, UnicodeDecodeError):
         return None
-    width, height = (re.search(rf"(?m)^\s*Lenslet{side}\s*:\s*(\d+)", text) for side in ("Width", "Height"))
+    width, height = (
+        re.search(rf"(?m)^\s*Lenslet{side}\s*:\s*(\d+)", text) for side in ("Width", "Height")
+    )
     return (int(width[1]), int(height[1])) if width and height else None
 
 
 def _format_in_name(name: str) -> tuple[str | None, int | None]:
-    """Subsampling and bits as names of sequences have them: `yuv420p10le`, `420p_10b`, `p444_12bit`, `gray8`."""
+    """Subsampling and bits as names of sequences have them: `yuv420p10le`, `420p_10b`,
+    `p444_12bit`, `gray8`.
+    """
     words = re.sub(r"\d{2,6}[xX]\d{2,6}", " ", name.lower())
     words = re.sub(r"(?<![a-z])gr[ae]y(?=(?:8|10|12)(?!\d))", "400p", words)
     subsampling = re.search(r"(?<!\d)(?:yuv|p)?(400|420|422|444)(?!\d)p?(8|10|12)?(?:le)?", words)
@@ -144,7 +164,9 @@ def _format_in_name(name: str) -> tuple[str | None, int | None]:
 
 
 def _bits_of_samples(path: Path, pixels: int) -> int:
-    """Bits of the samples: in 10 or 12 of 16 bits every second byte is small, which it is in no picture of 8."""
+    """Bits of the samples: in 10 or 12 of 16 bits every second byte is small, which it is in no
+    picture of 8.
+    """
     if path.stat().st_size < 2 * pixels:
         return 8
     largest = int(np.fromfile(path, "<u2", pixels).max())

@@ -1,1 +1,3 @@
-"""The microlens lattice: centres and cells of the microimages, distortion, residuals, standard errors, subsets."""
+"""The microlens lattice: centres and cells of the microimages, distortion, residuals, standard
+errors, subsets.
+"""

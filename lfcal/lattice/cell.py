@@ -10,7 +10,14 @@ from numba import njit
 from ..runtime.arrays import Floats
 from .lattice import Lattice
 
-__all__ = ["Cell", "bin_offsets", "cell_distances", "is_outside_cell", "nearest_offsets", "row_interval"]
+__all__ = [
+    "Cell",
+    "bin_offsets",
+    "cell_distances",
+    "is_outside_cell",
+    "nearest_offsets",
+    "row_interval",
+]
 
 _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
@@ -41,10 +48,12 @@ class Cell(NamedTuple):
     def row_bounds(self) -> Floats:
         """Sides (7, 2) for `row_interval`.
 
-        Offset from the centre [px] and slope of at most three sides to the right and three to the left; then first and
-        last row [px].
+        Offset from the centre [px] and slope of at most three sides to the right and three to the
+        left; then first and last row [px].
         """
-        sides = np.array([[np.inf, 0.0]] * 3 + [[-np.inf, 0.0]] * 3 + [[-self.circumradius, self.circumradius]])
+        sides = np.array(
+            [[np.inf, 0.0]] * 3 + [[-np.inf, 0.0]] * 3 + [[-self.circumradius, self.circumradius]]
+        )
         level = 1e-9 * np.abs(self.normals).max()
         right = left = 0
         for x, y in self.normals.tolist():
@@ -62,7 +71,9 @@ class Cell(NamedTuple):
 
 
 def nearest_offsets(index: Floats, basis: Floats) -> Floats:
-    """(n, 2) offsets [px] of places at fractional lattice coordinates (n, 2) from the lattice point nearest to each."""
+    """(n, 2) offsets [px] of places at fractional lattice coordinates (n, 2) from the lattice point
+    nearest to each.
+    """
     offsets = ((index - np.rint(index))[:, None] - _AROUND) @ basis
     nearest = np.hypot(offsets[..., 0], offsets[..., 1]).argmin(1)
     return offsets[np.arange(len(offsets)), nearest]
@@ -74,11 +85,15 @@ def bin_offsets(basis: Floats, bins: int, centre: Floats) -> Floats:
     One is at `centre` (2,), in fractional lattice coordinates; bin `k` covers `[k, k + 1) / bins`.
     """
     column, row = np.meshgrid(*[(np.arange(bins) + 0.5) / bins] * 2)
-    return nearest_offsets(np.column_stack([column.ravel(), row.ravel()]) - centre, basis).reshape(bins, bins, 2)
+    return nearest_offsets(np.column_stack([column.ravel(), row.ravel()]) - centre, basis).reshape(
+        bins, bins, 2
+    )
 
 
 def cell_distances(basis: Floats, offset: Floats) -> tuple[Floats, Floats]:
-    """(n,) distances [px] of places, `offset` (n, 2) [px] from the centre, to it and to the border of the cell."""
+    """(n,) distances [px] of places, `offset` (n, 2) [px] from the centre, to it and to the border
+    of the cell.
+    """
     steps = _AROUND[np.abs(_AROUND).sum(1) > 0] @ basis
     length = np.hypot(*steps.T)
     return np.hypot(*offset.T), (0.5 * length - offset @ steps.T / length).min(1)
@@ -86,9 +101,17 @@ def cell_distances(basis: Floats, offset: Floats) -> tuple[Floats, Floats]:
 
 @njit(error_model="numpy", inline="always")
 def row_interval(dy, sides):
-    """First and last x in row `dy` of a cell, all relative to its centre [px]; `sides` from `Cell.row_bounds`."""
-    high = min(min(sides[0, 0] - dy * sides[0, 1], sides[1, 0] - dy * sides[1, 1]), sides[2, 0] - dy * sides[2, 1])
-    low = max(max(sides[3, 0] - dy * sides[3, 1], sides[4, 0] - dy * sides[4, 1]), sides[5, 0] - dy * sides[5, 1])
+    """First and last x in row `dy` of a cell, all relative to its centre [px]; `sides` from
+    `Cell.row_bounds`.
+    """
+    high = min(
+        min(sides[0, 0] - dy * sides[0, 1], sides[1, 0] - dy * sides[1, 1]),
+        sides[2, 0] - dy * sides[2, 1],
+    )
+    low = max(
+        max(sides[3, 0] - dy * sides[3, 1], sides[4, 0] - dy * sides[4, 1]),
+        sides[5, 0] - dy * sides[5, 1],
+    )
     return low, high
 
 

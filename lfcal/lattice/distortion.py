@@ -21,13 +21,15 @@ _POWERS = tuple((order - q, q) for order in (2, 3) for q in range(order + 1))
 
 @dataclass(frozen=True, eq=False)
 class Distortion(Frozen):
-    """Displacement of straight lattice points `s`: a radial part about a centre, and a general one about the middle.
+    """Displacement of straight lattice points `s`: a radial part about a centre, and a general one
+    about the middle.
 
-    Radial: `(s - centre) * (k1 * (rho**2 - 1/2) + k2 * (rho**4 - 1/4))`, with `rho` the distance to the centre over
-    half the diagonal of the flat. The subtracted constants leave to the basis what a straight lattice can follow:
-    without its distortion the lattice is about the best straight one.
-    General, for film and scanners: `sum of general[:, k] * x**p * y**q` over the powers `p, q` = 20, 11, 02, 30, 21,
-    12, 03 of the position `x, y` relative to `middle`, in units of half the diagonal.
+    Radial: `(s - centre) * (k1 * (rho**2 - 1/2) + k2 * (rho**4 - 1/4))`, with `rho` the distance to
+    the centre over half the diagonal of the flat. The subtracted constants leave to the basis what
+    a straight lattice can follow: without its distortion the lattice is about the best straight
+    one. General, for film and scanners: `sum of general[:, k] * x**p * y**q` over the powers `p, q`
+    = 20, 11, 02, 30, 21, 12, 03 of the position `x, y` relative to `middle`, in units of half the
+    diagonal.
 
     Parameters
     ----------
@@ -59,17 +61,32 @@ class Distortion(Frozen):
 
     def __post_init__(self) -> None:
         centre = np.array(self.centre, dtype=np.float64)
-        if centre.shape != (2,) or not np.isfinite([*centre, self.k1, self.k2, self.reach]).all() or self.reach <= 0:
-            raise ValueError(f"distortion must be finite numbers with reach > 0, got {self.centre!r}, {self.reach!r}")
+        if (
+            centre.shape != (2,)
+            or not np.isfinite([*centre, self.k1, self.k2, self.reach]).all()
+            or self.reach <= 0
+        ):
+            raise ValueError(
+                f"distortion must be finite numbers with reach > 0, got {self.centre!r}, {self.reach!r}"
+            )
         if abs(self.k1) + abs(self.k2) > _LARGEST:
-            raise ValueError(f"distortion must stay below 0.3 in the corners, got {self.k1!r} and {self.k2!r}")
+            raise ValueError(
+                f"distortion must stay below 0.3 in the corners, got {self.k1!r} and {self.k2!r}"
+            )
         self._set(centre=centre, k1=float(self.k1), k2=float(self.k2), reach=float(self.reach))
         if self.general is None:
             self._set(middle=None)
             return
-        general, middle = np.array(self.general, dtype=np.float64), np.array(self.middle, dtype=np.float64)
-        if general.shape != (2, len(_POWERS)) or middle.shape != (2,) or not np.isfinite(middle).all():
-            raise ValueError(f"general distortion must be (2, {len(_POWERS)}) numbers and a middle (2,)")
+        general = np.array(self.general, dtype=np.float64)
+        middle = np.array(self.middle, dtype=np.float64)
+        if (
+            general.shape != (2, len(_POWERS))
+            or middle.shape != (2,)
+            or not np.isfinite(middle).all()
+        ):
+            raise ValueError(
+                f"general distortion must be (2, {len(_POWERS)}) numbers and a middle (2,)"
+            )
         if not np.abs(general).sum(1).max() <= _LARGEST * self.reach:
             raise ValueError("general distortion must stay below 0.3 of half the diagonal")
         self._set(general=general, middle=middle)
@@ -91,19 +108,25 @@ class Distortion(Frozen):
         straight = bent
         # Each turn gains two digits at the distortions of real lenses.
         for _ in range(12):
-            # Dividing by the radial scale converges in fewer iterations than subtracting the displacement.
+            # Dividing by the radial scale converges in fewer iterations than subtracting the
+            # displacement.
             offset = straight - self.centre
-            straight = self.centre + (bent - self._general(straight) - self.centre) / (1 + self._radial_scale(offset))
+            straight = self.centre + (bent - self._general(straight) - self.centre) / (
+                1 + self._radial_scale(offset)
+            )
         return straight
 
     def scaled(self, scale: float) -> Distortion:
         """The distortion in pixels smaller by `scale`."""
         general = None if self.general is None else self.general * scale
         middle = None if self.middle is None else (self.middle + 0.5) * scale - 0.5
-        return Distortion((self.centre + 0.5) * scale - 0.5, self.k1, self.k2, self.reach * scale, general, middle)
+        return Distortion(
+            (self.centre + 0.5) * scale - 0.5, self.k1, self.k2, self.reach * scale, general, middle
+        )
 
     def derivatives(self, straight: Floats) -> list[tuple[str, Floats]]:
-        """Names of the parameters, and derivative (n, 2) of the displacement of points (n, 2) by each of them.
+        """Names of the parameters, and derivative (n, 2) of the displacement of points (n, 2) by
+        each of them.
 
         `"centre"` comes twice, for x and y; `"general"` fourteen times, all of x first.
         """
@@ -112,15 +135,23 @@ class Distortion(Frozen):
         unit = np.eye(2)
         columns = [("k1", offset * (square - 0.5)), ("k2", offset * (square**2 - 0.25))]
         for axis in range(2):
-            along = 2 * offset[:, [axis]] / self.reach**2 * offset * (self.k1 + 2 * self.k2 * square)
+            along = (
+                2 * offset[:, [axis]] / self.reach**2 * offset * (self.k1 + 2 * self.k2 * square)
+            )
             columns.append(("centre", -(self._radial_scale(offset) * unit[axis] + along)))
         if self.general is not None:
             powers = self._powers(straight)
-            columns += [("general", powers[:, [k]] * unit[axis]) for axis in range(2) for k in range(len(_POWERS))]
+            columns += [
+                ("general", powers[:, [k]] * unit[axis])
+                for axis in range(2)
+                for k in range(len(_POWERS))
+            ]
         return columns
 
     def updated(self, change: Mapping[str, Floats]) -> Distortion:
-        """The distortion after a least-squares step `change` of `"k1"` or `"general"`, as in `derivatives`."""
+        """The distortion after a least-squares step `change` of `"k1"` or `"general"`, as in
+        `derivatives`.
+        """
         general = self.general
         if general is not None and "general" in change:
             general = general + np.reshape(change["general"], general.shape)
@@ -143,7 +174,12 @@ class Distortion(Frozen):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as in a camera file."""
-        data: dict[str, Any] = {"centre": self.centre.tolist(), "k1": self.k1, "k2": self.k2, "reach": self.reach}
+        data: dict[str, Any] = {
+            "centre": self.centre.tolist(),
+            "k1": self.k1,
+            "k2": self.k2,
+            "reach": self.reach,
+        }
         if self.general is not None and self.middle is not None:
             data |= {"general": self.general.tolist(), "middle": self.middle.tolist()}
         return data
@@ -151,4 +187,11 @@ class Distortion(Frozen):
     @classmethod
     def from_dict(cls, data: Any) -> Distortion:
         """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
-        return cls(data["centre"], data["k1"], data["k2"], data["reach"], data.get("general"), data.get("middle"))
+        return cls(
+            data["centre"],
+            data["k1"],
+            data["k2"],
+            data["reach"],
+            data.get("general"),
+            data.get("middle"),
+        )

@@ -1,4 +1,6 @@
-"""The microlens lattice: centres of the microimages from an origin, two basis vectors and a distortion."""
+"""The microlens lattice: centres of the microimages from an origin, two basis vectors and a
+distortion.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from .distortion import Distortion
 
 # [squared length] nearer is equal: measured hexagons get the basis of exact ones.
 _EQUAL = 5e-3
-# [lenses] handled at once, so that hardly more memory is needed than for the result, and centres kept at most.
+# [lenses] handled at once, so that hardly more memory is needed than for the result, and centres
+# kept at most.
 _CHUNK = 1 << 20
 # Share of a side, and cosine, up to which a cell counts as square.
 _TOLERANCE = 0.03
@@ -24,14 +27,17 @@ __all__ = ["Lattice", "describe_orientation", "reduce_basis"]
 
 
 def reduce_basis(basis: ArrayLike) -> Floats:
-    """(2, 2) shortest basis of the lattice that two vectors [px] span (Lagrange-Gauss reduction), in a canonical form.
+    """(2, 2) shortest basis of the lattice that two vectors [px] span (Lagrange-Gauss reduction),
+    in a canonical form.
 
-    `a1` points within 45 degrees of +x where a shortest vector does, `a2` follows it clockwise on the screen (y down)
-    at 60 to 90 degrees.
+    `a1` points within 45 degrees of +x where a shortest vector does, `a2` follows it clockwise on
+    the screen (y down) at 60 to 90 degrees.
     """
     a, b = np.array(basis, dtype=np.float64)
     if not np.isfinite([a, b]).all() or abs(a[0] * b[1] - a[1] * b[0]) <= 1e-12 * (a @ a + b @ b):
-        raise ValueError(f"basis must be two independent finite vectors, got {np.asarray(basis).tolist()}")
+        raise ValueError(
+            f"basis must be two independent finite vectors, got {np.asarray(basis).tolist()}"
+        )
     while True:
         if a @ a > b @ b:
             a, b = b, a
@@ -42,22 +48,31 @@ def reduce_basis(basis: ArrayLike) -> Floats:
     candidates += [-v for v in candidates]
     least = b @ b
     pairs = [
-        (one, two) for one in candidates for two in candidates
+        (one, two)
+        for one in candidates
+        for two in candidates
         if one[0] * two[1] - one[1] * two[0] > 1e-9 * least and one @ two >= -1e-6 * least
-    ]  # fmt: skip
+    ]
 
     def rank(pair: tuple[Floats, Floats]) -> tuple[float, ...]:
-        # Lengths decide before directions, and directions only where they differ by more than rounding.
+        # Lengths decide before directions, and directions only where they differ by more than
+        # rounding.
         one, two = pair
         size = (one @ one + two @ two) / least
-        return -round(size / _EQUAL), round(float(one[0] / np.hypot(*one)), 6), float(one[1]), float(one @ two)
+        return (
+            -round(size / _EQUAL),
+            round(float(one[0] / np.hypot(*one)), 6),
+            float(one[1]),
+            float(one @ two),
+        )
 
     return np.array(max(pairs, key=rank))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Lattice(Frozen):
-    """Centres `c(i, j) = origin + i*a1 + j*a2`, plus an optional distortion, of all microimages on one flat.
+    """Centres `c(i, j) = origin + i*a1 + j*a2`, plus an optional distortion, of all microimages on
+    one flat.
 
     Parameters
     ----------
@@ -88,18 +103,27 @@ class Lattice(Frozen):
     distortion: Distortion | None = None
 
     def __post_init__(self) -> None:
-        origin, basis = check_numbers(self.origin, "origin"), check_numbers(self.basis, "basis")
+        origin = check_numbers(self.origin, "origin")
+        basis = check_numbers(self.basis, "basis")
         if origin.shape != (2,) or not np.abs(origin).max() < 1e9:
             raise ValueError(f"origin must be two finite numbers on a flat, got {self.origin!r}")
-        if basis.shape != (2, 2) or not np.isfinite(basis).all() or abs(np.linalg.det(basis)) < 1e-6:
+        if (
+            basis.shape != (2, 2)
+            or not np.isfinite(basis).all()
+            or abs(np.linalg.det(basis)) < 1e-6
+        ):
             raise ValueError(f"basis must be two independent finite vectors, got {self.basis!r}")
         size = check_numbers(self.image_size, "image_size")
         if size.shape != (2,) or not (size == np.rint(size)).all() or size.min() < 1:
-            raise ValueError(f"image_size must be a whole number of px in width and height, got {self.image_size!r}")
+            raise ValueError(
+                f"image_size must be a whole number of px in width and height, got {self.image_size!r}"
+            )
         width, height = map(int, size)
         across = np.abs(np.linalg.inv(basis)).max() * (width + height)
         if across > 1e7 or width * height > min(1 << 31, (1 << 27) * abs(np.linalg.det(basis))):
-            raise ValueError(f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart")
+            raise ValueError(
+                f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart"
+            )
         radius = check_number(self.radius, "radius")
         if not 0 < radius < np.inf:
             raise ValueError(f"radius must be a positive number of px, got {self.radius!r}")
@@ -110,11 +134,15 @@ class Lattice(Frozen):
 
     def __repr__(self) -> str:
         width, height = self.image_size
-        return f"Lattice({len(self)} microimages, {self.pitch:.4g} px apart, on {width} x {height} px)"
+        return (
+            f"Lattice({len(self)} microimages, {self.pitch:.4g} px apart, on {width} x {height} px)"
+        )
 
     @cached_property
     def steps(self) -> Integers:
-        """(k, 2) index steps to the nearest neighbours, opposite steps `k/2` apart: k = 6 (hexagonal) or 4."""
+        """(k, 2) index steps to the nearest neighbours, opposite steps `k/2` apart: k = 6
+        (hexagonal) or 4.
+        """
         a1, a2 = self.basis
         half = [(1, 0), (0, 1)]
         typical = np.sqrt(np.hypot(*a1) * np.hypot(*a2))
@@ -139,18 +167,28 @@ class Lattice(Frozen):
     def _indices(self) -> Integers:
         width, height = self.image_size
         # Edges of the flat are curved lines on a distorted lattice.
-        along, ends = np.linspace(-0.5, 0.5, 33), np.array([-0.5, 0.5])
-        edges = np.vstack([np.stack(np.meshgrid(*pair), -1).reshape(-1, 2) for pair in ((along, ends), (ends, along))])
+        along = np.linspace(-0.5, 0.5, 33)
+        ends = np.array([-0.5, 0.5])
+        edges = np.vstack(
+            [
+                np.stack(np.meshgrid(*pair), -1).reshape(-1, 2)
+                for pair in ((along, ends), (ends, along))
+            ]
+        )
         bounds = self.to_index((edges + 0.5) * [width, height] - 0.5)
-        low, high = np.floor(bounds.min(0)).astype(int), np.ceil(bounds.max(0)).astype(int)
+        low = np.floor(bounds.min(0)).astype(int)
+        high = np.ceil(bounds.max(0)).astype(int)
         columns, rows = (np.arange(low[axis], high[axis] + 1) for axis in (0, 1))
         across, down = np.abs(self.basis[0])
         steep = down > 0.25 * across
-        found, order = [], []
+        found = []
+        order = []
         for few in np.array_split(rows, -(-len(rows) * len(columns) // _CHUNK)):
             ij = np.stack(np.meshgrid(columns, few), -1).reshape(-1, 2)
             x, y = self.points(ij).T
-            inside = np.flatnonzero((x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5))
+            inside = np.flatnonzero(
+                (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5)
+            )
             found.append(ij.take(inside, 0))
             if steep:
                 band = (y[inside] * (2 / self.pitch)).astype(np.int64)
@@ -161,8 +199,8 @@ class Lattice(Frozen):
     def indices(self) -> Integers:
         """(n, 2) lattice indices `i, j` of all microimages whose centre lies on the flat.
 
-        In rows of `j`, or, where those run down the flat, in rows of pixels half a pitch high, from top to bottom:
-        loops over the pixels of lenses in memory order are up to twice as fast.
+        In rows of `j`, or, where those run down the flat, in rows of pixels half a pitch high, from
+        top to bottom: loops over the pixels of lenses in memory order are up to twice as fast.
         """
         return self._indices.copy()
 
@@ -202,7 +240,9 @@ class Lattice(Frozen):
         return Lattice(origin, self.basis * scale, image_size, self.radius * scale, distortion)
 
     def points(self, index: ArrayLike) -> Floats:
-        """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which may be fractions and beyond the flat."""
+        """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which may be fractions and beyond
+        the flat.
+        """
         index = np.asarray(index)
         # Column by column: three times as fast as a product with a 2 x 2 matrix.
         straight = np.empty(index.shape)
@@ -213,7 +253,9 @@ class Lattice(Frozen):
         return straight if self.distortion is None else self.distortion.apply(straight)
 
     def derivatives(self, index: Array, orders: Collection[str]) -> tuple[list[str], Floats]:
-        """Names of origin, basis and the parameters `orders` of the distortion; derivatives (n, 2, p) of centres."""
+        """Names of origin, basis and the parameters `orders` of the distortion; derivatives (n, 2,
+        p) of centres.
+        """
         factors = np.column_stack([np.ones(len(index)), index])
         columns = [factors[:, [k]] * np.eye(2)[axis] for k in range(3) for axis in range(2)]
         names = ["origin", "origin", "a1", "a1", "a2", "a2"]
@@ -232,7 +274,9 @@ class Lattice(Frozen):
 
 
 def describe_orientation(lattice: Lattice) -> tuple[str, str, float]:
-    """Shape, direction of the rows of nearest neighbours, and rotation from that direction [degrees]."""
+    """Shape, direction of the rows of nearest neighbours, and rotation from that direction
+    [degrees].
+    """
     a1, a2 = lattice.basis
     lengths = np.hypot(*a1), np.hypot(*a2)
     hexagonal = len(lattice.steps) == 6

@@ -1,4 +1,6 @@
-"""Subsets of the lenses of a flat: whole, evenly spread, lit ones, and those on crops of a large flat."""
+"""Subsets of the lenses of a flat: whole, evenly spread, lit ones, and those on crops of a large
+flat.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ import numpy as np
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from .lattice import Lattice, reduce_basis
 
-__all__ = ["ReadCrop", "StackedCrops", "find_lit_lenses", "sample_lenses", "sample_mask", "select_whole_lenses"]
+__all__ = [
+    "ReadCrop",
+    "StackedCrops",
+    "find_lit_lenses",
+    "sample_lenses",
+    "sample_mask",
+    "select_whole_lenses",
+]
 
 #: Reads a rectangle of a flat, (height, width) float32, given its x, y, width and height [px].
 ReadCrop = Callable[[int, int, int, int], Singles]
@@ -18,11 +27,15 @@ ReadCrop = Callable[[int, int, int, int], Singles]
 
 def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[Integers, Floats]:
     """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat."""
-    centres, indices = lattice.centres(), lattice.indices()
+    centres = lattice.centres()
+    indices = lattice.indices()
     width, height = lattice.image_size
     x, y = centres.T
-    # Comparing two columns, and `take`, are several times as fast as comparing and indexing rows of two.
-    keep = np.flatnonzero((x >= margin) & (x <= width - 1 - margin) & (y >= margin) & (y <= height - 1 - margin))
+    # Comparing two columns, and `take`, are several times as fast as comparing and indexing rows of
+    # two.
+    keep = np.flatnonzero(
+        (x >= margin) & (x <= width - 1 - margin) & (y >= margin) & (y <= height - 1 - margin)
+    )
     return indices.take(keep, 0), centres.take(keep, 0)
 
 
@@ -71,7 +84,8 @@ class StackedCrops:
         return self.picture[number * self.size[1] : (number + 1) * self.size[1]]
 
     def lenses(self, lattice: Lattice, margin: float) -> tuple[Integers, Floats, Integers]:
-        """Lenses at least `margin` px inside a crop: indices (n, 2), centres on the flat (n, 2) [px], crop number (n,).
+        """Lenses at least `margin` px inside a crop: indices (n, 2), centres on the flat (n, 2)
+        [px], crop number (n,).
 
         Their centres in the picture are `centres - offsets[crop]`.
         """
@@ -79,7 +93,9 @@ class StackedCrops:
             whole = select_whole_lenses(lattice, margin)
             return (*whole, np.zeros(len(whole[0]), np.int64))
         inside = [
-            _lenses_in_rectangle(lattice, corner + margin, corner + np.array(self.size) - 1 - margin)
+            _lenses_in_rectangle(
+                lattice, corner + margin, corner + np.array(self.size) - 1 - margin
+            )
             for corner in self.corners
         ]
         crop = np.repeat(np.arange(len(self)), [len(index) for index in inside])
@@ -93,21 +109,24 @@ def _lenses_in_rectangle(lattice: Lattice, low: Floats, high: Floats) -> Integer
     share = np.linspace(0, 1, 5)
     x, y = np.meshgrid(*(low[axis] + share * (high[axis] - low[axis]) for axis in (0, 1)))
     bounds = lattice.to_index(np.column_stack([x.ravel(), y.ravel()]))
-    least, most = np.floor(bounds.min(0)).astype(np.int64) - 1, np.ceil(bounds.max(0)).astype(np.int64) + 1
+    least = np.floor(bounds.min(0)).astype(np.int64) - 1
+    most = np.ceil(bounds.max(0)).astype(np.int64) + 1
     i, j = np.meshgrid(np.arange(least[0], most[0] + 1), np.arange(least[1], most[1] + 1))
     index = np.column_stack([i.ravel(), j.ravel()])
     centres = lattice.points(index)
     return index[((centres >= low) & (centres <= high)).all(1)]
 
 
-def find_lit_lenses(picture: Singles, lattice: Lattice, indices: Integers, centres: Floats, dark: float) -> Booleans:
+def find_lit_lenses(
+    picture: Singles, lattice: Lattice, indices: Integers, centres: Floats, dark: float
+) -> Booleans:
     """(n,) whether lenses are lit and not next to a dark one, as the border of the array cuts some.
 
-    Stray light also reaches pixels without a lens, so lenses are found by the step to the gaps around them where
-    gaps are visible, else by the brightness of their core.
+    Stray light also reaches pixels without a lens, so lenses are found by the step to the gaps
+    around them where gaps are visible, else by the brightness of their core.
 
-    `picture` (h, w) is light or its square root; `centres` (n, 2) are at least 1.5 px inside it. A lens is dark below
-    the share `dark` of the step (or brightness) of a bright lens.
+    `picture` (h, w) is light or its square root; `centres` (n, 2) are at least 1.5 px inside it. A
+    lens is dark below the share `dark` of the step (or brightness) of a bright lens.
     """
     if len(centres) == 0:
         return np.zeros(0, dtype=bool)
@@ -122,7 +141,8 @@ def find_lit_lenses(picture: Singles, lattice: Lattice, indices: Integers, centr
     core = mean_at(np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), -1).reshape(-1, 2))
     step = core - mean_at(_cell_corners(lattice))
     # Bright, without being dust or a hot pixel.
-    few, bright = slice(None, None, max(1, len(core) // 20_000)), 0.95
+    few = slice(None, None, max(1, len(core) // 20_000))
+    bright = 0.95
     has_gaps = np.quantile(step[few], bright) > 0.3 * np.quantile(core[few], bright)
     value = step if has_gaps else core
     unlit = value < dark * np.quantile(value[few], bright)

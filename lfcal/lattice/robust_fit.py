@@ -1,8 +1,9 @@
 """Robust least squares of a lattice: iteratively reweighted, with Tukey's biweight.
 
-A lattice is linear in its six parameters, origin and basis. Every microimage (or tile of many) contributes a measured
-shift; outliers get no weight. Beaton and Tukey, Technometrics 16 (1974); Huber, Robust Statistics (1981), chapter 7.
-Scenes, where most lenses may be off, need the other scale estimate of `scene_fit.irls`.
+A lattice is linear in its six parameters, origin and basis. Every microimage (or tile of many)
+contributes a measured shift; outliers get no weight. Beaton and Tukey, Technometrics 16 (1974);
+Huber, Robust Statistics (1981), chapter 7. Scenes, where most lenses may be off, need the other
+scale estimate of `scene_fit.irls`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from .distortion import Distortion
 
 __all__ = ["TUKEY_CUTOFF", "LatticeFit", "field_rms", "fit_affine", "tukey_weights"]
 
-#: Residual [standard deviations] from which on the weight is zero: 95 % efficiency for normal residuals.
+#: Residual [standard deviations] from which on the weight is zero: 95 % efficiency for normal
+#: residuals.
 TUKEY_CUTOFF = 4.685
 
 
@@ -29,12 +31,16 @@ class LatticeFit:
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     uncertainty: float  # [px] standard error of a centre, RMS over the flat, from the scatter of the microimages
     lenses_used: int  # microimages of positive weight
-    half_difference: float  # [px] RMS distance over the flat of the lattices of two halves of the microimages
+    half_difference: (
+        float  # [px] RMS distance over the flat of the lattices of two halves of the microimages
+    )
     distortion: Distortion | None = None
 
 
 def tukey_weights(squares: Floats) -> tuple[Floats, float]:
-    """Weights (n,) of residuals in the plane, of squared length `squares` (n,), and the variance of their median."""
+    """Weights (n,) of residuals in the plane, of squared length `squares` (n,), and the variance of
+    their median.
+    """
     # 2 ln 2 is the median of the squared length of a standard normal vector in the plane.
     variance = float(np.median(squares)) / 1.386 + 1e-30
     return np.clip(1 - squares / (variance * TUKEY_CUTOFF**2), 0, None) ** 2, variance
@@ -43,8 +49,8 @@ def tukey_weights(squares: Floats) -> tuple[Floats, float]:
 def fit_affine(design: Floats, shifts: Floats, prior: Floats) -> tuple[Floats, Floats]:
     """Robust affine function (3, 2) through shifts (n, 2) [px], and their weights (n,).
 
-    `design` (n, 3) holds a 1 and two coordinates of each; `prior` (n,) weights known beforehand, one over the variance:
-    0 leaves a shift out.
+    `design` (n, 3) holds a 1 and two coordinates of each; `prior` (n,) weights known beforehand,
+    one over the variance: 0 leaves a shift out.
     """
     change: Array = np.zeros((3, 2))
     weight = prior

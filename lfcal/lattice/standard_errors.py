@@ -1,4 +1,6 @@
-"""How well a lattice is known: standard errors of its parameters and centres, and residuals of single microimages."""
+"""How well a lattice is known: standard errors of its parameters and centres, and residuals of
+single microimages.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,8 @@ class LatticeErrors(Frozen):
     Parameters
     ----------
     names : tuple of p str
-        `"origin"`, `"a1"`, `"a2"`, each for x and y [px]; then `"k1"`, `"k2"`, `"centre"` (twice, [px]) or `"general"`
-        (14 times, [px]) as far as they were fitted.
+        `"origin"`, `"a1"`, `"a2"`, each for x and y [px]; then `"k1"`, `"k2"`, `"centre"` (twice,
+        [px]) or `"general"` (14 times, [px]) as far as they were fitted.
     covariance : (p, p) float64
 
     Examples
@@ -45,7 +47,9 @@ class LatticeErrors(Frozen):
     def __post_init__(self) -> None:
         covariance = np.array(self.covariance, dtype=np.float64)
         if covariance.shape != (len(self.names),) * 2 or not np.isfinite(covariance).all():
-            raise ValueError(f"covariance must be finite, one row per name, got shape {covariance.shape}")
+            raise ValueError(
+                f"covariance must be finite, one row per name, got shape {covariance.shape}"
+            )
         if self.names[:6] != _STRAIGHT_NAMES or not set(self.names[6:]) <= set(_DISTORTION_NAMES):
             raise ValueError(f"names of fitted parameters are not known: {self.names}")
         self._set(covariance=covariance)
@@ -57,15 +61,18 @@ class LatticeErrors(Frozen):
 
     @property
     def condition(self) -> float:
-        """Condition number of the fit, 1 and more; infinite where the parameters cannot be told apart.
+        """Condition number of the fit, 1 and more; infinite where the parameters cannot be told
+        apart.
 
-        Of the least-squares design with columns of unit length, so that units and the number of lenses do not matter.
-        A flat of 33 x 29 lenses has 1.6, a strip of 70 x 9 whose radial distortion is fitted as well has 18.
+        Of the least-squares design with columns of unit length, so that units and the number of
+        lenses do not matter. A flat of 33 x 29 lenses has 1.6, a strip of 70 x 9 whose radial
+        distortion is fitted as well has 18.
         """
         errors = self.standard_errors
         if not (errors > 0).all():
             return float("inf")
-        # Unit columns are those of the design, so the information matrix is scaled, not the covariance.
+        # Unit columns are those of the design, so the information matrix is scaled, not the
+        # covariance.
         information = np.linalg.pinv(self.covariance / np.outer(errors, errors))
         scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
         values = np.linalg.eigvalsh(information / np.outer(scale, scale))
@@ -93,7 +100,10 @@ class LatticeErrors(Frozen):
     @classmethod
     def from_dict(cls, data: Any) -> LatticeErrors:
         """From `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
-        return cls(tuple(str(name) for name in data["names"]), np.array(data["covariance"], dtype=np.float64))
+        return cls(
+            tuple(str(name) for name in data["names"]),
+            np.array(data["covariance"], dtype=np.float64),
+        )
 
 
 def equal_weight_errors(lattice: Lattice, uncertainty: float) -> LatticeErrors:
@@ -104,7 +114,9 @@ def equal_weight_errors(lattice: Lattice, uncertainty: float) -> LatticeErrors:
     index = lattice.indices()
     table = np.column_stack([np.ones(len(index)), index])
     per_axis: Floats = uncertainty**2 * len(index) / 6 * np.linalg.inv(table.T @ table)
-    return LatticeErrors(_STRAIGHT_NAMES, np.asarray(np.kron(per_axis, np.eye(2)), dtype=np.float64))
+    return LatticeErrors(
+        _STRAIGHT_NAMES, np.asarray(np.kron(per_axis, np.eye(2)), dtype=np.float64)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +126,8 @@ class Residuals(Frozen):
     Parameters
     ----------
     indices : (n, 2) int32
-        Lattice indices `i, j` of the microimages of the fit: those that lie entirely on the flat, or an even sample of
-        them where they are very many.
+        Lattice indices `i, j` of the microimages of the fit: those that lie entirely on the flat,
+        or an even sample of them where they are very many.
     offset : (n, 2) float32 [px]
         From the lattice centre to the centre measured on this microimage alone, order `x, y`.
 
@@ -132,16 +144,21 @@ class Residuals(Frozen):
     offset: Singles
 
     def __post_init__(self) -> None:
-        indices, offset = np.array(self.indices, dtype=np.int32), np.array(self.offset, dtype=np.float32)
+        indices = np.array(self.indices, dtype=np.int32)
+        offset = np.array(self.offset, dtype=np.float32)
         if indices.ndim != 2 or indices.shape[1] != 2 or offset.shape != indices.shape:
-            raise ValueError(f"residuals need two arrays (n, 2), got {indices.shape} and {offset.shape}")
+            raise ValueError(
+                f"residuals need two arrays (n, 2), got {indices.shape} and {offset.shape}"
+            )
         self._set(indices=indices, offset=offset)
 
-    def mean_over_grid(self, lattice: Lattice, across: int = 12, down: int = 9) -> tuple[Floats, Floats, Floats]:
+    def mean_over_grid(
+        self, lattice: Lattice, across: int = 12, down: int = 9
+    ) -> tuple[Floats, Floats, Floats]:
         """Mean residuals in a grid of rectangles of the flat, without outliers.
 
-        Of each rectangle with two microimages or more: their mean centre (m, 2), mean residual (m, 2) and the standard
-        error of its length (m,), all in px.
+        Of each rectangle with two microimages or more: their mean centre (m, 2), mean residual (m,
+        2) and the standard error of its length (m,), all in px.
         """
         centres = lattice.points(self.indices)
         share = (centres + 0.5) / np.array(lattice.image_size) * [across, down]
@@ -166,10 +183,15 @@ class Residuals(Frozen):
     def to_dict(self) -> dict[str, Any]:
         """Two packed blocks; offsets to a thousandth of a pixel."""
         steps = np.clip(np.rint(self.offset / _FILE_UNIT), -32767, 32767)
-        return {"indices": encode_array(self.indices.T.astype("<i2")), "offset": encode_array(steps.T.astype("<i2"))}
+        return {
+            "indices": encode_array(self.indices.T.astype("<i2")),
+            "offset": encode_array(steps.T.astype("<i2")),
+        }
 
     @classmethod
     def from_dict(cls, data: Any) -> Residuals:
         """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
-        indices, steps = (decode_array(data[name], "<i2").reshape(2, -1).T for name in ("indices", "offset"))
+        indices, steps = (
+            decode_array(data[name], "<i2").reshape(2, -1).T for name in ("indices", "offset")
+        )
         return cls(indices.astype(np.int32), steps.astype(np.float32) * np.float32(_FILE_UNIT))

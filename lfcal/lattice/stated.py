@@ -14,7 +14,8 @@ from .lattice import Lattice, describe_orientation, reduce_basis
 __all__ = ["ARRANGEMENTS", "LatticeHint", "state_lattice"]
 
 _ROOT = 0.75**0.5
-#: Bases of pitch 1 by the name of their arrangement; rows of hexagonal arrays are those of nearest neighbours.
+#: Bases of pitch 1 by the name of their arrangement; rows of hexagonal arrays are those of nearest
+#: neighbours.
 ARRANGEMENTS = {
     "hexagonal": ((1.0, 0.0), (0.5, _ROOT)),
     "hexagonal-vertical": ((0.0, 1.0), (-_ROOT, 0.5)),
@@ -31,7 +32,8 @@ class LatticeHint:
     pitch : float [px]
         Mean distance between neighbouring centres, right to a tenth.
     rotation : float or None [degrees]
-        Clockwise on the screen, of rows from the horizontal, or of vertical rows from the vertical; right to 2 degrees.
+        Clockwise on the screen, of rows from the horizontal, or of vertical rows from the vertical;
+        right to 2 degrees.
     """
 
     pitch: float
@@ -47,7 +49,11 @@ class LatticeHint:
         """Bases (2, 2) [px] of the usual arrangements, those of the pitch as stated first."""
         steps = sorted(np.arange(-2, 3) * 0.025, key=abs)
         turned = self.rotation or 0.0
-        return [turned_basis(name, self.pitch * (1 + step), turned) for step in steps for name in ARRANGEMENTS]
+        return [
+            turned_basis(name, self.pitch * (1 + step), turned)
+            for step in steps
+            for name in ARRANGEMENTS
+        ]
 
     def allows(self, lattice: Lattice) -> bool:
         """Whether a lattice is as stated."""
@@ -107,7 +113,9 @@ def state_lattice(
     (20.0, [199.5, 149.5])
     """
     if arrangement not in ARRANGEMENTS:
-        raise ValueError(f"arrangement must be one of {', '.join(ARRANGEMENTS)}, got {arrangement!r}")
+        raise ValueError(
+            f"arrangement must be one of {', '.join(ARRANGEMENTS)}, got {arrangement!r}"
+        )
     hint = LatticeHint(pitch, rotation)
     middle = (check_numbers(image_size, "image_size") - 1) / 2
     basis = reduce_basis(turned_basis(arrangement, hint.pitch, check_number(rotation, "rotation")))

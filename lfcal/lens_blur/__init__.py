@@ -1,2 +1,3 @@
-"""The discs over which microlenses blur: from rims of white images (`rims`, `microimages`) and from captures
-(`captures`)."""
+"""The discs over which microlenses blur: from rims of white images (`rims`, `microimages`) and from
+captures (`captures`).
+"""

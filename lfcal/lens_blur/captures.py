@@ -1,9 +1,11 @@
-"""Measure the discs of the microlenses on a capture, from what pairs of lenses see of the same places.
+"""Measure the discs of the microlenses on a capture, from what pairs of lenses see of the same
+places.
 
-The mean product of the spectra of two lenses of one type has neither the noise of their pixels nor what aliases in
-them: the power of the scene is left, times that of the pixel and of the disc. Scenes of all scales (power laws) and of
-all softness (Gaussian) are tried; a disc is told from softness by how fast power vanishes towards the zero of its
-transfer function. Discs that some scene explains as well are not excluded: the error reaches to the smallest of them.
+The mean product of the spectra of two lenses of one type has neither the noise of their pixels nor
+what aliases in them: the power of the scene is left, times that of the pixel and of the disc.
+Scenes of all scales (power laws) and of all softness (Gaussian) are tried; a disc is told from
+softness by how fast power vanishes towards the zero of its transfer function. Discs that some scene
+explains as well are not excluded: the error reaches to the smallest of them.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ _MOST_RANGES = 6
 #: [pitch] Difference of the patch sizes of lenses that show one surface.
 _ALIKE = 0.03
 #: [px] Half sides of windows.
-_NARROWEST, _WIDEST = 4, 12
+_NARROWEST = 4
+_WIDEST = 12
 
 
 @dataclass(frozen=True)
@@ -64,13 +67,17 @@ class _Pairs:
         return len(self.size)
 
     def __getitem__(self, some: NDArray[Any]) -> _Pairs:
-        return _Pairs(self.size[some], self.kind[some], self.first[some], self.second[some], self.apart[some])
+        return _Pairs(
+            self.size[some], self.kind[some], self.first[some], self.second[some], self.apart[some]
+        )
 
 
 def _find_pairs(calibration: Calibration, patch_size: _Array) -> _Pairs:
     """The nearest lenses of one type and nearly one depth."""
-    lattice, types = calibration.lattice, calibration.lens_types
-    index, centres = lattice.indices(), lattice.centres()
+    lattice = calibration.lattice
+    types = calibration.lens_types
+    index = lattice.indices()
+    centres = lattice.centres()
     kinds = np.zeros(len(index), np.int64) if types is None else types.of(index).astype(np.int64)
     # Each step once, not there and back.
     steps = np.array([step for step in product(range(-3, 4), repeat=2) if step > (0, 0)])
@@ -80,17 +87,21 @@ def _find_pairs(calibration: Calibration, patch_size: _Array) -> _Pairs:
     low = index.min(0) - 3
     rows = np.full(index.max(0) - low + 4, -1)
     rows[tuple((index - low).T)] = np.arange(len(index))
-    first, second = [], []
+    first = []
+    second = []
     for step in steps[lengths < 1.05 * lengths.min()]:
         other = rows[tuple((index + step - low).T)]
         difference = np.abs(patch_size - patch_size[other])
         alike = np.flatnonzero((other >= 0) & (difference < _ALIKE * lattice.pitch))
         first.append(alike)
         second.append(other[alike])
-    one, two = np.concatenate(first), np.concatenate(second)
+    one = np.concatenate(first)
+    two = np.concatenate(second)
     size = (patch_size[one] + patch_size[two]) / 2
     resolved = np.abs(size) > 1
-    one, two, size = one[resolved], two[resolved], size[resolved]
+    one = one[resolved]
+    two = two[resolved]
+    size = size[resolved]
     apart = centres[two] - centres[one]
     moved = apart * (size / lattice.pitch)[:, None] / 2
     return _Pairs(size, kinds[one], centres[one] - moved, centres[two] + moved, apart)
@@ -115,7 +126,9 @@ def _parts_by_depth(pairs: _Pairs, pitch: float) -> Iterator[_Pairs]:
             yield pairs[part[:: max(1, len(order) // _MOST_PAIRS)]]
 
 
-def _measure_spectrum(light: _Light, lattice: Lattice, radius: float, pairs: _Pairs) -> _Spectrum | None:
+def _measure_spectrum(
+    light: _Light, lattice: Lattice, radius: float, pairs: _Pairs
+) -> _Spectrum | None:
     if len(pairs) < _LEAST_PAIRS:
         return None
     # The square windows lie half the shift between the two lenses from their centres.
@@ -128,7 +141,8 @@ def _measure_spectrum(light: _Light, lattice: Lattice, radius: float, pairs: _Pa
     inside = np.flatnonzero(((corners >= 0) & (corners + side <= lattice.image_size)).all((0, 2)))
     if len(inside) < _LEAST_PAIRS:
         return None
-    pairs, corners = pairs[inside], corners[:, inside]
+    pairs = pairs[inside]
+    corners = corners[:, inside]
     window, rings, _ = _analysis(side)
     transformed = []
     for corner in corners:
@@ -141,12 +155,16 @@ def _measure_spectrum(light: _Light, lattice: Lattice, radius: float, pairs: _Pa
     crossed = transformed[1] * transformed[0].conj() * turn_x[:, None, :] * turn_y[:, :, None]
     each = crossed.real.reshape(len(pairs), -1) @ rings
     ratio = float(np.median(pairs.size)) / lattice.pitch
-    return _Spectrum(ratio, int(pairs.kind[0]), each.mean(0), each.std(0) / np.sqrt(len(pairs)), side)
+    return _Spectrum(
+        ratio, int(pairs.kind[0]), each.mean(0), each.std(0) / np.sqrt(len(pairs)), side
+    )
 
 
 @lru_cache(4)
 def _analysis(side: int) -> tuple[_Array, _Array, NDArray[np.int64]]:
-    """Window (side, side), weights (pixels, rings) of means over rings, and the ring of each frequency."""
+    """Window (side, side), weights (pixels, rings) of means over rings, and the ring of each
+    frequency.
+    """
     window = np.hanning(side + 2)[1:-1]
     along = np.fft.fftfreq(side)
     ring = np.rint(np.hypot(along[:, None], along) * side).astype(int)
@@ -156,7 +174,9 @@ def _analysis(side: int) -> tuple[_Array, _Array, NDArray[np.int64]]:
 
 @lru_cache(4)
 def _blurred_scenes(side: int) -> _Array:
-    """(slopes, soft, discs, rings): power in windows of scenes of these kinds, blurred by disc and pixel."""
+    """(slopes, soft, discs, rings): power in windows of scenes of these kinds, blurred by disc and
+    pixel.
+    """
     window, weights, _ = _analysis(side)
     finer = 4
     wide = finer * side
@@ -191,7 +211,8 @@ def _disc_transfer(periods: _Array) -> _Array:
 def _misfit(seen: _Spectrum) -> _Array:
     """(discs,) squared misfit of the best scene for each disc."""
     model = _blurred_scenes(seen.side)[..., 1:]
-    power, error = np.float32(seen.power[1:] / seen.power[1]), np.float32(seen.error[1:] / seen.power[1])
+    power = np.float32(seen.power[1:] / seen.power[1])
+    error = np.float32(seen.error[1:] / seen.power[1])
     weight = 1 / ((_MODEL_ERROR * power) ** 2 + error**2)
     for _ in range(2):
         level = (model * power * weight).sum(-1) / (model * model * weight).sum(-1)
@@ -207,7 +228,8 @@ def _misfit(seen: _Spectrum) -> _Array:
 def measure_lens_blur(
     light: _Light, calibration: Calibration, patch_size: NDArray[Any], radius: float
 ) -> LensBlur | None:
-    """The discs of all lens types at the depths of a capture; None where too few lenses show the same place.
+    """The discs of all lens types at the depths of a capture; None where too few lenses show the
+    same place.
 
     Parameters
     ----------
@@ -223,7 +245,8 @@ def measure_lens_blur(
     Returns
     -------
     LensBlur or None
-        The likeliest discs. Errors reach to the smallest disc that explains the capture nearly as well.
+        The likeliest discs. Errors reach to the smallest disc that explains the capture nearly as
+        well.
 
     Examples
     --------
@@ -235,7 +258,9 @@ def measure_lens_blur(
     >>> measure_lens_blur(lambda p: grey[p[1] : p[3], p[0] : p[2]], camera, depth.patch_size, 9.0) is None
     True
     """
-    pitch, types, rims = calibration.lattice.pitch, calibration.lens_types, calibration.lens_blur
+    pitch = calibration.lattice.pitch
+    types = calibration.lens_types
+    rims = calibration.lens_blur
     pairs = _find_pairs(calibration, np.asarray(patch_size, np.float64))
     if len(pairs) < _LEAST_PAIRS:
         return None
@@ -251,7 +276,9 @@ def measure_lens_blur(
         return None
     if rims is not None and len(rims.focus) == len(cost):
         known, errors = rims.at([0.0])
-        cost += ((apertures * np.abs(foci) - known[..., None]) / np.maximum(errors[..., None], 0.05)) ** 2
+        cost += (
+            (apertures * np.abs(foci) - known[..., None]) / np.maximum(errors[..., None], 0.05)
+        ) ** 2
     # The aperture is common to all types: each adds the misfit of its best focus.
     cost += (cost.min(2).sum(0) - cost.min(2))[..., None]
     ratios = np.unique(np.quantile(pairs.size / pitch, np.linspace(0.02, 0.98, 9)).round(3))
@@ -268,9 +295,17 @@ def _summarise(cost: _Array, apertures: _Array, foci: _Array, ratios: _Array) ->
         discs[:, k] = tried[tuple(best.T)]
         errors[:, k] = discs[:, k] - [tried[one].min() for one in allowed]
     wide = np.broadcast_to(apertures, cost.shape[1:])
-    spread = [(np.ptp(wide[one]) / 2, np.ptp(np.broadcast_to(foci, one.shape)[one]) / 2) for one in allowed]
+    spread = [
+        (np.ptp(wide[one]) / 2, np.ptp(np.broadcast_to(foci, one.shape)[one]) / 2)
+        for one in allowed
+    ]
     aperture_error, focus_error = np.array(spread).T
     return LensBlur(
-        float(apertures[best[0, 0], 0]), float(aperture_error.max()), foci[best[:, 1]], focus_error, ratios, discs,
+        float(apertures[best[0, 0], 0]),
+        float(aperture_error.max()),
+        foci[best[:, 1]],
+        focus_error,
+        ratios,
+        discs,
         np.maximum(errors, 0.05),
-    )  # fmt: skip
+    )

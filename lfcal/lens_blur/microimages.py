@@ -1,9 +1,9 @@
 """Size and sharpness of microimages over the field, whether they leave gaps or overlap.
 
-A microimage is the exit pupil of the main lens, blurred over the disc by which its microlens is out of focus there. The
-mean microimage of each of some tiles of the flat, at a finer grid than pixels, is compared with a sum of such discs
-over the nearest lenses, so that overlap can be measured as well as gaps. How the tiles scatter about a smooth field
-tells the errors.
+A microimage is the exit pupil of the main lens, blurred over the disc by which its microlens is out
+of focus there. The mean microimage of each of some tiles of the flat, at a finer grid than pixels,
+is compared with a sum of such discs over the nearest lenses, so that overlap can be measured as
+well as gaps. How the tiles scatter about a smooth field tells the errors.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ __all__ = ["LIGHT_FAULT", "Field", "MicroimageField", "measure_microimages"]
 
 Array = NDArray[np.float64]
 _ACROSS_PIXEL = ((-(0.15**0.5), 5 / 18), (0.0, 8 / 18), (0.15**0.5, 5 / 18))
-# Errors of the model, which the scatter of tiles does not show (`python -m benchmarks.assess`; white images of others).
-# [px] of radii; [1] more of them per px of blur, which need not be a disc; [px] more for apertures with straight sides.
+# Errors of the model, which the scatter of tiles does not show (`python -m benchmarks.assess`;
+# white images of others). [px] of radii; [1] more of them per px of blur, which need not be a disc;
+# [px] more for apertures with straight sides.
 _RADIUS_FAULT = 0.02
 _SHAPE_FAULT = 0.02
 _SIDES_FAULT = 0.15
@@ -38,7 +39,9 @@ LIGHT_FAULT = 0.002  # of the logarithm of the light
 
 
 class Field(NamedTuple):
-    """A quantity in the middle of the flat and its slope per half diagonal to the right and down, with errors."""
+    """A quantity in the middle of the flat and its slope per half diagonal to the right and down,
+    with errors.
+    """
 
     value: float
     error: float
@@ -48,17 +51,28 @@ class Field(NamedTuple):
 
     @classmethod
     def fit(cls, place: Array, values: Array, fault: float, common: float = 0.0) -> Field:
-        """Smooth field through values (n,) of tiles, with an error of the model, and one that all of them share."""
+        """Smooth field through values (n,) of tiles, with an error of the model, and one that all
+        of them share.
+        """
         x, y = place.T
         # Fewer tiles tell fewer terms.
-        table = np.column_stack([np.ones(len(x)), x, y, x * x + y * y])[:, : 4 if len(x) >= 8 else 1]
-        free, weight = len(x) - table.shape[1], np.ones(len(x))
+        table = np.column_stack([np.ones(len(x)), x, y, x * x + y * y])[
+            :, : 4 if len(x) >= 8 else 1
+        ]
+        free = len(x) - table.shape[1]
+        weight = np.ones(len(x))
         for _ in range(5):
             inverse = np.linalg.pinv(table.T @ (weight[:, None] * table))
             factors = inverse @ table.T @ (weight * values)
             miss = np.abs(values - table @ factors)
-            weight = np.minimum(1, (3 * 1.4826 * float(np.median(miss)) + 1e-9) / np.maximum(miss, 1e-12))
-        variance = np.diag(inverse) * float((weight * miss**2).sum() / free) if free else np.full(len(inverse), np.inf)
+            weight = np.minimum(
+                1, (3 * 1.4826 * float(np.median(miss)) + 1e-9) / np.maximum(miss, 1e-12)
+            )
+        variance = (
+            np.diag(inverse) * float((weight * miss**2).sum() / free)
+            if free
+            else np.full(len(inverse), np.inf)
+        )
         error = float(np.sqrt(variance[0] + fault**2 + common**2))
         if len(factors) == 1:
             return cls(float(factors[0]), error, np.full(2, np.nan), float("inf"), float("nan"))
@@ -69,7 +83,9 @@ class Field(NamedTuple):
         """The mean of what two assumptions give; half their difference is part of the errors."""
         error = float(np.hypot(self.error, (self.value - other.value) / 2))
         slope_error = float(np.hypot(self.slope_error, np.hypot(*(self.slope - other.slope)) / 2))
-        value, slope, bend = self.value + other.value, self.slope + other.slope, self.bend + other.bend
+        value = self.value + other.value
+        slope = self.slope + other.slope
+        bend = self.bend + other.bend
         return Field(value / 2, error, slope / 2, slope_error, bend / 2)
 
 
@@ -82,7 +98,9 @@ class MicroimageField:
     radius: Field  # [px], mean of the types
     blur: tuple[Field, ...]  # [px], of each type
     level: Field  # logarithm of the light in the middles of microimages
-    profile: tuple[Array, Array, Array]  # distance [px], measured and modelled light in the middle of the flat
+    profile: tuple[
+        Array, Array, Array
+    ]  # distance [px], measured and modelled light in the middle of the flat
 
 
 class _Tile(NamedTuple):
@@ -97,22 +115,28 @@ class _Tile(NamedTuple):
     weight: Array  # (m,)
 
 
-def measure_microimages(flat: NDArray[Any], camera: Calibration, most: int = 5) -> MicroimageField | None:
-    """Size and sharpness of the microimages of a white image, in at most so many tiles each way; None where they cannot
-    be measured.
+def measure_microimages(
+    flat: NDArray[Any], camera: Calibration, most: int = 5
+) -> MicroimageField | None:
+    """Size and sharpness of the microimages of a white image, in at most so many tiles each way;
+    None where they cannot be measured.
 
-    Values of 8 bits of which nobody knows whether they are linear are taken as explains the microimages better, or as
-    both where that does not tell.
+    Values of 8 bits of which nobody knows whether they are linear are taken as explains the
+    microimages better, or as both where that does not tell.
     """
     unknown = camera.encoded is None and flat.dtype == np.uint8
-    model, starts = _Model.of(camera), []
+    model = _Model.of(camera)
+    starts = []
     for encoded in (True, False) if unknown else (bool(camera.encoded),):
         if tiles := _average_tiles(flat, camera, encoded, model.count, most):
             usual = model.start(0.93 * nearest_half(camera.lattice))
-            round_one, straight = ((m, *m.fit(tiles[0], usual), tiles) for m in (model, replace(model, straight=True)))
+            round_one, straight = (
+                (m, *m.fit(tiles[0], usual), tiles) for m in (model, replace(model, straight=True))
+            )
             starts.append(straight if straight[2] < 0.8 * round_one[2] else round_one)
     least = min((miss for _, _, miss, _ in starts), default=1.0)
-    # Two of 11 simulated cameras have less than 1.5; where a disc cuts, both may explain what the other does.
+    # Two of 11 simulated cameras have less than 1.5; where a disc cuts, both may explain what the
+    # other does.
     starts = [start for start in starts if len(model.cut) or start[2] <= 2 * least]
     t = model.count
     if least > 0.15 or any((start[t : 2 * t] > start[:t]).any() for _, start, _, _ in starts):
@@ -121,13 +145,19 @@ def measure_microimages(flat: NDArray[Any], camera: Calibration, most: int = 5) 
     first, *others = (_fit_tiles(chosen, tiles, start) for chosen, start, _, tiles in starts)
     for other in others:
         blur = tuple(one.mixed(two) for one, two in zip(first.blur, other.blur, strict=True))
-        first = replace(first, radius=first.radius.mixed(other.radius), level=first.level.mixed(other.level), blur=blur)
+        first = replace(
+            first,
+            radius=first.radius.mixed(other.radius),
+            level=first.level.mixed(other.level),
+            blur=blur,
+        )
     return first
 
 
 @dataclass(frozen=True)
 class _Model:
-    """Blurred discs of the nearest lenses: radii, radii of blur and light of each type; shading, stray light.
+    """Blurred discs of the nearest lenses: radii, radii of blur and light of each type; shading,
+    stray light.
 
     With `straight`, they have straight sides along the cell instead.
     """
@@ -141,7 +171,8 @@ class _Model:
 
     @classmethod
     def of(cls, camera: Calibration) -> _Model:
-        lattice, types = camera.lattice, camera.lens_types
+        lattice = camera.lattice
+        types = camera.lens_types
         around = np.vstack([np.zeros((1, 2), np.int64), lattice.steps])
         kinds = np.zeros((1, len(around)), np.int64)
         if types is not None:
@@ -149,7 +180,9 @@ class _Model:
             kinds = np.array([types.of(first + around) for first in firsts], np.int64)
         half = (lattice.steps @ lattice.basis)[: len(lattice.steps) // 2]
         cut = np.zeros(0) if camera.gain_map is None else camera.gain_map.cut
-        return cls(around @ lattice.basis, kinds, half / np.hypot(*half.T)[:, None], cut, lattice.pitch)
+        return cls(
+            around @ lattice.basis, kinds, half / np.hypot(*half.T)[:, None], cut, lattice.pitch
+        )
 
     @property
     def count(self) -> int:
@@ -157,25 +190,35 @@ class _Model:
 
     def start(self, *values: float) -> Array:
         """Parameters from a radius and, unless they are the usual ones, all other values."""
-        return np.repeat((*values, *(1.5, 1.0, 0.0, 0.02)[len(values) - 1 :]), [self.count] * 3 + [1, 1])
+        return np.repeat(
+            (*values, *(1.5, 1.0, 0.0, 0.02)[len(values) - 1 :]), [self.count] * 3 + [1, 1]
+        )
 
     def light(self, tile: _Tile, p: Array) -> Array:
         """(m,) light at the squares of the mean microimages of a tile."""
-        t, total = self.count, np.full(len(tile.kind), p[-1])
+        t = self.count
+        total = np.full(len(tile.kind), p[-1])
         # Of the blur by the squares, places of mean pixels leave two thirds.
         width = float(np.sqrt(1 + 0.65 * tile.side**2))
         for number, step in enumerate(self.steps):
             kind = self.kinds[tile.kind, number]
-            radius, blur, away = p[:t][kind], p[t : 2 * t][kind], tile.offset - step
+            radius = p[:t][kind]
+            blur = p[t : 2 * t][kind]
+            away = tile.offset - step
             far = np.hypot(*away.T)
             if self.straight:
-                seen = np.prod([_blurred_edge(radius - np.abs(away @ n), blur, width) for n in self.normals], axis=0)
+                seen = np.prod(
+                    [_blurred_edge(radius - np.abs(away @ n), blur, width) for n in self.normals],
+                    axis=0,
+                )
             else:
                 seen = _blurred_disc(far, radius, blur, width)
             if len(self.cut):
                 inside = self.cut[3] - np.hypot(*(away - self.cut[:2] - self.cut[2] * tile.place).T)
                 seen = seen * _blurred_edge(inside, 2 * self.cut[4], width)
-            total += p[2 * t : 3 * t][kind] * (1 + p[-2] * np.minimum(far / radius, 1.2) ** 2) * seen
+            total += (
+                p[2 * t : 3 * t][kind] * (1 + p[-2] * np.minimum(far / radius, 1.2) ** 2) * seen
+            )
         return total
 
     def fit(self, tile: _Tile, start: Array) -> tuple[Array, float]:
@@ -189,21 +232,32 @@ class _Model:
         stiff = 0.002 * np.sqrt(len(root)) / np.array([0.3, 0.2])
 
         def miss(p: Array) -> Array:
-            return np.append(root * (self.light(tile, p) - tile.light), stiff * (p[-2:] - [0, 0.02]))
+            return np.append(
+                root * (self.light(tile, p) - tile.light), stiff * (p[-2:] - [0, 0.02])
+            )
 
         found = least_squares(
-            miss, np.clip(start, low, high), bounds=(low, high), loss="soft_l1", f_scale=0.03, ftol=1e-4, xtol=1e-4,
+            miss,
+            np.clip(start, low, high),
+            bounds=(low, high),
+            loss="soft_l1",
+            f_scale=0.03,
+            ftol=1e-4,
+            xtol=1e-4,
             max_nfev=25,
-        )  # fmt: skip
+        )
         return found.x, float(np.sqrt((miss(found.x)[: len(root)] ** 2).mean()))
 
 
 def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array:
-    """Share of discs of radius `blur` at distances `far` from the middle of discs of `radius` that lies in these, seen
-    by squares of `width` [px]: mean over three places across one (Gauss and Legendre)."""
+    """Share of discs of radius `blur` at distances `far` from the middle of discs of `radius` that
+    lies in these, seen by squares of `width` [px]: mean over three places across one (Gauss and
+    Legendre).
+    """
     seen = (far < radius).astype(np.float64)
     near = np.flatnonzero(np.abs(far - radius) < blur + width / 2)
-    radius, blur = radius[near], blur[near]
+    radius = radius[near]
+    blur = blur[near]
     seen[near] = 0
     for place, weight in _ACROSS_PIXEL:
         r = np.maximum(far[near] + width * place, 1e-9)
@@ -216,7 +270,9 @@ def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array
 
 
 def _blurred_edge(depth: Array, blur: Array | float, width: float) -> Array:
-    """Share of discs of radius `blur` at `depth` [px] inside a straight edge that lies inside it, the same way."""
+    """Share of discs of radius `blur` at `depth` [px] inside a straight edge that lies inside it,
+    the same way.
+    """
     seen = np.zeros(len(depth))
     for place, weight in _ACROSS_PIXEL:
         t = np.clip((depth + width * place) / blur, -1, 1)
@@ -224,20 +280,33 @@ def _blurred_edge(depth: Array, blur: Array | float, width: float) -> Array:
     return seen
 
 
-def _average_tiles(flat: NDArray[Any], camera: Calibration, encoded: bool, count: int, most: int) -> list[_Tile]:
+def _average_tiles(
+    flat: NDArray[Any], camera: Calibration, encoded: bool, count: int, most: int
+) -> list[_Tile]:
     """Mean microimages of the tiles of the flat, that of the middle first."""
-    lattice, types = camera.lattice, camera.lens_types
+    lattice = camera.lattice
+    types = camera.lens_types
     cell = Cell.of(lattice)
     indices, centres = select_whole_lenses(lattice, cell.circumradius + 2)
-    kinds = np.zeros(len(indices), np.int64) if types is None else types.of(indices).astype(np.int64)
-    number = int(np.clip(np.sqrt(len(indices) / (30 * count)), 1, most if count == 1 else min(most, 4)))
+    kinds = (
+        np.zeros(len(indices), np.int64) if types is None else types.of(indices).astype(np.int64)
+    )
+    number = int(
+        np.clip(np.sqrt(len(indices) / (30 * count)), 1, most if count == 1 else min(most, 4))
+    )
     which = (centres / lattice.image_size * number).astype(int)
     tiles = []
-    for at in sorted(product(range(number), repeat=2), key=lambda at: np.hypot(*(2 * np.array(at) - number + 1))):
+    for at in sorted(
+        product(range(number), repeat=2), key=lambda at: np.hypot(*(2 * np.array(at) - number + 1))
+    ):
         own = np.flatnonzero((which == at).all(1))
         # As many lenses as have 60,000 pixels.
         own = own[:: max(1, int(len(own) * abs(np.linalg.det(lattice.basis)) / 6e4))]
-        tile = _average(flat, camera, cell, encoded, centres[own], kinds[own]) if len(own) >= 4 * count else None
+        tile = (
+            _average(flat, camera, cell, encoded, centres[own], kinds[own])
+            if len(own) >= 4 * count
+            else None
+        )
         if tile is not None and len(np.unique(tile.kind)) == count:
             tiles.append(tile)
     typical = float(np.median([tile.level for tile in tiles])) if tiles else 0.0
@@ -245,7 +314,12 @@ def _average_tiles(flat: NDArray[Any], camera: Calibration, encoded: bool, count
 
 
 def _average(
-    flat: NDArray[Any], camera: Calibration, cell: Cell, encoded: bool, centres: Array, kinds: NDArray[np.int64]
+    flat: NDArray[Any],
+    camera: Calibration,
+    cell: Cell,
+    encoded: bool,
+    centres: Array,
+    kinds: NDArray[np.int64],
 ) -> _Tile | None:
     reach = int(np.ceil(cell.circumradius)) + 1
     # A mosaic begins at even pixels.
@@ -254,7 +328,10 @@ def _average(
     part = flat[low[1] : high[1], low[0] : high[0]]
     light = equalise_mosaic(part) if camera.mosaic and part.ndim == 2 else luminance(part)
     if encoded:
-        light = light / (camera.white_level or (float(np.iinfo(flat.dtype).max) if flat.dtype.kind == "u" else 1.0))
+        light = light / (
+            camera.white_level
+            or (float(np.iinfo(flat.dtype).max) if flat.dtype.kind == "u" else 1.0)
+        )
         # The sRGB curve (IEC 61966-2-1).
         light = np.where(light <= 0.04045, light / 12.92, ((light + 0.055) / 1.055) ** 2.4)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
@@ -268,7 +345,9 @@ def _average(
     keep = core > 0.3 * typical
     if typical <= 0 or keep.sum() < 4:
         return None
-    value, offset, kinds = value[keep] / core[keep, None, None], offset[keep], kinds[keep]
+    value = value[keep] / core[keep, None, None]
+    offset = offset[keep]
+    kinds = kinds[keep]
     inside = (offset @ cell.normals.T <= 0.52).all(-1)
     # Squares of half a pixel to one, forty across, or thirty where there are several types.
     side = float(np.clip(cell.circumradius / (14 if kinds.any() else 20), 0.5, 1.0))
@@ -279,18 +358,37 @@ def _average(
     measured = (value[inside], *offset[inside].T)
     mean, *places = (np.bincount(key.ravel(), values) / number for values in measured)
     place = field_place(centres.mean(0)[None], camera.lattice)[0]
-    return _Tile(place, typical, filled // across**2, side, np.column_stack(places), mean, number.astype(float))
+    return _Tile(
+        place,
+        typical,
+        filled // across**2,
+        side,
+        np.column_stack(places),
+        mean,
+        number.astype(float),
+    )
 
 
 def _fit_tiles(model: _Model, tiles: list[_Tile], start: Array) -> MicroimageField:
     table = np.array([start, *(model.fit(tile, start)[0] for tile in tiles[1:])])
-    place, t, middle = np.array([tile.place for tile in tiles]), model.count, tiles[0]
-    radii, blurs = table[:, :t], 2 * table[:, t : 2 * t]
-    faults = [float(np.hypot(_BLUR_SHARE * d, _BLUR_FAULT / max(d, 0.5))) for d in np.median(blurs, axis=0)]
-    own, of_shape = middle.kind == 0, np.hypot(_SHAPE_FAULT * np.median(blurs), _SIDES_FAULT * model.straight)
+    place = np.array([tile.place for tile in tiles])
+    t = model.count
+    middle = tiles[0]
+    radii = table[:, :t]
+    blurs = 2 * table[:, t : 2 * t]
+    faults = [
+        float(np.hypot(_BLUR_SHARE * d, _BLUR_FAULT / max(d, 0.5)))
+        for d in np.median(blurs, axis=0)
+    ]
+    own = middle.kind == 0
+    of_shape = np.hypot(_SHAPE_FAULT * np.median(blurs), _SIDES_FAULT * model.straight)
     return MicroimageField(
-        place, radii, Field.fit(place, radii.mean(1), _RADIUS_FAULT, float(of_shape)),
-        tuple(Field.fit(place, values, fault) for values, fault in zip(blurs.T, faults, strict=True)),
+        place,
+        radii,
+        Field.fit(place, radii.mean(1), _RADIUS_FAULT, float(of_shape)),
+        tuple(
+            Field.fit(place, values, fault) for values, fault in zip(blurs.T, faults, strict=True)
+        ),
         Field.fit(place, np.log([tile.level for tile in tiles]), LIGHT_FAULT),
         (np.hypot(*middle.offset[own].T), middle.light[own], model.light(middle, start)[own]),
-    )  # fmt: skip
+    )

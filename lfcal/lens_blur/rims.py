@@ -1,7 +1,7 @@
 """The blur of the rims of microimages in a white image: the disc of each lens type at `s = 0`.
 
-A rim is the image of the main lens' pupil, which every microlens sees at `s = 0`: its blur is that of an edge there,
-aperture times focus. Neither of them follows from rims alone.
+A rim is the image of the main lens' pupil, which every microlens sees at `s = 0`: its blur is that
+of an edge there, aperture times focus. Neither of them follows from rims alone.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ _APERTURE = 0.3
 
 
 def measure_rims(flat: NDArray[Any], camera: Calibration) -> LensBlur | None:
-    """The discs at `s = 0` from a white image (h, w) or (h, w, C); None where its microimages have no rims.
+    """The discs at `s = 0` from a white image (h, w) or (h, w, C); None where its microimages have
+    no rims.
 
     The error of the aperture is a pitch, so that no other depth has a disc that is sure.
     """
@@ -38,5 +39,11 @@ def measure_rims(flat: NDArray[Any], camera: Calibration) -> LensBlur | None:
         return None
     focus = discs[:, 0] / aperture
     return LensBlur(
-        aperture, camera.lattice.pitch, focus, np.maximum(focus, 0.1), np.zeros(1), discs, np.maximum(errors, 0.05)
+        aperture,
+        camera.lattice.pitch,
+        focus,
+        np.maximum(focus, 0.1),
+        np.zeros(1),
+        discs,
+        np.maximum(errors, 0.05),
     )

@@ -1,9 +1,10 @@
 """Find the interleaved lens types of a microlens array from one flat.
 
-Lenses of another focal length image the same scene sharper or softer, and their rim, the image of the main aperture,
-with another blur. Each lens is compared with its neighbours, and the differences are searched for patterns that repeat
-every two or three lenses. The power that such a pattern reaches by chance is measured on other repeating patterns of
-the same lenses: wave vectors that no mosaic of types has.
+Lenses of another focal length image the same scene sharper or softer, and their rim, the image of
+the main aperture, with another blur. Each lens is compared with its neighbours, and the differences
+are searched for patterns that repeat every two or three lenses. The power that such a pattern
+reaches by chance is measured on other repeating patterns of the same lenses: wave vectors that no
+mosaic of types has.
 """
 
 from __future__ import annotations
@@ -20,7 +21,13 @@ from ..lattice.lens_subset import StackedCrops
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from .coarse_disparity import estimate_coarse_disparity
 from .focus_order import MIN_SPREAD, find_focus_order
-from .lens_sample import LensFeatures, LensSample, measure_lens_features, outlier_limit, sample_lenses
+from .lens_sample import (
+    LensFeatures,
+    LensSample,
+    measure_lens_features,
+    outlier_limit,
+    sample_lenses,
+)
 
 # [px] smaller microimages hold too few pixels to tell sharp from soft.
 MIN_RADIUS = 5.0
@@ -29,17 +36,25 @@ _FEWEST_LENSES = 100
 
 __all__ = ["MIN_RADIUS", "find_lens_types", "is_in_step"]
 
-# Period n and steps p, q of mosaics in which lens (i, j) is of type (p * i + q * j) mod n, but for their signs.
-_MOSAICS = [(3, 1, 2), *((n, p, q) for n in (3, 2) for p, q in product(range(2), repeat=2) if p + q > 0)]
+# Period n and steps p, q of mosaics in which lens (i, j) is of type (p * i + q * j) mod n, but for
+# their signs.
+_MOSAICS = [
+    (3, 1, 2),
+    *((n, p, q) for n in (3, 2) for p, q in product(range(2), repeat=2) if p + q > 0),
+]
 _VECTORS = np.array([(p / period, q / period) for period, p, q in _MOSAICS])
 
 
-def find_lens_types(picture: Singles | StackedCrops, lattice: Lattice, white: bool) -> LensTypes | None:
-    """Classify the lenses of an array by type; None where the flat shows no difference: one type, or too little to see.
+def find_lens_types(
+    picture: Singles | StackedCrops, lattice: Lattice, white: bool
+) -> LensTypes | None:
+    """Classify the lenses of an array by type; None where the flat shows no difference: one type,
+    or too little to see.
 
-    Mosaics with a period of three lenses (three types, as in hexagonal multi-focus arrays) and of two lenses (two or
-    four types) are known, on any lattice. `picture` (h, w), or crops of a white image, is as made by
-    `images.preprocessing.sqrt_luminance`; on a `white` image brightness is a property of the lens too.
+    Mosaics with a period of three lenses (three types, as in hexagonal multi-focus arrays) and of
+    two lenses (two or four types) are known, on any lattice. `picture` (h, w), or crops of a white
+    image, is as made by `images.preprocessing.sqrt_luminance`; on a `white` image brightness is a
+    property of the lens too.
     """
     others = _other_patterns(lattice)
     if lattice.radius < MIN_RADIUS or len(others) < 24:
@@ -50,7 +65,11 @@ def find_lens_types(picture: Singles | StackedCrops, lattice: Lattice, white: bo
     sharpness = sample.subtract_neighbours(features.sharpness)
     if np.isfinite(sharpness).sum() < _FEWEST_LENSES:
         return None
-    disparity = np.full(len(sharpness), np.nan) if white else estimate_coarse_disparity(crops.picture, sample)
+    disparity = (
+        np.full(len(sharpness), np.nan)
+        if white
+        else estimate_coarse_disparity(crops.picture, sample)
+    )
     strength = _strengths(sample, features, disparity, white, others)
     if not strength.any():
         return None
@@ -58,14 +77,24 @@ def find_lens_types(picture: Singles | StackedCrops, lattice: Lattice, white: bo
     period, p, q = _MOSAICS[strongest]
     i, j = np.mgrid[0:period, 0:period]
     # Two patterns of pairs at once are four types.
-    pairs = period == 2 and sum(n == 2 and power > 0 for (n, *_), power in zip(_MOSAICS, strength, strict=True)) > 1
+    pairs = (
+        period == 2
+        and sum(n == 2 and power > 0 for (n, *_), power in zip(_MOSAICS, strength, strict=True)) > 1
+    )
     cell = i * period + j if pairs else (p * i + q * j) % period
     inner_loss = sample.subtract_neighbours(features.inner_loss)
     beats = _beats(_VECTORS[[strongest]], lattice)[0]
     outer_light = inner_loss if beats else sample.subtract_neighbours(features.outer_light)
-    order = find_focus_order(sample, cell, sharpness, disparity, outer_light, inner_loss, features.rim_ratio)
+    order = find_focus_order(
+        sample, cell, sharpness, disparity, outer_light, inner_loss, features.rim_ratio
+    )
     types = np.argsort(order.sequence)[cell]
-    return LensTypes(types.astype(np.int8), order.known, order.focus[order.sequence], 1 - 1 / float(strength.max()))
+    return LensTypes(
+        types.astype(np.int8),
+        order.known,
+        order.focus[order.sequence],
+        1 - 1 / float(strength.max()),
+    )
 
 
 class _Feature(NamedTuple):
@@ -77,10 +106,15 @@ class _Feature(NamedTuple):
 
 
 def _strengths(
-    sample: LensSample, features: LensFeatures, disparity: Floats, white: bool,
+    sample: LensSample,
+    features: LensFeatures,
+    disparity: Floats,
+    white: bool,
     others: Floats,
-) -> Floats:  # fmt: skip
-    """(mosaics,) power of each over that of the strongest other pattern, 0 where it is not significant."""
+) -> Floats:
+    """(mosaics,) power of each over that of the strongest other pattern, 0 where it is not
+    significant.
+    """
     vectors = np.vstack([_VECTORS, others])
     waves = _waves(sample.inner, vectors) / _gain(vectors, sample.lattice)
     found = _list_features(sample, features, disparity, white)
@@ -93,14 +127,16 @@ def _strengths(
     strength = np.zeros(count)
     for mosaic in range(count):
         sound = [
-            k for k, one in enumerate(found)
+            k
+            for k, one in enumerate(found)
             if one.usable[mosaic] and _repeats(one.values, waves[:, mosaic], one.least[mosaic])
-        ]  # fmt: skip
+        ]
         ratios = []
         # Each feature by itself, and all together: on a small flat one alone may be too weak.
         for chosen in [[k] for k in sound] + ([sound] if len(sound) > 1 else []):
             total = power[chosen].sum(0)
-            here, elsewhere = float(total[mosaic]), float(total[count:].max())
+            here = float(total[mosaic])
+            elsewhere = float(total[count:].max())
             # Noise reaches twelve times its mean power by exp(-12); detail of scenes is no noise.
             if here > max(12, 3 * elsewhere) and scene[mosaic] < 0.3 * here:
                 ratios.append(here / elsewhere)
@@ -110,20 +146,31 @@ def _strengths(
     return strength
 
 
-def _list_features(sample: LensSample, features: LensFeatures, disparity: Floats, white: bool) -> list[_Feature]:
+def _list_features(
+    sample: LensSample, features: LensFeatures, disparity: Floats, white: bool
+) -> list[_Feature]:
     beats = _beats(_VECTORS, sample.lattice)
     # Two colours of a mosaic, or pixels that fall on edges in two ways, look like two types.
     regular = np.any([_beats(_VECTORS, sample.lattice, step, 2.0) for step in (1.0, 0.5)], axis=0)
     sound = ~(regular & [period == 2 for period, _, _ in _MOSAICS])
-    # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side can be used; on white
-    # images it can in any case, where it shows radii that differ, and no scene.
+    # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side
+    # can be used; on white images it can in any case, where it shows radii that differ, and no
+    # scene.
     found = [
         _Feature(_differences(sample, features.outer_light), np.where(beats, 0.07, 0.012), sound),
-        _Feature(_differences(sample, features.inner_loss), np.full(len(beats), 0.015), (beats | white) & sound),
+        _Feature(
+            _differences(sample, features.inner_loss),
+            np.full(len(beats), 0.015),
+            (beats | white) & sound,
+        ),
     ]
     if white:
-        return [*found, _Feature(_differences(sample, features.level), np.full(len(beats), 0.004), sound)]
-    sharpness, least = _differences(sample, features.sharpness), np.where(beats, 0.07, 0.04)
+        return [
+            *found,
+            _Feature(_differences(sample, features.level), np.full(len(beats), 0.004), sound),
+        ]
+    sharpness = _differences(sample, features.sharpness)
+    least = np.where(beats, 0.07, 0.04)
     found.append(_Feature(sharpness, least, sound))
     spread = np.nanstd(disparity) if np.isfinite(disparity).sum() >= _FEWEST_LENSES else 0.0
     if spread > MIN_SPREAD:
@@ -134,16 +181,21 @@ def _list_features(sample: LensSample, features: LensFeatures, disparity: Floats
 
 
 def _repeats(values: Floats, wave: NDArray[np.complex128], least: float) -> bool:
-    """Whether a mosaic is strong enough in a feature to matter, and the same in two halves of the sample."""
+    """Whether a mosaic is strong enough in a feature to matter, and the same in two halves of the
+    sample.
+    """
     half = np.arange(len(values)) * 16 // len(values) % 2 == 0
-    first, second = complex(values[half] @ wave[half]), complex(values[~half] @ wave[~half])
+    first = complex(values[half] @ wave[half])
+    second = complex(values[~half] @ wave[~half])
     # Twice the amplitude of a wave is about the spread of the types.
     strong = 2 * abs(first + second) >= least * int((values != 0).sum())
     return strong and (first * second.conjugate()).real > 0.7 * abs(first) * abs(second)
 
 
 def _differences(sample: LensSample, feature: Floats) -> Floats:
-    """(n,) a feature of lenses less that of their neighbours, within `outlier_limit`, and 0 where it is not known."""
+    """(n,) a feature of lenses less that of their neighbours, within `outlier_limit`, and 0 where
+    it is not known.
+    """
     values = sample.subtract_neighbours(feature)
     limit = outlier_limit(values[np.isfinite(values)])
     return np.clip(np.nan_to_num(values), -limit, limit)
@@ -155,7 +207,9 @@ def _power(values: Floats, waves: NDArray[np.complex128]) -> Floats:
 
 
 def _waves(indices: Integers, vectors: Floats) -> NDArray[np.complex128]:
-    """(n, v) `exp(-2 pi i * index @ vector)`, from a table along each axis, which has far fewer indices than lenses."""
+    """(n, v) `exp(-2 pi i * index @ vector)`, from a table along each axis, which has far fewer
+    indices than lenses.
+    """
     waves: NDArray[np.complex128] = np.ones((len(indices), len(vectors)), np.complex128)
     for axis in range(2):
         own, where = np.unique(indices[:, axis], return_inverse=True)
@@ -169,7 +223,9 @@ def _gain(vectors: Floats, lattice: Lattice) -> Floats:
 
 
 def _other_patterns(lattice: Lattice) -> Floats:
-    """(v, 2) wave vectors [periods per lens], as fine as those of mosaics but far from them and from beats."""
+    """(v, 2) wave vectors [periods per lens], as fine as those of mosaics but far from them and
+    from beats.
+    """
     # Multiples of powers of the plastic number are evenly spread over the square.
     drawn = (np.arange(1, 500)[:, None] * [0.7548776662466927, 0.5698402909980532]) % 1
     far = _apart(drawn[:, None] - np.vstack([_VECTORS, -_VECTORS])).max(-1).min(1) > 0.05
@@ -195,7 +251,11 @@ def is_in_step(cell: NDArray[np.int8], lattice: Lattice) -> bool:
     period = len(cell)
     i, j = np.mgrid[0:period, 0:period]
     alike = [
-        n == period and len(set(zip(((p * i + q * j) % n).ravel().tolist(), cell.ravel().tolist(), strict=True))) == n
+        n == period
+        and len(
+            set(zip(((p * i + q * j) % n).ravel().tolist(), cell.ravel().tolist(), strict=True))
+        )
+        == n
         for n, p, q in _MOSAICS
     ]
     return bool(_beats(_VECTORS[alike], lattice).any())

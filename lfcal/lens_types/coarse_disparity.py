@@ -1,6 +1,7 @@
 """Coarse disparity of single lenses, to sort them by depth and to tell the mode of a scene.
 
-Adjacent microimages are correlated over a grid of signed patch sizes; correlations are summed over 3 x 3 lenses.
+Adjacent microimages are correlated over a grid of signed patch sizes; correlations are summed over
+3 x 3 lenses.
 """
 
 from __future__ import annotations
@@ -21,28 +22,36 @@ __all__ = ["estimate_coarse_disparity", "find_scene_mode"]
 
 @kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres), fastmath=FAST)
 def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, covariance, variance):
-    """Covariances and mean variances (n, ratios) of lenses and their neighbours, added up over the `steps`."""
+    """Covariances and mean variances (n, ratios) of lenses and their neighbours, added up over the
+    `steps`.
+    """
     height, width = picture.shape
     reach = int(radius / spacing)
     for lens in range(begin, end):
         # With half a pixel added, truncation rounds.
-        cx, cy = centres[lens, 0] + 0.5, centres[lens, 1] + 0.5
+        cx = centres[lens, 0] + 0.5
+        cy = centres[lens, 1] + 0.5
         for k in range(len(ratios)):
             for step in range(len(steps)):
-                ux, uy = ratios[k] * steps[step, 0] / 2, ratios[k] * steps[step, 1] / 2
+                ux = ratios[k] * steps[step, 0] / 2
+                uy = ratios[k] * steps[step, 1] / 2
                 count = a = b = aa = bb = ab = 0.0
                 for row in range(-reach, reach + 1):
                     for column in range(-reach, reach + 1):
-                        x, y = column * spacing, row * spacing
+                        x = column * spacing
+                        y = row * spacing
                         first = (x - ux) * (x - ux) + (y - uy) * (y - uy)
                         second = (x + ux) * (x + ux) + (y + uy) * (y + uy)
                         if max(first, second) > radius * radius:
                             continue
-                        xa, ya = cx + x - ux, cy + y - uy
-                        xb, yb = cx + x + ux + steps[step, 0], cy + y + uy + steps[step, 1]
+                        xa = cx + x - ux
+                        ya = cy + y - uy
+                        xb = cx + x + ux + steps[step, 0]
+                        yb = cy + y + uy + steps[step, 1]
                         if min(xa, ya, xb, yb) < 0 or max(xa, xb) >= width or max(ya, yb) >= height:
                             continue
-                        own, other = picture[int(ya), int(xa)], picture[int(yb), int(xb)]
+                        own = picture[int(ya), int(xa)]
+                        other = picture[int(yb), int(xb)]
                         count += 1
                         a += own
                         b += other
@@ -55,7 +64,8 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
 
 
 def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:
-    """(n,) `s / D` of the inner lenses of a sample in steps of 0.05; NaN where the maximum is low, ambiguous or an end.
+    """(n,) `s / D` of the inner lenses of a sample in steps of 0.05; NaN where the maximum is low,
+    ambiguous or an end.
 
     `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`.
     """
@@ -73,9 +83,12 @@ def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:
     padded = np.pad(full, ((0, 0), (0, 0), (1, 1), (1, 1), (0, 0)))
     height, width = full.shape[2:4]
     # Over 3 x 3 lenses.
-    covariance, variance = np.sum([padded[:, :, y : y + height, x : x + width] for y in range(3) for x in range(3)], 0)
+    covariance, variance = np.sum(
+        [padded[:, :, y : y + height, x : x + width] for y in range(3) for x in range(3)], 0
+    )
     correlation = covariance / (variance + 1e-5)
-    best, highest = correlation.argmax(-1), correlation.max(-1)
+    best = correlation.argmax(-1)
+    highest = correlation.max(-1)
     apart = np.abs(np.arange(len(ratios)) - best[..., None]) > 2
     second = np.where(apart, correlation, -1.0).max(-1)
     inside = (best > 0) & (best < len(ratios) - 1)
@@ -84,7 +97,8 @@ def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:
 
 
 def find_scene_mode(flat: NDArray, lattice: Lattice) -> Literal["telescopic", "binocular"] | None:
-    """The mode of a scene, the sign of its coarse disparity; None where too few lenses have any, or a part the other.
+    """The mode of a scene, the sign of its coarse disparity; None where too few lenses have any, or
+    a part the other.
 
     `flat` is (h, w) or (h, w, 3).
     """

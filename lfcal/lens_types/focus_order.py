@@ -1,4 +1,6 @@
-"""Order of lens types by their focus, from their sharpness over depth and from the blur of their rims."""
+"""Order of lens types by their focus, from their sharpness over depth and from the blur of their
+rims.
+"""
 
 from __future__ import annotations
 
@@ -22,19 +24,29 @@ __all__ = ["FLATTENED", "MIN_SPREAD", "FocusOrder", "TypeMeans", "find_focus_ord
 class FocusOrder(NamedTuple):
     """Lens types in the order of their focus."""
 
-    sequence: Integers  # (count,) provisional types, from focus at the largest `|s|` to the smallest
+    sequence: (
+        Integers  # (count,) provisional types, from focus at the largest `|s|` to the smallest
+    )
     known: bool  # the sequence is measured, not just the provisional one
-    focus: Floats  # (count,) `s / D` at which each provisional type is sharpest, NaN where not known
+    focus: (
+        Floats  # (count,) `s / D` at which each provisional type is sharpest, NaN where not known
+    )
 
 
 def find_focus_order(
-    sample: LensSample, cell: Integers, sharpness: Floats, disparity: Floats, outer_light: Floats,
-    inner_loss: Floats, rim_ratio: float,
-) -> FocusOrder:  # fmt: skip
+    sample: LensSample,
+    cell: Integers,
+    sharpness: Floats,
+    disparity: Floats,
+    outer_light: Floats,
+    inner_loss: Floats,
+    rim_ratio: float,
+) -> FocusOrder:
     """Sort provisional lens types by their focus.
 
-    `cell` (m, m) holds them, `sharpness`, `outer_light` and `inner_loss` (n,) are `LensFeatures` of the inner lenses
-    less those of their neighbours, `disparity` (n,) is their `s / D`; all NaN where not known.
+    `cell` (m, m) holds them, `sharpness`, `outer_light` and `inner_loss` (n,) are `LensFeatures` of
+    the inner lenses less those of their neighbours, `disparity` (n,) is their `s / D`; all NaN
+    where not known.
     """
     count = int(cell.max()) + 1
     types = TypeMeans.from_sample(sample, cell)
@@ -43,16 +55,21 @@ def find_focus_order(
     if trend is not None:
         slope, focus, sign = trend
         # Rims tell better which end of the order has the larger |s|.
-        return FocusOrder(np.argsort(-slope * (sign if rim is None else np.sign(slope @ rim))), True, focus)
+        return FocusOrder(
+            np.argsort(-slope * (sign if rim is None else np.sign(slope @ rim))), True, focus
+        )
     unknown = np.full(count, np.nan)
     if rim is not None:
-        # The rim is the image of the main aperture, at s = 0: the farther a focus from that, the softer the rim.
+        # The rim is the image of the main aperture, at s = 0: the farther a focus from that, the
+        # softer the rim.
         return FocusOrder(np.argsort(-rim), True, unknown)
     return FocusOrder(np.arange(count), False, unknown)
 
 
 class TypeMeans(NamedTuple):
-    """Type (n,) of the inner lenses, and what turns differences from neighbours into values of types, of mean zero."""
+    """Type (n,) of the inner lenses, and what turns differences from neighbours into values of
+    types, of mean zero.
+    """
 
     of: Integers
     unmixing: Floats
@@ -60,16 +77,20 @@ class TypeMeans(NamedTuple):
     @classmethod
     def from_sample(cls, sample: LensSample, cell: Integers) -> TypeMeans:
         """For the lenses of a sample whose types repeat after a `cell` (m, m)."""
-        m, steps = len(cell), sample.lattice.steps
+        m = len(cell)
+        steps = sample.lattice.steps
         matrix = np.eye(int(cell.max()) + 1)
         for kind in range(len(matrix)):
             i, j = np.argwhere(cell == kind)[0]
             for a, b in steps:
                 matrix[kind, cell[(i + a) % m, (j + b) % m]] -= 1 / len(steps)
-        return cls(cell[tuple((sample.inner % m).T)], np.asarray(np.linalg.pinv(matrix), np.float64))
+        return cls(
+            cell[tuple((sample.inner % m).T)], np.asarray(np.linalg.pinv(matrix), np.float64)
+        )
 
     def fit_lines(self, values: Floats, places: Floats) -> tuple[Floats, Floats] | None:
-        """Line through the values of each type: (count, 2) height and slope, and (2,) errors of differences.
+        """Line through the values of each type: (count, 2) height and slope, and (2,) errors of
+        differences.
 
         None where a type has too few known values.
         """
@@ -78,45 +99,57 @@ class TypeMeans(NamedTuple):
         if np.bincount(self.of[known], minlength=count).min() < _FEWEST_LENSES:
             return None
         limit = outlier_limit(values[known]) + 1e-9
-        lines, errors = np.zeros((count, 2)), np.zeros((count, 2))
+        lines = np.zeros((count, 2))
+        errors = np.zeros((count, 2))
         for kind in range(count):
             mine = known & (self.of == kind)
-            x, y = places[mine], np.clip(values[mine], -limit, limit)
+            x = places[mine]
+            y = np.clip(values[mine], -limit, limit)
             variance = float(x.var())
             slope = float(((x - x.mean()) * y).mean()) / variance if variance > 0 else 0.0
             lines[kind] = y.mean() - slope * x.mean(), slope
             scatter = float((y - lines[kind, 0] - slope * x).std()) / np.sqrt(len(x))
             errors[kind] = scatter, scatter / np.sqrt(variance) if variance > 0 else np.inf
-        return self.unmixing @ lines, np.sqrt(2) * float(np.linalg.norm(self.unmixing, 2)) * errors.max(0)
+        return self.unmixing @ lines, np.sqrt(2) * float(
+            np.linalg.norm(self.unmixing, 2)
+        ) * errors.max(0)
 
     def fit_means(self, values: Floats) -> tuple[Floats, float] | None:
-        """Robust mean of each type, and the standard error of their differences; None where a type has too few."""
+        """Robust mean of each type, and the standard error of their differences; None where a type
+        has too few.
+        """
         fit = self.fit_lines(values, np.where(np.isfinite(values), 0.0, np.nan))
         return fit and (fit[0][:, 0], fit[1][0])
 
 
 def _rim_softness(outer_light: Floats, inner_loss: Floats, types: TypeMeans) -> Floats | None:
     """(count,) softness of the rims of each type, mean 0; None where that is not clear."""
-    beyond, before = types.fit_means(outer_light), types.fit_means(inner_loss)
+    beyond = types.fit_means(outer_light)
+    before = types.fit_means(inner_loss)
     if beyond is None or before is None:
         return None
-    # Four standard errors apart an order is wrong once in 10,000; 1.5 % of the light may be due to how pixels fall.
+    # Four standard errors apart an order is wrong once in 10,000; 1.5 % of the light may be due to
+    # how pixels fall.
     if np.diff(np.sort(beyond[0])).min() <= 4 * beyond[1] or np.ptp(beyond[0]) < 0.015:
         return None
     soft = beyond[0] - beyond[0].mean()
-    # Light beyond a soft edge is missing before it (0.3 to 1 for real rims); a brighter neighbour adds light beyond the
-    # rim too, but takes none.
+    # Light beyond a soft edge is missing before it (0.3 to 1 for real rims); a brighter neighbour
+    # adds light beyond the rim too, but takes none.
     loss = float(before[0] @ soft) / float(soft @ soft)
     return soft if loss + 2 * before[1] / float(np.linalg.norm(soft)) > 0.1 else None
 
 
-def _order_over_depth(sharpness: Floats, disparity: Floats, types: TypeMeans) -> tuple[Floats, Floats, float] | None:
-    """Slope of the sharpness of each type over `s / D`, focus of each, and the sign of `s` at which they are focused.
+def _order_over_depth(
+    sharpness: Floats, disparity: Floats, types: TypeMeans
+) -> tuple[Floats, Floats, float] | None:
+    """Slope of the sharpness of each type over `s / D`, focus of each, and the sign of `s` at which
+    they are focused.
 
     None where the slopes are not clearly different.
 
-    The logarithm of sharpness falls with the square of the defocus, `-k (x - f)^2` at `x = s / D`, so that differences
-    between types are straight lines in `x`: slope `2 k f`, height `-k f^2`, less the mean of all types.
+    The logarithm of sharpness falls with the square of the defocus, `-k (x - f)^2` at `x = s / D`,
+    so that differences between types are straight lines in `x`: slope `2 k f`, height `-k f^2`,
+    less the mean of all types.
     """
     known = np.isfinite(sharpness) & np.isfinite(disparity)
     if known.sum() < _FEWEST_LENSES or disparity[known].std() < MIN_SPREAD:
@@ -135,7 +168,8 @@ def _order_over_depth(sharpness: Floats, disparity: Floats, types: TypeMeans) ->
     # Types change places at the mean of the foci; lines are bent by lenses far from all foci.
     middle = float(focus.mean()) if seen else -float(height @ slope) / float(slope @ slope)
     low, median, high = np.quantile(disparity[known], (0.1, 0.5, 0.9))
-    # Far from all foci differences fade and slopes reverse: types must change places within the range of the scene.
+    # Far from all foci differences fade and slopes reverse: types must change places within the
+    # range of the scene.
     if not low < middle < high or np.sign(middle) != np.sign(median):
         return None
     return slope, focus, float(np.sign(middle))
@@ -144,17 +178,22 @@ def _order_over_depth(sharpness: Floats, disparity: Floats, types: TypeMeans) ->
 def _find_foci(sharpness: Floats, disparity: Floats, types: TypeMeans) -> Floats:
     """(count,) `s / D` where each of three types is sharpest, NaN where that is not seen.
 
-    Two types are equally sharp half-way between their foci, whatever the law by which sharpness falls with defocus.
+    Two types are equally sharp half-way between their foci, whatever the law by which sharpness
+    falls with defocus.
     """
-    near, sums = 0.12, np.zeros(3)
+    near = 0.12
+    sums = np.zeros(3)
     unknown = np.full(len(types.unmixing), np.nan)
     if len(unknown) != 3:
         return unknown
     low, high = np.nanquantile(disparity, (0.02, 0.98))
     for pair, other in (((0, 1), 2), ((1, 2), 0), ((2, 0), 1)):
-        meet, error = float(np.nanmedian(disparity)), np.inf
+        meet = float(np.nanmedian(disparity))
+        error = np.inf
         for _ in range(5):
-            fit = types.fit_lines(sharpness, np.where(np.abs(disparity - meet) < near, disparity - meet, np.nan))
+            fit = types.fit_lines(
+                sharpness, np.where(np.abs(disparity - meet) < near, disparity - meet, np.nan)
+            )
             if fit is None:
                 return unknown
             height, slope = fit[0][pair[0]] - fit[0][pair[1]]

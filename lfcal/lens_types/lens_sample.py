@@ -1,7 +1,8 @@
-"""Blocks of neighbouring lenses spread over a flat, and features of single lenses: fine contrast, rim, brightness.
+"""Blocks of neighbouring lenses spread over a flat, and features of single lenses: fine contrast,
+rim, brightness.
 
-Neighbours see nearly the same piece of the scene, so that the difference from them is a property of the lens; a few
-thousand lenses are enough.
+Neighbours see nearly the same piece of the scene, so that the difference from them is a property of
+the lens; a few thousand lenses are enough.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ class LensSample:
         return self.index[:, 1:-1, 1:-1].reshape(-1, 2)
 
     def subtract_neighbours(self, values: Floats) -> Floats:
-        """(m * side**2,) values (m, side + 2, side + 2) of lenses less the mean of their neighbours; NaN if one is."""
+        """(m * side**2,) values (m, side + 2, side + 2) of lenses less the mean of their
+        neighbours; NaN if one is.
+        """
         stop = values.shape[1] - 1
         near = [values[:, 1 + i : stop + i, 1 + j : stop + j] for i, j in self.lattice.steps]
         return (values[:, 1:-1, 1:-1] - np.mean(near, axis=0)).ravel()
@@ -52,33 +55,46 @@ class LensFeatures:
     """Features of the lenses of a sample, arrays (m, side + 2, side + 2), NaN off the flat."""
 
     sharpness: Floats  # logarithm of the mean squared difference of near pixels
-    # light just beyond the rim over that just before it, less the mean profile: larger at softer edges
+    # light just beyond the rim over that just before it, less the mean profile: larger at softer
+    # edges
     outer_light: Floats
-    # the same of light missing just before the rim, which depends less on how pixels fall on the edge
+    # the same of light missing just before the rim, which depends less on how pixels fall on the
+    # edge
     inner_loss: Floats
     level: Floats  # logarithm of the mean tone of the core
-    # (2, ...) mean difference of near pixels to the right and down; it averages to zero whatever the focus
+    # (2, ...) mean difference of near pixels to the right and down; it averages to zero whatever
+    # the focus
     gradient: Floats
     rim_ratio: float  # light just beyond the rim over that just before it, of all lenses together
 
 
 def outlier_limit(values: Floats) -> float:
-    """Three standard deviations of values (n,), from the median of their sizes; 0 where there are none."""
+    """Three standard deviations of values (n,), from the median of their sizes; 0 where there are
+    none.
+    """
     return 3.0 * 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
 def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSample:
-    """48 blocks of 12 x 12 lenses, evenly spread over the flat or its crops; all lenses of a small flat."""
+    """48 blocks of 12 x 12 lenses, evenly spread over the flat or its crops; all lenses of a small
+    flat.
+    """
     reach = _REACH * lattice.radius
     if crops is None:
-        crops = StackedCrops(np.zeros((0, 0), np.float32), np.zeros((1, 2), np.int64), lattice.image_size)
+        crops = StackedCrops(
+            np.zeros((0, 0), np.float32), np.zeros((1, 2), np.int64), lattice.image_size
+        )
     indices, _, crop = crops.lenses(lattice, 0)
-    each, blocks, home = -(-48 // len(crops)), [], []
+    each = -(-48 // len(crops))
+    blocks = []
+    home = []
     for number in np.unique(crop):
         found, count = np.unique(indices[crop == number] // _SIDE, axis=0, return_counts=True)
         full = 4 * count >= _SIDE**2
         found = found[full] if full.sum() >= each else found
-        chosen = np.unique(np.linspace(0, len(found) - 1, min(each, len(found))).round().astype(int))
+        chosen = np.unique(
+            np.linspace(0, len(found) - 1, min(each, len(found))).round().astype(int)
+        )
         blocks.append(found[chosen])
         home += [number] * len(chosen)
     steps = np.arange(-1, _SIDE + 1)
@@ -92,14 +108,23 @@ def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSa
 
 @kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres))
 def _accumulate(begin, end, picture, centres, radius, inside, lag, energy, gradient, light, count):
-    """Squared differences and gradients within `inside`, and light by distance to the centre, of each lens."""
+    """Squared differences and gradients within `inside`, and light by distance to the centre, of
+    each lens.
+    """
     height, width = picture.shape
     rings = light.shape[1]
-    per_ring, within = rings / radius, inside * inside
+    per_ring = rings / radius
+    within = inside * inside
     for lens in range(begin, end):
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        pairs, square, across, down = 0, 0.0, 0.0, 0.0
-        for y in range(max(0, math.ceil(cy - radius)), min(height - 1, math.floor(cy + radius)) + 1, lag):
+        cx = centres[lens, 0]
+        cy = centres[lens, 1]
+        pairs = 0
+        square = 0.0
+        across = 0.0
+        down = 0.0
+        for y in range(
+            max(0, math.ceil(cy - radius)), min(height - 1, math.floor(cy + radius)) + 1, lag
+        ):
             dy = y - cy
             half = math.sqrt(max(radius * radius - dy * dy, 0.0))
             for x in range(max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1):
@@ -123,15 +148,21 @@ def _accumulate(begin, end, picture, centres, radius, inside, lag, energy, gradi
 
 
 def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
-    """Measure the lenses of a sample on a picture (h, w) as made by `images.preprocessing.sqrt_luminance`."""
+    """Measure the lenses of a sample on a picture (h, w) as made by
+    `images.preprocessing.sqrt_luminance`.
+    """
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
-    centres, rings = sample.place.reshape(-1, 2)[chosen], 40
-    energy, gradient = np.zeros(len(chosen)), np.zeros((2, len(chosen)))
+    centres = sample.place.reshape(-1, 2)[chosen]
+    rings = 40
+    energy = np.zeros(len(chosen))
+    gradient = np.zeros((2, len(chosen)))
     light, count = np.zeros((2, len(chosen), rings))
     # The finest detail of a microlens.
     lag = max(1, round(radius / 14))
-    _accumulate(picture, centres, _REACH * radius, 0.7 * radius, lag, energy, gradient, light, count)
+    _accumulate(
+        picture, centres, _REACH * radius, 0.7 * radius, lag, energy, gradient, light, count
+    )
     # Smallest squared contrast of an 8-bit picture of mean 1.
     noise = (1 / 256) ** 2
 
@@ -142,8 +173,11 @@ def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
         return light[:, own].sum(1) / np.maximum(count[:, own].sum(1), 1) + noise
 
     def ratio(own: slice, other: slice) -> tuple[Floats, float]:
-        """Light in a zone over that in another, less that of the mean profile, and its mean over all lenses."""
-        relative, pixels = light[:, own] / mean(other)[:, None], count[:, own]
+        """Light in a zone over that in another, less that of the mean profile, and its mean over
+        all lenses.
+        """
+        relative = light[:, own] / mean(other)[:, None]
+        pixels = count[:, own]
         # Which pixels fall on a ring differs from lens to lens; the mean profile allows for that.
         expected = pixels * (relative.sum(0) / np.maximum(pixels.sum(0), 1))
         share = float(expected.sum() / max(pixels.sum(), 1))
@@ -152,8 +186,12 @@ def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
     level = mean(zone(0, 0.5))
     # Darker lenses show noise.
     lit = level > 0.03 * np.median(level) if len(level) else np.zeros(0, bool)
-    chosen, level, energy, gradient = chosen[lit], level[lit], energy[lit], gradient[:, lit]
-    light, count = light[lit], count[lit]
+    chosen = chosen[lit]
+    level = level[lit]
+    energy = energy[lit]
+    gradient = gradient[:, lit]
+    light = light[lit]
+    count = count[lit]
     outer, rim_ratio = ratio(zone(1.03, _REACH), zone(0.75, 0.95))
     inner, _ = ratio(zone(0.8, 0.97), zone(0.5, 0.75))
 

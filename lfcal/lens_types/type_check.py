@@ -1,9 +1,9 @@
 """Whether the lens types of a camera are those that a flat shows.
 
-Where the flat shows the order of the types by itself, that decides. Elsewhere the order of the camera is tested: rims
-get harder from type to type, and as sharpness falls with the square of the defocus, a middle type is never the
-least sharp. So is the light before the rims that the gain map of the camera itself has for each type: it grows from the
-softest rims to the hardest.
+Where the flat shows the order of the types by itself, that decides. Elsewhere the order of the
+camera is tested: rims get harder from type to type, and as sharpness falls with the square of the
+defocus, a middle type is never the least sharp. So is the light before the rims that the gain map
+of the camera itself has for each type: it grows from the softest rims to the hardest.
 """
 
 from __future__ import annotations
@@ -22,32 +22,48 @@ from .lens_sample import measure_lens_features, sample_lenses
 __all__ = ["find_rim_conflict", "find_type_conflict"]
 
 
-def find_type_conflict(picture: Singles, lattice: Lattice, types: LensTypes, rims_known: bool = False) -> str | None:
+def find_type_conflict(
+    picture: Singles, lattice: Lattice, types: LensTypes, rims_known: bool = False
+) -> str | None:
     """What contradicts the lens types of a camera on a scene, None where nothing does.
 
-    `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`. With `rims_known`, the gain map has the light
-    at the rims of each type: those of a scene tell less.
+    `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`. With `rims_known`, the
+    gain map has the light at the rims of each type: those of a scene tell less.
     """
     found = find_lens_types(picture, lattice, False)
     if found is not None and found.count == types.count:
         seen = found.focus is not None and bool(np.isfinite(found.focus).all())
         if found.ordered and types.ordered and (seen or not rims_known):
             same = np.array_equal(_numbers(found, types), _numbers(types, found))
-            return None if same else "the lens types of the camera are in another order than on the flat"
+            return (
+                None
+                if same
+                else "the lens types of the camera are in another order than on the flat"
+            )
         # Lenses are alike in one pattern where they are in the other, whatever their numbers.
-        pairs = np.unique(np.stack([_numbers(found, types).ravel(), _numbers(types, found).ravel()]), axis=1)
+        pairs = np.unique(
+            np.stack([_numbers(found, types).ravel(), _numbers(types, found).ravel()]), axis=1
+        )
         if found.confidence > 0.9 and pairs.shape[1] != found.count:
             return "the lens types of the camera lie at other lenses than on the flat"
     large = lattice.radius >= MIN_RADIUS
-    if types.ordered and types.count == 3 and large and _is_refuted(picture, lattice, types, rims_known):
+    if (
+        types.ordered
+        and types.count == 3
+        and large
+        and _is_refuted(picture, lattice, types, rims_known)
+    ):
         return "the lens types of the camera are in another order than on the flat"
     return None
 
 
 def find_rim_conflict(types: LensTypes, gain: GainMap, radius: float) -> str | None:
-    """What in the gain map (`radius` [px]: usable) contradicts the lens types of a camera, None where nothing does."""
+    """What in the gain map (`radius` [px]: usable) contradicts the lens types of a camera, None
+    where nothing does.
+    """
     cells = LensTypes(gain.type_cell)
-    own, other = _numbers(types, cells).ravel(), _numbers(cells, types).ravel()
+    own = _numbers(types, cells).ravel()
+    other = _numbers(cells, types).ravel()
     light = gain.type_rims(radius)
     light = light[other, np.ptp(light, axis=0).argmax()]
     rims = np.array([light[own == kind].mean() for kind in range(types.count)])
@@ -61,7 +77,9 @@ def find_rim_conflict(types: LensTypes, gain: GainMap, radius: float) -> str | N
 def _numbers(types: LensTypes, other: LensTypes) -> NDArray[np.int8]:
     """Types of a cell after which both patterns repeat."""
     period = int(np.lcm(len(types.cell), len(other.cell)))
-    return types.of(np.stack(np.meshgrid(np.arange(period), np.arange(period), indexing="ij"), axis=-1))
+    return types.of(
+        np.stack(np.meshgrid(np.arange(period), np.arange(period), indexing="ij"), axis=-1)
+    )
 
 
 def _is_refuted(picture: Singles, lattice: Lattice, types: LensTypes, rims_known: bool) -> bool:
@@ -73,8 +91,8 @@ def _is_refuted(picture: Singles, lattice: Lattice, types: LensTypes, rims_known
     if features.rim_ratio < FLATTENED and not rims_known:
         softness = means.fit_means(sample.subtract_neighbours(rim))
         if softness is not None:
-            # Twice the logarithm of the likelihood ratio of the best order and the given one; softness is expected to
-            # fall by equal steps. 24 right cameras had 13 at most.
+            # Twice the logarithm of the likelihood ratio of the best order and the given one;
+            # softness is expected to fall by equal steps. 24 right cameras had 13 at most.
             given = max(float(softness[0][0] - softness[0][2]), 0.0)
             if float(np.ptp(softness[0])) ** 2 - given**2 > 20 * max(softness[1], 1e-12) ** 2:
                 return True

@@ -18,12 +18,27 @@ from ..camera.calibration import Calibration
 from ..camera.optics import Optics
 from ..runtime.arrays import Array
 from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_number, check_type
-from .bundle_adjustment import BASE, POSE, Adjusted, Observations, Poses, adjust, inverse, select_order
+from .bundle_adjustment import (
+    BASE,
+    POSE,
+    Adjusted,
+    Observations,
+    Poses,
+    adjust,
+    inverse,
+    select_order,
+)
 from .camera_model import INTERNAL
 from .observe import BoardFlat, measure, prepare
 from .result import BoardPose, MetricCalibration, pose_of
 from .start import first_camera, planar_poses
-from .uncertainty import describe_degeneracies, internal_camera, optics_of, pose_factor, rim_covariance
+from .uncertainty import (
+    describe_degeneracies,
+    internal_camera,
+    optics_of,
+    pose_factor,
+    rim_covariance,
+)
 
 __all__ = ["DEFAULT_PIXEL", "calibrate_metric", "locate_board"]
 
@@ -42,13 +57,15 @@ def calibrate_metric(
     names: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> MetricCalibration:
-    """Measure main lens, distances, distortion and tilt of a camera on flats of a board in several poses.
+    """Measure main lens, distances, distortion and tilt of a camera on flats of a board in several
+    poses.
 
     Parameters
     ----------
     flats : sequence of (h, w) or (h, w, 3) array_like
-        Raw flats of one camera, three or more; a dozen, with the board tilted by 20 to 40 degrees in different
-        directions, at distances that differ by a factor of two or more and in all parts of the field.
+        Raw flats of one camera, three or more; a dozen, with the board tilted by 20 to 40 degrees
+        in different directions, at distances that differ by a factor of two or more and in all
+        parts of the field.
     calibration : Calibration
         Of the array of this camera, as `calibrate` makes it from a white image.
     board : Board or (int, int)
@@ -56,12 +73,13 @@ def calibrate_metric(
     square : float [mm], optional
         Side of its squares, where `board` is no Board.
     pixel : float [mm], optional
-        Side of a pixel of the sensor. F, L and b scale with it; distances do not depend on it. By default that of
-        `calibration.optics`, or 0.0055 with a warning.
+        Side of a pixel of the sensor. F, L and b scale with it; distances do not depend on it. By
+        default that of `calibration.optics`, or 0.0055 with a warning.
     names : sequence of str, optional
         Of the flats, for messages and poses.
     progress : function of two numbers, optional
-        Called after the board was searched for on a flat, with the numbers of flats done and of all.
+        Called after the board was searched for on a flat, with the numbers of flats done and of
+        all.
 
     Returns
     -------
@@ -73,8 +91,8 @@ def calibrate_metric(
     FlatError
         If a flat is not of the size the camera is for.
     BoardError
-        If the board is found on fewer than three flats, if more flats show one of other corners, if all poses are
-        alike, or if the flats come from different cameras.
+        If the board is found on fewer than three flats, if more flats show one of other corners, if
+        all poses are alike, or if the flats come from different cameras.
 
     Examples
     --------
@@ -89,7 +107,9 @@ def calibrate_metric(
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     if isinstance(board, (tuple, list)):
         if square is None:
-            raise BoardError("give the side of the squares [mm] beside the corners of the board: square=")
+            raise BoardError(
+                "give the side of the squares [mm] beside the corners of the board: square="
+            )
         board = Board(*board, square)
     check_type(board, Board, "board", "give lfcal.Board, or its inner corners across and down")
     if not hasattr(flats, "__len__"):
@@ -104,17 +124,25 @@ def calibrate_metric(
         pixel = calibration.optics.pixel if calibration.optics is not None else None
     if pixel is None:
         pixel = DEFAULT_PIXEL
-        warnings.append(f"the size of a pixel is not given: {pixel * 1000:.3g} um is assumed; F, L and b scale with it")
+        warnings.append(
+            f"the size of a pixel is not given: {pixel * 1000:.3g} um is assumed; F, L and b scale with it"
+        )
     if not 0 < check_number(pixel, "pixel") < 1:
         raise ValueError(f"pixel must be a positive number of mm below 1, got {pixel!r}")
     found, missing = _prepare_all(flats, names, calibration, board, progress)
     warnings += [f"{flat.name}: {flat.reason}; left out" for flat in missing]
     fitted, observations = _fit(found, calibration, board, pixel)
-    return _result(fitted, pixel, calibration, board, found, observations, (*warnings, *_doubts(fitted, board)))
+    return _result(
+        fitted, pixel, calibration, board, found, observations, (*warnings, *_doubts(fitted, board))
+    )
 
 
-def _fit(found: list[BoardFlat], calibration: Calibration, board: Board, pixel: float) -> tuple[Adjusted, Observations]:
-    """Camera and poses, with as many parameters as the data ask for, and the corners that they are fitted to."""
+def _fit(
+    found: list[BoardFlat], calibration: Calibration, board: Board, pixel: float
+) -> tuple[Adjusted, Observations]:
+    """Camera and poses, with as many parameters as the data ask for, and the corners that they are
+    fitted to.
+    """
     points = board.points - board.middle
     camera, poses = _first([flat.detected for flat in found if flat.detected], calibration, board)
     # Where a first camera expects the corners, then from where the fitted one shows them.
@@ -122,14 +150,21 @@ def _fit(found: list[BoardFlat], calibration: Calibration, board: Board, pixel: 
         observations = measure(found, calibration, board, camera, pixel, poses)
         _check_seen(observations, found)
         fitted = adjust(camera, pixel, poses, points, observations, BASE)
-        camera, poses = fitted.camera, fitted.poses
+        camera = fitted.camera
+        poses = fitted.poses
     # Blur and light differ by pose, and so does how far corners lie from the model.
     square = (fitted.residual**2).sum(1) / observations.error**2 * fitted.weight
-    noise = np.sqrt(np.bincount(observations.pose, square) / (2 * np.bincount(observations.pose, fitted.weight)))
+    noise = np.sqrt(
+        np.bincount(observations.pose, square) / (2 * np.bincount(observations.pose, fitted.weight))
+    )
     observations = replace(observations, error=observations.error * noise[observations.pose])
     fitted = adjust(camera, pixel, poses, points, observations, BASE)
     fitted = select_order(fitted, pixel, points, observations)
-    lost = [flat.name for m, flat in enumerate(found) if (fitted.weight[observations.pose == m] == 0).mean() > 0.4]
+    lost = [
+        flat.name
+        for m, flat in enumerate(found)
+        if (fitted.weight[observations.pose == m] == 0).mean() > 0.4
+    ]
     if lost:
         raise BoardError(
             f"{', '.join(lost)}: the board does not fit the camera of the other flats; were focus, zoom or camera "
@@ -156,7 +191,9 @@ def _doubts(fitted: Adjusted, board: Board) -> list[str]:
     return warnings
 
 
-def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, name: str = "flat") -> BoardPose:
+def locate_board(
+    flat: ArrayLike, calibration: Calibration, board: Board, *, name: str = "flat"
+) -> BoardPose:
     """Where a board stands before a camera that `calibrate_metric` has measured.
 
     Its covariance holds the noise of the corners and the errors of the camera.
@@ -179,13 +216,18 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
     optics = calibration.optics
     if optics is None or optics.principal_point is None:
         raise BoardError("the camera has no measured optics; make them with calibrate_metric")
-    prepared = prepare(_checked(flat, name, calibration), name, calibration, board, FocusSweep(calibration.lattice))
+    prepared = prepare(
+        _checked(flat, name, calibration), name, calibration, board, FocusSweep(calibration.lattice)
+    )
     if prepared.detected is None:
         raise BoardError(f"{name}: {prepared.reason}")
     camera, change = internal_camera(optics)
-    points, detected = board.points - board.middle, prepared.detected
+    points = board.points - board.middle
+    detected = prepared.detected
     tried = []
-    for turn, shift in planar_poses(detected.scene, points[detected.corner], camera[0], camera[3:5]):
+    for turn, shift in planar_poses(
+        detected.scene, points[detected.corner], camera[0], camera[3:5]
+    ):
         pose = Poses(turn[None], shift[None])
         for _ in range(2):
             observations = measure([prepared], calibration, board, camera, optics.pixel, pose)
@@ -196,10 +238,13 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
     if not tried:
         raise BoardError(f"{name}: the board shows no pose; move it or tilt it less")
     _, found, observations = min(tried, key=lambda one: one[0])
-    covariance = found.covariance + rim_covariance(found, optics.pixel, observations, calibration.lattice.radius)
+    covariance = found.covariance + rim_covariance(
+        found, optics.pixel, observations, calibration.lattice.radius
+    )
     if optics.covariance is not None:
         # What comes from the errors of the camera.
-        normal, own = found.normal[0], len(INTERNAL)
+        normal = found.normal[0]
+        own = len(INTERNAL)
         by_optics = inverse(normal[np.ix_(POSE, POSE)]) @ normal[POSE, :own] @ change
         covariance[np.ix_(POSE, POSE)] += by_optics @ optics.covariance @ by_optics.T
     return pose_of(replace(found, covariance=covariance), 0, board, observations, name)
@@ -210,7 +255,9 @@ def _checked(flat: ArrayLike, name: str, calibration: Calibration) -> Array:
     width, height = calibration.image_size
     if pixels.ndim not in (2, 3) or pixels.shape[:2] != (height, width):
         size = " x ".join(str(n) for n in pixels.shape[1::-1])
-        raise FlatError(f"{name} is {size} px, the camera is for {width} x {height} px; give flats of one camera")
+        raise FlatError(
+            f"{name} is {size} px, the camera is for {width} x {height} px; give flats of one camera"
+        )
     return pixels
 
 
@@ -223,7 +270,9 @@ def _prepare_all(
 ) -> tuple[list[BoardFlat], list[BoardFlat]]:
     """Flats with the board, and those without."""
     checked = [_checked(flat, name, calibration) for flat, name in zip(flats, names, strict=True)]
-    work = partial(prepare, calibration=calibration, board=board, sweep=FocusSweep(calibration.lattice))
+    work = partial(
+        prepare, calibration=calibration, board=board, sweep=FocusSweep(calibration.lattice)
+    )
     with ThreadPoolExecutor(max(1, min(len(checked), os.cpu_count() or 1, 8))) as pool:
         jobs = [pool.submit(work, *each) for each in zip(checked, names, strict=True)]
         for done, _ in enumerate(as_completed(jobs), 1):
@@ -248,13 +297,16 @@ def _prepare_all(
     return found, missing
 
 
-def _first(boards: list[DetectedBoard], calibration: Calibration, board: Board) -> tuple[Array, Poses]:
+def _first(
+    boards: list[DetectedBoard], calibration: Calibration, board: Board
+) -> tuple[Array, Poses]:
     start = first_camera(boards, board.points - board.middle, calibration.image_size)
     if start is None:
         raise BoardError(
             "no camera explains the boards; check the number of squares, and that all flats are of this camera"
         )
-    turns, shifts = start[1].rotation, start[1].translation
+    turns = start[1].rotation
+    shifts = start[1].translation
     normals = turns[:, :, 2]
     angles = np.rad2deg(np.arccos(np.clip(normals @ normals.T, -1, 1)))
     if angles.max() < 4 and shifts[:, 2].max() < 1.05 * shifts[:, 2].min():
@@ -293,7 +345,9 @@ def _result(
     return MetricCalibration(
         calibration=replace(calibration, optics=optics),
         board=board,
-        poses=tuple(pose_of(widened, m, board, observations, flat.name) for m, flat in enumerate(flats)),
+        poses=tuple(
+            pose_of(widened, m, board, observations, flat.name) for m, flat in enumerate(flats)
+        ),
         fitted=fitted.free,
         observations=observations,
         residual=fitted.residual,
@@ -311,6 +365,7 @@ def _microlenses(optics: Optics, calibration: Calibration) -> tuple[float, ...]:
     types = calibration.lens_types
     if types is None or types.focus is None or not np.isfinite(types.focus).all():
         return ()
-    far, near = optics.mla_distance, optics.sensor_distance
+    far = optics.mla_distance
+    near = optics.sensor_distance
     image = types.focus * (1 + near / far) / near + 1 / far
     return tuple(float(1 / v) for v in image + 1 / near)

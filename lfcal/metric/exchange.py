@@ -1,8 +1,9 @@
-"""Optics and poses for other programs: libpleno's `.js`, OpenCV's pinhole of the all-in-focus picture.
+"""Optics and poses for other programs: libpleno's `.js`, OpenCV's pinhole of the all-in-focus
+picture.
 
-libpleno (github.com/comsee-research/libpleno) is the library behind the toolbox COMPOTE (Labussiere et al. 2022). The
-equivalent pinhole has `K` and the five coefficients of OpenCV, fitted over the field of the flat, as OpenCV distorts in
-the other direction.
+libpleno (github.com/comsee-research/libpleno) is the library behind the toolbox COMPOTE (Labussiere
+et al. 2022). The equivalent pinhole has `K` and the five coefficients of OpenCV, fitted over the
+field of the flat, as OpenCV distorts in the other direction.
 """
 
 from __future__ import annotations
@@ -39,28 +40,41 @@ class Pinhole(NamedTuple):
 def equivalent_pinhole(calibration: Calibration) -> Pinhole:
     """The pinhole that an all-in-focus picture is taken by, in pixels of the flat.
 
-    Its centre is that of the entrance pupil of the main lens. CameraFileError if the camera has no optics.
+    Its centre is that of the entrance pupil of the main lens. CameraFileError if the camera has no
+    optics.
     """
     from scipy.optimize import least_squares
 
     optics = calibration.optics
     if optics is None or optics.principal_point is None:
-        raise CameraFileError("the camera holds no measured optics; make them with 'lfcal metric FLAT...'")
+        raise CameraFileError(
+            "the camera holds no measured optics; make them with 'lfcal metric FLAT...'"
+        )
     width, height = calibration.image_size
     focal = (optics.mla_distance + optics.sensor_distance) / optics.pixel
-    pixels = np.stack(np.meshgrid(np.linspace(0, width - 1, 25), np.linspace(0, height - 1, 19)), -1).reshape(-1, 2)
+    pixels = np.stack(
+        np.meshgrid(np.linspace(0, width - 1, 25), np.linspace(0, height - 1, 19)), -1
+    ).reshape(-1, 2)
     bent = (*optics.radial, *optics.tangential)
-    points = np.column_stack([object_slopes((pixels - optics.principal_point) / focal, bent), np.ones(len(pixels))])
+    points = np.column_stack(
+        [object_slopes((pixels - optics.principal_point) / focal, bent), np.ones(len(pixels))]
+    )
 
     def matrix(p: Array) -> Array:
         return np.array([[p[0], 0, p[1]], [0, p[0], p[2]], [0, 0, 1.0]])
 
     def off(p: Array) -> Array:
-        seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix(p), p[3:])[0].reshape(-1, 2)
+        seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix(p), p[3:])[0].reshape(
+            -1, 2
+        )
         return (seen - pixels).ravel()
 
     start = np.array([focal, *optics.principal_point, 0, 0, 0, 0, 0])
-    found = least_squares(off, start, x_scale=[focal, 1, 1, 1, 1, 1e-3, 1e-3, 1]).x if any(bent) else start
+    found = (
+        least_squares(off, start, x_scale=[focal, 1, 1, 1, 1, 1e-3, 1e-3, 1]).x
+        if any(bent)
+        else start
+    )
     error = float(np.hypot(*off(found).reshape(-1, 2).T).max())
     return Pinhole(matrix(found), found[3:], (width, height), error)
 
@@ -68,14 +82,19 @@ def equivalent_pinhole(calibration: Calibration) -> Pinhole:
 def write_pinhole(path: str | os.PathLike[str], calibration: Calibration) -> None:
     """Write `equivalent_pinhole` as `.yml`, `.xml` or `.json` as `cv2.FileStorage` reads it."""
     pinhole = equivalent_pinhole(calibration)
-    suffix, known = Path(path).suffix.lower(), (".yml", ".yaml", ".xml", ".json")
+    suffix = Path(path).suffix.lower()
+    known = (".yml", ".yaml", ".xml", ".json")
     if suffix not in known:
         raise CameraFileError(f"{path}: unknown format of a pinhole camera; use {', '.join(known)}")
     # Written in memory: the writer goes by the ending, which a temporary name does not have.
     storage = cv2.FileStorage(f"camera{suffix}", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     width, height = pinhole.size
-    figures: dict[str, Any] = {"image_width": width, "image_height": height, "camera_matrix": pinhole.matrix,
-                               "distortion_coefficients": pinhole.distortion[None]}  # fmt: skip
+    figures: dict[str, Any] = {
+        "image_width": width,
+        "image_height": height,
+        "camera_matrix": pinhole.matrix,
+        "distortion_coefficients": pinhole.distortion[None],
+    }
     for name, value in figures.items():
         storage.write(name, value)
     text = storage.releaseAndGetString()
@@ -84,15 +103,21 @@ def write_pinhole(path: str | os.PathLike[str], calibration: Calibration) -> Non
 
 
 def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> None:
-    """Write the camera as an `intrinsics.js` of libpleno, and the poses beside it as `NAME-poses.js`.
+    """Write the camera as an `intrinsics.js` of libpleno, and the poses beside it as
+    `NAME-poses.js`.
 
-    Numbers are strings there, as libpleno writes them. Its poses are those of the camera in the frame of the board; its
-    distortion leads from the ideal image point [mm] to the real one, `distortions_inverse` back. The grid of the
-    microimages (`mia`) is left to its own precalibration.
+    Numbers are strings there, as libpleno writes them. Its poses are those of the camera in the
+    frame of the board; its distortion leads from the ideal image point [mm] to the real one,
+    `distortions_inverse` back. The grid of the microimages (`mia`) is left to its own
+    precalibration.
     """
-    calibration, optics = result.calibration, result.optics
+    calibration = result.calibration
+    optics = result.optics
     inverse = equivalent_pinhole(calibration).distortion[[0, 1, 4, 2, 3]]
-    far, near, pixel, principal = optics.mla_distance, optics.sensor_distance, optics.pixel, optics.principal_point
+    far = optics.mla_distance
+    near = optics.sensor_distance
+    pixel = optics.pixel
+    principal = optics.principal_point
     assert principal is not None
     width, height = calibration.image_size
     pitch = calibration.lattice.pitch * pixel / (1 + near / far)
@@ -101,7 +126,11 @@ def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> N
     start = [-(size - 1 - at) * pixel for size, at in zip((width, height), principal, strict=True)]
     types = calibration.lens_types
     # Focused on images in front of them; where nothing is known, behind them.
-    focus = types.focus[np.isfinite(types.focus)] if types is not None and types.focus is not None else np.zeros(0)
+    focus = (
+        types.focus[np.isfinite(types.focus)]
+        if types is not None and types.focus is not None
+        else np.zeros(0)
+    )
     front = len(focus) > 0 and float(np.median(focus)) >= 0
     data = {
         "D": far,
@@ -112,20 +141,33 @@ def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> N
         "main_lens": {"f": optics.focal_length, "pose": _pose(np.eye(3), np.zeros(3))},
         "mla": {
             "focal_lengths": list(optics.microlens_focal_lengths),
-            "mesh": {"geometry": int(len(calibration.lattice.steps) == 6), "pitch": [[pitch, pitch]],
-                     "pose": _pose(axes, [*start, -far])},
+            "mesh": {
+                "geometry": int(len(calibration.lattice.steps) == 6),
+                "pitch": [[pitch, pitch]],
+                "pose": _pose(axes, [*start, -far]),
+            },
         },
         "mode": 1 if front else 2,
         "pp": [list(principal)],
-        "sensor": {"width": width, "height": height, "scale": pixel, "pose": _pose(axes, [*start, -(far + near)])},
-    }  # fmt: skip
+        "sensor": {
+            "width": width,
+            "height": height,
+            "scale": pixel,
+            "pose": _pose(axes, [*start, -(far + near)]),
+        },
+    }
     _write_js(Path(path), data)
-    poses = [{"frame": p.name, "pose": _pose(p.rotation.T, -p.rotation.T @ p.translation)} for p in result.poses]
+    poses = [
+        {"frame": p.name, "pose": _pose(p.rotation.T, -p.rotation.T @ p.translation)}
+        for p in result.poses
+    ]
     _write_js(Path(path).with_stem(f"{Path(path).stem}-poses"), {"poses": poses})
 
 
 def read_libpleno(path: str | os.PathLike[str]) -> Optics:
-    """The optics in an `intrinsics.js` of libpleno; CameraFileError if it cannot be read, or a number is missing."""
+    """The optics in an `intrinsics.js` of libpleno; CameraFileError if it cannot be read, or a
+    number is missing.
+    """
 
     def row(values: Any) -> list[float]:
         """The numbers of a vector, which libpleno writes as the row of a matrix."""
@@ -133,9 +175,17 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
 
     try:
         data = json.loads(read_text(path))
-        lengths = (float(data["main_lens"]["f"]), float(data["D"]), float(data["d"]), float(data["sensor"]["scale"]))
-        far, bent = lengths[1], data.get("distortions_inverse", {})
-        k1, k2, k3 = (k * far ** (2 * n + 2) for n, k in enumerate(row(bent.get("radial", (0, 0, 0)))))
+        lengths = (
+            float(data["main_lens"]["f"]),
+            float(data["D"]),
+            float(data["d"]),
+            float(data["sensor"]["scale"]),
+        )
+        far = lengths[1]
+        bent = data.get("distortions_inverse", {})
+        k1, k2, k3 = (
+            k * far ** (2 * n + 2) for n, k in enumerate(row(bent.get("radial", (0, 0, 0))))
+        )
         along, across = (-p * far for p in row(bent.get("tangential", (0, 0))))
         principal = row(data["pp"]) if "pp" in data else None
         return Optics(
@@ -154,14 +204,20 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
 
 
 def _distortion_mm(coefficients: Array, far: float) -> dict[str, Any]:
-    """`k1, k2, k3, p1, p2` of slopes as those of lengths [mm] in the image plane, in a frame turned by 180 degrees."""
+    """`k1, k2, k3, p1, p2` of slopes as those of lengths [mm] in the image plane, in a frame turned
+    by 180 degrees.
+    """
     k1, k2, k3, p1, p2 = coefficients
-    radial, tangential = [k1 / far**2, k2 / far**4, k3 / far**6], [-p2 / far, -p1 / far]
+    radial = [k1 / far**2, k2 / far**4, k3 / far**6]
+    tangential = [-p2 / far, -p1 / far]
     return {"model": 0, "radial": [radial], "tangential": [tangential], "depth": [[0.0, 0.0, 0.0]]}
 
 
 def _pose(rotation: Array, translation: Sequence[float] | Array) -> dict[str, Any]:
-    return {"rotation": np.asarray(rotation).tolist(), "translation": [np.asarray(translation).tolist()]}
+    return {
+        "rotation": np.asarray(rotation).tolist(),
+        "translation": [np.asarray(translation).tolist()],
+    }
 
 
 def _write_js(path: Path, data: dict[str, Any]) -> None:
@@ -170,7 +226,13 @@ def _write_js(path: Path, data: dict[str, Any]) -> None:
             return {name: as_strings(one) for name, one in value.items()}
         if isinstance(value, list):
             return [as_strings(one) for one in value]
-        return value if isinstance(value, str) else f"{value:.17g}" if isinstance(value, float) else str(value)
+        return (
+            value
+            if isinstance(value, str)
+            else f"{value:.17g}"
+            if isinstance(value, float)
+            else str(value)
+        )
 
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(as_strings(data), indent=4) + "\n", encoding="utf-8")

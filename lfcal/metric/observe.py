@@ -1,4 +1,6 @@
-"""Where the microimages of a flat show the corners of a board: predicted by a camera, measured on the pixels."""
+"""Where the microimages of a flat show the corners of a board: predicted by a camera, measured on
+the pixels.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ class BoardFlat(NamedTuple):
     other: str = ""  # number of corners of the larger checkerboard that the flat shows
 
 
-def prepare(flat: Array, name: str, calibration: Calibration, board: Board, sweep: FocusSweep) -> BoardFlat:
+def prepare(
+    flat: Array, name: str, calibration: Calibration, board: Board, sweep: FocusSweep
+) -> BoardFlat:
     """Divide a flat by the gain of the camera and detect the board on its all-in-focus picture."""
     mosaic = flat.ndim == 2 and (calibration.mosaic or find_mosaic(flat))
     light = equalise_mosaic(flat) if mosaic else luminance(flat).astype(np.float32)
@@ -51,10 +55,16 @@ def prepare(flat: Array, name: str, calibration: Calibration, board: Board, swee
 
 
 def measure(
-    flats: Sequence[BoardFlat], calibration: Calibration, board: Board, camera: Array, pixel: float, poses: Poses
+    flats: Sequence[BoardFlat],
+    calibration: Calibration,
+    board: Board,
+    camera: Array,
+    pixel: float,
+    poses: Poses,
 ) -> Observations:
     """Fit the corners of boards in known poses in all microimages that show them."""
-    lattice, parts = calibration.lattice, []
+    lattice = calibration.lattice
+    parts = []
     centres = lattice.centres()
     tree = cKDTree(centres)
     for m, flat in enumerate(flats):
@@ -64,18 +74,25 @@ def measure(
             camera, pixel, pose, board, flat.detected.corner, centres, tree, lattice.radius
         )
         fits = fit_corners(flat.light, centre, lattice.radius, predicted, shape, board)
-        # Three pixels, and two blurs where these are wide: nearer to the rim the four squares are not all seen.
+        # Three pixels, and two blurs where these are wide: nearer to the rim the four squares are
+        # not all seen.
         inside = lattice.radius - 3 - 2 * (fits.blur - 0.5)
         kept = fits.good & (np.hypot(*(fits.position - centre).T) < inside)
-        kept &= np.sign(fits.contrast) == _expected_sign(board, corner, np.where(kept, fits.contrast, 0))
+        kept &= np.sign(fits.contrast) == _expected_sign(
+            board, corner, np.where(kept, fits.contrast, 0)
+        )
         # The shape of edges is right to 0.005 px, besides the noise of the pixels.
         error = np.hypot(fits.error[kept], 0.005)
-        parts.append((np.full(kept.sum(), m), corner[kept], centre[kept], fits.position[kept], error))
+        parts.append(
+            (np.full(kept.sum(), m), corner[kept], centre[kept], fits.position[kept], error)
+        )
     return Observations(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _expected_sign(board: Board, corner: Array, contrast: Array) -> Array:
-    """Sign of the contrast of each corner: it alternates, or is that of all circles; which is which, most tell."""
+    """Sign of the contrast of each corner: it alternates, or is that of all circles; which is
+    which, most tell.
+    """
     if board.pattern == "circles":
         sign = np.ones(len(corner))
     else:
@@ -84,9 +101,18 @@ def _expected_sign(board: Board, corner: Array, contrast: Array) -> Array:
 
 
 def _predict(
-    camera: Array, pixel: float, pose: Poses, board: Board, corners: Array, centres: Array, tree: Any, radius: float
+    camera: Array,
+    pixel: float,
+    pose: Poses,
+    board: Board,
+    corners: Array,
+    centres: Array,
+    tree: Any,
+    radius: float,
 ) -> tuple[Array, Array, Array, Array]:
-    """Corner, centre, position and shape of each corner in each microimage that a camera shows it in."""
+    """Corner, centre, position and shape of each corner in each microimage that a camera shows it
+    in.
+    """
     points = board.points - board.middle
     seen = pose.of_board(points[corners], np.zeros(len(corners), int))
     scene = camera[3:5] + camera[0] * seen[:, :2] / seen[:, 2:]
@@ -101,5 +127,11 @@ def _predict(
         return project(camera, pixel, pose.of_board(moved, np.zeros(len(corner), int)), centre)
 
     kept = np.hypot(*(at(0, 0) - centre).T) < radius
-    corner, centre = corner[kept], centre[kept]
-    return corner, centre, at(0, 0), np.stack([(at(0.1, 0) - at(-0.1, 0)) / 0.2, (at(0, 0.1) - at(0, -0.1)) / 0.2], 2)
+    corner = corner[kept]
+    centre = centre[kept]
+    return (
+        corner,
+        centre,
+        at(0, 0),
+        np.stack([(at(0.1, 0) - at(-0.1, 0)) / 0.2, (at(0, 0.1) - at(0, -0.1)) / 0.2], 2),
+    )

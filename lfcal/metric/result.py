@@ -1,4 +1,6 @@
-"""What the metric calibration gives: the camera with its optics, the poses of the boards, and the residuals."""
+"""What the metric calibration gives: the camera with its optics, the poses of the boards, and the
+residuals.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ __all__ = ["BoardPose", "MetricCalibration", "pose_of"]
 class BoardPose(Frozen):
     """Where a board stood: `X_camera = rotation @ X_board + translation`.
 
-    Origin of the camera is the middle of the main lens (its entrance pupil), x right, y down, z to the scene; of the
-    board its first corner, x along the rows, y down, z away from the camera.
+    Origin of the camera is the middle of the main lens (its entrance pupil), x right, y down, z to
+    the scene; of the board its first corner, x along the rows, y down, z away from the camera.
 
     Parameters
     ----------
@@ -35,8 +37,8 @@ class BoardPose(Frozen):
     rotation : (3, 3) float64
     translation : (3,) float64 [mm]
     covariance : (6, 6) float64
-        Of a small turn of the rotated board about the axes of the camera [rad] and of the translation [mm], the errors
-        of the camera included.
+        Of a small turn of the rotated board about the axes of the camera [rad] and of the
+        translation [mm], the errors of the camera included.
     rms : float [px]
         Of the distances between observed and predicted corners in microimages, without outliers.
     observations : int
@@ -72,10 +74,14 @@ class BoardPose(Frozen):
         """Plain numbers."""
         errors = self.standard_errors
         return {
-            "flat": self.name, "rotation": self.rotation.tolist(), "translation_mm": self.translation.tolist(),
-            "turn_error_degrees": np.rad2deg(errors[:3]).tolist(), "translation_error_mm": errors[3:].tolist(),
-            "rms_px": self.rms, "observations": self.observations,
-        }  # fmt: skip
+            "flat": self.name,
+            "rotation": self.rotation.tolist(),
+            "translation_mm": self.translation.tolist(),
+            "turn_error_degrees": np.rad2deg(errors[:3]).tolist(),
+            "translation_error_mm": errors[3:].tolist(),
+            "rms_px": self.rms,
+            "observations": self.observations,
+        }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,13 +106,14 @@ class MetricCalibration(Frozen):
     noise : float [px]
         Median standard error of one corner in one microimage, along one axis, from the residuals.
     widening : float
-        Factor on the variances, at least 1: of errors that the microimages of a corner share, and the corners of a
-        pose.
+        Factor on the variances, at least 1: of errors that the microimages of a corner share, and
+        the corners of a pose.
     degeneracies : tuple of str
         Parameters that hardly separate, and what is well known instead.
     warnings : tuple of str
     board_shape : (5,) float64 [mm]
-        By how much the board is not flat and square, as `camera_model.SHAPE`: 0 where the data did not ask.
+        By how much the board is not flat and square, as `camera_model.SHAPE`: 0 where the data did
+        not ask.
 
     Examples
     --------
@@ -131,7 +138,8 @@ class MetricCalibration(Frozen):
         return f"MetricCalibration({len(self.poses)} poses, {len(self.residual)} corners, {self.rms:.3f} px RMS)"
 
     def _repr_html_(self) -> str:
-        optics, names = self.optics, ("focal length", "main lens to microlenses", "microlenses to sensor")
+        optics = self.optics
+        names = ("focal length", "main lens to microlenses", "microlenses to sensor")
         lengths = (optics.focal_length, optics.mla_distance, optics.sensor_distance)
         figures = {name: f"{length:.4g} mm" for name, length in zip(names, lengths, strict=True)}
         return html_table(repr(self), figures, [*self.warnings, *self.degeneracies])
@@ -150,22 +158,41 @@ class MetricCalibration(Frozen):
     def save_poses(self, path: str | os.PathLike[str]) -> None:
         """Write the poses, with what they were measured on, as JSON."""
         board = {
-            "pattern": self.board.pattern, "columns": self.board.columns, "rows": self.board.rows,
-            "square_mm": self.board.square, "shape_mm": dict(zip(SHAPE, self.board_shape.tolist(), strict=True)),
-        }  # fmt: skip
-        data = {"schema": "lfcal-poses", "version": 1, "board": board, "fitted": list(self.fitted), "rms_px": self.rms,
-                "poses": [pose.to_dict() for pose in self.poses]}  # fmt: skip
+            "pattern": self.board.pattern,
+            "columns": self.board.columns,
+            "rows": self.board.rows,
+            "square_mm": self.board.square,
+            "shape_mm": dict(zip(SHAPE, self.board_shape.tolist(), strict=True)),
+        }
+        data = {
+            "schema": "lfcal-poses",
+            "version": 1,
+            "board": board,
+            "fitted": list(self.fitted),
+            "rms_px": self.rms,
+            "poses": [pose.to_dict() for pose in self.poses],
+        }
         with atomic_write(path) as temporary:
             temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-def pose_of(found: Adjusted, m: int, board: Board, observations: Observations, name: str) -> BoardPose:
+def pose_of(
+    found: Adjusted, m: int, board: Board, observations: Observations, name: str
+) -> BoardPose:
     """Pose `m` of an adjusted camera, about the first corner of the board instead of its middle."""
-    turn, shift = found.poses.rotation[m], found.poses.translation[m]
+    turn = found.poses.rotation[m]
+    shift = found.poses.translation[m]
     own = slice(len(INTERNAL) + 6 * m, len(INTERNAL) + 6 * m + 6)
     x, y, z = middle = turn @ board.middle
     change = np.eye(6)
     change[3:, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
     used = (observations.pose == m) & (found.weight > 0)
     rms = float(np.sqrt((found.residual[used] ** 2).sum(1).mean()))
-    return BoardPose(name, turn, shift - middle, change @ found.covariance[own, own] @ change.T, rms, int(used.sum()))
+    return BoardPose(
+        name,
+        turn,
+        shift - middle,
+        change @ found.covariance[own, own] @ change.T,
+        rms,
+        int(used.sum()),
+    )

@@ -1,4 +1,6 @@
-"""How well the optics are known: covariance widened by what poses share, and combinations that hardly separate."""
+"""How well the optics are known: covariance widened by what poses share, and combinations that
+hardly separate.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,15 @@ import numpy as np
 
 from ..camera.optics import OPTICS_PARAMETERS, Optics
 from ..runtime.arrays import Array
-from .bundle_adjustment import POSE, Adjusted, Observations, eliminate, linearise, pose_unknowns, unknowns
+from .bundle_adjustment import (
+    POSE,
+    Adjusted,
+    Observations,
+    eliminate,
+    linearise,
+    pose_unknowns,
+    unknowns,
+)
 from .camera_model import INTERNAL, from_internal, to_internal
 
 __all__ = ["describe_degeneracies", "internal_camera", "optics_of", "pose_factor", "rim_covariance"]
@@ -15,15 +25,18 @@ __all__ = ["describe_degeneracies", "internal_camera", "optics_of", "pose_factor
 def pose_factor(found: Adjusted) -> float:
     """How much more the gradients of single poses scatter than those of independent errors would.
 
-    Variance factor, at least 1, of the fitted parameters: the cluster-robust (sandwich) covariance with poses as
-    clusters, over what it is expected to be, as the mean over all directions (MacKinnon, Nielsen and Webb 2023). Errors
-    of the model show here.
+    Variance factor, at least 1, of the fitted parameters: the cluster-robust (sandwich) covariance
+    with poses as clusters, over what it is expected to be, as the mean over all directions
+    (MacKinnon, Nielsen and Webb 2023). Errors of the model show here.
     """
     chosen = np.setdiff1d(unknowns(found.free, 1), POSE)
     if len(found.normal) <= 3 or not len(chosen):
         return 1.0
     # What the pose takes up tells nothing about the camera.
-    left = [eliminate(*equations, chosen, POSE) for equations in zip(found.normal, found.right, strict=True)]
+    left = [
+        eliminate(*equations, chosen, POSE)
+        for equations in zip(found.normal, found.right, strict=True)
+    ]
     scale = 1 / np.sqrt(sum(np.diag(normal)[chosen] for normal in found.normal))
     shares = [share * np.outer(scale, scale) for share, _ in left]
     total = np.linalg.pinv(np.sum(shares, axis=0), hermitian=True)
@@ -33,20 +46,27 @@ def pose_factor(found: Adjusted) -> float:
     return max(1.0, measured / max(expected, 1e-300) / (found.noise**2 * found.cluster))
 
 
-def rim_covariance(found: Adjusted, pixel: float, observations: Observations, radius: float) -> Array:
-    """Covariance of all unknowns by errors that no scatter shows, those of corners near the rim of microimages.
+def rim_covariance(
+    found: Adjusted, pixel: float, observations: Observations, radius: float
+) -> Array:
+    """Covariance of all unknowns by errors that no scatter shows, those of corners near the rim of
+    microimages.
 
-    What is seen at the `radius` [px] lies too far out, or in, by 0.003 px (ray-traced boards of others show 0.002 to
-    0.005) that all poses share, and by an error of the same size that the corners of each pose share, as blur and
-    light differ; nearer to the centre in proportion.
+    What is seen at the `radius` [px] lies too far out, or in, by 0.003 px (ray-traced boards of
+    others show 0.002 to 0.005) that all poses share, and by an error of the same size that the
+    corners of each pose share, as blur and light differ; nearer to the centre in proportion.
     """
-    o, count = observations, len(found.normal)
+    o = observations
+    count = len(found.normal)
     rows = linearise(found.camera, pixel, found.poses, found.board, o) * found.weight[:, None, None]
     outward = (o.position - o.centre) * (0.003 / radius / o.error)[:, None]
     pulls = np.zeros((len(found.covariance), count))
     for m in range(count):
-        pulls[pose_unknowns(m, count), m] = np.einsum("nij,ni->j", rows[o.pose == m], outward[o.pose == m])
-    # The unknowns follow the gradient by the inverse of the normal matrix, which the covariance holds.
+        pulls[pose_unknowns(m, count), m] = np.einsum(
+            "nij,ni->j", rows[o.pose == m], outward[o.pose == m]
+        )
+    # The unknowns follow the gradient by the inverse of the normal matrix, which the covariance
+    # holds.
     steps = found.covariance / (found.noise**2 * found.cluster) @ pulls
     total = steps.sum(1, keepdims=True)
     return np.asarray(steps @ steps.T + total @ total.T)
@@ -55,15 +75,20 @@ def rim_covariance(found: Adjusted, pixel: float, observations: Observations, ra
 def optics_of(found: Adjusted, pixel: float) -> Optics:
     """The fitted camera as optics, with its covariance."""
     lengths = from_internal(found.camera[:3], pixel)
-    change, own = np.eye(len(INTERNAL)), len(INTERNAL)
+    change = np.eye(len(INTERNAL))
+    own = len(INTERNAL)
     change[:3, :3] = np.linalg.inv(to_internal(lengths, pixel)[1])
     covariance = change @ found.covariance[:own, :own] @ change.T
-    blank = Optics(1.0, 1.0, 1.0, pixel, principal_point=(0.0, 0.0), covariance=(covariance + covariance.T) / 2)
+    blank = Optics(
+        1.0, 1.0, 1.0, pixel, principal_point=(0.0, 0.0), covariance=(covariance + covariance.T) / 2
+    )
     return blank.with_parameters(np.concatenate([lengths, found.camera[3:]]))
 
 
 def internal_camera(optics: Optics) -> tuple[Array, Array]:
-    """(14,) the parameters `INTERNAL` of optics, and their (14, 14) derivatives by those of the optics."""
+    """(14,) the parameters `INTERNAL` of optics, and their (14, 14) derivatives by those of the
+    optics.
+    """
     change = np.eye(len(INTERNAL))
     lengths, change[:3, :3] = to_internal(optics.parameters[:3], optics.pixel)
     return np.concatenate([lengths, optics.parameters[3:]]), change
@@ -71,7 +96,9 @@ def internal_camera(optics: Optics) -> tuple[Array, Array]:
 
 def describe_degeneracies(optics: Optics) -> tuple[str, ...]:
     """Parameters that hardly separate, and the combinations of F, L and b that are well known."""
-    errors, values, covariance = optics.standard_errors, optics.parameters, optics.covariance
+    errors = optics.standard_errors
+    values = optics.parameters
+    covariance = optics.covariance
     fitted = np.flatnonzero(errors > 0)
     if covariance is None or not len(fitted):
         return ()
@@ -80,7 +107,9 @@ def describe_degeneracies(optics: Optics) -> tuple[str, ...]:
     close = np.abs(covariance / np.outer(scale, scale)) > 0.98
     notes = []
     lengths = [k for k in (0, 1, 2) if errors[k] > 0]
-    if any(errors[k] > 0.01 * values[k] for k in lengths) or (len(lengths) > 1 and close[lengths[0], lengths[1]]):
+    if any(errors[k] > 0.01 * values[k] for k in lengths) or (
+        len(lengths) > 1 and close[lengths[0], lengths[1]]
+    ):
         stated = ", ".join(f"{'FLb'[k]} = {values[k]:.4g} +- {errors[k]:.2g} mm" for k in lengths)
         internal, derivatives = to_internal(values[:3], optics.pixel)
         sure = np.sqrt(np.maximum(np.diag(derivatives @ covariance[:3, :3] @ derivatives.T), 0))
@@ -91,8 +120,13 @@ def describe_degeneracies(optics: Optics) -> tuple[str, ...]:
             "different distances part them"
         )
     names = [name.replace("principal_", "principal point ") for name in OPTICS_PARAMETERS]
-    return (*notes, *(
-        f"{names[j]} and {names[k]} hardly separate (correlation {covariance[k, j] / scale[j] / scale[k]:+.3f}); "
-        "boards in all corners of the field part them"
-        for k in fitted for j in fitted if 2 < j < k and close[k, j]
-    ))  # fmt: skip
+    return (
+        *notes,
+        *(
+            f"{names[j]} and {names[k]} hardly separate (correlation {covariance[k, j] / scale[j] / scale[k]:+.3f}); "
+            "boards in all corners of the field part them"
+            for k in fitted
+            for j in fitted
+            if 2 < j < k and close[k, j]
+        ),
+    )

@@ -1,1 +1,3 @@
-"""The report of a metric calibration: residuals, poses, reliability of the errors, what to shoot next."""
+"""The report of a metric calibration: residuals, poses, reliability of the errors, what to shoot
+next.
+"""

@@ -1,9 +1,10 @@
 """Which further pose of the board would tell most about the distances that the camera measures.
 
-Candidates stand near, in the middle and far, in the middle and the corners of the field, tilted in four directions.
-Each adds the information that its corners would bring (normal equations, the pose eliminated) to that of the
-calibration; the best one leaves the smallest mean variance of distances. They are ranked only: errors that all poses
-share, such as those of corners near the rims of microimages, do not become smaller with more of them.
+Candidates stand near, in the middle and far, in the middle and the corners of the field, tilted in
+four directions. Each adds the information that its corners would bring (normal equations, the pose
+eliminated) to that of the calibration; the best one leaves the smallest mean variance of distances.
+They are ranked only: errors that all poses share, such as those of corners near the rims of
+microimages, do not become smaller with more of them.
 """
 
 from __future__ import annotations
@@ -22,16 +23,24 @@ from ..runtime.arrays import Array
 __all__ = ["suggest_poses"]
 
 _PLACES = {
-    "in the middle": (0.5, 0.5), "at the top left": (0.25, 0.25), "at the top right": (0.75, 0.25),
-    "at the bottom left": (0.25, 0.75), "at the bottom right": (0.75, 0.75),
-}  # fmt: skip
+    "in the middle": (0.5, 0.5),
+    "at the top left": (0.25, 0.25),
+    "at the top right": (0.75, 0.25),
+    "at the bottom left": (0.25, 0.75),
+    "at the bottom right": (0.75, 0.75),
+}
 _WAYS = {
-    "left edge nearer": (0, -1), "right edge nearer": (0, 1), "top edge nearer": (1, 0), "bottom edge nearer": (-1, 0),
-}  # fmt: skip
+    "left edge nearer": (0, -1),
+    "right edge nearer": (0, 1),
+    "top edge nearer": (1, 0),
+    "bottom edge nearer": (-1, 0),
+}
 
 
 def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float, str, str]]:
-    """Distance [mm], place in the field and tilt of the best further poses, each given those before."""
+    """Distance [mm], place in the field and tilt of the best further poses, each given those
+    before.
+    """
     optics = found.optics
     assert optics.covariance is not None
     camera, change = internal_camera(optics)
@@ -39,7 +48,9 @@ def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float,
     distances = [pose.translation[2] for pose in found.poses]
     depths = np.geomspace(min(distances), max(distances), 5)
     ratio = np.tile(1 / (camera[1] + camera[2] / depths), len(_PLACES))
-    points = np.repeat(np.array(list(_PLACES.values())) * found.calibration.image_size, len(depths), axis=0)
+    points = np.repeat(
+        np.array(list(_PLACES.values())) * found.calibration.image_size, len(depths), axis=0
+    )
 
     def spread(information: Array) -> float:
         covariance = np.zeros_like(change)
@@ -63,10 +74,15 @@ def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float,
 
 
 def _information(
-    found: MetricCalibration, camera: Array, distance: float, place: tuple[float, float], way: tuple[float, float]
+    found: MetricCalibration,
+    camera: Array,
+    distance: float,
+    place: tuple[float, float],
+    way: tuple[float, float],
 ) -> Array | None:
     """(14, 14) of the camera from one pose, None where the board does not lie on the flat."""
-    board, lattice = found.board, found.calibration.lattice
+    board = found.board
+    lattice = found.calibration.lattice
     points = board.points - board.middle
     slope = (np.array(place) * lattice.image_size - camera[3:5]) / camera[0]
     turn = cv2.Rodrigues(np.deg2rad(30) * np.array([*way, 0.0]))[0]
@@ -75,12 +91,16 @@ def _information(
     scene = camera[3:5] + camera[0] * seen[:, :2] / seen[:, 2:]
     if (scene < 0).any() or (scene > lattice.image_size).any():
         return None
-    ratio, centres = np.abs(camera[1] + camera[2] / seen[:, 2]), lattice.centres()
+    ratio = np.abs(camera[1] + camera[2] / seen[:, 2])
+    centres = lattice.centres()
     away = np.linalg.norm(scene[:, None] - centres, axis=2)
     corner, lens = np.nonzero(away < 0.7 * lattice.radius * ratio[:, None])
     if len(corner) < 20:
         return None
-    none, noise = np.zeros((len(corner), 2)), np.full(len(corner), found.noise * np.sqrt(found.widening))
+    none = np.zeros((len(corner), 2))
+    noise = np.full(len(corner), found.noise * np.sqrt(found.widening))
     observations = Observations(np.zeros(len(corner), int), corner, centres[lens], none, noise)
-    rows = linearise(camera, found.optics.pixel, pose, points, observations).reshape(2 * len(corner), -1)
+    rows = linearise(camera, found.optics.pixel, pose, points, observations).reshape(
+        2 * len(corner), -1
+    )
     return eliminate(rows.T @ rows, np.zeros(rows.shape[1]), np.arange(len(camera)), POSE)[0]

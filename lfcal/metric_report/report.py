@@ -1,4 +1,6 @@
-"""One HTML page about a metric calibration, which needs no network: tables and figures (SVG) in a template (Jinja)."""
+"""One HTML page about a metric calibration, which needs no network: tables and figures (SVG) in a
+template (Jinja).
+"""
 
 from __future__ import annotations
 
@@ -26,20 +28,40 @@ def write_metric_report(
     check_output(path, {".html"})
     near, far = (f(pose.translation[2] for pose in found.poses) / 1000 for f in (min, max))
     write_page(
-        path, Path(__file__).with_name("assets") / "metric.html",
-        found=found, title=title, near=near, far=far, parameters=_parameters(found), poses=_poses(found),
-        depths=_depths(found), reliability=_reliability(found), next=suggest_poses(found),
-        drawn_poses=_draw_poses(found), drawn_field=_draw_field(found),
-    )  # fmt: skip
+        path,
+        Path(__file__).with_name("assets") / "metric.html",
+        found=found,
+        title=title,
+        near=near,
+        far=far,
+        parameters=_parameters(found),
+        poses=_poses(found),
+        depths=_depths(found),
+        reliability=_reliability(found),
+        next=suggest_poses(found),
+        drawn_poses=_draw_poses(found),
+        drawn_field=_draw_field(found),
+    )
 
 
 def _parameters(found: MetricCalibration) -> _Rows:
-    optics, rows = found.optics, []
-    for name, value, error in zip(OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True):
+    optics = found.optics
+    rows = []
+    for name, value, error in zip(
+        OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True
+    ):
         if error > 0:
-            unit = "mm" if name.endswith(("length", "distance", "pupil")) else "px" if "principal" in name else ""
+            unit = (
+                "mm"
+                if name.endswith(("length", "distance", "pupil"))
+                else "px"
+                if "principal" in name
+                else ""
+            )
             if name.startswith("tilt"):
-                value, error, unit = np.rad2deg(value), np.rad2deg(error), "degrees"
+                value = np.rad2deg(value)
+                error = np.rad2deg(error)
+                unit = "degrees"
             rows.append((name.replace("_", " "), f"{value:.6g}", f"{error:.2g}", unit))
     focal = enumerate(optics.microlens_focal_lengths)
     return rows + [(f"focal length of lens type {k}", f"{f:.5g}", "", "mm") for k, f in focal]
@@ -48,12 +70,21 @@ def _parameters(found: MetricCalibration) -> _Rows:
 def _poses(found: MetricCalibration) -> _Rows:
     rows = []
     for pose in found.poses:
-        errors, tilt = pose.standard_errors, np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
-        rows.append((
-            pose.name, f"{pose.translation[2]:.2f}", f"{errors[5]:.3f}", f"{np.hypot(*errors[3:5]):.3f}",
-            f"{np.rad2deg(np.linalg.norm(errors[:3])):.4f}", f"{errors[5] / np.sqrt(found.widening):.3f}",
-            f"{tilt:.1f}", f"{pose.rms:.4f}", str(pose.observations),
-        ))  # fmt: skip
+        errors = pose.standard_errors
+        tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
+        rows.append(
+            (
+                pose.name,
+                f"{pose.translation[2]:.2f}",
+                f"{errors[5]:.3f}",
+                f"{np.hypot(*errors[3:5]):.3f}",
+                f"{np.rad2deg(np.linalg.norm(errors[:3])):.4f}",
+                f"{errors[5] / np.sqrt(found.widening):.3f}",
+                f"{tilt:.1f}",
+                f"{pose.rms:.4f}",
+                str(pose.observations),
+            )
+        )
     return rows
 
 
@@ -62,10 +93,12 @@ def _depths(found: MetricCalibration) -> _Rows:
     for m in np.argsort([pose.translation[2] for pose in found.poses]):
         mine = (found.observations.pose == m) & found.used
         mean = found.residual[mine].mean(0)
-        # Along the baseline: a wrong patch size moves corners away from, or towards, the middle of the lenses.
+        # Along the baseline: a wrong patch size moves corners away from, or towards, the middle of
+        # the lenses.
         offset = found.observations.position[mine] - found.observations.centre[mine]
         stretch = 100 * float((offset * found.residual[mine]).sum() / max((offset**2).sum(), 1e-12))
-        pose, shift = found.poses[m], f"{mean[0]:+.4f}, {mean[1]:+.4f}"
+        pose = found.poses[m]
+        shift = f"{mean[0]:+.4f}, {mean[1]:+.4f}"
         rows.append((f"{pose.translation[2]:.1f}", f"{pose.rms:.4f}", shift, f"{stretch:+.4f} %"))
     return rows
 
@@ -74,7 +107,11 @@ def _reliability(found: MetricCalibration) -> _Rows:
     scale = found.noise / float(np.median(found.observations.error))
     distance = np.hypot(*found.residual.T) / (found.observations.error * scale)
     return [
-        (f"{k} sigma", f"{100 * (distance < k).mean():.1f} %", f"{100 * (1 - np.exp(-k * k / 2)):.1f} %")
+        (
+            f"{k} sigma",
+            f"{100 * (distance < k).mean():.1f} %",
+            f"{100 * (1 - np.exp(-k * k / 2)):.1f} %",
+        )
         for k in (1, 2, 3)
     ]
 
@@ -86,7 +123,9 @@ def _draw_poses(found: MetricCalibration) -> str:
     figure = Figure((9, 5), layout="constrained")
     points = found.board.points.reshape(found.board.rows, found.board.columns, 3)
     rim = points[[0, 0, -1, -1, 0], [0, -1, -1, 0, 0]]
-    for axis, (axes, name) in enumerate(zip(figure.subplots(2, sharex=True), ("above", "the side"), strict=True)):
+    for axis, (axes, name) in enumerate(
+        zip(figure.subplots(2, sharex=True), ("above", "the side"), strict=True)
+    ):
         axes.plot(0, 0, "ko")
         for number, pose in enumerate(found.poses):
             outline = pose.place(rim) / 1000
@@ -107,13 +146,25 @@ def _draw_field(found: MetricCalibration) -> str:
     side = max(width, height) / 16
     tile = (found.observations.centre[found.used] // side).astype(int)
     key, group, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
-    means = np.stack([np.bincount(group.ravel(), found.residual[found.used][:, k]) / count for k in (0, 1)], axis=1)
+    means = np.stack(
+        [np.bincount(group.ravel(), found.residual[found.used][:, k]) / count for k in (0, 1)],
+        axis=1,
+    )
     kept = count >= 5
     figure = Figure((7, 7 * height / width), layout="constrained")
     axes = figure.subplots()
     # The title keeps room for the key.
-    axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xlabel="x [px]", ylabel="y [px]", title=" ")
-    arrows = axes.quiver(*((key[kept] + 0.5) * side).T, *means[kept].T, angles="xy", color="firebrick")
+    axes.set(
+        xlim=(0, width),
+        ylim=(height, 0),
+        aspect="equal",
+        xlabel="x [px]",
+        ylabel="y [px]",
+        title=" ",
+    )
+    arrows = axes.quiver(
+        *((key[kept] + 0.5) * side).T, *means[kept].T, angles="xy", color="firebrick"
+    )
     if kept.any():
         largest = float(np.hypot(*means[kept].T).max())
         axes.quiverkey(arrows, 0.9, 1.03, largest, f"{largest:.2g} px", labelpos="W")

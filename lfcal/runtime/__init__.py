@@ -1,1 +1,3 @@
-"""What both packages stand on: errors, output files, command lines, notebooks, Numba options and small numerics."""
+"""What both packages stand on: errors, output files, command lines, notebooks, Numba options and
+small numerics.
+"""

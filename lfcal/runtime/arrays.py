@@ -1,4 +1,6 @@
-"""Arrays of results: read-only in records that compare by value, as text in camera files, with 8 bits on screens."""
+"""Arrays of results: read-only in records that compare by value, as text in camera files, with 8
+bits on screens.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "LARGEST_BLOCK", "Array", "Booleans", "Exposure", "Floats", "Frozen", "Integers", "Singles", "brighten",
-    "decode_array", "encode_array", "exposure_gain", "to_eight_bits", "white_of",
-]  # fmt: skip
+    "LARGEST_BLOCK",
+    "Array",
+    "Booleans",
+    "Exposure",
+    "Floats",
+    "Frozen",
+    "Integers",
+    "Singles",
+    "brighten",
+    "decode_array",
+    "encode_array",
+    "exposure_gain",
+    "to_eight_bits",
+    "white_of",
+]
 
 # Of an array in a camera file [bytes]: the light of three million lenses has 6 MB.
 LARGEST_BLOCK = 1 << 28
@@ -27,10 +41,11 @@ Booleans = NDArray[np.bool_]
 
 
 class Frozen:
-    """Base of frozen dataclasses (`eq=False`) with arrays, which stay read-only when pickled or copied.
+    """Base of frozen dataclasses (`eq=False`) with arrays, which stay read-only when pickled or
+    copied.
 
-    Numba compiles kernels anew for writable arrays: worker processes would have kernels of their own, which may add
-    up numbers in another order. In `==`, NaN equals NaN.
+    Numba compiles kernels anew for writable arrays: worker processes would have kernels of their
+    own, which may add up numbers in another order. In `==`, NaN equals NaN.
     """
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
@@ -52,7 +67,9 @@ class Frozen:
 
 def _equal(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f" and other.dtype.kind == "f")
+        return np.array_equal(
+            one, other, equal_nan=one.dtype.kind == "f" and other.dtype.kind == "f"
+        )
     return bool(one == other or (one != one and other != other))
 
 
@@ -62,7 +79,9 @@ def encode_array(values: NDArray[Any]) -> str:
 
 
 def decode_array(text: str, kind: str) -> NDArray[Any]:
-    """A flat array of type `kind` from `encode_array`; ValueError where the text is damaged or unpacks to too much."""
+    """A flat array of type `kind` from `encode_array`; ValueError where the text is damaged or
+    unpacks to too much.
+    """
     unpacker = zlib.decompressobj()
     try:
         data = unpacker.decompress(base64.b64decode(text, validate=True), LARGEST_BLOCK)
@@ -76,18 +95,23 @@ def decode_array(text: str, kind: str) -> NDArray[Any]:
 
 
 def white_of(pixels: NDArray, white: float | None = None) -> float:
-    """The value of white: of integers `white`, or the largest of the type if it is less or None is given; else 1."""
+    """The value of white: of integers `white`, or the largest of the type if it is less or None is
+    given; else 1.
+    """
     if pixels.dtype.kind == "f":
         return 1.0
     largest = float(np.iinfo(pixels.dtype).max)
     return min(white or largest, largest)
 
 
-def exposure_gain(pixels: NDArray, white: float | None = None, exposure: Exposure = "auto") -> float:
-    """The gain by which a picture is brightened: `2 ** exposure`, or by `"auto"` what its content asks for.
+def exposure_gain(
+    pixels: NDArray, white: float | None = None, exposure: Exposure = "auto"
+) -> float:
+    """The gain by which a picture is brightened: `2 ** exposure`, or by `"auto"` what its content
+    asks for.
 
-    A dim picture is brightened until 99.5 % of its values lie below 0.9 of white, a thousand times at most. Bright
-    ones, and those of 8 bits, which are made for display, are left as they are.
+    A dim picture is brightened until 99.5 % of its values lie below 0.9 of white, a thousand times
+    at most. Bright ones, and those of 8 bits, which are made for display, are left as they are.
     """
     if exposure != "auto":
         return float(2**exposure)
@@ -108,8 +132,12 @@ def brighten(pixels: NDArray, gain: float, white: float | None = None) -> NDArra
     return np.rint(np.minimum(scaled, white_of(pixels, white))).astype(pixels.dtype)
 
 
-def to_eight_bits(pixels: NDArray, white: float | None = None, gain: float = 1.0) -> NDArray[np.uint8]:
-    """Pixels times a gain as uint8, 255 for white as of `white_of`; those of 8 bits have white at 255."""
+def to_eight_bits(
+    pixels: NDArray, white: float | None = None, gain: float = 1.0
+) -> NDArray[np.uint8]:
+    """Pixels times a gain as uint8, 255 for white as of `white_of`; those of 8 bits have white at
+    255.
+    """
     eight = pixels.dtype == np.uint8
     if eight and gain == 1:
         return pixels

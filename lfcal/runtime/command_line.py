@@ -1,4 +1,6 @@
-"""What command lines are made of: errors of one line, files, patterns and pipes as arguments, progress and figures."""
+"""What command lines are made of: errors of one line, files, patterns and pipes as arguments,
+progress and figures.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,27 @@ from .errors import LightFieldError
 from .image_formats import IMAGE_FORMATS, identify_format
 
 __all__ = [
-    "ExposureValue", "InputPath", "OutputPath", "Pair", "Program", "Quantity", "Report", "command", "echo",
-    "name_file_in_errors", "option", "report_options", "several_inputs", "with_options",
-]  # fmt: skip
+    "ExposureValue",
+    "InputPath",
+    "OutputPath",
+    "Pair",
+    "Program",
+    "Quantity",
+    "Report",
+    "command",
+    "echo",
+    "name_file_in_errors",
+    "option",
+    "report_options",
+    "several_inputs",
+    "with_options",
+]
 
-# Where the context of a command keeps its inputs, the file with what came from stdin, and that for stdout.
-_INPUTS, _STDIN, _STDOUT = "lfcal.inputs", "lfcal.stdin", "lfcal.stdout"
+# Where the context of a command keeps its inputs, the file with what came from stdin, and that for
+# stdout.
+_INPUTS = "lfcal.inputs"
+_STDIN = "lfcal.stdin"
+_STDOUT = "lfcal.stdout"
 
 # Seconds between lines about a long step.
 _TOLD_EVERY = 30.0
@@ -40,7 +57,8 @@ _CONTROL = "[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]"
 
 
 class Program(cloup.Group):
-    """A group of commands in which an error that users can mend is one line on stderr, and exit code 2.
+    """A group of commands in which an error that users can mend is one line on stderr, and exit
+    code 2.
 
     `others` are another program and its commands, which users look for here.
     """
@@ -71,7 +89,8 @@ class Program(cloup.Group):
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         if "numpy" not in sys.modules:
-            # For matrices as small as ours, threads that wait for each other take several times as long.
+            # For matrices as small as ours, threads that wait for each other take several times as
+            # long.
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         try:
             # Python warnings are for developers; results have warnings of their own for users.
@@ -87,7 +106,8 @@ class Program(cloup.Group):
             click.echo("interrupted", err=True)
             sys.exit(130)
         except BrokenPipeError:
-            # The reader of our output has ended; without this Python reports it again when it flushes at exit.
+            # The reader of our output has ended; without this Python reports it again when it
+            # flushes at exit.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             sys.exit(1)
         except click.ClickException as error:
@@ -107,11 +127,14 @@ class Program(cloup.Group):
 class _Command(cloup.Command):
     """A command whose inputs must exist; for a misspelt name, similar ones are suggested.
 
-    Options of several values take them as one word too, with commas; one of another command is told which.
+    Options of several values take them as one word too, with commas; one of another command is told
+    which.
     """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        several = {name: param.nargs for param in self.params for name in param.opts if param.nargs > 1}
+        several = {
+            name: param.nargs for param in self.params for name in param.opts if param.nargs > 1
+        }
         words: list[str] = []
         for word in args:
             numbers = re.split(r"[,;]", word) if words and words[-1] in several else []
@@ -123,7 +146,8 @@ class _Command(cloup.Command):
             others = [
                 name
                 for name, other in getattr(group, "commands", {}).items()
-                if other is not self and any(error.option_name in param.opts for param in other.params)
+                if other is not self
+                and any(error.option_name in param.opts for param in other.params)
             ]
             if others:
                 belongs = f"No such option: {error.option_name}; it belongs to {', '.join(others)}"
@@ -134,11 +158,15 @@ class _Command(cloup.Command):
         for path in ctx.meta.get(_INPUTS, ()):
             if not path.exists():
                 names = os.listdir(path.parent) if path.parent.is_dir() else []
-                similar = [str(path.with_name(name)) for name in get_close_matches(path.name, names, 2)]
+                similar = [
+                    str(path.with_name(name)) for name in get_close_matches(path.name, names, 2)
+                ]
                 ending = f"; did you mean {' or '.join(similar)}?" if similar else ""
                 raise click.ClickException(f"{path}: does not exist{ending}")
             if not (path.is_file() or path.is_dir()):
-                raise click.ClickException(f"{path}: is a device or a pipe; give a file, or - for a pipe")
+                raise click.ClickException(
+                    f"{path}: is a device or a pipe; give a file, or - for a pipe"
+                )
         return super().invoke(ctx)
 
 
@@ -148,7 +176,9 @@ def command(*examples: str) -> Callable[[Any], cloup.Command]:
     return cloup.command(cls=_Command, epilog=f"\b\nExamples:\n{lines}")
 
 
-def option(names: str, kind: Any, text: str, metavar: str | None = None, **more: Any) -> Callable[[Any], Any]:
+def option(
+    names: str, kind: Any, text: str, metavar: str | None = None, **more: Any
+) -> Callable[[Any], Any]:
     """`click.option`: all its names, the type of its value (bool: a flag), and its help."""
     more |= {"is_flag": True} if kind is bool else {"type": kind}
     return click.option(*names.split(), help=text, metavar=metavar, **more)
@@ -160,12 +190,18 @@ def with_options(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def report_options(function: Callable[[Report, Any], Any]) -> Callable[..., Any]:
-    """Give a command `--json`, `--quiet`, `--verbose`; its function gets a `Report` and the values of its options."""
+    """Give a command `--json`, `--quiet`, `--verbose`; its function gets a `Report` and the values
+    of its options.
+    """
 
     @with_options(
         option("--json as_json", bool, "Print the figures as one JSON object."),
         option("--quiet", bool, "Print nothing but warnings."),
-        option("--verbose", bool, "Print each stage on stderr, with its seconds, as soon as it has ended."),
+        option(
+            "--verbose",
+            bool,
+            "Print each stage on stderr, with its seconds, as soon as it has ended.",
+        ),
     )
     @wraps(function)
     def run(as_json: bool, quiet: bool, verbose: bool, **values: Any) -> Any:
@@ -239,7 +275,9 @@ class InputPath(click.Path):
 
 
 class OutputPath(click.Path):
-    """A file or folder to be written; `-` is stdout, in the format `piped`, and `-.tif` and the like name another."""
+    """A file or folder to be written; `-` is stdout, in the format `piped`, and `-.tif` and the
+    like name another.
+    """
 
     name = "path"
 
@@ -267,16 +305,22 @@ class OutputPath(click.Path):
 
 def several_inputs(name: str, metavar: str) -> Callable[[Any], Any]:
     """An argument that is any number of files, folders and patterns."""
-    return click.argument(name, metavar=metavar, nargs=-1, required=True, callback=_input_paths, type=click.Path())
+    return click.argument(
+        name, metavar=metavar, nargs=-1, required=True, callback=_input_paths, type=click.Path()
+    )
 
 
-def _input_paths(ctx: click.Context, _param: click.Parameter | None, words: Sequence[str]) -> tuple[Path, ...]:
+def _input_paths(
+    ctx: click.Context, _param: click.Parameter | None, words: Sequence[str]
+) -> tuple[Path, ...]:
     """The paths that words stand for: a file of that name, what it matches as a pattern, or stdin."""
     paths: list[Path] = []
     for word in words:
         path = _stdin_file(ctx) if word == "-" else Path(os.path.expanduser(word))
         # A pattern without matches is refused by its name, as any missing file.
-        found = sorted(glob(str(path), recursive=True)) if has_magic(word) and not path.exists() else []
+        found = (
+            sorted(glob(str(path), recursive=True)) if has_magic(word) and not path.exists() else []
+        )
         paths += map(Path, found) if found else [path]
     ctx.meta.setdefault(_INPUTS, []).extend(paths)
     return tuple(paths)
@@ -287,9 +331,13 @@ def _stdin_file(ctx: click.Context) -> Path:
     if _STDIN not in ctx.meta:
         data = b"" if sys.stdin.isatty() else sys.stdin.buffer.read()
         if not data:
-            raise click.UsageError("- reads the input from a pipe, but nothing came: lfrender render - -o - < flat.png")
+            raise click.UsageError(
+                "- reads the input from a pipe, but nothing came: lfrender render - -o - < flat.png"
+            )
         kind = identify_format(data[:16])
-        suffix = IMAGE_FORMATS[kind][0][0] if kind else ".json" if data.lstrip()[:1] == b"{" else ".xml"
+        suffix = (
+            IMAGE_FORMATS[kind][0][0] if kind else ".json" if data.lstrip()[:1] == b"{" else ".xml"
+        )
         ctx.meta[_STDIN] = _pipe_file(ctx, f"stdin{suffix}")
         ctx.meta[_STDIN].write_bytes(data)
     path: Path = ctx.meta[_STDIN]
@@ -297,15 +345,21 @@ def _stdin_file(ctx: click.Context) -> Path:
 
 
 def _pipe_file(ctx: click.Context, name: str) -> Path:
-    return Path(ctx.find_root().with_resource(tempfile.TemporaryDirectory(prefix="lfrender-pipe-"))) / name
+    return (
+        Path(ctx.find_root().with_resource(tempfile.TemporaryDirectory(prefix="lfrender-pipe-")))
+        / name
+    )
 
 
 def echo(text: object, err: bool = False) -> None:
-    """Print a line in which texts of files and names cannot steer the terminal: control characters are shown as codes.
+    """Print a line in which texts of files and names cannot steer the terminal: control characters
+    are shown as codes.
 
     Files that stand for pipes are called `stdin` and `stdout`.
     """
-    shown = re.sub(_CONTROL, lambda match: match[0].encode("unicode_escape").decode(), _name_pipes(str(text)))
+    shown = re.sub(
+        _CONTROL, lambda match: match[0].encode("unicode_escape").decode(), _name_pipes(str(text))
+    )
     click.echo(shown, err=err)
 
 
@@ -344,11 +398,14 @@ class Report:
 
     @contextmanager
     def progress(self, name: str) -> Iterator[Callable[..., None]]:
-        """Gives a function to call with the numbers of finished and of all steps (None: not known), and a remark.
+        """Gives a function to call with the numbers of finished and of all steps (None: not known),
+        and a remark.
 
         On a terminal a bar shows rate and remaining time.
         """
-        start, before, shown = time.perf_counter(), -1, self._shown
+        start = time.perf_counter()
+        before = -1
+        shown = self._shown
 
         def step(done: int, count: int | None, remark: str = "") -> None:
             nonlocal before
@@ -374,7 +431,8 @@ class Report:
             shown.stop() if not shown.tasks else None
 
     def compile_kernels(self, processes: int | None = None) -> int | None:
-        """Compile all kernels, if that has not been done for this installation; returns how many could not be.
+        """Compile all kernels, if that has not been done for this installation; returns how many
+        could not be.
 
         None where nothing was to be done.
         """
@@ -387,7 +445,9 @@ class Report:
             self._echo(f"compiling kernels, {about} ...")
         start = time.perf_counter()
         with self.progress("compiling kernels") as step:
-            failed = compile_once(processes, step if self._shown or self.quiet else _tell_at_times(start))
+            failed = compile_once(
+                processes, step if self._shown or self.quiet else _tell_at_times(start)
+            )
         self.compile_seconds = time.perf_counter() - start
         return failed
 
@@ -397,16 +457,27 @@ class Report:
 
     @property
     def took(self) -> str:
-        """The seconds of all stages so far, for a closing sentence, and those of compiling kernels before."""
-        before = f" (after {self.compile_seconds:.0f} s of compiling, once)" if self.compile_seconds >= 1 else ""
+        """The seconds of all stages so far, for a closing sentence, and those of compiling kernels
+        before.
+        """
+        before = (
+            f" (after {self.compile_seconds:.0f} s of compiling, once)"
+            if self.compile_seconds >= 1
+            else ""
+        )
         seconds = sum(self.seconds.values())
-        whole = f"{seconds:.{2 if seconds < 1 else 1}f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
+        whole = (
+            f"{seconds:.{2 if seconds < 1 else 1}f} s"
+            if seconds < 100
+            else f"{seconds / 60:.1f} min"
+        )
         return whole + before
 
     def finish(self, figures: Mapping[str, Any], *sentences: str) -> None:
         """Print the warnings among the figures on stderr, and sentences that sum the figures up.
 
-        With `--json`, print all figures with the seconds of all stages; without any sentence, print them as a table.
+        With `--json`, print all figures with the seconds of all stages; without any sentence, print
+        them as a table.
         """
         found = {**figures, "warnings": [*figures.get("warnings", ()), *self.warnings]}
         if self.seconds or self.as_json:
@@ -414,14 +485,18 @@ class Report:
         if self.as_json:
             # NaN and infinity are null.
             text = msgspec.json.encode(found, enc_hook=_built_in).decode()
-            # JSON has escapes for those below space, which this text has already; these ones it may hold as they are.
+            # JSON has escapes for those below space, which this text has already; these ones it may
+            # hold as they are.
             text = re.sub("[\x7f-\x9f]", lambda match: f"\\u{ord(match[0]):04x}", text)
             echo(text, err=_is_piped())
             return
         for warning in found.pop("warnings"):
             echo(f"warning: {warning}", err=True)
         width = max(map(len, found)) + 2
-        table = (f"{name.replace('_', ' '):{width}}{_text(value, width)}" for name, value in found.items())
+        table = (
+            f"{name.replace('_', ' '):{width}}{_text(value, width)}"
+            for name, value in found.items()
+        )
         for line in () if self.quiet else sentences or table:
             self._echo(line)
 
@@ -441,7 +516,9 @@ def name_file_in_errors(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def _tell_at_times(start: float) -> Callable[[int, int], None]:
-    """Where nothing is a terminal: a line about the progress every half a minute, so that nobody thinks it hangs."""
+    """Where nothing is a terminal: a line about the progress every half a minute, so that nobody
+    thinks it hangs.
+    """
     told = start
 
     def step(done: int, count: int) -> None:
@@ -465,7 +542,9 @@ def _built_in(value: Any) -> Any:
 def _text(value: Any, indent: int = 0) -> str:
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
-        return f"\n{' ' * indent}".join(f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items())
+        return f"\n{' ' * indent}".join(
+            f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items()
+        )
     if isinstance(value, (list, tuple)):
         return "  ".join(map(_text, value))
     if isinstance(value, float):

@@ -1,7 +1,8 @@
 """Compile kernels ahead, in one process per core, which leave them in Numba's cache.
 
-`signatures.json` lists kernels with the types of their arguments, the dearest first (written by `python -m
-benchmarks.first_run --record`). A kernel that is missing there is compiled when it is first called.
+`signatures.json` lists kernels with the types of their arguments, the dearest first (written by
+`python -m benchmarks.first_run --record`). A kernel that is missing there is compiled when it is
+first called.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ def compile_once(processes: int | None = None, progress: _Progress | None = None
         lock = _record().with_suffix(".lock").open("w")
     with lock as file:
         if file is not None and fcntl is not None:
-            fcntl.flock(file, fcntl.LOCK_EX)  # the system frees it when this process ends, in any way
+            fcntl.flock(
+                file, fcntl.LOCK_EX
+            )  # the system frees it when this process ends, in any way
         if is_compiled():
             return 0
         failed = compile_ahead(processes, progress)
@@ -63,8 +66,11 @@ def compile_ahead(processes: int | None = None, progress: _Progress | None = Non
     kernels: dict[str, list[list[Any]]] = {}
     for name, *types in json.loads(SIGNATURE_FILE.read_text(encoding="utf-8")):
         kernels.setdefault(name, []).append(types)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    pool, compiled = ProcessPoolExecutor(processes or cores, get_context("spawn"), _silence), 0
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    pool = ProcessPoolExecutor(processes or cores, get_context("spawn"), _silence)
+    compiled = 0
     try:
         jobs = [pool.submit(_compile, name, types) for name, types in kernels.items()]
         # Where a process ends in another way, what is left is compiled when it is called.
@@ -80,7 +86,9 @@ def compile_ahead(processes: int | None = None, progress: _Progress | None = Non
 
 
 def example_of(entry: Any) -> Any:
-    """A value of the type that an entry of the list names: the name of a number, an array, or a (named) tuple."""
+    """A value of the type that an entry of the list names: the name of a number, an array, or a
+    (named) tuple.
+    """
     import numpy as np
 
     if isinstance(entry, str):
@@ -102,7 +110,9 @@ def _silence() -> None:
 
 
 def _compile(name: str, types: list[list[Any]]) -> bool:
-    """Compile a kernel for each list of types, or load it from the cache; whether that could be done."""
+    """Compile a kernel for each list of types, or load it from the cache; whether that could be
+    done.
+    """
     import numba
 
     module, _, function = name.rpartition(".")
@@ -110,7 +120,9 @@ def _compile(name: str, types: list[list[Any]]) -> bool:
     with suppress(Exception):
         kernel = getattr(import_module(module), function)
         for entries in types:
-            getattr(kernel, "kernel", kernel).compile(tuple(numba.typeof(example_of(entry)) for entry in entries))
+            getattr(kernel, "kernel", kernel).compile(
+                tuple(numba.typeof(example_of(entry)) for entry in entries)
+            )
         return True
     return False
 
@@ -124,7 +136,8 @@ def _record() -> Path:
     """The file that tells for which installation the kernels were compiled, where Numba's cache is."""
     from platformdirs import user_cache_path
 
-    given, own = os.environ.get("NUMBA_CACHE_DIR"), Path(__file__).parent / "__pycache__"
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    own = Path(__file__).parent / "__pycache__"
     if not given and not os.access(own if own.exists() else own.parent, os.W_OK):
         return user_cache_path("lfrender", ensure_exists=True) / "compiled.txt"
     folder = Path(given) if given else own

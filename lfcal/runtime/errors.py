@@ -8,9 +8,18 @@ from pathlib import Path
 from typing import Any
 
 __all__ = [
-    "CAMERA_ADVICE", "RAW_FLAT_ADVICE", "BoardError", "CalibrationError", "CameraFileError", "FlatError",
-    "LightFieldError", "check_number", "check_numbers", "check_path", "check_type",
-]  # fmt: skip
+    "CAMERA_ADVICE",
+    "RAW_FLAT_ADVICE",
+    "BoardError",
+    "CalibrationError",
+    "CameraFileError",
+    "FlatError",
+    "LightFieldError",
+    "check_number",
+    "check_numbers",
+    "check_path",
+    "check_type",
+]
 
 #: Where a camera comes from, for `check_type`.
 CAMERA_ADVICE = "lfcal.calibrate makes one of a flat, lfcal.load reads one from a file"
@@ -85,7 +94,9 @@ def check_type(value: Any, kind: type, name: str, remedy: str) -> None:
     # A text is never meant as an iterable.
     if not isinstance(value, kind) or (kind is Iterable and isinstance(value, str)):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise TypeError(f"{name} must be {article} {kind.__name__}, got {type(value).__name__}; {remedy}")
+        raise TypeError(
+            f"{name} must be {article} {kind.__name__}, got {type(value).__name__}; {remedy}"
+        )
 
 
 def check_path(value: Any, name: str = "path") -> Path:

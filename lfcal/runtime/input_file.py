@@ -1,4 +1,6 @@
-"""Reading text files that may come from anybody: regular files only, and no larger than such files can be."""
+"""Reading text files that may come from anybody: regular files only, and no larger than such files
+can be.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +11,14 @@ from .errors import check_path
 
 __all__ = ["LARGEST_TEXT", "open_regular", "read_text"]
 
-#: Of camera files [bytes]: a table of the three million microimages of a flat of 500 megapixels has half of it.
+#: Of camera files [bytes]: a table of the three million microimages of a flat of 500 megapixels has
+#: half of it.
 LARGEST_TEXT = 1 << 28
 
 
 def open_regular(path: str | os.PathLike[str]) -> int:
-    """A file descriptor for reading; OSError unless it is of a regular file. A pipe without a writer is not waited for.
+    """A file descriptor for reading; OSError unless it is of a regular file. A pipe without a
+    writer is not waited for.
 
     Examples
     --------
@@ -31,7 +35,9 @@ def open_regular(path: str | os.PathLike[str]) -> int:
 
 
 def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
-    """The text of a file in UTF-8, with or without a byte order mark; OSError if it has more than `largest` bytes."""
+    """The text of a file in UTF-8, with or without a byte order mark; OSError if it has more than
+    `largest` bytes.
+    """
     with open(open_regular(path), encoding="utf-8-sig") as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > largest:

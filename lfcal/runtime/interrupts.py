@@ -1,8 +1,9 @@
 """Ctrl-C ends a command within seconds, wherever it lands.
 
-Python raises KeyboardInterrupt between any two steps of the main thread, so also while the lock of a future is held:
-a worker then waits for the lock for ever, and the interpreter, as it exits, for the worker. A command that was
-interrupted therefore unwinds for at most `GRACE` seconds, and leaves without joining threads.
+Python raises KeyboardInterrupt between any two steps of the main thread, so also while the lock of
+a future is held: a worker then waits for the lock for ever, and the interpreter, as it exits, for
+the worker. A command that was interrupted therefore unwinds for at most `GRACE` seconds, and leaves
+without joining threads.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from .output_file import discard_unfinished
 
 __all__ = ["GRACE", "end_by_interrupt", "handle_interrupts", "leave_if_interrupted", "run_program"]
 
-#: Seconds that a command has after Ctrl-C to put away what it works on; after a second Ctrl-C it has none.
+#: Seconds that a command has after Ctrl-C to put away what it works on; after a second Ctrl-C it
+#: has none.
 GRACE = 3.0
 _CODE = 130  # 128 and the number of the signal, as shells say it
 
@@ -28,7 +30,9 @@ _interrupted = False
 
 
 def run_program(name: str) -> None:
-    """Load the command line of the package `name`, and run it; an interrupt meanwhile ends the process."""
+    """Load the command line of the package `name`, and run it; an interrupt meanwhile ends the
+    process.
+    """
     handle_interrupts()
     try:
         main = import_module(f"{name}.cli.main").main
@@ -39,7 +43,9 @@ def run_program(name: str) -> None:
 
 
 def handle_interrupts() -> None:
-    """Let the first Ctrl-C from now on raise KeyboardInterrupt, with the limit; nothing where it is ignored."""
+    """Let the first Ctrl-C from now on raise KeyboardInterrupt, with the limit; nothing where it is
+    ignored.
+    """
     with contextlib.suppress(ValueError):  # not in the main thread
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, _interrupt)
@@ -47,7 +53,9 @@ def handle_interrupts() -> None:
 
 @contextlib.contextmanager
 def end_by_interrupt() -> Iterator[None]:
-    """Work that Ctrl-C ends as it should, such as serving a page: what follows, a recording for one, has time."""
+    """Work that Ctrl-C ends as it should, such as serving a page: what follows, a recording for
+    one, has time.
+    """
     global _interrupted
     try:
         yield
@@ -59,7 +67,9 @@ def end_by_interrupt() -> Iterator[None]:
 
 
 def leave_if_interrupted(code: int) -> None:
-    """End the process at once, with an exit code, if it was interrupted; threads are not waited for."""
+    """End the process at once, with an exit code, if it was interrupted; threads are not waited
+    for.
+    """
     if _interrupted:
         _leave(code)
 

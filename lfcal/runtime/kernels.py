@@ -1,10 +1,12 @@
-"""Numba kernels: the decorator of those that Python calls, loops shared out among threads, floating-point options.
+"""Numba kernels: the decorator of those that Python calls, loops shared out among threads,
+floating-point options.
 
-With `FAST`, sums may be reordered, but NaN keeps its meaning. Results must not depend on what a process has compiled
-before:
+With `FAST`, sums may be reordered, but NaN keeps its meaning. Results must not depend on what a
+process has compiled before:
 
 - A kernel with `FAST` that other kernels call is inlined (`forceinline`): else it may be linked to another copy of
-  itself with sums in another order, depending on whether it is just compiled or comes from the cache.
+  itself with sums in another order, depending on whether it is just compiled or comes from the
+  cache.
 - Kernels with `FAST` use products instead of `x ** 2`, which Numba compiles only once, with the options of the first
   kernel that needs it (checked by a test).
 - A kernel without options of its own takes those of its first caller; one with callers of both kinds states
@@ -34,13 +36,19 @@ def square(value):
 
 
 def kernel(
-    function: Callable[..., Any] | None = None, /, *, share: Callable[..., int] | None = None, **options: Any
+    function: Callable[..., Any] | None = None,
+    /,
+    *,
+    share: Callable[..., int] | None = None,
+    **options: Any,
 ) -> Any:
-    """Compile a function that Python calls, with the options of `numba.njit`, its cache, and without the interpreter.
+    """Compile a function that Python calls, with the options of `numba.njit`, its cache, and
+    without the interpreter.
 
-    With `share`, a function of the arguments for the number of items, it is called without its first two arguments, the
-    first item and the end of a part of them: see `share_out`. Functions that only kernels call take `numba.njit`,
-    without a cache: processes that compile at the same time write no index of the cache together.
+    With `share`, a function of the arguments for the number of items, it is called without its
+    first two arguments, the first item and the end of a part of them: see `share_out`. Functions
+    that only kernels call take `numba.njit`, without a cache: processes that compile at the same
+    time write no index of the cache together.
     """
     if function is None:
         return lambda given: kernel(given, share=share, **options)
@@ -67,22 +75,26 @@ if hasattr(os, "register_at_fork"):
 
 
 def share_out(kernel: Callable[..., Any], items: int, arguments: tuple[Any, ...]) -> None:
-    """Call `kernel(begin, end, *arguments)` for parts of `range(items)`, on as many threads as Numba may use.
+    """Call `kernel(begin, end, *arguments)` for parts of `range(items)`, on as many threads as
+    Numba may use.
 
-    Numba's own parallel loops take as long again to compile. No item may write where another reads or writes.
+    Numba's own parallel loops take as long again to compile. No item may write where another reads
+    or writes.
     """
     threads = min(numba.get_num_threads(), items)
     if threads <= 1:
         kernel(0, items, *arguments)
         return
-    parts, numbers = 4 * threads, count()  # so many that all threads end at about the same time
+    parts = 4 * threads  # so many that all threads end at about the same time
+    numbers = count()
 
     def work() -> None:
         # The next number is taken by one thread alone.
         for part in numbers:
             if part >= parts:
                 return
-            begin, end = part * items // parts, (part + 1) * items // parts
+            begin = part * items // parts
+            end = (part + 1) * items // parts
             if begin < end:
                 kernel(begin, end, *arguments)
 

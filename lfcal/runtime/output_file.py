@@ -12,9 +12,14 @@ from pathlib import Path
 from .errors import LightFieldError, check_path
 
 __all__ = [
-    "OutputError", "atomic_write", "check_folder", "check_output", "discard_unfinished", "make_folder",
+    "OutputError",
+    "atomic_write",
+    "check_folder",
+    "check_output",
+    "discard_unfinished",
+    "make_folder",
     "refuse_leftovers",
-]  # fmt: skip
+]
 
 # Temporary files that are being written.
 _UNFINISHED: set[Path] = set()
@@ -33,10 +38,11 @@ class OutputError(LightFieldError, OSError):
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary file beside `path` to write into, and rename it to `path` if there was no error.
+    """Give a temporary file beside `path` to write into, and rename it to `path` if there was no
+    error.
 
-    It has the suffix of `path`, for writers that choose the format by it, and the usual permissions of new files.
-    OutputError if the file cannot be made, written or moved.
+    It has the suffix of `path`, for writers that choose the format by it, and the usual permissions
+    of new files. OutputError if the file cannot be made, written or moved.
     """
     with _temporary(check_path(path)) as temporary:
         yield temporary
@@ -70,19 +76,25 @@ def discard_unfinished() -> None:
 
 
 def check_output(
-    path: str | os.PathLike[str], suffixes: Collection[str], inputs: Iterable[str | os.PathLike[str] | None] = ()
+    path: str | os.PathLike[str],
+    suffixes: Collection[str],
+    inputs: Iterable[str | os.PathLike[str] | None] = (),
 ) -> None:
     """Refuse an output that cannot be written, before anything is computed for it.
 
-    OutputError if its ending is none of the `suffixes` (lower case), if it is a folder or one of the `inputs`, or if no
-    file can be made beside it.
+    OutputError if its ending is none of the `suffixes` (lower case), if it is a folder or one of
+    the `inputs`, or if no file can be made beside it.
     """
     target = Path(path)
     if target.suffix.lower() not in suffixes:
-        raise OutputError(f"{target}: unknown output format '{target.suffix}'; use {', '.join(sorted(suffixes))}")
+        raise OutputError(
+            f"{target}: unknown output format '{target.suffix}'; use {', '.join(sorted(suffixes))}"
+        )
     if target.is_dir():
         raise OutputError(f"{target}: is a folder; give a file name")
-    if target.exists() and any(source and Path(source).exists() and target.samefile(source) for source in inputs):
+    if target.exists() and any(
+        source and Path(source).exists() and target.samefile(source) for source in inputs
+    ):
         raise OutputError(f"{target}: is an input of this command; give another output")
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder '{target.parent}' does not exist")
@@ -102,22 +114,27 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def refuse_leftovers(folder: Path, pattern: str, names: Collection[str]) -> None:
-    """Refuse a folder in which files of an earlier run would stay beside the new ones, as if they were one result.
+    """Refuse a folder in which files of an earlier run would stay beside the new ones, as if they
+    were one result.
 
-    `pattern` is a regular expression of the names that such results have, `names` are the new files. OutputError if
-    other files match; nothing is removed.
+    `pattern` is a regular expression of the names that such results have, `names` are the new
+    files. OutputError if other files match; nothing is removed.
     """
     if not folder.is_dir():
         return
     found = (path.name for path in folder.iterdir() if re.fullmatch(pattern, path.name))
     left = sorted(name for name in found if name not in names)
     if left:
-        problem = f"holds {left[0]} of an earlier run, {len(left)} files that this run does not replace"
+        problem = (
+            f"holds {left[0]} of an earlier run, {len(left)} files that this run does not replace"
+        )
         raise OutputError(f"{folder}: {problem}; delete them, or give another folder")
 
 
 def make_folder(path: str | os.PathLike[str], parents: bool = False) -> Path:
-    """Make a folder for results where it does not exist, as `check_folder` allows; OutputError if that fails."""
+    """Make a folder for results where it does not exist, as `check_folder` allows; OutputError if
+    that fails.
+    """
     target = check_folder(path)
     try:
         target.mkdir(parents=parents, exist_ok=True)

@@ -1,4 +1,6 @@
-"""Pages of HTML, filled from templates (Jinja), figures on them, and results in a cell of a notebook."""
+"""Pages of HTML, filled from templates (Jinja), figures on them, and results in a cell of a
+notebook.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ __all__ = ["html_card", "html_table", "to_svg", "write_page"]
 
 
 def write_page(path: str | os.PathLike[str], template: Path, **values: Any) -> None:
-    """Write a template filled with values, which are escaped, as a page; it appears whole or not at all."""
+    """Write a template filled with values, which are escaped, as a page; it appears whole or not at
+    all.
+    """
     from jinja2 import Environment, FileSystemLoader
 
     templates = Environment(loader=FileSystemLoader(template.parent), autoescape=True)
@@ -32,11 +36,14 @@ def to_svg(figure: Any) -> str:
     return text.getvalue()[text.getvalue().index("<svg") :]
 
 
-def html_card(title: str, figures: Mapping[str, str], plot: Callable[[Any], Any], warnings: Sequence[str] = ()) -> str:
+def html_card(
+    title: str, figures: Mapping[str, str], plot: Callable[[Any], Any], warnings: Sequence[str] = ()
+) -> str:
     """HTML of what `plot` draws on Matplotlib axes, beside a table of figures, with warnings below."""
     from matplotlib.figure import Figure
 
-    figure, stream = Figure(figsize=(4, 3), dpi=110, layout="tight"), BytesIO()
+    figure = Figure(figsize=(4, 3), dpi=110, layout="tight")
+    stream = BytesIO()
     plot(figure.subplots())
     figure.savefig(stream, format="png")
     data = base64.b64encode(stream.getvalue()).decode()
@@ -49,6 +56,9 @@ def html_card(title: str, figures: Mapping[str, str], plot: Callable[[Any], Any]
 
 def html_table(title: str, figures: Mapping[str, str], warnings: Sequence[str] = ()) -> str:
     """HTML of a table of figures, with warnings below."""
-    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in figures.items())
+    rows = "".join(
+        f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>"
+        for name, value in figures.items()
+    )
     lines = "".join(f"<p>&#9888; {escape(line)}</p>" for line in warnings)
     return f"<div><b>{escape(title)}</b><table>{rows}</table>{lines}</div>"

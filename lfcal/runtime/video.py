@@ -1,4 +1,6 @@
-"""Pixels of video, converted by FFmpeg (PyAV, the extra `video`) to the nearest value, and its names of raw formats."""
+"""Pixels of video, converted by FFmpeg (PyAV, the extra `video`) to the nearest value, and its
+names of raw formats.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,17 @@ def import_av(path: str | os.PathLike[str]) -> Any:
     try:
         import av
     except ImportError as error:
-        raise FlatError(f"{path}: videos need the package 'av'; pip install 'lfrender[video]'") from error
+        raise FlatError(
+            f"{path}: videos need the package 'av'; pip install 'lfrender[video]'"
+        ) from error
     return av
 
 
 def convert_frame(frame: Any, name: str, **options: Any) -> Any:
     """A frame of PyAV in another pixel format, rounded to the nearest value.
 
-    FFmpeg's defaults, which cut off and read colours at every second pixel, make 8-bit videos 1.3 grey levels too dark.
+    FFmpeg's defaults, which cut off and read colours at every second pixel, make 8-bit videos 1.3
+    grey levels too dark.
     """
     from av.video.reformatter import Interpolation as Flags
 
@@ -35,7 +40,9 @@ def convert_frame(frame: Any, name: str, **options: Any) -> Any:
 
 
 def rgb_pixels(frame: Any) -> NDArray[Any]:
-    """(h, w, 3) pixels of a frame of PyAV: uint16 where it has more than 8 bits a colour, else uint8."""
+    """(h, w, 3) pixels of a frame of PyAV: uint16 where it has more than 8 bits a colour, else
+    uint8.
+    """
     if max(component.bits for component in frame.format.components) <= 8:
         return np.ascontiguousarray(convert_frame(frame, "rgb24").to_ndarray())
     # Without the copies that `to_ndarray` makes.
@@ -46,10 +53,17 @@ def rgb_pixels(frame: Any) -> NDArray[Any]:
 
 
 def parse_pixel_format(text: str) -> tuple[str, str, int]:
-    """FFmpeg's name, subsampling and bits of a pixel format such as `"yuv420p10"`; ValueError if it is not known."""
-    found = re.fullmatch(r"(?:yuv)?(420|422|444)p?(8|10|12)?(?:le)?|(?:gray|400p?)(8|10|12)?(?:le)?", text.lower())
+    """FFmpeg's name, subsampling and bits of a pixel format such as `"yuv420p10"`; ValueError if it
+    is not known.
+    """
+    found = re.fullmatch(
+        r"(?:yuv)?(420|422|444)p?(8|10|12)?(?:le)?|(?:gray|400p?)(8|10|12)?(?:le)?", text.lower()
+    )
     if not found:
-        raise ValueError(f"a pixel format is yuv420p, yuv422p, yuv444p or gray, with 10 or 12 for bits, got {text!r}")
-    subsampling, bits = found[1] or "400", int(found[2] or found[3] or 8)
+        raise ValueError(
+            f"a pixel format is yuv420p, yuv422p, yuv444p or gray, with 10 or 12 for bits, got {text!r}"
+        )
+    subsampling = found[1] or "400"
+    bits = int(found[2] or found[3] or 8)
     name = "gray" if subsampling == "400" else f"yuv{subsampling}p"
     return name if bits == 8 else f"{name}{bits}le", subsampling, bits

@@ -1,1 +1,3 @@
-"""Lattice of scene captures: from a first lattice and the edges between microimages, for `lfcal.lattice_fit`."""
+"""Lattice of scene captures: from a first lattice and the edges between microimages, for
+`lfcal.lattice_fit`.
+"""

@@ -1,8 +1,10 @@
-"""Lattice of scene captures: one fit through all lenses of a flat, most of which the scene may shift.
+"""Lattice of scene captures: one fit through all lenses of a flat, most of which the scene may
+shift.
 
-Each lens is compared with the mean microimage (`template`). What the scene shows shifts lenses, and video compression
-drags whole parts of a flat along with what moves in them, so the lattice follows the lenses that agree best (`irls`).
-Neighbours are shifted alike: the standard error comes from differences between tiles of the flat, not between lenses.
+Each lens is compared with the mean microimage (`template`). What the scene shows shifts lenses, and
+video compression drags whole parts of a flat along with what moves in them, so the lattice follows
+the lenses that agree best (`irls`). Neighbours are shifted alike: the standard error comes from
+differences between tiles of the flat, not between lenses.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ __all__ = ["fit_scene", "measure_shifts", "select_lenses", "standard_error"]
 
 _FEWEST_LENSES = 12
 # Lenses for the first steps, and passes of these.
-_SKETCH_LENSES, _SKETCH_PASSES = 700, 4
+_SKETCH_LENSES = 700
+_SKETCH_PASSES = 4
 _PASSES = 10
 # [standard errors] shorter steps end a fit.
 _SETTLED = 0.2
@@ -38,10 +41,10 @@ _TOO_LITTLE = "the microimages show too little; give a brighter flat or a white 
 def fit_scene(picture: Singles, lattice: Lattice, pixels: float = 4e6) -> LatticeFit:
     """Fit origin and basis of a lattice, and a radial distortion if the lenses clearly show one.
 
-    `picture` (h, w) is a feature that looks alike in most microimages, such as locally normalised edges; `lattice` the
-    start, right to a fraction of the pitch over the whole flat. Used are at most as many lenses, evenly spread, as
-    have so many `pixels` in all. CalibrationError if fewer than a dozen whole microimages are on the flat, or they
-    keep to no lattice.
+    `picture` (h, w) is a feature that looks alike in most microimages, such as locally normalised
+    edges; `lattice` the start, right to a fraction of the pitch over the whole flat. Used are at
+    most as many lenses, evenly spread, as have so many `pixels` in all. CalibrationError if fewer
+    than a dozen whole microimages are on the flat, or they keep to no lattice.
     """
     # Of larger microimages fewer pixels are used, as many as of these.
     stride = max(1, round(lattice.pitch / 24))
@@ -54,7 +57,8 @@ def fit_scene(picture: Singles, lattice: Lattice, pixels: float = 4e6) -> Lattic
     indices = select_lenses(lattice, most)
     measured = measure_shifts(picture, lattice, indices, stride)
     certain = _select_certain(measured.variance)
-    fitter, measured = _Fitter(picture, indices[certain], stride), measured.select(certain)
+    fitter = _Fitter(picture, indices[certain], stride)
+    measured = measured.select(certain)
     fit = fitter.add_distortion(fitter.converge(lattice, _PASSES, measured=measured))
     regular = find_regular_ratio(fit.before.basis, fit.shifts)
     if regular is not None:
@@ -64,7 +68,9 @@ def fit_scene(picture: Singles, lattice: Lattice, pixels: float = 4e6) -> Lattic
 
 
 def _summarise(fit: _Converged) -> LatticeFit:
-    lattice, shifts, weight = fit.lattice, fit.shifts, fit.weight
+    lattice = fit.lattice
+    shifts = fit.shifts
+    weight = fit.weight
     index = lattice.indices()
     # The scene may have light in a part of the flat alone.
     field = np.column_stack([np.ones(len(index)), index])
@@ -77,27 +83,35 @@ def _summarise(fit: _Converged) -> LatticeFit:
     miss = ((shifts.shift - shifts.design @ fit.change) ** 2).sum(1)
     scatter = float(np.sqrt(np.average(miss, weights=weight)))
     differ = field_rms(field, one - two)
-    # The variance of each half is twice that of the whole; a fit that has not converged is off by what is left to go.
+    # The variance of each half is twice that of the whole; a fit that has not converged is off by
+    # what is left to go.
     error = float(np.hypot(max(error, differ / 2), fit.remaining))
     used = int((weight > 0).sum())
-    return LatticeFit(lattice.origin, lattice.basis, scatter, error, used, differ, lattice.distortion)
+    return LatticeFit(
+        lattice.origin, lattice.basis, scatter, error, used, differ, lattice.distortion
+    )
 
 
 @dataclass(frozen=True)
 class _Measured:
-    """Shifts of the lenses that show something, and the variance (n,) [px^2] of all, infinite for the others."""
+    """Shifts of the lenses that show something, and the variance (n,) [px^2] of all, infinite for
+    the others.
+    """
 
     shifts: LensShifts
     variance: Floats
 
     def select(self, chosen: Booleans) -> _Measured:
         """The `chosen` (n,) of all lenses."""
-        return _Measured(self.shifts.select(chosen[np.isfinite(self.variance)]), self.variance[chosen])
+        return _Measured(
+            self.shifts.select(chosen[np.isfinite(self.variance)]), self.variance[chosen]
+        )
 
 
 @dataclass(frozen=True)
 class _Converged:
-    """A lattice, the one before it, what is measured from there, and the common change and weights of the lenses.
+    """A lattice, the one before it, what is measured from there, and the common change and weights
+    of the lenses.
 
     `remaining` [px] is how far the lattice would still have moved, RMS over the field.
     """
@@ -116,30 +130,41 @@ class _Converged:
 
 @dataclass(frozen=True)
 class _Fitter:
-    """Fits a lattice to lenses `indices` (n, 2) of a picture, every `stride`-th pixel; `regular` as of `LensShifts`."""
+    """Fits a lattice to lenses `indices` (n, 2) of a picture, every `stride`-th pixel; `regular` as
+    of `LensShifts`.
+    """
 
     picture: Singles
     indices: Integers
     stride: int
     regular: complex | None = None
 
-    def converge(self, lattice: Lattice, passes: int, measured: _Measured | None = None) -> _Converged:
-        """Move the lattice until the shifts of the lenses balance; `measured` are those of the first pass, if known.
+    def converge(
+        self, lattice: Lattice, passes: int, measured: _Measured | None = None
+    ) -> _Converged:
+        """Move the lattice until the shifts of the lenses balance; `measured` are those of the
+        first pass, if known.
 
-        Where scenes blur the mean microimage a single step falls far short: steps are accelerated (`Acceleration`).
+        Where scenes blur the mean microimage a single step falls far short: steps are accelerated
+        (`Acceleration`).
         """
-        start, path = lattice.basis, Acceleration([], [])
-        # The lenses that agree best are selected at first, and once more when the fit has converged on them: selected
-        # at every step, they would alternate between parts of the flat that do not agree.
+        start = lattice.basis
+        path = Acceleration([], [])
+        # The lenses that agree best are selected at first, and once more when the fit has converged
+        # on them: selected at every step, they would alternate between parts of the flat that do
+        # not agree.
         weights: Floats | None = None
         restarts = 1
         for turn in range(passes):
             if measured is None or turn > 0:
                 measured = measure_shifts(self.picture, lattice, self.indices, self.stride)
             measured = replace(measured, shifts=replace(measured.shifts, regular=self.regular))
-            shifts, shown = measured.shifts, np.isfinite(measured.variance)
+            shifts = measured.shifts
+            shown = np.isfinite(measured.variance)
             before = None if weights is None else weights[shown]
-            change, weight = solve_irls(shifts, before if before is not None and before.any() else None)
+            change, weight = solve_irls(
+                shifts, before if before is not None and before.any() else None
+            )
             short = _SETTLED * standard_error(shifts, change, weight, shifts.design)
             leap = path.leap(lattice, change, shifts.design)
             settled = max(field_rms(shifts.design, change), field_rms(shifts.design, leap)) < short
@@ -147,11 +172,15 @@ class _Fitter:
                 restarts -= 1
                 other, others = solve_irls(shifts)
                 if field_rms(shifts.design, other - change) > short:
-                    change, weight, path, settled = other, others, Acceleration([], []), False
+                    change = other
+                    weight = others
+                    path = Acceleration([], [])
+                    settled = False
                     leap = path.leap(lattice, change, shifts.design)
             weights = np.zeros(len(self.indices))
             weights[shown] = weight
-            from_here, lattice = lattice, move_lattice(lattice, change if settled or turn == passes - 1 else leap)
+            from_here = lattice
+            lattice = move_lattice(lattice, change if settled or turn == passes - 1 else leap)
             if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < 0.05:
                 raise CalibrationError(_NO_LATTICE)
             if settled:
@@ -161,7 +190,9 @@ class _Fitter:
         return _Converged(lattice, from_here, measured, change, weight, remaining)
 
     def add_distortion(self, fit: _Converged) -> _Converged:
-        """The fit with a radial distortion, about the middle or any place, if that is significant, else as it is."""
+        """The fit with a radial distortion, about the middle or any place, if that is significant,
+        else as it is.
+        """
         for tilted in (False, True):
             whole = _estimate_radial(fit, tilted)
             if fit.lattice.distortion is None and whole.is_significant(fit.lattice.pitch):
@@ -177,7 +208,9 @@ class _Fitter:
 
 @dataclass
 class Acceleration:
-    """Anderson's acceleration (J. ACM 12, 1965): lattices (6,) that a fit has passed, and the changes it made there."""
+    """Anderson's acceleration (J. ACM 12, 1965): lattices (6,) that a fit has passed, and the
+    changes it made there.
+    """
 
     lattices: list[Floats]
     changes: list[Floats]
@@ -189,7 +222,8 @@ class Acceleration:
         if len(self.changes) == 1:
             return change
         recent = slice(-5, None)
-        moves, turns = np.diff(self.lattices[recent], axis=0).T, np.diff(self.changes[recent], axis=0).T
+        moves = np.diff(self.lattices[recent], axis=0).T
+        turns = np.diff(self.changes[recent], axis=0).T
         # In the metric of the movement of the centres.
         root = np.kron(np.linalg.cholesky(design.T @ design / len(design)).T, np.eye(2))
         part = np.linalg.lstsq(root @ turns, root @ self.changes[-1], rcond=0.05)[0]
@@ -216,20 +250,25 @@ def select_lenses(lattice: Lattice, most: int) -> Integers:
 
 
 def _select_certain(variance: Floats) -> Booleans:
-    """(n,) lenses whose variance (n,) is not so large that they have next to no weight: the rest only takes time."""
+    """(n,) lenses whose variance (n,) is not so large that they have next to no weight: the rest
+    only takes time.
+    """
     enough = np.sort(variance)[min(2000, len(variance)) - 1]
     return np.asarray(variance <= max(4 * np.quantile(variance, 0.02), enough))
 
 
 def measure_shifts(picture: Singles, lattice: Lattice, indices: Integers, stride: int) -> _Measured:
     """Shifts of the lenses at `indices` (n, 2) from the lattice, each by itself."""
-    cell, centres = Cell.of(lattice), lattice.points(indices)
+    cell = Cell.of(lattice)
+    centres = lattice.points(indices)
     # A lattice that has moved may have moved lenses over the edge of the flat.
     beyond = np.array(picture.shape[::-1]) - 1 - cell.circumradius
     whole = ((centres >= cell.circumradius) & (centres <= beyond)).all(1)
     if whole.sum() < _FEWEST_LENSES:
         raise CalibrationError(_NO_LATTICE)
-    normal, right, noise = build_lens_equations(picture, lattice, np.ascontiguousarray(centres[whole]), cell, stride)
+    normal, right, noise = build_lens_equations(
+        picture, lattice, np.ascontiguousarray(centres[whole]), cell, stride
+    )
     # Dark and blank lenses fit any lattice.
     information = np.trace(normal, axis1=1, axis2=2)
     clear = information > 0.001 * np.quantile(information, 0.9)
@@ -237,9 +276,11 @@ def measure_shifts(picture: Singles, lattice: Lattice, indices: Integers, stride
         raise CalibrationError(_TOO_LITTLE)
     (xx, xy), (_, yy) = normal[clear].transpose(1, 2, 0)
     bx, by = right[clear].T
-    # Lenses that show an edge in one direction only have next to no information on the position along it.
+    # Lenses that show an edge in one direction only have next to no information on the position
+    # along it.
     ridge = 1e-6 * float(information.mean())
-    xx, yy = xx + ridge, yy + ridge
+    xx = xx + ridge
+    yy = yy + ridge
     determinant = xx * yy - xy * xy
     shift = np.column_stack([yy * bx - xy * by, xx * by - xy * bx]) / determinant[:, None]
     design = np.column_stack([np.ones(len(shift)), indices[whole][clear]])
@@ -249,12 +290,15 @@ def measure_shifts(picture: Singles, lattice: Lattice, indices: Integers, stride
 
 
 def standard_error(shifts: LensShifts, change: Floats, weight: Floats, field: Floats) -> float:
-    """Standard error of a centre, RMS over the `field` (m, 3) as of `LensShifts.design` [px], from residuals of tiles.
+    """Standard error of a centre, RMS over the `field` (m, 3) as of `LensShifts.design` [px], from
+    residuals of tiles.
 
     A cluster-robust ("sandwich") covariance: Huber, Robust Statistics (1981), section 7.6.
     """
     tile, parity = _tiles(shifts, _TILES)
-    pull = (weight[:, None] * (shifts.shift - shifts.design @ change))[:, :, None] * shifts.design[:, None, :]
+    pull = (weight[:, None] * (shifts.shift - shifts.design @ change))[:, :, None] * shifts.design[
+        :, None, :
+    ]
     tiles = len(parity)
     total = np.zeros((tiles, 2, 3))
     np.add.at(total, tile, pull)
@@ -265,7 +309,9 @@ def standard_error(shifts: LensShifts, change: Floats, weight: Floats, field: Fl
 
 
 def _tiles(shifts: LensShifts, number: int) -> tuple[Integers, Integers]:
-    """Tile (n,) of each lens, at most about `number` squares, and the colour (t,) 0 or 1 of each as on a chessboard."""
+    """Tile (n,) of each lens, at most about `number` squares, and the colour (t,) 0 or 1 of each as
+    on a chessboard.
+    """
     places = shifts.design[:, 1:] @ shifts.basis
     number = min(number, max(len(places) // 3, 1))
     extent = np.ptp(places, axis=0) + 1e-6
@@ -279,10 +325,12 @@ def _tiles(shifts: LensShifts, number: int) -> tuple[Integers, Integers]:
 
 @dataclass(frozen=True)
 class RadialEstimate:
-    """A radial distortion about the middle of the flat, or, where the array is tilted, about another place.
+    """A radial distortion about the middle of the flat, or, where the array is tilted, about
+    another place.
 
-    `k1 * x |x|^2 + 2 x (x . tilt) + tilt |x|^2` for positions `x` from the middle, over half the diagonal: expanded
-    about the middle, `k1 (x - c) |x - c|^2` is that with `tilt = -k1 c`, and parts that the basis follows.
+    `k1 * x |x|^2 + 2 x (x . tilt) + tilt |x|^2` for positions `x` from the middle, over half the
+    diagonal: expanded about the middle, `k1 (x - c) |x - c|^2` is that with `tilt = -k1 c`, and
+    parts that the basis follows.
     """
 
     k1: float
@@ -291,16 +339,22 @@ class RadialEstimate:
     shift: float  # [px, RMS] movement of centres, without what a straight lattice can follow
 
     def is_significant(self, pitch: float) -> bool:
-        """Whether a distortion of this strength exceeds what a scene without one can show, at this pitch [px].
+        """Whether a distortion of this strength exceeds what a scene without one can show, at this
+        pitch [px].
 
         Scenes without one reach 9 and 0.001 pitches, with a tilt 12 and 0.003 pitches.
         """
         tilted = self.tilt.any()
-        return self.significance > (20 if tilted else 64) and self.shift > (0.005 if tilted else 0.003) * pitch
+        return (
+            self.significance > (20 if tilted else 64)
+            and self.shift > (0.005 if tilted else 0.003) * pitch
+        )
 
     def __add__(self, other: RadialEstimate) -> RadialEstimate:
         """Both distortions, one after the other, with the significance of the second."""
-        return RadialEstimate(self.k1 + other.k1, self.tilt + other.tilt, other.significance, other.shift)
+        return RadialEstimate(
+            self.k1 + other.k1, self.tilt + other.tilt, other.significance, other.shift
+        )
 
     def distortion(self, image_size: tuple[int, int]) -> Distortion:
         """As it is kept in a lattice."""
@@ -314,19 +368,30 @@ def _estimate_radial(fit: _Converged, tilted: bool) -> RadialEstimate:
 
     Errors within one tile are alike, so the standard error comes from differences between tiles.
     """
-    lattice, weight, design = fit.before, fit.weight, fit.shifts.design
+    lattice = fit.before
+    weight = fit.weight
+    design = fit.shifts.design
     tile = _tiles(fit.shifts, _TILES)[0]
     zero = Distortion.zero(lattice.image_size)
     place = (design @ np.vstack([lattice.origin, lattice.basis]) - zero.centre) / zero.reach
     square = (place**2).sum(1, keepdims=True)
-    tilts = [2 * place * place[:, [axis]] + square * np.eye(2)[axis] for axis in range(2)] if tilted else []
-    both = np.hstack([*(zero.reach * column for column in (place * square, *tilts)), fit.shifts.shift])
+    tilts = (
+        [2 * place * place[:, [axis]] + square * np.eye(2)[axis] for axis in range(2)]
+        if tilted
+        else []
+    )
+    both = np.hstack(
+        [*(zero.reach * column for column in (place * square, *tilts)), fit.shifts.shift]
+    )
     root = np.sqrt(weight)[:, None]
     both = both - design @ np.linalg.lstsq(design * root, both * root, rcond=None)[0]
     count = 1 + len(tilts)
-    columns, left = both[:, :-2].reshape(-1, count, 2), both[:, -2:]
+    columns = both[:, :-2].reshape(-1, count, 2)
+    left = both[:, -2:]
     information = np.einsum("n,nkd,nld->kl", weight, columns, columns)
-    found = np.linalg.lstsq(information, np.einsum("n,nkd,nd->k", weight, columns, left), rcond=None)[0]
+    found = np.linalg.lstsq(
+        information, np.einsum("n,nkd,nd->k", weight, columns, left), rcond=None
+    )[0]
     moved = np.einsum("k,nkd->nd", found, columns)
     pull = np.zeros((int(tile.max()) + 1, count))
     np.add.at(pull, tile, np.einsum("n,nkd,nd->nk", weight, columns, left - moved))
@@ -334,4 +399,6 @@ def _estimate_radial(fit: _Converged, tilted: bool) -> RadialEstimate:
     covariance = bread @ (pull.T @ pull) @ bread * len(pull) / max(len(pull) - 3 - count, 1)
     significance = float(found @ np.linalg.pinv(covariance) @ found) / count
     tilt = found[1:] if tilted else np.zeros(2)
-    return RadialEstimate(float(found[0]), tilt, significance, float(np.sqrt((moved**2).sum(1).mean())))
+    return RadialEstimate(
+        float(found[0]), tilt, significance, float(np.sqrt((moved**2).sum(1).mean()))
+    )

@@ -1,8 +1,10 @@
-"""Lattice through the shifts of single lenses, most of which may be outliers, by iteratively reweighted least squares.
+"""Lattice through the shifts of single lenses, most of which may be outliers, by iteratively
+reweighted least squares.
 
-The scale of the residuals comes from the best third of the lenses (a weighted quantile instead of the median, which
-would follow a flat most of which is dragged the same way by video compression), weights are Tukey's biweight. The
-search starts from several parts of the flat, as a part that is dragged may agree within itself.
+The scale of the residuals comes from the best third of the lenses (a weighted quantile instead of
+the median, which would follow a flat most of which is dragged the same way by video compression),
+weights are Tukey's biweight. The search starts from several parts of the flat, as a part that is
+dragged may agree within itself.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ class LensShifts:
     shift: Floats  # (n, 2) [px]
     variance: Floats  # (n,) [px^2] as the pixels of each lens by itself imply
     basis: Floats  # (2, 2) [px] of the lattice that shifts are measured from
-    regular: complex | None = None  # `a2 / a1` as complex numbers if the array is known to be regular
+    regular: complex | None = (
+        None  # `a2 / a1` as complex numbers if the array is known to be regular
+    )
 
     @cached_property
     def spread(self) -> Floats:
@@ -47,14 +51,19 @@ class LensShifts:
     def prior(self) -> Floats:
         """(n,) weight of a lens by its variance.
 
-        Errors made by the scene grow faster than the variance: a codec moves a whole block along with its content if
-        that outweighs the rims.
+        Errors made by the scene grow faster than the variance: a codec moves a whole block along
+        with its content if that outweighs the rims.
         """
         return self.spread**-3.0
 
     def select(self, chosen: Booleans) -> LensShifts:
         """The chosen (n,) ones."""
-        return replace(self, design=self.design[chosen], shift=self.shift[chosen], variance=self.variance[chosen])
+        return replace(
+            self,
+            design=self.design[chosen],
+            shift=self.shift[chosen],
+            variance=self.variance[chosen],
+        )
 
     def squares(self, change: Floats) -> Floats:
         """(n,) squared distances [px^2] from a change (3, 2) of origin and basis, over `spread`."""
@@ -66,7 +75,15 @@ class LensShifts:
         change = np.zeros((3, 2))
         weight = np.array(weight, dtype=np.float64)
         variance = _iterate(
-            self.design, self.shift, self.prior, self.spread, self.basis, ratio.real, ratio.imag, change, weight
+            self.design,
+            self.shift,
+            self.prior,
+            self.spread,
+            self.basis,
+            ratio.real,
+            ratio.imag,
+            change,
+            weight,
         )
         return change, weight, variance
 
@@ -82,7 +99,9 @@ def _weighted_mean(values, weight, total):
 
 @njit(error_model="numpy")
 def _fit(design, shift, weight, basis, ratio_x, ratio_y, change):
-    """Set `change` (3, 2) of origin and basis by weighted least squares; a zero ratio is that of a free lattice."""
+    """Set `change` (3, 2) of origin and basis by weighted least squares; a zero ratio is that of a
+    free lattice.
+    """
     total = max(weight.sum(), 1e-300)
     middle = _weighted_mean(design[:, 1:], weight, total)
     mean = _weighted_mean(shift, weight, total)
@@ -111,7 +130,8 @@ def _fit(design, shift, weight, basis, ratio_x, ratio_y, change):
             change[2, 0] = (ii * jx - ij * ix) / determinant
             change[2, 1] = (ii * jy - ij * iy) / determinant
     else:
-        # A regular lattice is one complex number a1 beside its origin: c = origin + (i + j * ratio) * a1.
+        # A regular lattice is one complex number a1 beside its origin: c = origin + (i + j * ratio)
+        # * a1.
         along = ii + 2 * ratio_x * ij + (ratio_x * ratio_x + ratio_y * ratio_y) * jj
         own_x = ii * basis[0, 0] + ij * basis[1, 0] + ix
         own_y = ii * basis[0, 1] + ij * basis[1, 1] + iy
@@ -149,10 +169,21 @@ def _iterate(design, shift, prior, spread, basis, ratio_x, ratio_y, change, weig
     before = change.copy()
     for _ in range(_ITERATIONS):
         for k in range(len(weight)):
-            x = shift[k, 0] - change[0, 0] - design[k, 1] * change[1, 0] - design[k, 2] * change[2, 0]
-            y = shift[k, 1] - change[0, 1] - design[k, 1] * change[1, 1] - design[k, 2] * change[2, 1]
+            x = (
+                shift[k, 0]
+                - change[0, 0]
+                - design[k, 1] * change[1, 0]
+                - design[k, 2] * change[2, 0]
+            )
+            y = (
+                shift[k, 1]
+                - change[0, 1]
+                - design[k, 1] * change[1, 1]
+                - design[k, 2] * change[2, 1]
+            )
             square[k] = (x * x + y * y) / spread[k]
-        # The variance at which the share of inliers lies within their quantile of a normal distribution.
+        # The variance at which the share of inliers lies within their quantile of a normal
+        # distribution.
         inner = _weighted_quantile(square, prior, _INLIERS)
         variance = max(inner / (-2 * np.log(1 - _INLIERS)), 1e-12)
         for k in range(len(weight)):
@@ -174,20 +205,24 @@ def solve_irls(shifts: LensShifts, before: Floats | None = None) -> tuple[Floats
 
 
 def error_inflation(shifts: LensShifts, weight: Floats) -> float:
-    """Factor by which the standard error exceeds that of least squares with these weights (n,), were they fixed.
+    """Factor by which the standard error exceeds that of least squares with these weights (n,),
+    were they fixed.
 
-    Weights depend on the change, and so yield to any error of it: Huber, Robust Statistics (1981), section 7.6.
+    Weights depend on the change, and so yield to any error of it: Huber, Robust Statistics (1981),
+    section 7.6.
     """
     near = np.sqrt(weight / shifts.prior)
     near /= max(float(near.max()), 1e-300)
-    # What is left of the weight of a lens if the change moves, averaged over all directions: a fifth at least.
+    # What is left of the weight of a lens if the change moves, averaged over all directions: a
+    # fifth at least.
     left = float((shifts.prior * near * (near - 2 * (1 - near))).sum())
     fixed = float((shifts.prior * near**2).sum())
     return fixed / max(left, 0.2 * fixed)
 
 
 def _solve_from_all(shifts: LensShifts) -> tuple[Floats, Floats, float]:
-    """Change (3, 2) of least cost from all starts, weights (n,) and variance; a thousand lenses select the start.
+    """Change (3, 2) of least cost from all starts, weights (n,) and variance; a thousand lenses
+    select the start.
 
     Starts are all lenses, and those on either side of four lines.
     """
@@ -195,10 +230,15 @@ def _solve_from_all(shifts: LensShifts) -> tuple[Floats, Floats, float]:
     few = shifts.select(sample_mask(count, 1000 / max(count, 1)))
     place = few.design[:, 1:] - np.median(few.design[:, 1:], axis=0)
     sides = [place @ [np.cos(angle), np.sin(angle)] > 0 for angle in np.arange(8) * np.pi / 4]
-    found = [few.iterate(weight) for weight in (few.prior, *(few.prior * side for side in sides if side.sum() >= 8))]
+    found = [
+        few.iterate(weight)
+        for weight in (few.prior, *(few.prior * side for side in sides if side.sum() >= 8))
+    ]
     least = min(variance for _, _, variance in found)
     change, _, variance = min(found, key=lambda one: _cost(few, one[0], least))
-    return shifts.iterate(np.maximum(1 - shifts.squares(change) / (variance * _OUTLIER**2), 0) ** 2 * shifts.prior)
+    return shifts.iterate(
+        np.maximum(1 - shifts.squares(change) / (variance * _OUTLIER**2), 0) ** 2 * shifts.prior
+    )
 
 
 def _cost(shifts: LensShifts, change: Floats, variance: float) -> float:
@@ -207,10 +247,11 @@ def _cost(shifts: LensShifts, change: Floats, variance: float) -> float:
 
 
 def find_regular_ratio(basis: Floats, shifts: LensShifts) -> complex | None:
-    """`a2 / a1` of the square or hexagonal array that lenses cannot distinguish from `basis`, or None.
+    """`a2 / a1` of the square or hexagonal array that lenses cannot distinguish from `basis`, or
+    None.
 
-    An F-test of the fit that is bound to the regular array against the free one; a scene has a dozen parts with
-    independent errors, whatever the number of lenses. Arrays are made to 1e-4.
+    An F-test of the fit that is bound to the regular array against the free one; a scene has a
+    dozen parts with independent errors, whatever the number of lenses. Arrays are made to 1e-4.
     """
     a1, a2 = basis @ [1, 1j]
     ratio = complex(a2 / a1)

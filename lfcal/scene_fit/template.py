@@ -1,7 +1,8 @@
 """Shifts of single microimages in scenes against the mean microimage of the whole flat.
 
-The mean microimage is a picture of one cell of the lattice: rims and gaps follow the outline of the cell. It is made
-symmetric under a half turn about its centre, which cancels what a wrong centre would add to it.
+The mean microimage is a picture of one cell of the lattice: rims and gaps follow the outline of the
+cell. It is made symmetric under a half turn about its centre, which cancels what a wrong centre
+would add to it.
 """
 
 from __future__ import annotations
@@ -18,19 +19,25 @@ from ..runtime.kernels import FAST, kernel
 
 __all__ = ["build_lens_equations"]
 
-# Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on that of the threads.
+# Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on
+# that of the threads.
 _CHUNKS = 16
 
 
 @njit(error_model="numpy", forceinline=True)
 def _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
-    """Write bins and values of the pixels of a cell; return their number. Some more may be overwritten."""
+    """Write bins and values of the pixels of a cell; return their number. Some more may be
+    overwritten.
+    """
     height, width = picture.shape
     number = np.uint64(0)
-    for y in range(int(np.ceil(cy + sides[6, 0])) + lens % stride, int(np.floor(cy + sides[6, 1])) + 1, stride):
+    for y in range(
+        int(np.ceil(cy + sides[6, 0])) + lens % stride, int(np.floor(cy + sides[6, 1])) + 1, stride
+    ):
         dy = y - cy
         low, high = row_interval(dy, sides)
-        first, last = int(np.ceil(cx + low)), int(np.floor(cx + high))
+        first = int(np.ceil(cx + low))
+        last = int(np.floor(cx + high))
         first += (lens // stride - first) % stride
         if first > last:
             continue
@@ -38,7 +45,9 @@ def _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, v
         count = (last - first) // stride + 1
         u = dx * inverse[0, 0] + dy * inverse[1, 0] + 0.5 / bins
         v = dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins
-        compute_cell_bins(u, v, inverse[0, 0] * stride, inverse[0, 1] * stride, bins, number, count, place)
+        compute_cell_bins(
+            u, v, inverse[0, 0] * stride, inverse[0, 1] * stride, bins, number, count, place
+        )
         pixels = picture[y]
         # Memory beyond the last row must not be read.
         if stride == 1 and (y + 1 < height or first + count + VECTOR_LENGTH <= width):
@@ -60,15 +69,26 @@ def _fold(begin, end, picture, centres, sides, room, inverse, stride, bins, chun
     one = np.float32(1)
     for chunk in range(begin, end):
         cells = sums[chunk]
-        place, values = np.empty(room, np.uint32), np.empty(room, np.float32)
+        place = np.empty(room, np.uint32)
+        values = np.empty(room, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
-            cx, cy = centres[lens, 0], centres[lens, 1]
-            number = _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, values)
+            cx = centres[lens, 0]
+            cy = centres[lens, 1]
+            number = _gather_pixels(
+                picture, cx, cy, lens, sides, inverse, stride, bins, place, values
+            )
             for k in range(number):
-                value, n = values[k], np.uint64(place[k])
+                value = values[k]
+                n = np.uint64(place[k])
                 # Four values read and written together are one vector instruction.
-                a, b, c, d = cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3]
-                a, b, c, d = a + value, b + value * value, c + one, d + one
+                a = cells[n, 0]
+                b = cells[n, 1]
+                c = cells[n, 2]
+                d = cells[n, 3]
+                a = a + value
+                b = b + value * value
+                c = c + one
+                d = d + one
                 cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3] = a, b, c, d
 
 
@@ -91,7 +111,8 @@ def _sum_for_contrast(values, level, weight, number):
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _sum_for_shift(values, level, weight, slope_x, slope_y, number, contrast, offset, cutoff):
     """Sums for the shift of a lens, with robust weights."""
-    one, zero = np.float32(1), np.float32(0)
+    one = np.float32(1)
+    zero = np.float32(0)
     xx = xy = yy = bx = by = squares = weights = zero
     for k in range(number):
         w = weight[k]
@@ -101,7 +122,8 @@ def _sum_for_shift(values, level, weight, slope_x, slope_y, number, contrast, of
         weights += near
         w *= near
         squares += w * residual * residual
-        wx, wy = w * slope_x[k], w * slope_y[k]
+        wx = w * slope_x[k]
+        wy = w * slope_y[k]
         xx += wx * slope_x[k]
         xy += wx * slope_y[k]
         yy += wy * slope_y[k]
@@ -112,25 +134,49 @@ def _sum_for_shift(values, level, weight, slope_x, slope_y, number, contrast, of
 
 @kernel(share=lambda picture, centres, sides, room, inverse, stride, bins, chunks, *_: chunks)
 def _accumulate(
-    begin, end, picture, centres, sides, room, inverse, stride, bins, chunks, maps, cutoff, most, normal, right, noise,
-):  # fmt: skip
+    begin,
+    end,
+    picture,
+    centres,
+    sides,
+    room,
+    inverse,
+    stride,
+    bins,
+    chunks,
+    maps,
+    cutoff,
+    most,
+    normal,
+    right,
+    noise,
+):
     lenses = centres.shape[0]
     for chunk in range(begin, end):
-        place, values = np.empty(room, np.uint32), np.empty(room, np.float32)
-        level, weight = np.empty(room, np.float32), np.empty(room, np.float32)
-        slope_x, slope_y = np.empty(room, np.float32), np.empty(room, np.float32)
+        place = np.empty(room, np.uint32)
+        values = np.empty(room, np.float32)
+        level = np.empty(room, np.float32)
+        weight = np.empty(room, np.float32)
+        slope_x = np.empty(room, np.float32)
+        slope_y = np.empty(room, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
-            cx, cy = centres[lens, 0], centres[lens, 1]
-            number = _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, values)
+            cx = centres[lens, 0]
+            cy = centres[lens, 1]
+            number = _gather_pixels(
+                picture, cx, cy, lens, sides, inverse, stride, bins, place, values
+            )
             for k in range(number):
                 at = np.uint64(place[k])
                 level[k], weight[k] = maps[at, 0], maps[at, 1]
                 slope_x[k], slope_y[k] = maps[at, 2], maps[at, 3]
             one, mean, square, value, product = _sum_for_contrast(values, level, weight, number)
-            contrast, offset = np.float32(1), np.float32(0)
+            contrast = np.float32(1)
+            offset = np.float32(0)
             determinant = one * square - mean * mean
             if determinant > 1e-9 * one * square:
-                contrast = np.float32(min(max((one * product - mean * value) / determinant, 0.0), most))
+                contrast = np.float32(
+                    min(max((one * product - mean * value) / determinant, 0.0), most)
+                )
                 offset = np.float32((value - contrast * mean) / one)
             xx, xy, yy, bx, by, squares, weights = _sum_for_shift(
                 values, level, weight, slope_x, slope_y, number, contrast, offset, cutoff
@@ -147,39 +193,60 @@ def _accumulate(
 def build_lens_equations(
     picture: Singles, lattice: Lattice, centres: Floats, cell: Cell, stride: int = 1
 ) -> tuple[Floats, Floats, Floats]:
-    """Least squares of the shifts of lenses at `centres` (n, 2) [px], over the pixels of their whole cells.
+    """Least squares of the shifts of lenses at `centres` (n, 2) [px], over the pixels of their
+    whole cells.
 
-    Normal matrices (n, 2, 2), right sides (n, 2), and variance (n,) of a pixel about the mean microimage, over that of
-    all lenses. Each lens has its own contrast and offset: blank or dark ones carry no information. Of large microimages
-    every `stride`-th pixel each way is enough, as neighbouring ones are alike.
+    Normal matrices (n, 2, 2), right sides (n, 2), and variance (n,) of a pixel about the mean
+    microimage, over that of all lenses. Each lens has its own contrast and offset: blank or dark
+    ones carry no information. Of large microimages every `stride`-th pixel each way is enough, as
+    neighbouring ones are alike.
     """
     # More bins are not worth their memory.
     bins = int(min(3 * lattice.pitch, 210))
     # Space for the pixels of a cell, and for whole vectors beyond them.
     room = (int(2 * cell.circumradius) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
-    sides, inverse = cell.row_bounds(), np.linalg.inv(lattice.basis)
+    sides = cell.row_bounds()
+    inverse = np.linalg.inv(lattice.basis)
     few = np.ascontiguousarray(centres[:: max(1, len(centres) // 1500)])
     sums = np.zeros((_CHUNKS, bins * bins, 4), np.float32)
     _fold(picture, few, sides, room, inverse, stride, bins, _CHUNKS, sums)
-    maps = _average(sums.sum(0, dtype=np.float64), np.asarray(inverse, np.float64), 0.5 * bins / lattice.pitch)
-    normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
+    maps = _average(
+        sums.sum(0, dtype=np.float64), np.asarray(inverse, np.float64), 0.5 * bins / lattice.pitch
+    )
+    normal = np.zeros((len(centres), 2, 2))
+    right = np.zeros((len(centres), 2))
     noise = np.zeros(len(centres))
     _accumulate(
-        picture, centres, sides, room, inverse, stride, bins, _CHUNKS, maps, np.float32(1 / TUKEY_CUTOFF**2),
-        2.0, normal, right, noise,
-    )  # fmt: skip
+        picture,
+        centres,
+        sides,
+        room,
+        inverse,
+        stride,
+        bins,
+        _CHUNKS,
+        maps,
+        np.float32(1 / TUKEY_CUTOFF**2),
+        2.0,
+        normal,
+        right,
+        noise,
+    )
     return normal, right, noise
 
 
 def _average(sums: Floats, inverse: Floats, blur: float) -> Singles:
-    """(bins * bins, 4) mean microimage: level, inverse variance of a pixel, slopes of the level in x and y [1/px].
+    """(bins * bins, 4) mean microimage: level, inverse variance of a pixel, slopes of the level in
+    x and y [1/px].
 
-    The centre of the lens is bin 0; columns run along `a1`, rows along `a2`, periodic. `sums` are those of `_fold`,
-    `blur` [bins]. Made symmetric by adding the same turned by half a turn.
+    The centre of the lens is bin 0; columns run along `a1`, rows along `a2`, periodic. `sums` are
+    those of `_fold`, `blur` [bins]. Made symmetric by adding the same turned by half a turn.
     """
     bins = round(np.sqrt(len(sums)))
     planes = sums.T[:3].reshape(3, bins, bins)
-    total, square, count = (_blur(plane + np.roll(plane[::-1, ::-1], (1, 1), axis=(0, 1)), blur) for plane in planes)
+    total, square, count = (
+        _blur(plane + np.roll(plane[::-1, ::-1], (1, 1), axis=(0, 1)), blur) for plane in planes
+    )
     count = np.maximum(count, 1e-9)
     level = total / count
     variance = np.maximum(square / count - level**2, 1e-4 * float(np.var(level)) + 1e-12)

@@ -1,9 +1,9 @@
 """Light of a microimage that is the overlap of two discs with soft edges, and its derivatives.
 
-Where both edges fall on the same pixels, the light depends on the blur that they share: nothing of it where each disc
-is blurred by itself and what they let through multiplies, all of it where the overlap of both is blurred. It is a
-bivariate normal probability. Tails of the blur may be longer or shorter than normal: the depth in the edge has a third
-Hermite polynomial (Cornish and Fisher 1938).
+Where both edges fall on the same pixels, the light depends on the blur that they share: nothing of
+it where each disc is blurred by itself and what they let through multiplies, all of it where the
+overlap of both is blurred. It is a bivariate normal probability. Tails of the blur may be longer or
+shorter than normal: the depth in the edge has a third Hermite polynomial (Cornish and Fisher 1938).
 """
 
 from __future__ import annotations
@@ -16,34 +16,60 @@ from numba import njit
 from ..runtime.kernels import kernel
 
 __all__ = [
-    "BEND", "CORRELATION", "COUNT", "GAP", "GROWTH", "LOG_BLUR", "OFFSET", "RADIUS", "SHADING", "SHEAR", "TAIL",
+    "BEND",
+    "CORRELATION",
+    "COUNT",
+    "GAP",
+    "GROWTH",
+    "LOG_BLUR",
+    "OFFSET",
+    "RADIUS",
+    "SHADING",
+    "SHEAR",
+    "TAIL",
     "evaluate",
-]  # fmt: skip
+]
 
-# Places of the parameters. Offsets x, y of both discs [px], growth of both in the corners [px], third order of that;
-# radii [px], logarithms of the blurs [px], shadings, light in the gaps, tail of the blur, correlation of the edges;
-# stretching, shearing and turning in the corners [px].
-OFFSET, GROWTH, BEND = slice(0, 4), slice(4, 6), 6
-RADIUS, LOG_BLUR, SHADING, GAP, TAIL, CORRELATION = slice(7, 9), slice(9, 11), slice(11, 13), 13, 14, 15
-SHEAR, COUNT = slice(16, 19), 19
-_GROWTH, _RADIUS, _LOG_BLUR, _SHADING, _SHEAR = GROWTH.start, RADIUS.start, LOG_BLUR.start, SHADING.start, SHEAR.start
+# Places of the parameters. Offsets x, y of both discs [px], growth of both in the corners [px],
+# third order of that; radii [px], logarithms of the blurs [px], shadings, light in the gaps, tail
+# of the blur, correlation of the edges; stretching, shearing and turning in the corners [px].
+OFFSET = slice(0, 4)
+GROWTH = slice(4, 6)
+BEND = 6
+RADIUS = slice(7, 9)
+LOG_BLUR = slice(9, 11)
+SHADING = slice(11, 13)
+GAP = 13
+TAIL = 14
+CORRELATION = 15
+SHEAR = slice(16, 19)
+COUNT = 19
+_GROWTH = GROWTH.start
+_RADIUS = RADIUS.start
+_LOG_BLUR = LOG_BLUR.start
+_SHADING = SHADING.start
+_SHEAR = SHEAR.start
 _ROOT_HALF = math.sqrt(0.5)
 _TAU = 2 * math.pi
 # Depths [blur] beyond which an edge lets all or nothing through.
 _DEEPEST = 3.5
 # Gauss-Legendre nodes and weights.
 _NODES = np.polynomial.legendre.leggauss(6)
-_NODE_PLACES, _NODE_WEIGHTS = 0.5 * (1 + _NODES[0]), 0.5 * _NODES[1]
+_NODE_PLACES = 0.5 * (1 + _NODES[0])
+_NODE_WEIGHTS = 0.5 * _NODES[1]
 
 
 @njit(error_model="numpy", fastmath=False)
 def _through_both(alpha, beta, first, second, correlation):
-    """Light through two edges at once, and its derivative with each of them over that of the edge alone.
+    """Light through two edges at once, and its derivative with each of them over that of the edge
+    alone.
 
-    `alpha` and `beta` are the depths inside the edges in units of their blur, `first` and `second` the light through
-    one alone. Drezner and Wesolowsky (J. Stat. Comput. Simul. 35, 1990).
+    `alpha` and `beta` are the depths inside the edges in units of their blur, `first` and `second`
+    the light through one alone. Drezner and Wesolowsky (J. Stat. Comput. Simul. 35, 1990).
     """
-    squares, product, total = -0.5 * (alpha * alpha + beta * beta), alpha * beta, 0.0
+    squares = -0.5 * (alpha * alpha + beta * beta)
+    product = alpha * beta
+    total = 0.0
     for k in range(len(_NODE_PLACES)):
         r = correlation * _NODE_PLACES[k]
         over = 1 / (1 - r * r)
@@ -60,16 +86,23 @@ def _through_edge(alpha, tail):
     if alpha >= _DEEPEST:
         return _DEEPEST, 1.0, 0.0
     depth = alpha + tail * (alpha * alpha - 3) * alpha
-    return depth, 0.5 * (1 + math.erf(depth * _ROOT_HALF)), math.exp(-0.5 * depth * depth) / math.sqrt(_TAU)
+    return (
+        depth,
+        0.5 * (1 + math.erf(depth * _ROOT_HALF)),
+        math.exp(-0.5 * depth * depth) / math.sqrt(_TAU),
+    )
 
 
 @njit(error_model="numpy", fastmath=False)
 def _add_lens(px, py, fx, fy, p, sharp, scale, discs, row):
-    """Light at `px, py` from a lens at `fx, fy` of the field, without that of the gaps; adds derivatives to `row`.
+    """Light at `px, py` from a lens at `fx, fy` of the field, without that of the gaps; adds
+    derivatives to `row`.
 
     `sharp` (2,) is one over the blurs, `discs` (2, 7) working memory.
     """
-    cubic, tail, height = fx * fx + fy * fy, p[TAIL], 1 - p[GAP]
+    cubic = fx * fx + fy * fy
+    tail = p[TAIL]
+    height = 1 - p[GAP]
     even = 1.0
     for disc in range(2):
         out = p[_GROWTH + disc] + p[BEND] * cubic
@@ -83,22 +116,33 @@ def _add_lens(px, py, fx, fy, p, sharp, scale, discs, row):
         discs[disc, 0], discs[disc, 1], discs[disc, 2], discs[disc, 3] = x, y, far, alpha
         discs[disc, 4], discs[disc, 5], discs[disc, 6] = depth, light, slope
         even -= p[_SHADING + disc] * far * far / (scale * scale)
-    first, second = discs[0, 5], discs[1, 5]
-    joint, with_first, with_second, turning = first * second, second, first, 0.0
+    first = discs[0, 5]
+    second = discs[1, 5]
+    joint = first * second
+    with_first = second
+    with_second = first
+    turning = 0.0
     if discs[0, 6] > 0 and discs[1, 6] > 0:
-        one, two = discs[0, 4], discs[1, 4]
-        along = (discs[0, 0] * discs[1, 0] + discs[0, 1] * discs[1, 1]) / (discs[0, 2] * discs[1, 2])
+        one = discs[0, 4]
+        two = discs[1, 4]
+        along = (discs[0, 0] * discs[1, 0] + discs[0, 1] * discs[1, 1]) / (
+            discs[0, 2] * discs[1, 2]
+        )
         alike = p[CORRELATION] * along
         joint, with_first, with_second = _through_both(one, two, first, second, alike)
         apart = 1 / (1 - alike * alike)
         cross = one * one - 2 * alike * one * two + two * two
         turning = along * math.exp(-0.5 * cross * apart) * math.sqrt(apart) / _TAU
     for disc in range(2):
-        x, y, far, alpha = discs[disc, 0], discs[disc, 1], discs[disc, 2], discs[disc, 3]
+        x = discs[disc, 0]
+        y = discs[disc, 1]
+        far = discs[disc, 2]
+        alpha = discs[disc, 3]
         push = discs[disc, 6] * (with_second if disc else with_first) * height * even
         pull = push * (1 + 3 * tail * (alpha * alpha - 1)) * sharp[disc]
         rest = pull / far + 2 * height * joint * p[_SHADING + disc] / (scale * scale)
-        gx, gy = rest * x, rest * y
+        gx = rest * x
+        gy = rest * y
         grows = gx * fx + gy * fy
         row[2 * disc] += gx
         row[2 * disc + 1] += gy
@@ -117,19 +161,28 @@ def _add_lens(px, py, fx, fy, p, sharp, scale, discs, row):
 
 @kernel(error_model="numpy", share=lambda place, *_: len(place))
 def evaluate(begin, end, place, lens, field, steps, p, scale, reach, model, table):
-    """Light (n,) of pixels, that of neighbours (`steps`) included, and its derivatives (n, 19) with the parameters.
+    """Light (n,) of pixels, that of neighbours (`steps`) included, and its derivatives (n, 19) with
+    the parameters.
 
-    `place` (n, 2) [px] is relative to the centre of the lens with number `lens` (n,), which lies at `field` (lenses,
-    2); `reach` is half the diagonal of the flat and `scale` a length for the shading [px].
+    `place` (n, 2) [px] is relative to the centre of the lens with number `lens` (n,), which lies at
+    `field` (lenses, 2); `reach` is half the diagonal of the flat and `scale` a length for the
+    shading [px].
     """
-    discs, row, sharp = np.empty((2, 7)), np.empty(COUNT), np.exp(-p[LOG_BLUR])
+    discs = np.empty((2, 7))
+    row = np.empty(COUNT)
+    sharp = np.exp(-p[LOG_BLUR])
     for k in range(begin, end):
         row[:] = 0.0
-        fx, fy = field[lens[k], 0], field[lens[k], 1]
+        fx = field[lens[k], 0]
+        fy = field[lens[k], 1]
         total = _add_lens(place[k, 0], place[k, 1], fx, fy, p, sharp, scale, discs, row)
         for neighbour in range(len(steps)):
-            sx, sy = steps[neighbour, 0], steps[neighbour, 1]
-            x, y, u, v = place[k, 0] - sx, place[k, 1] - sy, fx + sx / reach, fy + sy / reach
+            sx = steps[neighbour, 0]
+            sy = steps[neighbour, 1]
+            x = place[k, 0] - sx
+            y = place[k, 1] - sy
+            u = fx + sx / reach
+            v = fy + sy / reach
             total += _add_lens(x, y, u, v, p, sharp, scale, discs, row)
         model[k] = p[GAP] + (1 - p[GAP]) * total
         row[GAP] = 1 - total

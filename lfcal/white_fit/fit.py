@@ -1,12 +1,14 @@
-"""Fit of a white image: lattice and distortion, or two discs that cut each other, to the pixels of many lenses.
+"""Fit of a white image: lattice and distortion, or two discs that cut each other, to the pixels of
+many lenses.
 
-All lenses share one lattice and one radial profile; each has its own gain. A distortion is kept only if it is
-significant and moves the centres. A few lenses find whether a disc cuts the microimages and, if so, some more give the
-lattice of both discs; else as many as are needed give the final values.
+All lenses share one lattice and one radial profile; each has its own gain. A distortion is kept
+only if it is significant and moves the centres. A few lenses find whether a disc cuts the
+microimages and, if so, some more give the lattice of both discs; else as many as are needed give
+the final values.
 
-Each Gauss-Newton pass solves for the global parameters, then for the radial profile and the gains of the lenses, which
-are hardly correlated with the positions of whole microimages. Weights of pixels, rings and lenses follow the residuals
-(IRLS).
+Each Gauss-Newton pass solves for the global parameters, then for the radial profile and the gains
+of the lenses, which are hardly correlated with the positions of whole microimages. Weights of
+pixels, rings and lenses follow the residuals (IRLS).
 """
 
 from __future__ import annotations
@@ -29,15 +31,18 @@ from .vignetting import CatEye, compare_pixels, measure_centroid_offset, measure
 
 __all__ = ["WhiteFit", "fit_white", "refine_on_parts"]
 
-# Damping of a step by robust weights: for Tukey's biweight and normal residuals the ratio of the means of second and
-# first derivative is 0.76 / 0.91, a little more as pixels of several lenses have one variance.
+# Damping of a step by robust weights: for Tukey's biweight and normal residuals the ratio of the
+# means of second and first derivative is 0.76 / 0.91, a little more as pixels of several lenses
+# have one variance.
 _STEP_SCALE = 0.86
 _NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat or a white image"
 
 
 @dataclass(frozen=True)
 class Step:
-    """A Gauss-Newton step of `p` global parameters, and the equations of `n` lenses that it comes from."""
+    """A Gauss-Newton step of `p` global parameters, and the equations of `n` lenses that it comes
+    from.
+    """
 
     names: list[str]  # (p,)
     jacobian: Floats  # (n, 2, p) of the centres with the parameters
@@ -55,13 +60,18 @@ class Step:
     @property
     def uncertainty(self) -> float:
         """Standard error of a centre, RMS [px]."""
-        spread = np.einsum("nap,pq,naq->n", self.jacobian, self.covariance, self.jacobian, optimize=True)
+        spread = np.einsum(
+            "nap,pq,naq->n", self.jacobian, self.covariance, self.jacobian, optimize=True
+        )
         return float(np.sqrt(max(spread.mean(), 0.0)))
 
     @property
     def offsets(self) -> Floats:
         """(n, 2) [px] from the centres after the step to those that single microimages show."""
-        return np.linalg.solve(self.normal, self.right[..., None])[..., 0] / _STEP_SCALE - self.jacobian @ self.change
+        return (
+            np.linalg.solve(self.normal, self.right[..., None])[..., 0] / _STEP_SCALE
+            - self.jacobian @ self.change
+        )
 
     @property
     def residual_rms(self) -> float:
@@ -69,9 +79,12 @@ class Step:
         return float(np.sqrt(np.average((self.offsets**2).sum(1), weights=self.weight)))
 
     def half_difference(self) -> float:
-        """RMS distance over the flat between the steps of every other microimage and of the others [px]."""
+        """RMS distance over the flat between the steps of every other microimage and of the others
+        [px].
+        """
         one, two = (
-            _solve(self.jacobian[k::2], self.normal[k::2], self.right[k::2], self.weight[k::2])[0] for k in (0, 1)
+            _solve(self.jacobian[k::2], self.normal[k::2], self.right[k::2], self.weight[k::2])[0]
+            for k in (0, 1)
         )
         return field_rms(self.jacobian, one - two)
 
@@ -96,11 +109,15 @@ def add_distortion(lattice: Lattice, general: bool = False) -> Lattice:
     """The lattice with a distortion of zero strength if it has none, or with a `general` one."""
     bend = lattice.distortion or Distortion.zero(lattice.image_size)
     if general and bend.general is None:
-        bend = replace(bend, general=np.zeros((2, 7)), middle=(np.array(lattice.image_size) - 1) / 2)
+        bend = replace(
+            bend, general=np.zeros((2, 7)), middle=(np.array(lattice.image_size) - 1) / 2
+        )
     return replace(lattice, distortion=bend)
 
 
-def converge(lattice: Lattice, lenses: Microimages, orders: tuple[str, ...], passes: int = 10) -> Fit:
+def converge(
+    lattice: Lattice, lenses: Microimages, orders: tuple[str, ...], passes: int = 10
+) -> Fit:
     """Gauss-Newton passes until a step is shorter than 0.3 standard errors of the centres.
 
     Raises `CalibrationError` if the microimages show no edges, or keep to no lattice.
@@ -119,10 +136,11 @@ def converge(lattice: Lattice, lenses: Microimages, orders: tuple[str, ...], pas
 
 
 def explains_better(fit: Fit, orders: tuple[str, ...], least_shift: float = 0.01) -> bool:
-    """Whether the parameters `orders` instead of its own would explain a converged fit significantly better.
+    """Whether the parameters `orders` instead of its own would explain a converged fit
+    significantly better.
 
-    Its last step is solved again with them: they count from six standard errors on, if they move centres by
-    `least_shift` [px, RMS].
+    Its last step is solved again with them: they count from six standard errors on, if they move
+    centres by `least_shift` [px, RMS].
     """
     lattice = add_distortion(fit.lattice, "general" in orders)
     names, jacobian = lattice.derivatives(fit.lenses.indices, orders)
@@ -134,7 +152,10 @@ def explains_better(fit: Fit, orders: tuple[str, ...], least_shift: float = 0.01
 
 def _moved(lattice: Lattice, step: Step) -> Lattice:
     """The lattice after a step."""
-    by = {name: step.change[[k for k, other in enumerate(step.names) if other == name]] for name in step.names}
+    by = {
+        name: step.change[[k for k, other in enumerate(step.names) if other == name]]
+        for name in step.names
+    }
     bend = None if lattice.distortion is None else lattice.distortion.updated(by)
     basis = lattice.basis + np.array([by["a1"], by["a2"]])
     return replace(lattice, origin=lattice.origin + by["origin"], basis=basis, distortion=bend)
@@ -161,11 +182,14 @@ def _position_equations(sums: Sums) -> tuple[Floats, Floats]:
 
 
 def locate_lenses(fit: Fit) -> Floats:
-    """(n, 2) [px] from the centres on the lattice to those that the pixels of single microimages show."""
+    """(n, 2) [px] from the centres on the lattice to those that the pixels of single microimages
+    show.
+    """
     offsets = fit.step.offsets
     far = np.flatnonzero(np.hypot(*offsets.T) > 2.5 * fit.step.residual_rms)
     if len(far):
-        # Pixels on their edges are outliers of the common fit: here the weights are so low that each one counts.
+        # Pixels on their edges are outliers of the common fit: here the weights are so low that
+        # each one counts.
         lenses = fit.lenses.select(far)
         lenses, start = replace(lenses, ring_weight=1e-9 * lenses.ring_weight), lenses.centres
         for _ in range(5):
@@ -179,13 +203,16 @@ def locate_lenses(fit: Fit) -> Floats:
 def _solve(
     jacobian: Floats, normal: Floats, right: Floats, weight: Floats | None = None
 ) -> tuple[Floats, Floats, Floats]:
-    """Change (p,) of the global parameters, covariance (p, p) and Tukey's weights (n,) of the lenses.
+    """Change (p,) of the global parameters, covariance (p, p) and Tukey's weights (n,) of the
+    lenses.
 
-    Weights are of the distance of each lens from the common change; those that are nearly known need only one pass.
+    Weights are of the distance of each lens from the common change; those that are nearly known
+    need only one pass.
     """
     lenses, _, count = jacobian.shape
     matter = (normal @ jacobian).reshape(-1, count)
-    columns, force = jacobian.reshape(-1, count), right.reshape(-1)
+    columns = jacobian.reshape(-1, count)
+    force = right.reshape(-1)
     alone = np.linalg.solve(normal, right[..., None])[..., 0]
     passes = 3 if weight is None else 1
     weight = np.ones(lenses) if weight is None else weight
@@ -193,7 +220,9 @@ def _solve(
         weighted = (np.repeat(weight, 2)[:, None] * columns).T
         information = weighted @ matter
         scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
-        covariance = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
+        covariance = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12) / np.outer(
+            scale, scale
+        )
         change = covariance @ (weighted @ force)
         left = alone - (columns @ change).reshape(lenses, 2)
         weight, variance = tukey_weights(((normal @ left[..., None])[..., 0] * left).sum(1))
@@ -216,18 +245,22 @@ class WhiteFit:
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     errors: LatticeErrors  # as the scatter of the microimages implies
     lenses_used: int
-    half_difference: float  # [px] RMS distance over the flat between the fits of two halves of the microimages
+    half_difference: (
+        float  # [px] RMS distance over the flat between the fits of two halves of the microimages
+    )
     residuals: Residuals  # [px] of the single microimages that took part
 
 
 def fit_white(tones: Singles | StackedCrops, lattice: Lattice, pixels: float = 3.2e6) -> WhiteFit:
-    """Fit a white image; CalibrationError if it has fewer than a dozen whole microimages, or they keep to no lattice.
+    """Fit a white image; CalibrationError if it has fewer than a dozen whole microimages, or they
+    keep to no lattice.
 
-    `tones` (h, w), or parts of such, is as made by `images.preprocessing.sqrt_luminance`; `lattice` the start, right to
-    a fraction of the pitch over the whole flat, whose orders of distortion are kept. Used are at most as many lenses,
-    evenly spread, as have so many `pixels` in all.
+    `tones` (h, w), or parts of such, is as made by `images.preprocessing.sqrt_luminance`; `lattice`
+    the start, right to a fraction of the pitch over the whole flat, whose orders of distortion are
+    kept. Used are at most as many lenses, evenly spread, as have so many `pixels` in all.
     """
-    tones, known = StackedCrops.of(tones), distortion_orders(lattice)
+    tones = StackedCrops.of(tones)
+    known = distortion_orders(lattice)
     plain = converge(lattice, cut_out(tones, lattice, *_SEARCH), known)
     fit = _select_orders(plain)
     discs = _find_cut(tones, plain, fit)
@@ -236,19 +269,26 @@ def fit_white(tones: Singles | StackedCrops, lattice: Lattice, pixels: float = 3
     if pixels > fit.lenses.pixels:
         lenses = cut_out(tones, fit.lattice, pixels, 0, fit.lenses)
         fit = _select_orders(converge(fit.lattice, lenses, fit.orders))
-    residuals = Residuals(fit.lenses.indices.astype(np.int32), locate_lenses(fit).astype(np.float32))
+    residuals = Residuals(
+        fit.lenses.indices.astype(np.int32), locate_lenses(fit).astype(np.float32)
+    )
     return WhiteFit(
-        fit.lattice, None, _find_doubt(fit.lenses, fit.lattice),
-        fit.step.residual_rms, LatticeErrors(tuple(fit.step.names), fit.step.covariance),
-        int((fit.step.weight > 0).sum()), fit.step.half_difference(), residuals,
-    )  # fmt: skip
+        fit.lattice,
+        None,
+        _find_doubt(fit.lenses, fit.lattice),
+        fit.step.residual_rms,
+        LatticeErrors(tuple(fit.step.names), fit.step.covariance),
+        int((fit.step.weight > 0).sum()),
+        fit.step.half_difference(),
+        residuals,
+    )
 
 
 def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
     """The lattice fitted to some lenses of parts of a flat, with a distortion if it is significant.
 
-    `tones` are square roots of the light; the lattice is right to a fraction of the pitch in these parts. Raises
-    `CalibrationError` as `fit_white`.
+    `tones` are square roots of the light; the lattice is right to a fraction of the pitch in these
+    parts. Raises `CalibrationError` as `fit_white`.
     """
     fit = converge(lattice, cut_out(tones, lattice, *_SEARCH), distortion_orders(lattice))
     return _select_orders(fit).lattice
@@ -290,7 +330,9 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
 
 
 def _explains_more(discs: TwoDiscs, plain: Fit, bent: Fit) -> bool:
-    """Whether the discs explain the pixels better than whole microimages of any profile, distorted or not, do."""
+    """Whether the discs explain the pixels better than whole microimages of any profile, distorted
+    or not, do.
+    """
     by_discs = discs.residuals(plain.lenses)
     most = (TUKEY_CUTOFF * 1.4826) ** 2 * float(np.median(np.abs(by_discs))) ** 2
     cost = [float(np.minimum(by_discs**2, most).mean())]
@@ -302,15 +344,21 @@ def _explains_more(discs: TwoDiscs, plain: Fit, bent: Fit) -> bool:
 
 def _find_doubt(lenses: Microimages, lattice: Lattice) -> str | None:
     offset = measure_centroid_offset(lenses, lattice)
-    return None if not offset > _CENTROIDS else (
-        f"plain centroids of the microimages in the middle lie {offset:.2f} px beside the lattice, which follows their "
-        "edges: the light in them is uneven or reaches into the gaps; if the circles lie off the microimages ('lfcal "
-        "show'), light the white image evenly"
-    )  # fmt: skip
+    return (
+        None
+        if not offset > _CENTROIDS
+        else (
+            f"plain centroids of the microimages in the middle lie {offset:.2f} px beside the lattice, which follows their "
+            "edges: the light in them is uneven or reaches into the gaps; if the circles lie off the microimages ('lfcal "
+            "show'), light the white image evenly"
+        )
+    )
 
 
 def _summarise_discs(discs: TwoDiscs, lenses: Microimages) -> WhiteFit:
-    lattice, errors, doubt = discs.lens_lattice(), discs.errors(), discs.doubt
+    lattice = discs.lens_lattice()
+    errors = discs.errors()
+    doubt = discs.doubt
     error = float(np.sqrt((errors.of_centres(lattice) ** 2).mean()))
     if error > 0.03 and doubt is None:
         doubt = (
@@ -323,6 +371,12 @@ def _summarise_discs(discs: TwoDiscs, lenses: Microimages) -> WhiteFit:
     near = distance[distance < 5 * np.median(distance)]
     residuals = Residuals(discs.indices.astype(np.int32), discs.offsets.astype(np.float32))
     return WhiteFit(
-        lattice, discs.cut, doubt, float(np.sqrt((near**2).mean())), errors, len(near), discs.half_difference(),
+        lattice,
+        discs.cut,
+        doubt,
+        float(np.sqrt((near**2).mean())),
+        errors,
+        len(near),
+        discs.half_difference(),
         residuals,
-    )  # fmt: skip
+    )

@@ -1,11 +1,11 @@
 """Model of whole microimages, and the normal equations of all lenses about it.
 
-A pixel at `delta` from the centre of its lens has the light
-`gain * (1 + slope @ delta) * (profile(|delta|) + own(|delta|) * shade @ delta)`: `slope` is that of the light over the
-field, `shade` that of the light of a lens by itself. At the border of its cell half of the light is that of a
-neighbour, which is shaded the other way: only the light above it, `own`, counts. Outliers are weighted down by Tukey's
-biweight. Square pixels blur an edge along their sides unlike across their corners, and apertures may be square: the
-profile has a fourth harmonic of the direction.
+A pixel at `delta` from the centre of its lens has the light `gain * (1 + slope @ delta) *
+(profile(|delta|) + own(|delta|) * shade @ delta)`: `slope` is that of the light over the field,
+`shade` that of the light of a lens by itself. At the border of its cell half of the light is that
+of a neighbour, which is shaded the other way: only the light above it, `own`, counts. Outliers are
+weighted down by Tukey's biweight. Square pixels blur an edge along their sides unlike across their
+corners, and apertures may be square: the profile has a fourth harmonic of the direction.
 """
 
 from __future__ import annotations
@@ -40,24 +40,29 @@ class Rings(NamedTuple):
     """What all lenses share, at distances `0, step, 2*step, ...` from their centres."""
 
     step: float  # [px]
-    # (r, 5) light, its slope [1/px], inverse variance of a pixel, own light, amplitude of `cos(4 * direction)`
+    # (r, 5) light, its slope [1/px], inverse variance of a pixel, own light, amplitude of `cos(4 *
+    # direction)`
     table: Floats
     saturation: float  # light from which on pixels are clipped
 
 
 class Sums(NamedTuple):
-    """Normal equations of `x`, `y` and the relative change of the gain of each lens, and sums over the rings."""
+    """Normal equations of `x`, `y` and the relative change of the gain of each lens, and sums over
+    the rings.
+    """
 
     normal: Floats  # (n, 3, 3) upper halves
     right: Floats  # (n, 3)
-    # (chunks, r, 6) of the pixels nearest to a ring: weight, weighted residual, the same times `cos(4 * direction)`,
-    # weight times its square, squared residual, number
+    # (chunks, r, 6) of the pixels nearest to a ring: weight, weighted residual, the same times
+    # `cos(4 * direction)`, weight times its square, squared residual, number
     band: Floats
 
 
 @njit(error_model="numpy", fastmath=False)
 def _clip_rows(centre, reach, side):
-    """First row of a window (`side` rows) within `reach` of `centre`, and one after the last such row."""
+    """First row of a window (`side` rows) within `reach` of `centre`, and one after the last such
+    row.
+    """
     return max(math.ceil(centre - reach), 0), min(math.floor(centre + reach) + 1, side)
 
 
@@ -78,13 +83,20 @@ def add_lenses(begin, end, windows, cell, rings, sums):
     normals, inradius, reach = cell
     step, table, saturation = rings
     normal, right, bands = sums
-    count, side, chunks, per_step = light.shape[0], light.shape[1], bands.shape[0], 1 / step
+    count = light.shape[0]
+    side = light.shape[1]
+    chunks = bands.shape[0]
+    per_step = 1 / step
     for chunk in range(begin, end):
         band = bands[chunk]
         for lens in range(chunk * count // chunks, (chunk + 1) * count // chunks):
-            cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
+            cx = centres[lens, 0] - corners[lens, 0]
+            cy = centres[lens, 1] - corners[lens, 1]
             per_gain = 1 / gains[lens]
-            slope_x, slope_y, shade_x, shade_y = slope[lens, 0], slope[lens, 1], shade[lens, 0], shade[lens, 1]
+            slope_x = slope[lens, 0]
+            slope_y = slope[lens, 1]
+            shade_x = shade[lens, 0]
+            shade_y = shade[lens, 1]
             xx = xy = yy = xm = ym = mm = bx = by = bm = 0.0
             top, bottom = _clip_rows(cy, reach, side)
             for y in range(top, bottom):
@@ -99,23 +111,31 @@ def add_lenses(begin, end, windows, cell, rings, sums):
                     place = far * per_step
                     ring = int(place)
                     after = place - ring
-                    here, up = 1 - after, ring + 1
+                    here = 1 - after
+                    up = ring + 1
                     own = table[ring, 3] * here + table[up, 3] * after
                     angle = 1 - 8 * (dx * dy / square) * (dx * dy / square)
                     level = table[ring, 0] * here + table[up, 0] * after
                     level += (table[ring, 4] * here + table[up, 4] * after) * angle
                     model = level + own * (shade_x * dx + shade_y * dy)
-                    residual = light[lens, y, x] * per_gain / (1 + slope_x * dx + slope_y * dy) - model
+                    residual = (
+                        light[lens, y, x] * per_gain / (1 + slope_x * dx + slope_y * dy) - model
+                    )
                     weight = table[ring, 2] * here + table[up, 2] * after
                     chi = residual * residual * weight
                     # A clipped pixel counts only where the model is clearly darker than it is.
-                    if chi >= _MOST or (light[lens, y, x] >= saturation and (residual < 0 or chi < 1)):
+                    if chi >= _MOST or (
+                        light[lens, y, x] >= saturation and (residual < 0 or chi < 1)
+                    ):
                         continue
                     weight *= (1 - chi / _MOST) * (1 - chi / _MOST)
                     _add_to_band(band, int(place + 0.5), weight, residual, angle)
                     along = -(table[ring, 1] * here + table[up, 1] * after) / far
-                    gx, gy = along * dx, along * dy
-                    wx, wy, wr = weight * gx, weight * gy, weight * residual
+                    gx = along * dx
+                    gy = along * dy
+                    wx = weight * gx
+                    wy = weight * gy
+                    wr = weight * residual
                     xx += wx * gx
                     xy += wx * gy
                     yy += wy * gy

@@ -1,7 +1,9 @@
-"""First lattice of a large white image: found in one piece of the flat, then extended outwards over all of it.
+"""First lattice of a large white image: found in one piece of the flat, then extended outwards over
+all of it.
 
-A fit needs some lenses from all over the field, not every pixel. Pieces are taken ever farther out, each so near to
-those before that a distortion is measured before it has moved centres to the next lens.
+A fit needs some lenses from all over the field, not every pixel. Pieces are taken ever farther out,
+each so near to those before that a distortion is measured before it has moved centres to the next
+lens.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ __all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_parts", 
 
 
 def window_reader(flat: Array, filtered: bool) -> ReadCrop:
-    """Reader of the square root of the light of a flat (h, w) or (h, w, 3), `filtered` by a colour mosaic."""
+    """Reader of the square root of the light of a flat (h, w) or (h, w, 3), `filtered` by a colour
+    mosaic.
+    """
 
     def read(x: int, y: int, width: int, height: int) -> Singles:
         raw = np.ascontiguousarray(flat[y : y + height, x : x + width])
@@ -40,7 +44,8 @@ def window_reader(flat: Array, filtered: bool) -> ReadCrop:
 def sample_parts(
     read: ReadCrop, lattice: Lattice, side: int = 768, pixels: float = 1.6e7
 ) -> tuple[StackedCrops, ReadCrop]:
-    """Parts of a flat, enough to calibrate on, and a reader of all of it, both scaled to a mean of 1 over the parts.
+    """Parts of a flat, enough to calibrate on, and a reader of all of it, both scaled to a mean of
+    1 over the parts.
 
     They are of this `side` [px] and have about so many `pixels` in all.
     """
@@ -51,7 +56,9 @@ def sample_parts(
 
 
 def _sample_grid(read: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
-    """Square parts of a flat of this `size`, evenly spread from border to border, of about so many pixels in all."""
+    """Square parts of a flat of this `size`, evenly spread from border to border, of about so many
+    pixels in all.
+    """
     count = max(pixels / side**2, 1.0)
     columns = max(1, min(round(np.sqrt(count * size[0] / size[1])), size[0] // side))
     rows = max(1, min(round(count / columns), size[1] // side))
@@ -71,17 +78,26 @@ def _stack(read: ReadCrop, corners: list[tuple[int, int]], side: int) -> Stacked
 def find_white_lattice_in_array(tones: Singles, sure: bool) -> Candidate | None:
     """`find_white_lattice` in the square root (h, w) of the light of a whole flat."""
     size = tones.shape[1], tones.shape[0]
-    return find_white_lattice(lambda x, y, w, h: np.ascontiguousarray(tones[y : y + h, x : x + w]), size, sure, 1)
+    return find_white_lattice(
+        lambda x, y, w, h: np.ascontiguousarray(tones[y : y + h, x : x + w]), size, sure, 1
+    )
 
 
 def find_white_lattice(
-    read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, first_side: int = 768, piece_side: int = 256
+    read: ReadCrop,
+    size: tuple[int, int],
+    sure: bool,
+    tries: int,
+    first_side: int = 768,
+    piece_side: int = 256,
 ) -> Candidate | None:
-    """First lattice of a white image, with its distortion; None if the flat is no white image, or no lattice is found.
+    """First lattice of a white image, with its distortion; None if the flat is no white image, or
+    no lattice is found.
 
-    `read` gives the square root of the light in any scale, `size` is width and height of the flat [px]. `sure` if it is
-    known to be a white image. The lattice is searched for in a piece of `first_side` px in at most `tries` places, from
-    the middle outwards, and extended on pieces of 14 pitches, `piece_side` px at least.
+    `read` gives the square root of the light in any scale, `size` is width and height of the flat
+    [px]. `sure` if it is known to be a white image. The lattice is searched for in a piece of
+    `first_side` px in at most `tries` places, from the middle outwards, and extended on pieces of
+    14 pitches, `piece_side` px at least.
     """
     found = _find_in_piece(read, size, sure, tries, min(first_side, *size))
     if found is None:
@@ -90,7 +106,8 @@ def find_white_lattice(
     lattice = start.lattice
     side = max(int(14 * lattice.pitch), piece_side)
     pieces: list[tuple[int, int]] = []
-    middle, distance = np.array(corner) + first_side / 2, float(first_side)
+    middle = np.array(corner) + first_side / 2
+    distance = float(first_side)
     while True:
         known = len(pieces)
         for dy in (-1, 0, 1):
@@ -100,7 +117,8 @@ def find_white_lattice(
                 apart = all(max(abs(x - u), abs(y - v)) >= side for u, v in pieces)
                 if apart and max(abs(x - corner[0]), abs(y - corner[1])) >= max(side, first_side):
                     pieces.append((x, y))
-        # A cubic that moves centres by hardly 0.01 px up to the last pieces moves them by 0.16 px so far out.
+        # A cubic that moves centres by hardly 0.01 px up to the last pieces moves them by 0.16 px
+        # so far out.
         distance *= 2.5
         if len(pieces) == known:
             break
@@ -117,10 +135,14 @@ def find_white_lattice(
 def _find_in_piece(
     read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, side: int
 ) -> tuple[Candidate, tuple[int, int], int] | None:
-    """Lattice of the first piece that shows one, in px of the flat; corner and side of the piece [px]."""
+    """Lattice of the first piece that shows one, in px of the flat; corner and side of the piece
+    [px].
+    """
     places = [(x, y) for x in (0.5, 0.2, 0.8) for y in (0.5, 0.2, 0.8)]
     for place in sorted(places, key=lambda p: abs(p[0] - 0.5) + abs(p[1] - 0.5))[:tries]:
-        x, y = (int(share * (length - side)) // 2 * 2 for share, length in zip(place, size, strict=True))
+        x, y = (
+            int(share * (length - side)) // 2 * 2 for share, length in zip(place, size, strict=True)
+        )
         picture = read(x, y, side, side)
         mean = float(picture.mean())
         if not mean > 0:
@@ -142,7 +164,9 @@ def _find_in_piece(
 
 
 def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice, piece_side: int) -> bool:
-    """Whether microimages are evenly lit all over the field, in parts of whole lenses and their neighbours."""
+    """Whether microimages are evenly lit all over the field, in parts of whole lenses and their
+    neighbours.
+    """
     side = max(int(12 * lattice.pitch), piece_side)
     parts = _sample_grid(read, size, side, 9 * side**2)
     even = []

@@ -1,8 +1,8 @@
 """Microimages of some lenses of a white image, and the model that they are compared with.
 
-A pixel sees the exit pupil of the main lens through its microlens. Light falls off with the angle of its rays, that is
-about the point below the microlens, which lies the farther from the centre of the microimage the farther out in the
-field it is.
+A pixel sees the exit pupil of the main lens through its microlens. Light falls off with the angle
+of its rays, that is about the point below the microlens, which lies the farther from the centre of
+the microimage the farther out in the field it is.
 """
 
 from __future__ import annotations
@@ -25,13 +25,16 @@ __all__ = ["FEWEST_LENSES", "Microimages", "cut_out", "fit_gain_slope"]
 FEWEST_LENSES = 12
 # [px] between rings of the profile: edges of discs are about 1 px wide.
 _RING_STEP = 0.125
-# Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on that of the threads.
+# Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on
+# that of the threads.
 _CHUNKS = 64
 
 
 @dataclass(frozen=True)
 class Microimages:
-    """Windows of the flat around `n` lenses, and the model that they are compared with: a profile of `r` rings."""
+    """Windows of the flat around `n` lenses, and the model that they are compared with: a profile
+    of `r` rings.
+    """
 
     indices: Integers  # (n, 2) of the lattice
     light: Singles  # (n, k, k) squares of the flat around the lenses
@@ -63,18 +66,23 @@ class Microimages:
 
     @property
     def radius(self) -> float:
-        """Distance from the centre [px] at which the profile falls to the mean of the light in the middle and gap."""
+        """Distance from the centre [px] at which the profile falls to the mean of the light in the
+        middle and gap.
+        """
         half = 0.5 * (self.core + max(float(self.profile[-3:].min()), 0.0))
         return max(int(np.argmax(self.profile < half)), 1) * _RING_STEP
 
     @property
     def rings(self) -> Rings:
         """What all lenses share, for kernels."""
-        # Half of the light at the border of the cell is that of a neighbour. Between the middle of a side of the cell,
-        # where nothing is left of the slope, and its corners, where something is.
+        # Half of the light at the border of the cell is that of a neighbour. Between the middle of
+        # a side of the cell, where nothing is left of the slope, and its corners, where something
+        # is.
         border = self.cell.inradius + (self.cell.circumradius - self.cell.inradius) / 6
         border = float(np.interp(border / _RING_STEP, np.arange(len(self.profile)), self.profile))
-        own = self.core * np.clip((self.profile - border) / max(self.core - border, 1e-9 * self.core), 0, None)
+        own = self.core * np.clip(
+            (self.profile - border) / max(self.core - border, 1e-9 * self.core), 0, None
+        )
         slope = np.gradient(self.profile, _RING_STEP)
         table = np.column_stack([self.profile, slope, self.ring_weight, own, self.harmonic])
         return Rings(_RING_STEP, table, self.saturation)
@@ -98,20 +106,27 @@ class Microimages:
         return offset[:, 0, None, :], offset[:, 1, :, None]
 
     def sums(self) -> Sums:
-        """Normal equations about this model; `CalibrationError` if it is not finite or explains nothing."""
+        """Normal equations about this model; `CalibrationError` if it is not finite or explains
+        nothing.
+        """
         values = (self.centres, self.gain, self.slope, self.shade, self.profile, self.ring_weight)
         if not all(np.isfinite(value).all() for value in values):
-            raise CalibrationError("the microimages show no edges; give a sharper flat or a white image")
+            raise CalibrationError(
+                "the microimages show no edges; give a sharper flat or a white image"
+            )
         count = len(self.centres)
         band = np.zeros((_CHUNKS, len(self.profile), 6))
         sums = Sums(np.zeros((count, 3, 3)), np.zeros((count, 3)), band)
         add_lenses(self.windows, self.cell, self.rings, sums)
         if not (sums.normal[:, 0, 0] > 0).any():
-            raise CalibrationError("the microimages show no edges; give a sharper flat or a white image")
+            raise CalibrationError(
+                "the microimages show no edges; give a sharper flat or a white image"
+            )
         return sums
 
     def learn(self, sums: Sums, moved: Floats, lattice: Lattice) -> Microimages:
-        """Gains, profile, weights and slopes that fit the pixels better, after a step of the centres.
+        """Gains, profile, weights and slopes that fit the pixels better, after a step of the
+        centres.
 
         `sums` are those about this model, `moved` (n, 2) [px] is the step of the centres.
         """
@@ -124,8 +139,9 @@ class Microimages:
     def learn_profile(self, sums: Sums) -> Microimages:
         """The microimages with profile, harmonic and weights of rings that fit the pixels better."""
         weight, force, turned, own, squares, number = sums.band.sum(0).T
-        # Rings that hardly a pixel fell into follow their neighbours. Where all lenses lie alike to the pixels, only
-        # the smoothness of the profile determines where between two pixels an edge is.
+        # Rings that hardly a pixel fell into follow their neighbours. Where all lenses lie alike to
+        # the pixels, only the smoothness of the profile determines where between two pixels an edge
+        # is.
         bend = np.diff(np.eye(len(weight)), 2, axis=0)
         stiff = 0.3 * float(np.median(weight[weight > 0])) * bend.T @ bend
         settled = np.diag(weight + 1e-9 * weight.max())
@@ -134,7 +150,9 @@ class Microimages:
         profile *= np.linalg.norm(self.profile) / np.linalg.norm(profile)
         near = np.ones(5)
         overall = 10 * squares.sum() / max(number.sum(), 1)
-        variance = (np.convolve(squares, near, "same") + overall) / (np.convolve(number, near, "same") + 10)
+        variance = (np.convolve(squares, near, "same") + overall) / (
+            np.convolve(number, near, "same") + 10
+        )
         floor = 1e-6 * float(np.var(profile)) + 1e-12
         return replace(
             self,
@@ -144,55 +162,90 @@ class Microimages:
         )
 
     def measure_shade(self, lattice: Lattice) -> Floats:
-        """(n, 2) slope [1/px] of the own light of each microimage, from the middles of some of them."""
+        """(n, 2) slope [1/px] of the own light of each microimage, from the middles of some of
+        them.
+        """
         if np.isfinite(self.saturation):
             return np.zeros_like(self.slope)
         some = self.thin(2e5)
         x, y = some.places()
         # Edges are far, and cuts are rare in so small a disc.
         inside = np.hypot(x, y) < 0.6 * self.cell.inradius
-        model = np.interp(np.hypot(x, y), np.arange(len(self.profile)) * _RING_STEP, self.profile) * inside
+        model = (
+            np.interp(np.hypot(x, y), np.arange(len(self.profile)) * _RING_STEP, self.profile)
+            * inside
+        )
         tilt = 1 + some.slope[:, 0, None, None] * x + some.slope[:, 1, None, None] * y
         miss = (some.light / some.gain[:, None, None] - model * tilt) * model
         square = 0.5 * (model**2 * (x**2 + y**2)).sum((1, 2))
-        slopes = np.column_stack([(miss * x).sum((1, 2)), (miss * y).sum((1, 2))]) / np.maximum(square, 1e-30)[:, None]
+        slopes = (
+            np.column_stack([(miss * x).sum((1, 2)), (miss * y).sum((1, 2))])
+            / np.maximum(square, 1e-30)[:, None]
+        )
         field = _fit_shade(slopes, square, some.centres, lattice)
         return field[0] + self.centres @ field[1:]
 
 
 def cut_out(
-    tones: StackedCrops, lattice: Lattice, pixels: float, fewest: int, known: Microimages | None = None
+    tones: StackedCrops,
+    lattice: Lattice,
+    pixels: float,
+    fewest: int,
+    known: Microimages | None = None,
 ) -> Microimages:
-    """Cut evenly spread lit lenses out of a flat: about as many as have so many `pixels`, but not fewer than `fewest`.
+    """Cut evenly spread lit lenses out of a flat: about as many as have so many `pixels`, but not
+    fewer than `fewest`.
 
     Profile and weights are those of `known` lenses, or the mean profile.
     """
-    cell, dark = Cell.of(lattice), 0.03
+    cell = Cell.of(lattice)
+    dark = 0.03
     margin = cell.circumradius + 2
     indices, centres, crop = tones.lenses(lattice, margin)
     lit = find_lit_lenses(tones.picture, lattice, indices, centres - tones.offsets[crop], dark**0.5)
     share = max(pixels / abs(np.linalg.det(lattice.basis)), fewest) / max(int(lit.sum()), 1)
     chosen = np.flatnonzero(lit)[sample_mask(int(lit.sum()), share)]
-    indices, centres, offset = indices[chosen], centres[chosen], tones.offsets[crop[chosen]]
+    indices = indices[chosen]
+    centres = centres[chosen]
+    offset = tones.offsets[crop[chosen]]
     half = int(np.ceil(margin)) + 1
     place = np.rint(centres - offset).astype(np.int64)
     windows = sliding_window_view(np.pad(tones.picture, half, "edge"), (2 * half + 1, 2 * half + 1))
-    light, corners = windows[place[:, 1], place[:, 0]] ** 2, place - half
-    middle, core = light.shape[1] // 2, max(1, int(0.4 * cell.inradius))
-    gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)
+    light = windows[place[:, 1], place[:, 0]] ** 2
+    corners = place - half
+    middle = light.shape[1] // 2
+    core = max(1, int(0.4 * cell.inradius))
+    gain = (
+        light[:, middle - core : middle + core + 1, middle - core : middle + core + 1]
+        .mean((1, 2))
+        .astype(float)
+    )
     bright = gain > dark * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
     if bright.sum() < FEWEST_LENSES:
         raise CalibrationError(
             f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
             f"at least {FEWEST_LENSES} are needed; give the whole sensor"
         )
-    indices, centres, gain, light, corners = (v[bright] for v in (indices, centres, gain, light, corners + offset))
-    slope, rings = fit_gain_slope(centres, gain, lattice), int(cell.circumradius / _RING_STEP) + 3
+    indices, centres, gain, light, corners = (
+        v[bright] for v in (indices, centres, gain, light, corners + offset)
+    )
+    slope = fit_gain_slope(centres, gain, lattice)
+    rings = int(cell.circumradius / _RING_STEP) + 3
     saturation = clipping_level(light) if known is None else known.saturation
     lenses = Microimages(
-        indices, light, corners, centres, gain, slope, np.zeros_like(slope), cell,
-        np.zeros(rings), np.zeros(rings), np.ones(rings), saturation,
-    )  # fmt: skip
+        indices,
+        light,
+        corners,
+        centres,
+        gain,
+        slope,
+        np.zeros_like(slope),
+        cell,
+        np.zeros(rings),
+        np.zeros(rings),
+        np.ones(rings),
+        saturation,
+    )
     if known is None:
         profile = _mean_profile(lenses)
         weight = np.full(rings, 1 / max(float(np.var(profile)), 1e-12))
@@ -203,8 +256,12 @@ def cut_out(
         for values in (known.profile, known.harmonic, known.ring_weight)
     )
     near = np.arange(-core, core + 1)
-    of_core = np.interp(np.hypot(*np.meshgrid(near, near)), np.arange(rings) * _RING_STEP, profile).mean()
-    lenses = replace(lenses, profile=profile, harmonic=harmonic, ring_weight=ring_weight, gain=gain / of_core)
+    of_core = np.interp(
+        np.hypot(*np.meshgrid(near, near)), np.arange(rings) * _RING_STEP, profile
+    ).mean()
+    lenses = replace(
+        lenses, profile=profile, harmonic=harmonic, ring_weight=ring_weight, gain=gain / of_core
+    )
     return replace(lenses, shade=lenses.measure_shade(lattice))
 
 
@@ -227,7 +284,9 @@ _DEGREE = 4
 
 
 def fit_gain_slope(centres: Floats, gain: Floats, lattice: Lattice) -> Floats:
-    """(n, 2) relative slope of the gain over the field [1/px], from a polynomial through the gains (n,) of lenses."""
+    """(n, 2) relative slope of the gain over the field [1/px], from a polynomial through the gains
+    (n,) of lenses.
+    """
     scale = np.array(lattice.image_size) / 2
     x, y = ((centres - scale) / scale).T
     powers = [(a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a)]
@@ -254,10 +313,12 @@ def fit_gain_slope(centres: Floats, gain: Floats, lattice: Lattice) -> Floats:
 
 
 def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice) -> Floats:
-    """Slope of the own light of lenses over the field: (3, 2) of a constant and of the position in px, or zeros.
+    """Slope of the own light of lenses over the field: (3, 2) of a constant and of the position in
+    px, or zeros.
 
-    `slopes` (n, 2) [1/px] are those of the light within single microimages beyond that of the gains. The slope grows
-    linearly with the distance from an axis, which may lie beside the middle; zeros where that is not significant.
+    `slopes` (n, 2) [1/px] are those of the light within single microimages beyond that of the
+    gains. The slope grows linearly with the distance from an axis, which may lie beside the middle;
+    zeros where that is not significant.
     """
     far = centres - (np.array(lattice.image_size) - 1) / 2
     root = np.sqrt(weight)[:, None]

@@ -1,9 +1,11 @@
-"""Two discs whose overlap is lit, fitted to pixels of some microimages in all of the field: a lens and what cuts it.
+"""Two discs whose overlap is lit, fitted to pixels of some microimages in all of the field: a lens
+and what cuts it.
 
-Both discs are displaced in proportion to the position in the field, and by one radial distortion. Each has a radius, a
-blur of its edge and a shading about its centre. Where their edges run alike they may be blurred together or one by one
-(`disc_light`). Neighbours add their light, and each lens has a gain of its own. The model is the same with the two
-discs interchanged: `choose_lens` decides which of them is the lens.
+Both discs are displaced in proportion to the position in the field, and by one radial distortion.
+Each has a radius, a blur of its edge and a shading about its centre. Where their edges run alike
+they may be blurred together or one by one (`disc_light`). Neighbours add their light, and each lens
+has a gain of its own. The model is the same with the two discs interchanged: `choose_lens` decides
+which of them is the lens.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from .disc_light import (
     SHEAR,
     TAIL,
     evaluate,
-)  # fmt: skip
+)
 from .microimages import Microimages, fit_gain_slope
 from .vignetting import CatEye
 
@@ -56,9 +58,14 @@ class _Pixels:
     reach: float  # [px] half the diagonal of the flat
 
     def compare(self, p: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
-        """Residuals (n,), their negative derivatives (n, 19), and gains (lenses,), which are eliminated."""
-        model, table = np.empty(len(self.lens)), np.empty((len(self.lens), COUNT))
-        evaluate(self.place, self.lens, self.field, self.steps, p, self.scale, self.reach, model, table)
+        """Residuals (n,), their negative derivatives (n, 19), and gains (lenses,), which are
+        eliminated.
+        """
+        model = np.empty(len(self.lens))
+        table = np.empty((len(self.lens), COUNT))
+        evaluate(
+            self.place, self.lens, self.field, self.steps, p, self.scale, self.reach, model, table
+        )
         first = np.searchsorted(self.lens, np.arange(len(self.field)))
         weighted = weight * model
         square = np.add.reduceat(weighted * model, first) + 1e-12
@@ -71,7 +78,9 @@ class _Pixels:
 
 @dataclass(frozen=True)
 class TwoDiscs:
-    """A lens (first) and the disc that cuts it (second), relative to the `lattice` that they were fitted on."""
+    """A lens (first) and the disc that cuts it (second), relative to the `lattice` that they were
+    fitted on.
+    """
 
     lattice: Lattice
     parameters: Floats  # (19,) of `disc_light`
@@ -97,7 +106,9 @@ class TwoDiscs:
         """The second disc, relative to the first."""
         own, other = self.parameters[OFFSET].reshape(2, 2)
         growth = self.parameters[GROWTH]
-        return CatEye(other - own, float(growth[1] - growth[0]), float(self.radius[1]), float(self.blur[1]))
+        return CatEye(
+            other - own, float(growth[1] - growth[0]), float(self.radius[1]), float(self.blur[1])
+        )
 
     @property
     def depth(self) -> float:
@@ -111,23 +122,42 @@ class TwoDiscs:
         for pair in (GROWTH, RADIUS, LOG_BLUR, SHADING):
             order[pair] = order[pair][::-1]
         covariance = self.covariance[np.ix_(order, order)]
-        return replace(self, parameters=self.parameters[order], covariance=covariance, halves=self.halves[order])
+        return replace(
+            self,
+            parameters=self.parameters[order],
+            covariance=covariance,
+            halves=self.halves[order],
+        )
 
     def difference(self, pair: slice, fault: float) -> float:
-        """Second minus first value of a pair of parameters, in standard errors; `fault` is that of the model."""
+        """Second minus first value of a pair of parameters, in standard errors; `fault` is that of
+        the model.
+        """
         one, two = range(COUNT)[pair]
-        variance = self.covariance[one, one] + self.covariance[two, two] - 2 * self.covariance[one, two]
-        return float(self.parameters[two] - self.parameters[one]) / math.hypot(math.sqrt(max(variance, 0.0)), fault)
+        variance = (
+            self.covariance[one, one] + self.covariance[two, two] - 2 * self.covariance[one, two]
+        )
+        return float(self.parameters[two] - self.parameters[one]) / math.hypot(
+            math.sqrt(max(variance, 0.0)), fault
+        )
 
     def lens_lattice(self) -> Lattice:
         """The lattice of the first disc."""
         return _lattice_of(self.lattice, self.parameters)
 
     def errors(self) -> LatticeErrors:
-        """Standard errors of `lens_lattice`; no model of the blur that both edges share is exact to two per cent."""
-        fault = 0.02 * self.covariance[:, CORRELATION] / max(float(self.covariance[CORRELATION, CORRELATION]), 1e-12)
+        """Standard errors of `lens_lattice`; no model of the blur that both edges share is exact to
+        two per cent.
+        """
+        fault = (
+            0.02
+            * self.covariance[:, CORRELATION]
+            / max(float(self.covariance[CORRELATION, CORRELATION]), 1e-12)
+        )
         response = self._response()
-        return LatticeErrors(self._names(), response @ (self.covariance + np.outer(fault, fault)) @ response.T)
+        return LatticeErrors(
+            self._names(), response @ (self.covariance + np.outer(fault, fault)) @ response.T
+        )
 
     def half_difference(self) -> float:
         """RMS distance over the flat of the lattices of two halves of the lenses [px]."""
@@ -136,12 +166,16 @@ class TwoDiscs:
         return float(np.sqrt((as_errors.of_centres(self.lens_lattice()) ** 2).mean()))
 
     def residuals(self, lenses: Microimages) -> Floats:
-        """(m,) of the unclipped pixels in the cells of lenses on `lattice`, over their gains without a cut."""
+        """(m,) of the unclipped pixels in the cells of lenses on `lattice`, over their gains
+        without a cut.
+        """
         slope = lenses.slope
         for _ in range(2):
             pixels = _choose_pixels(lenses, slope, self.lattice, lenses.light.size)
             residual, _, gain = pixels.compare(self.parameters, np.ones(len(pixels.light)))
-            slope = fit_gain_slope(lenses.centres, lenses.gain * np.maximum(gain, 1e-3), self.lattice)
+            slope = fit_gain_slope(
+                lenses.centres, lenses.gain * np.maximum(gain, 1e-3), self.lattice
+            )
         return residual * max(float(lenses.profile[0]), 1e-9)
 
     def _names(self) -> tuple[str, ...]:
@@ -149,10 +183,15 @@ class TwoDiscs:
         return (*straight, "k1") if self.covariance[BEND, BEND] > 0 else straight
 
     def _response(self) -> Floats:
-        """(p, 19) derivative of the parameters of the lattice, which is linear in those of the first disc."""
-        names, moved = self._names(), []
+        """(p, 19) derivative of the parameters of the lattice, which is linear in those of the
+        first disc.
+        """
+        names = self._names()
+        moved = []
         for step in 1e-3 * np.eye(COUNT):
-            other, here = (_lattice_of(self.lattice, p) for p in (self.parameters + step, self.parameters))
+            other, here = (
+                _lattice_of(self.lattice, p) for p in (self.parameters + step, self.parameters)
+            )
             change = [*(other.origin - here.origin), *(other.basis - here.basis).ravel()]
             if other.distortion and here.distortion and "k1" in names:
                 change.append(other.distortion.k1 - here.distortion.k1)
@@ -162,15 +201,21 @@ class TwoDiscs:
 
 def _lattice_of(lattice: Lattice, p: Floats) -> Lattice:
     """The lattice of the first of two discs, displaced from a lattice as the parameters tell."""
-    middle, reach = (np.array(lattice.image_size) - 1) / 2, float(np.hypot(*lattice.image_size) / 2)
-    bend, own = lattice.distortion, p[GROWTH][0]
+    middle = (np.array(lattice.image_size) - 1) / 2
+    reach = float(np.hypot(*lattice.image_size) / 2)
+    bend = lattice.distortion
+    own = p[GROWTH][0]
     if p[BEND]:
         bend = bend or Distortion.zero(lattice.image_size)
         bend = replace(bend, k1=bend.k1 + p[BEND] / reach)
         # A `Distortion` leaves to the basis what a straight lattice can follow.
         own = own + 0.5 * p[BEND]
     stretched, sheared, turned = p[SHEAR]
-    scale = np.eye(2) + np.array([[own + stretched, sheared + turned], [sheared - turned, own - stretched]]) / reach
+    scale = (
+        np.eye(2)
+        + np.array([[own + stretched, sheared + turned], [sheared - turned, own - stretched]])
+        / reach
+    )
     origin = middle + (lattice.origin - middle) @ scale + p[OFFSET][:2]
     return replace(lattice, origin=origin, basis=lattice.basis @ scale, distortion=bend)
 
@@ -178,11 +223,13 @@ def _lattice_of(lattice: Lattice, p: Floats) -> Lattice:
 def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
     """The two discs that explain the microimages best, in any order; None where there are none.
 
-    `lenses` have been fitted without a cut, on `lattice`. First on few pixels without what only matters near the end,
-    then on more, at last by Gauss-Newton steps on most of those near the edges.
+    `lenses` have been fitted without a cut, on `lattice`. First on few pixels without what only
+    matters near the end, then on more, at last by Gauss-Newton steps on most of those near the
+    edges.
     """
     p, spread = _start(lenses)
-    expected, everything = p, spread
+    expected = p
+    everything = spread
     low, high = _bounds(lenses.radius)
     slope = lenses.slope.copy()
     try:
@@ -191,7 +238,8 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
             spread[held] = 0
             pixels = _choose_pixels(lenses, slope, lattice, number)
             p, gain, errors = _minimise(pixels, p, expected, spread, low, high)
-            # The gains of cut microimages had been fitted without a cut, and the slope of the light with them.
+            # The gains of cut microimages had been fitted without a cut, and the slope of the light
+            # with them.
             gains = lenses.gain[pixels.rows] * np.maximum(gain, 1e-3)
             slope[pixels.rows] = fit_gain_slope(lenses.centres[pixels.rows], gains, lattice)
         if lattice.distortion is None and abs(p[BEND]) < max(0.15, 6 * errors[BEND]):
@@ -202,14 +250,18 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
         p, covariance, offsets, halves = _finish(pixels, p, expected, spread, low, high)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return TwoDiscs(lattice, p, covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves)
+    return TwoDiscs(
+        lattice, p, covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves
+    )
 
 
 def _start(lenses: Microimages) -> tuple[Floats, Floats]:
-    """Parameters to start from, two like discs displaced to both sides of the lattice through their middles, and the
-    standard deviations by which they are expected to differ from that."""
+    """Parameters to start from, two like discs displaced to both sides of the lattice through their
+    middles, and the standard deviations by which they are expected to differ from that.
+    """
     radius = lenses.radius
-    p, spread = np.zeros(COUNT), np.full(COUNT, np.inf)
+    p = np.zeros(COUNT)
+    spread = np.full(COUNT, np.inf)
     p[GROWTH] = 0.15 * radius * np.array([-1, 1])
     p[RADIUS] = radius * np.array([1.02, 1.08])
     slope = np.abs(lenses.rings.table[:, 1]).max()
@@ -224,7 +276,8 @@ def _start(lenses: Microimages) -> tuple[Floats, Floats]:
 
 def _bounds(scale: float) -> tuple[Floats, Floats]:
     """Least and largest parameters; pixels of finite size blur every edge by 0.2 px at least."""
-    low, high = np.full(COUNT, -np.inf), np.full(COUNT, np.inf)
+    low = np.full(COUNT, -np.inf)
+    high = np.full(COUNT, np.inf)
     low[RADIUS], high[RADIUS] = 0.3 * scale, 2 * scale
     low[LOG_BLUR], high[LOG_BLUR] = math.log(0.2), math.log(0.5 * scale)
     # Uniform discs and squares have a tail of 0.05, normal blur 0, longer tails less.
@@ -236,33 +289,50 @@ def _bounds(scale: float) -> tuple[Floats, Floats]:
 def _choose_pixels(
     lenses: Microimages, slope: Floats, lattice: Lattice, number: int, known: Floats | None = None
 ) -> _Pixels:
-    """At most `number` of the unclipped pixels in the cells of the lenses; with `known` discs most near their edges."""
-    rng, field = np.random.default_rng(0), field_place(lenses.centres, lattice)
+    """At most `number` of the unclipped pixels in the cells of the lenses; with `known` discs most
+    near their edges.
+    """
+    rng = np.random.default_rng(0)
+    field = field_place(lenses.centres, lattice)
     # Most of those beside the edges are left out in the end.
-    drawn = np.flatnonzero(rng.random(lenses.light.size) < (3 if known is None else 10) * number / lenses.light.size)
+    drawn = np.flatnonzero(
+        rng.random(lenses.light.size) < (3 if known is None else 10) * number / lenses.light.size
+    )
     lens, y, x = np.unravel_index(drawn, lenses.light.shape)
     place = np.column_stack([x, y]) + (lenses.corners - lenses.centres)[lens]
     light = lenses.light.ravel()[drawn].astype(np.float64)
     keep = (light < lenses.saturation) & (place @ lenses.cell.normals.T <= 0.5).all(1)
-    lens, place, light = lens[keep], place[keep], light[keep]
+    lens = lens[keep]
+    place = place[keep]
+    light = light[keep]
     chance = np.ones(len(light))
     if known is not None:
         depth = [
-            known[RADIUS][k] - np.hypot(*(place - known[OFFSET][2 * k : 2 * k + 2] - known[GROWTH][k] * field[lens]).T)
+            known[RADIUS][k]
+            - np.hypot(
+                *(place - known[OFFSET][2 * k : 2 * k + 2] - known[GROWTH][k] * field[lens]).T
+            )
             for k in (0, 1)
         ]
         chance[np.min(np.abs(depth), axis=0) > 3 * math.exp(float(known[LOG_BLUR].max()))] = 0.1
     taken = rng.random(len(light)) < chance * (number / chance.sum())
-    lens, place, light = lens[taken], place[taken], light[taken]
-    light /= lenses.gain[lens] * (1 + (slope[lens] * place).sum(1)) * max(float(lenses.profile[0]), 1e-9)
+    lens = lens[taken]
+    place = place[taken]
+    light = light[taken]
+    light /= (
+        lenses.gain[lens] * (1 + (slope[lens] * place).sum(1)) * max(float(lenses.profile[0]), 1e-9)
+    )
     reach = float(np.hypot(*lattice.image_size) / 2)
     rows, lens = np.unique(lens, return_inverse=True)
-    return _Pixels(rows, place, lens, light, field[rows], _STEPS @ lattice.basis, lenses.radius, reach)
+    return _Pixels(
+        rows, place, lens, light, field[rows], _STEPS @ lattice.basis, lenses.radius, reach
+    )
 
 
 def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """Residuals of what is known before, and their negative derivatives: `spread`, and blurs of both edges that are
-    alike to a hundredth, or else differ (a tenth and more counts no further)."""
+    """Residuals of what is known before, and their negative derivatives: `spread`, and blurs of
+    both edges that are alike to a hundredth, or else differ (a tenth and more counts no further).
+    """
     differ = float(p[LOG_BLUR][1] - p[LOG_BLUR][0])
     root = math.sqrt(1 + (differ / 0.1) ** 2)
     alike = np.zeros(COUNT)
@@ -274,10 +344,13 @@ def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]
 def _minimise(
     pixels: _Pixels, p: Floats, expected: Floats, spread: Floats, low: Floats, high: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Parameters, gains and standard errors by least squares with a robust loss; those without `spread` are held."""
+    """Parameters, gains and standard errors by least squares with a robust loss; those without
+    `spread` are held.
+    """
     from scipy.optimize import least_squares
 
-    free, even = np.flatnonzero(spread > 0), np.ones(len(pixels.light))
+    free = np.flatnonzero(spread > 0)
+    even = np.ones(len(pixels.light))
     noise = 1.4826 * float(np.median(np.abs(pixels.compare(p, even)[0]))) + 1e-9
     last: dict[bytes, tuple[Floats, Floats, Floats]] = {}
 
@@ -287,17 +360,31 @@ def _minimise(
             whole[free] = values
             residual, table, gain = pixels.compare(whole, even)
             away, stiff = _prior(whole, expected, spread)
-            found = np.append(residual / noise, away), -np.vstack([table / noise, stiff])[:, free], gain
+            found = (
+                np.append(residual / noise, away),
+                -np.vstack([table / noise, stiff])[:, free],
+                gain,
+            )
             last.clear()
             last[values.tobytes()] = found
         return last[values.tobytes()]
 
     start = np.clip(p, low + 1e-6, high - 1e-6)[free]
     solution: Any = least_squares(
-        lambda v: compare(v)[0], start, lambda v: compare(v)[1], (low[free], high[free]), "trf", ftol=1e-4,
-        x_scale="jac", loss="soft_l1", f_scale=3.0, tr_solver="exact", max_nfev=30,
-    )  # fmt: skip
-    best, errors = p.copy(), np.zeros(COUNT)
+        lambda v: compare(v)[0],
+        start,
+        lambda v: compare(v)[1],
+        (low[free], high[free]),
+        "trf",
+        ftol=1e-4,
+        x_scale="jac",
+        loss="soft_l1",
+        f_scale=3.0,
+        tr_solver="exact",
+        max_nfev=30,
+    )
+    best = p.copy()
+    errors = np.zeros(COUNT)
     best[free] = solution.x
     errors[free] = np.sqrt(np.diag(np.linalg.inv(solution.jac.T @ solution.jac)))
     return best, compare(solution.x)[2], errors
@@ -306,21 +393,27 @@ def _minimise(
 def _finish(
     pixels: _Pixels, p: Floats, expected: Floats, spread: Floats, low: Floats, high: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Gauss-Newton steps with Tukey's weights: parameters, covariance, offsets of single lenses, and `halves`."""
-    free, weight, p = np.flatnonzero(spread > 0), np.ones(len(pixels.light)), p.copy()
+    """Gauss-Newton steps with Tukey's weights: parameters, covariance, offsets of single lenses,
+    and `halves`.
+    """
+    free = np.flatnonzero(spread > 0)
+    weight = np.ones(len(pixels.light))
+    p = p.copy()
     for _ in range(6):
         residual, table, _ = pixels.compare(p, weight)
         noise = 1.4826 * float(np.median(np.abs(residual))) + 1e-9
         weight = np.maximum(1 - (residual / (TUKEY_CUTOFF * noise)) ** 2, 0) ** 2
         away, stiff = _prior(p, expected, spread)
         rows = table * (weight / noise**2)[:, None]
-        prior, pull = (stiff.T @ stiff)[np.ix_(free, free)], (stiff.T @ away)[free]
+        prior = (stiff.T @ stiff)[np.ix_(free, free)]
+        pull = (stiff.T @ away)[free]
         normal = (rows.T @ table)[np.ix_(free, free)] + prior
         step = np.linalg.solve(normal, (rows.T @ residual)[free] + pull)
         p[free] = np.clip(p[free] + step, low[free], high[free])
         if step @ normal @ step < 0.1:
             break
-    covariance, halves = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
+    covariance = np.zeros((COUNT, COUNT))
+    halves = np.zeros(COUNT)
     covariance[np.ix_(free, free)] = np.linalg.inv(normal)
     for side, sign in ((0, 1), (1, -1)):
         own = pixels.lens % 2 == side
@@ -338,11 +431,13 @@ def _finish(
 def choose_lens(discs: TwoDiscs) -> TwoDiscs:
     """The discs with that one first which is the lens, and the doubt about it.
 
-    The lens is whole in the middle of the field, where the other disc must not show: it is the smaller one. Shading is
-    centred on the lens. Radii are compared if they differ beyond 2.5 standard errors, else shadings; what is left of
-    an error of the model of the edges grows with their blur.
+    The lens is whole in the middle of the field, where the other disc must not show: it is the
+    smaller one. Shading is centred on the lens. Radii are compared if they differ beyond 2.5
+    standard errors, else shadings; what is left of an error of the model of the edges grows with
+    their blur.
     """
-    blur, sure = float(discs.blur.mean()), 2.5
+    blur = float(discs.blur.mean())
+    sure = 2.5
     smaller = discs.difference(RADIUS, 0.05 * blur)
     shaded = -discs.difference(SHADING, 0.3 * (blur / discs.scale) ** 2)
     sign = smaller if abs(smaller) > sure else smaller + shaded
@@ -355,7 +450,11 @@ def choose_lens(discs: TwoDiscs) -> TwoDiscs:
 
 def _state_doubt(discs: TwoDiscs, clash: bool) -> str:
     apart = abs(discs.cut.growth)
-    why = "the smaller one is not the one that its shading is centred on" if clash else "they are alike"
+    why = (
+        "the smaller one is not the one that its shading is centred on"
+        if clash
+        else "they are alike"
+    )
     return (
         f"microimages are the overlap of two discs of {discs.radius[0]:.2f} and {discs.radius[1]:.2f} px radius, and "
         f"{why}: the first is taken for the lens; if the other is, centres lie up to {apart:.2f} px off in the corners "

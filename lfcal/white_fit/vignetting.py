@@ -1,7 +1,8 @@
-"""Mechanical vignetting: the disc that cuts microimages to lens shapes (cat-eye), and its signs on white images.
+"""Mechanical vignetting: the disc that cuts microimages to lens shapes (cat-eye), and its signs on
+white images.
 
-A stop in front of or behind the pupil of the main lens cuts microimages off the optical axis. The cut is a disc whose
-offset from the microimage grows with the position in the field.
+A stop in front of or behind the pupil of the main lens cuts microimages off the optical axis. The
+cut is a disc whose offset from the microimage grows with the position in the field.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ __all__ = ["CatEye", "compare_pixels", "measure_centroid_offset", "measure_narro
 
 @dataclass(frozen=True)
 class CatEye:
-    """Disc that cuts the microimages, at `shift + growth * field` from their centres (`field_place`)."""
+    """Disc that cuts the microimages, at `shift + growth * field` from their centres
+    (`field_place`).
+    """
 
     shift: Floats  # (2,) [px] offset in the middle of the flat
     growth: float  # [px] further offset in the corners, positive outwards
@@ -35,27 +38,38 @@ class CatEye:
 def compare_pixels(lenses: Microimages) -> tuple[Floats, Booleans, Floats]:
     """Pixels of windows against the model.
 
-    Residuals (n, k, k) over the gains; which pixels lie in cells and are not clipped; and slope of the profile there
-    [1/px] and weight, (2, n, k, k).
+    Residuals (n, k, k) over the gains; which pixels lie in cells and are not clipped; and slope of
+    the profile there [1/px] and weight, (2, n, k, k).
     """
     x, y = lenses.places()
     far = np.maximum(np.hypot(x, y), 1e-6)
     step, table, saturation = lenses.rings
-    level, slope, weight, own, harmonic = (np.interp(far / step, np.arange(len(table)), c) for c in table.T)
-    (shade_x, shade_y), (slope_x, slope_y) = lenses.shade.T[..., None, None], lenses.slope.T[..., None, None]
+    level, slope, weight, own, harmonic = (
+        np.interp(far / step, np.arange(len(table)), c) for c in table.T
+    )
+    (shade_x, shade_y), (slope_x, slope_y) = (
+        lenses.shade.T[..., None, None],
+        lenses.slope.T[..., None, None],
+    )
     model = level + own * (shade_x * x + shade_y * y) + harmonic * (1 - 8 * (x * y / far**2) ** 2)
     inside = lenses.light < saturation
     for across, down in lenses.cell.normals:
         inside &= across * x + down * y <= 0.5
     tilt = 1 + slope_x * x + slope_y * y
-    return lenses.light / (lenses.gain[:, None, None] * tilt) - model, inside, np.stack([slope, weight])
+    return (
+        lenses.light / (lenses.gain[:, None, None] * tilt) - model,
+        inside,
+        np.stack([slope, weight]),
+    )
 
 
 def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, float]:
-    """By how much microimages in the corners of the field are narrower along the field than across, and its error [px].
+    """By how much microimages in the corners of the field are narrower along the field than across,
+    and its error [px].
 
-    Amplitude of `cos(2 * angle)` of the radius, angles from the direction of the field, growing with the field: neither
-    a lattice nor its distortion, neither blur nor the shape of pixels give whole discs any.
+    Amplitude of `cos(2 * angle)` of the radius, angles from the direction of the field, growing
+    with the field: neither a lattice nor its distortion, neither blur nor the shape of pixels give
+    whole discs any.
     """
     few = lenses.thin(1e6)
     x, y = few.places()
@@ -75,7 +89,8 @@ def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, flo
 
 
 def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
-    """Distance [px] of plain centroids of microimages in the middle of the field from their lattice; 0 for too few.
+    """Distance [px] of plain centroids of microimages in the middle of the field from their
+    lattice; 0 for too few.
 
     What grows with the field is left out: a disc that cuts microimages moves their centroids.
     """
@@ -86,11 +101,16 @@ def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
     if len(near) < 12:
         return 0.0
     x, y = moved.places()
-    x, y, light, field = x[near], y[near], moved.light[near], field[near]
+    x = x[near]
+    y = y[near]
+    light = moved.light[near]
+    field = field[near]
     window = np.clip(moved.cell.inradius + 0.5 - np.hypot(x, y), 0, 1)
     light = window * np.clip(light - np.quantile(light, 0.05, axis=(1, 2))[:, None, None], 0, None)
     total = np.maximum(light.sum((1, 2)), 1e-30)
     offset = np.column_stack([(light * way).sum((1, 2)) / total for way in (x, y)])
     field = field - field.mean(0)
-    growth = ((offset - np.median(offset, axis=0)) * field).sum() / max(float((field**2).sum()), 1e-30)
+    growth = ((offset - np.median(offset, axis=0)) * field).sum() / max(
+        float((field**2).sum()), 1e-30
+    )
     return float(np.hypot(*np.median(offset - growth * field, axis=0)))

@@ -1,1 +1,3 @@
-"""The command line `lfrender`: each command reads its inputs, calls the functions of the package and prints figures."""
+"""The command line `lfrender`: each command reads its inputs, calls the functions of the package
+and prints figures.
+"""

@@ -18,10 +18,14 @@ if TYPE_CHECKING:
 
 __all__ = ["analyze"]
 
-# Suffixes of the forms of depth beside .npz, by the option for each; an output with that of several is the first one.
+# Suffixes of the forms of depth beside .npz, by the option for each; an output with that of several
+# is the first one.
 _FORMS = {
-    "dense": (".tif", ".tiff", ".pfm", ".exr"), "picture": (".png",), "ply": (".ply", ".pcd"), "mesh": (".glb", ".ply"),
-}  # fmt: skip
+    "dense": (".tif", ".tiff", ".pfm", ".exr"),
+    "picture": (".png",),
+    "ply": (".ply", ".pcd"),
+    "mesh": (".glb", ".ply"),
+}
 
 
 @capture_command(
@@ -42,12 +46,16 @@ _FORMS = {
 def analyze(capture: CaptureInput, given: Any) -> None:
     """Find the depth of every microlens of FLAT, and its mode.
 
-    Depth is the signed patch size: telescopic where it is positive, binocular where it is negative. The suffix of the
-    output chooses its form: .npz holds all that was found, others are those of --dense, --picture, --ply and --mesh.
+    Depth is the signed patch size: telescopic where it is positive, binocular where it is negative.
+    The suffix of the output chooses its form: .npz holds all that was found, others are those of
+    --dense, --picture, --ply and --mesh.
     """
     from lfcal import Optics
 
-    report, roi, output, edges = capture.report, capture.roi, given.output, given.edges
+    report = capture.report
+    roi = capture.roi
+    output = given.output
+    edges = given.edges
     check_output(output, {".npz"}.union(*_FORMS.values()), capture.files)
     forms: dict[str, Path] = {}
     for name, suffixes in _FORMS.items():
@@ -74,11 +82,16 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     else:
         pixels, calibration = capture.calibrate(capture.read())
         with option_errors():
-            depth = capture.analyze(pixels, calibration, skip=not given.exhaustive, roi=roi, edges=edges)
+            depth = capture.analyze(
+                pixels, calibration, skip=not given.exhaustive, roi=roi, edges=edges
+            )
     optics = optics or calibration.optics
     if given.metres and optics is None:
-        raise click.UsageError("--metres needs optics: a camera file made by 'lfcal metric', or --optics")
-    found, closing = {"depth": str(output), **figures.capture_figures(calibration, depth, optics)}, []
+        raise click.UsageError(
+            "--metres needs optics: a camera file made by 'lfcal metric', or --optics"
+        )
+    found = {"depth": str(output), **figures.capture_figures(calibration, depth, optics)}
+    closing = []
     with report.stage("write"):
         if output.suffix.lower() == ".npz":
             depth.save(output)
@@ -86,13 +99,19 @@ def analyze(capture: CaptureInput, given: Any) -> None:
             from ..data.dense_depth import dense_depth, dense_distance, write_dense
 
             grid = dense_depth(depth, fill=not given.unfilled)
-            write_dense(forms["dense"], grid, dense_distance(grid, optics) if given.metres and optics else None)
+            write_dense(
+                forms["dense"],
+                grid,
+                dense_distance(grid, optics) if given.metres and optics else None,
+            )
         if "picture" in forms:
             from ..output.depth_picture import depth_picture, magnification_limits
             from ..output.picture import write_picture
 
             low, high = found["colours"] = list(magnification_limits(depth.magnification))
-            write_picture(forms["picture"], depth_picture(depth), settings={"magnification": [low, high]})
+            write_picture(
+                forms["picture"], depth_picture(depth), settings={"magnification": [low, high]}
+            )
             closing = [
                 f"{forms['picture']}: magnification M from {low:.1f} (blue) to {high:.1f} (red), logarithmic; "
                 f"{_near_and_far(depth)}; grey: unresolved."
@@ -101,18 +120,26 @@ def analyze(capture: CaptureInput, given: Any) -> None:
             from ..output.point_cloud import mesh, point_cloud, write_mesh, write_points
 
             if "ply" in forms:
-                write_points(forms["ply"], point_cloud(pixels, calibration, depth, optics), metres=optics is not None)
+                write_points(
+                    forms["ply"],
+                    point_cloud(pixels, calibration, depth, optics),
+                    metres=optics is not None,
+                )
             if "mesh" in forms:
                 surface = mesh(pixels, calibration, depth, optics)
                 write_mesh(forms["mesh"], surface)
-                closing.append(f"{forms['mesh']}: {len(surface.faces):,} triangles; {surface.metadata['axes']}.")
+                closing.append(
+                    f"{forms['mesh']}: {len(surface.faces):,} triangles; {surface.metadata['axes']}."
+                )
     written = dict.fromkeys(map(str, (output, *forms.values())))
     sentences = figures.capture_sentences(capture, calibration, depth, optics)
     report.finish(found, *sentences, f"{', '.join(written)} in {report.took}.", *closing)
 
 
 def _near_and_far(depth: DepthMap) -> str:
-    """Which colours are near: M falls toward the camera before the microlenses, and grows behind them."""
+    """Which colours are near: M falls toward the camera before the microlenses, and grows behind
+    them.
+    """
     ends = {1: "blue is near, red is far", -1: "red is near, blue is far"}
     shown = [mode for mode in ends if (depth.mode == mode).mean() > 0.01]
     names = {1: " where telescopic", -1: " where binocular"}

@@ -1,4 +1,6 @@
-"""The figures that commands print, and the entries about the rendering that are stored with a picture."""
+"""The figures that commands print, and the entries about the rendering that are stored with a
+picture.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +14,38 @@ if TYPE_CHECKING:
     from .inputs import CaptureInput
 
 __all__ = [
-    "brightness_sentences", "capture_figures", "capture_sentences", "eight_bits_sentence", "few_pixels_problem",
-    "percent", "picture_figures", "picture_sentence", "rendering_settings",
-]  # fmt: skip
+    "brightness_sentences",
+    "capture_figures",
+    "capture_sentences",
+    "eight_bits_sentence",
+    "few_pixels_problem",
+    "percent",
+    "picture_figures",
+    "picture_sentence",
+    "rendering_settings",
+]
 
-# Below this pitch [px] most lenses of a scene of several depths were left unresolved (HCI antinous, 9 px: 76 %).
+# Below this pitch [px] most lenses of a scene of several depths were left unresolved (HCI antinous,
+# 9 px: 76 %).
 _FEW_PIXELS = 12
 
 
-def rendering_settings(depth: DepthMap | None, patch_size: float | None, detail: str | None = None) -> dict[str, Any]:
+def rendering_settings(
+    depth: DepthMap | None, patch_size: float | None, detail: str | None = None
+) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
     if depth is None and patch_size is None:
         return {"rendering": "traditional"}
-    how = {"rendering": "all in focus", "preset": depth.preset} if depth else {"rendering": "one patch size"}
-    return how | ({} if depth else {"patch_size": patch_size}) | ({} if detail is None else {"detail": detail})
+    how = (
+        {"rendering": "all in focus", "preset": depth.preset}
+        if depth
+        else {"rendering": "one patch size"}
+    )
+    return (
+        how
+        | ({} if depth else {"patch_size": patch_size})
+        | ({} if detail is None else {"detail": detail})
+    )
 
 
 def capture_figures(
@@ -33,8 +53,9 @@ def capture_figures(
 ) -> dict[str, Any]:
     """Figures of the camera and warnings; with a depth map, those of the analysed lenses.
 
-    These are shares of the modes, of the reasons why some are unresolved, and of the work that shortcuts saved; with
-    optics, median and range [m] of the distances of nine tenths of the lenses, and the median of their standard errors.
+    These are shares of the modes, of the reasons why some are unresolved, and of the work that
+    shortcuts saved; with optics, median and range [m] of the distances of nine tenths of the
+    lenses, and the median of their standard errors.
     """
     figures: dict[str, Any] = {
         "pitch": calibration.lattice.pitch,
@@ -55,21 +76,35 @@ def capture_figures(
     if problem := find_depth_problem(depth):
         figures["warnings"].append(problem)
     analysed = depth.reason != REASONS.index("not analysed")
-    mode, reason = depth.mode[analysed], depth.reason[analysed]
+    mode = depth.mode[analysed]
+    reason = depth.reason[analysed]
     sizes = np.abs(depth.patch_size[depth.mode != 0])
     figures |= {
         "lenses_analysed": int(analysed.sum()),
-        "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items()} if len(mode) else {},
+        "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items()}
+        if len(mode)
+        else {},
         "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan"),
-        "unresolved": {REASONS[code]: float(np.mean(reason == code)) for code in np.unique(reason[mode == 0])},
+        "unresolved": {
+            REASONS[code]: float(np.mean(reason == code)) for code in np.unique(reason[mode == 0])
+        },
         "saved": depth.saved,
     }
     if optics is not None:
         camera = calibration if optics is calibration.optics else optics
-        known, errors = depth.distance(camera), depth.distance_error(camera)
-        known, errors = known[~np.isnan(known)], errors[np.isfinite(errors)]
-        ends = np.quantile(known, (0.05, 0.5, 0.95), method="nearest") if known.size else [float("nan")] * 3
-        figures |= {"distance_median": float(ends[1]), "distance_range": [float(ends[0]), float(ends[2])]}
+        known = depth.distance(camera)
+        errors = depth.distance_error(camera)
+        known = known[~np.isnan(known)]
+        errors = errors[np.isfinite(errors)]
+        ends = (
+            np.quantile(known, (0.05, 0.5, 0.95), method="nearest")
+            if known.size
+            else [float("nan")] * 3
+        )
+        figures |= {
+            "distance_median": float(ends[1]),
+            "distance_range": [float(ends[0]), float(ends[2])],
+        }
         figures["distance_error"] = float(np.median(errors)) if errors.size else float("nan")
     return figures
 
@@ -88,29 +123,47 @@ def picture_figures(picture: Rendering) -> dict[str, Any]:
     """Size, scale, share of valid pixels, and affine to the flat."""
     height, width = picture.image.shape[:2]
     valid = float(picture.valid.mean())
-    return {"size": [width, height], "scale": picture.scale, "valid": valid, "affine": picture.affine}
+    return {
+        "size": [width, height],
+        "scale": picture.scale,
+        "valid": valid,
+        "affine": picture.affine,
+    }
 
 
 def percent(share: float) -> str:
     """A share in percent, with a digit behind the point only where it would be 0 or 100 without."""
     rounded = f"{100 * share:.0f}"
-    return f"{100 * share:.1f} %" if rounded in ("0", "100") and share not in (0.0, 1.0) else f"{rounded} %"
+    return (
+        f"{100 * share:.1f} %"
+        if rounded in ("0", "100") and share not in (0.0, 1.0)
+        else f"{rounded} %"
+    )
 
 
 def capture_sentences(
-    capture: CaptureInput, calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None
+    capture: CaptureInput,
+    calibration: Calibration,
+    depth: DepthMap | None = None,
+    optics: Optics | None = None,
 ) -> list[str]:
-    """How many lenses there are and where the camera comes from, shares of the modes, and with optics the distances."""
+    """How many lenses there are and where the camera comes from, shares of the modes, and with
+    optics the distances.
+    """
     sure = f" (confidence {percent(calibration.confidence)})"
     where = "the flat itself" if capture.white is None else str(capture.white)
     how = f"found on {where}{sure}" if capture.camera is None else f"with {capture.camera}"
-    sentences = [f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}."]
+    sentences = [
+        f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}."
+    ]
     if depth is None:
         return sentences
     figures = capture_figures(calibration, depth, optics)
     count = figures["lenses_analysed"]
     lenses = f"{count:,} lenses in this part" if count < len(depth) else "lenses"
-    shares = ", ".join(f"{percent(share)} {name}" for name, share in figures["modes"].items() if share >= 0.0005)
+    shares = ", ".join(
+        f"{percent(share)} {name}" for name, share in figures["modes"].items() if share >= 0.0005
+    )
     # The reasons of a quarter of the unresolved lenses or more.
     share = figures["modes"].get("unresolved", 0.0)
     why = " or ".join(name for name, part in figures["unresolved"].items() if part >= 0.25 * share)
@@ -138,7 +191,9 @@ def brightness_sentences(gain: float) -> list[str]:
         return []
     import math
 
-    return [f"Brightness times {gain:.3g} ({math.log2(gain):+.1f} EV); --exposure 0 leaves it as it is."]
+    return [
+        f"Brightness times {gain:.3g} ({math.log2(gain):+.1f} EV); --exposure 0 leaves it as it is."
+    ]
 
 
 def picture_sentence(path: Any, picture: Rendering, what: str, took: str) -> str:

@@ -1,4 +1,6 @@
-"""The inputs of commands: a flat, its camera and its depth, read from files or computed from the pixels."""
+"""The inputs of commands: a flat, its camera and its depth, read from files or computed from the
+pixels.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +37,14 @@ MOVING = (".gif", ".mkv", ".mov", ".mp4")
 
 @dataclass(frozen=True)
 class CaptureInput:
-    """A flat, and the files that its camera and its depth come from; its methods time the stages of a command."""
+    """A flat, and the files that its camera and its depth come from; its methods time the stages of
+    a command.
+    """
 
     report: Report
     flat: Path
-    # Without camera and white image, the camera is calibrated from the flat; without a depth file, it is analysed.
+    # Without camera and white image, the camera is calibrated from the flat; without a depth file,
+    # it is analysed.
     camera: Path | None = None
     white: Path | None = None
     depth_file: Path | None = None
@@ -94,7 +99,11 @@ class CaptureInput:
     def raw_layout(self, inputs: Iterable[Path]) -> dict[str, Any]:
         """How raw video among the `inputs` is read, as options of `lfcal.read_flat`."""
         size = self.size
-        if size is None and self.camera is not None and any(path.suffix.lower() == RAW_SUFFIX for path in inputs):
+        if (
+            size is None
+            and self.camera is not None
+            and any(path.suffix.lower() == RAW_SUFFIX for path in inputs)
+        ):
             from lfcal import load
 
             with suppress(CameraFileError):
@@ -109,10 +118,16 @@ class CaptureInput:
         with name_file_in_errors(self.dark):
             return subtract_dark(pixels, read_flat(self.dark))
 
-    def calibrate(self, pixels: NDArray[Any], known: Calibration | None = None) -> tuple[NDArray[Any], Calibration]:
-        """The flat in colour, and its camera: the one `known` from another flat, if the pixels agree with it."""
+    def calibrate(
+        self, pixels: NDArray[Any], known: Calibration | None = None
+    ) -> tuple[NDArray[Any], Calibration]:
+        """The flat in colour, and its camera: the one `known` from another flat, if the pixels
+        agree with it.
+        """
         with self.report.stage("calibrate"):
-            calibration = known if known is not None and _agrees(known, pixels) else self.find_camera(pixels)
+            calibration = (
+                known if known is not None and _agrees(known, pixels) else self.find_camera(pixels)
+            )
             if calibration.mosaic is not None and pixels.ndim == 2:
                 from ..flat.demosaicing import demosaic
 
@@ -122,22 +137,29 @@ class CaptureInput:
     def find_camera(self, pixels: Any) -> Calibration:
         """The camera of the file, or calibrated from the white image or from the pixels.
 
-        With a camera file of lfcal, `pixels` may be a `FlatSource`. Videos are encoded for display, whatever bits they
-        have.
+        With a camera file of lfcal, `pixels` may be a `FlatSource`. Videos are encoded for display,
+        whatever bits they have.
         """
         if self.mosaic is not None and len(pixels.shape) == 3:
             raise click.UsageError(f"{self.flat} is in colour already; leave out --mosaic")
         if self.camera is not None:
             calibration = _read_camera(self.camera, pixels)
-            calibration = calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
+            calibration = (
+                calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
+            )
         elif self.white is not None:
             calibration = self._calibrate_white(self.white, pixels)
         elif self.recording is not None and self.recording.camera is not None:
             calibration = self.recording.camera
-            calibration = calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
+            calibration = (
+                calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
+            )
         else:
             calibration = self._calibrate_scene(pixels)
-        encoded = calibration.encoded is None and self.flat.suffix.lower() in (*VIDEO_FORMATS, RAW_SUFFIX)
+        encoded = calibration.encoded is None and self.flat.suffix.lower() in (
+            *VIDEO_FORMATS,
+            RAW_SUFFIX,
+        )
         return replace(calibration, encoded=True) if encoded else calibration
 
     def _calibrate_scene(self, pixels: NDArray[Any]) -> Calibration:
@@ -155,11 +177,17 @@ class CaptureInput:
 
         white = read_flat(path)
         if white.shape[:2] != pixels.shape[:2]:
-            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (white.shape, pixels.shape))
-            raise FlatError(f"{path}: white image and flat must be of one size, they have {sizes} px")
+            sizes = " and ".join(
+                f"{shape[1]} x {shape[0]}" for shape in (white.shape, pixels.shape)
+            )
+            raise FlatError(
+                f"{path}: white image and flat must be of one size, they have {sizes} px"
+            )
         white = self._subtract_dark(white)
         with name_file_in_errors(path):
-            calibration = calibrate(white, kind="white", mosaic=self.mosaic if white.ndim == 2 else None)
+            calibration = calibrate(
+                white, kind="white", mosaic=self.mosaic if white.ndim == 2 else None
+            )
         # Scenes show more of which filters are red.
         return calibration.with_mosaic_of(pixels)
 
@@ -173,7 +201,8 @@ class CaptureInput:
             return analyze(pixels, calibration, preset=self.chosen_preset, **options)
 
     def read_depth(self, flat: NDArray[Any] | FlatSource | None) -> DepthMap:
-        """The depth of the file, with a warning if it was made from another flat of this size; None asks for no check.
+        """The depth of the file, with a warning if it was made from another flat of this size; None
+        asks for no check.
 
         Flats of a colour filter mosaic are checked in colour.
         """
@@ -182,7 +211,9 @@ class CaptureInput:
         path = self.depth_file
         assert path is not None
         if path.suffix.lower() != ".npz":
-            raise DepthFileError(f"{path}: is no depth map (.npz); make one with 'lfrender analyze'")
+            raise DepthFileError(
+                f"{path}: is no depth map (.npz); make one with 'lfrender analyze'"
+            )
         depth = DepthMap.load(path)
         if flat is not None and depth.image_size == flat.shape[1::-1] and not depth.is_of(flat):
             self.report.warn(
@@ -194,22 +225,35 @@ class CaptureInput:
     def write(
         self, given: Any, pictures: list[Rendering], settings: list[dict[str, Any]], **options: Any
     ) -> tuple[list[Path], list[str]]:
-        """Write a picture, with `options`, a stack or an animation; the files, and what is to be said about their bits.
+        """Write a picture, with `options`, a stack or an animation; the files, and what is to be
+        said about their bits.
 
         The values `given` are those of `output`, `eight_bits` and `exposure`.
 
         Animations go there and back again.
         """
         from ..output.formats import read_metadata
-        from ..output.picture import Brightness, default_exposure, needs_eight_bits, write_picture, write_stack
+        from ..output.picture import (
+            Brightness,
+            default_exposure,
+            needs_eight_bits,
+            write_picture,
+            write_stack,
+        )
         from ..output.picture import eight_bits as to_eight_bits
 
         output = given.output
-        first, stated, embedded = pictures[0], [], read_metadata(self.flat)
-        brightness = Brightness(default_exposure(output) if given.exposure is None else given.exposure)
+        first = pictures[0]
+        stated = []
+        embedded = read_metadata(self.flat)
+        brightness = Brightness(
+            default_exposure(output) if given.exposure is None else given.exposure
+        )
         pictures = [brightness.apply(picture) for picture in pictures]
         settings = [{**entries, **brightness.entries} for entries in settings]
-        if first.image.dtype.name != "uint8" and (given.eight_bits or needs_eight_bits(output, first)):
+        if first.image.dtype.name != "uint8" and (
+            given.eight_bits or needs_eight_bits(output, first)
+        ):
             stated = [figures.eight_bits_sentence(first.white, first.image.dtype)]
             pictures = [to_eight_bits(picture) for picture in pictures]
         stated += figures.brightness_sentences(brightness.gain)
@@ -221,16 +265,24 @@ class CaptureInput:
             elif len(pictures) > 1:
                 return write_stack(output, pictures, settings=settings, embedded=embedded), stated
             else:
-                write_picture(output, pictures[0], settings=settings[0], embedded=embedded, **options)
+                write_picture(
+                    output, pictures[0], settings=settings[0], embedded=embedded, **options
+                )
         return [output], stated
 
 
 def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
-    """Whether a flat can be read in parts and has more than `least_bytes`; smaller ones are faster as a whole."""
+    """Whether a flat can be read in parts and has more than `least_bytes`; smaller ones are faster
+    as a whole.
+    """
     from lfcal import LightFieldError, open_flat
 
     # A compressed file that is a hundred times smaller need not be opened: its flat is smaller too.
-    is_file = flat.is_file() and flat.suffix.lower() in TIFF_SUFFIXES and flat.stat().st_size >= least_bytes / 100
+    is_file = (
+        flat.is_file()
+        and flat.suffix.lower() in TIFF_SUFFIXES
+        and flat.stat().st_size >= least_bytes / 100
+    )
     if not (is_file or flat.is_dir()):
         return False
     try:
@@ -242,21 +294,28 @@ def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
 
 
 def is_published(path: Path) -> bool:
-    """Whether a camera file is of another program, so that its lattice may be moved onto the pixels."""
+    """Whether a camera file is of another program, so that its lattice may be moved onto the
+    pixels.
+    """
     return path.suffix.lower() != ".json"
 
 
 def _agrees(calibration: Calibration, pixels: NDArray[Any]) -> bool:
     from lfcal import check_camera
 
-    return calibration.image_size == pixels.shape[1::-1] and check_camera(calibration, pixels).problem is None
+    return (
+        calibration.image_size == pixels.shape[1::-1]
+        and check_camera(calibration, pixels).problem is None
+    )
 
 
 def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
-    """A camera file for flats of this size, with a warning if the pixels contradict it or show nothing of it.
+    """A camera file for flats of this size, with a warning if the pixels contradict it or show
+    nothing of it.
 
-    A published one is moved onto the microimages where the flat is a crop of the sensor; colour filters that it does
-    not know are found on the flat. Raises CameraFileError where the flat shows another lattice.
+    A published one is moved onto the microimages where the flat is a crop of the sensor; colour
+    filters that it does not know are found on the flat. Raises CameraFileError where the flat shows
+    another lattice.
     """
     import numpy as np
 
@@ -267,13 +326,17 @@ def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
     size = np.array(pixels.shape[1::-1])
     calibration = load(path, (int(size[0]), int(size[1])))
     if isinstance(pixels, np.ndarray):
-        part, shown = pixels, calibration
+        part = pixels
+        shown = calibration
     else:
-        # The middle of a flat that is not in memory; even, so that a colour filter mosaic keeps its phase.
+        # The middle of a flat that is not in memory; even, so that a colour filter mosaic keeps its
+        # phase.
         low = np.maximum(size - 3000, 0) // 4 * 2
         high = np.minimum(low + 3000, size)
         part = pixels.read(*low.tolist(), *high.tolist())
-        shown = replace(calibration, lattice=crop_lattice(calibration.lattice, low, high), gain_map=None)
+        shown = replace(
+            calibration, lattice=crop_lattice(calibration.lattice, low, high), gain_map=None
+        )
     check = check_camera(shown, part)
     if check.adjusted is not None and is_published(path) and part is pixels:
         warning = "as published, the lattice lies beside the microimages, as in crops of a sensor; it was moved there"

@@ -1,4 +1,6 @@
-"""The commands `analyze` and `render` on flats that are too large for memory, with the same options and figures."""
+"""The commands `analyze` and `render` on flats that are too large for memory, with the same options
+and figures.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ if TYPE_CHECKING:
 __all__ = ["analyze_in_tiles", "render_in_tiles"]
 
 
-def analyze_in_tiles(capture: CaptureInput, skip: bool, cluster: dict[str, Any]) -> tuple[DepthMap, Calibration]:
+def analyze_in_tiles(
+    capture: CaptureInput, skip: bool, cluster: dict[str, Any]
+) -> tuple[DepthMap, Calibration]:
     """Calibrate, and analyse in tiles."""
     with _open(capture) as source:
         calibration = _calibrate(capture, source)
@@ -27,14 +31,20 @@ def analyze_in_tiles(capture: CaptureInput, skip: bool, cluster: dict[str, Any])
             return _analyze(capture, source, calibration, cluster, skip), calibration
 
 
-def render_in_tiles(capture: CaptureInput, given: Any, cluster: dict[str, Any], **options: Any) -> None:
-    """Calibrate, analyse and render in tiles; depth and finished tiles are kept until the picture is there."""
+def render_in_tiles(
+    capture: CaptureInput, given: Any, cluster: dict[str, Any], **options: Any
+) -> None:
+    """Calibrate, analyse and render in tiles; depth and finished tiles are kept until the picture
+    is there.
+    """
     from .. import render_large
     from ..data.depth_map import DepthMap
     from ..large.render import check_large_picture
     from ..output.resume import Checkpoint, file_identity, fingerprint
 
-    report, output, depth = capture.report, given.output, None
+    report = capture.report
+    output = given.output
+    depth = None
     with _open(capture) as source:
         check_large_picture(output, source.dtype, given.alpha, capture.files)
         calibration = _calibrate(capture, source)
@@ -44,7 +54,11 @@ def render_in_tiles(capture: CaptureInput, given: Any, cluster: dict[str, Any], 
                     raw = calibration.mosaic is not None and len(source.shape) == 2
                     depth = capture.read_depth(None if raw else source)
                 else:
-                    pixels = [*file_identity(capture.flat), capture.page, *file_identity(capture.dark)]
+                    pixels = [
+                        *file_identity(capture.flat),
+                        capture.page,
+                        *file_identity(capture.dark),
+                    ]
                     key = fingerprint(pixels, calibration.to_dict(), capture.preset)
                     checkpoint = Checkpoint(output)
                     file = checkpoint.folder / "depth.npz"
@@ -53,20 +67,33 @@ def render_in_tiles(capture: CaptureInput, given: Any, cluster: dict[str, Any], 
                         checkpoint.open()
                         found_depth.save(file)
                         checkpoint.keep("depth", key)
-                    # Always from the file: later results do not depend on whether a run was interrupted.
+                    # Always from the file: later results do not depend on whether a run was
+                    # interrupted.
                     depth = DepthMap.load(file)
         settings = figures.rendering_settings(depth, given.patch_size, given.detail)
         with report.stage("render"), report.progress("tiles") as progress, option_errors():
             made = render_large(
-                source, output, calibration, depth, settings=settings, progress=progress, tile=given.tile,
-                **options, **cluster,
-            )  # fmt: skip
+                source,
+                output,
+                calibration,
+                depth,
+                settings=settings,
+                progress=progress,
+                tile=given.tile,
+                **options,
+                **cluster,
+            )
     kept = f", {made.kept} of them kept from an earlier run" if made.kept else ""
     width, height = made.size
     found = {
-        "picture": str(output), "size": made.size, "scale": made.scale, "valid": made.valid, "affine": made.affine,
-        "tiles": made.tiles, "tiles_kept": made.kept,
-    }  # fmt: skip
+        "picture": str(output),
+        "size": made.size,
+        "scale": made.scale,
+        "valid": made.valid,
+        "affine": made.affine,
+        "tiles": made.tiles,
+        "tiles_kept": made.kept,
+    }
     report.finish(
         found | figures.capture_figures(calibration, depth),
         *figures.capture_sentences(capture, calibration, depth),
@@ -90,9 +117,20 @@ def _calibrate(capture: CaptureInput, source: FlatSource) -> Calibration:
 
 
 def _analyze(
-    capture: CaptureInput, source: FlatSource, calibration: Calibration, cluster: dict[str, Any], skip: bool = True
+    capture: CaptureInput,
+    source: FlatSource,
+    calibration: Calibration,
+    cluster: dict[str, Any],
+    skip: bool = True,
 ) -> DepthMap:
     from .. import analyze_large
 
     with capture.report.progress("tiles") as progress:
-        return analyze_large(source, calibration, capture.preset or "balanced", skip=skip, progress=progress, **cluster)
+        return analyze_large(
+            source,
+            calibration,
+            capture.preset or "balanced",
+            skip=skip,
+            progress=progress,
+            **cluster,
+        )

@@ -33,17 +33,22 @@ __all__ = ["live"]
     "lfrender live frames --fps 5",
 )
 @click.argument("source", metavar="SOURCE")
-@cloup.option_group("Files", *(declare(name, "the first frame") for name in ("live_folder", "camera", "white")))
+@cloup.option_group(
+    "Files", *(declare(name, "the first frame") for name in ("live_folder", "camera", "white"))
+)
 @cloup.option_group("Frames", *(declare(name) for name in ("live_format", "live_rate", "mosaic")))
 @cloup.option_group("Depth analysis", declare("live_preset"))
-@cloup.option_group("Where to show it", *(declare(name) for name in ("live_exposure", "host", "port", "no_browser")))
+@cloup.option_group(
+    "Where to show it", *(declare(name) for name in ("live_exposure", "host", "port", "no_browser"))
+)
 @cl.report_options
 def live(report: cl.Report, given: Any) -> None:
     """Show a camera in the browser: raw, traditional, sharp, depth, in focus where you click.
 
-    SOURCE is the number, file, address or GStreamer pipeline of a camera or stream that OpenCV reads; a GenICam
-    camera, as PRODUCER.cti[:DEVICE] or with Aravis as arv:[DEVICE]; or files, a folder or a video, in a loop. The
-    newest frame is drawn, others are counted as lost. The page is served to this machine alone until Ctrl-C.
+    SOURCE is the number, file, address or GStreamer pipeline of a camera or stream that OpenCV
+    reads; a GenICam camera, as PRODUCER.cti[:DEVICE] or with Aravis as arv:[DEVICE]; or files, a
+    folder or a video, in a loop. The newest frame is drawn, others are counted as lost. The page is
+    served to this machine alone until Ctrl-C.
     """
     from ..live.grabber import Grabber
     from ..live.server import LiveServer
@@ -69,7 +74,10 @@ def live(report: cl.Report, given: Any) -> None:
     with closing(session), LiveServer(session, source, given.host, given.port) as server:
         with report.stage("calibrate"):
             session.start(strict=bool(given.camera or given.white))
-        figures = {"page": server.url, "warnings": list(session.camera.warnings) if session.camera else []}
+        figures = {
+            "page": server.url,
+            "warnings": list(session.camera.warnings) if session.camera else [],
+        }
         report.finish(figures, f"{session.about}.", f"{server.url} until Ctrl-C.")
         if not given.no_browser:
             click.launch(server.url)

@@ -27,13 +27,21 @@ __all__ = ["main"]
 def warm(report: cl.Report, given: Any) -> None:
     """Compile all kernels ahead, once for each installation.
 
-    The first command does so too. The kernels of lfcal and lfrender, for flats of all kinds, go into Numba's cache.
+    The first command does so too. The kernels of lfcal and lfrender, for flats of all kinds, go
+    into Numba's cache.
     """
     failed = report.compile_kernels(given.processes)
     seconds = report.compile_seconds
     more = f"; {failed} could not be compiled" if failed else ""
-    done = "All kernels were compiled already." if failed is None else f"Kernels compiled in {seconds:.0f} s{more}."
-    report.finish({"compiled": failed is not None, "kernels_failed": failed or 0, "compile_seconds": seconds}, done)
+    done = (
+        "All kernels were compiled already."
+        if failed is None
+        else f"Kernels compiled in {seconds:.0f} s{more}."
+    )
+    report.finish(
+        {"compiled": failed is not None, "kernels_failed": failed or 0, "compile_seconds": seconds},
+        done,
+    )
 
 
 @cloup.group(
@@ -41,9 +49,21 @@ def warm(report: cl.Report, given: Any) -> None:
     name="lfrender",
     context_settings={"help_option_names": ["-h", "--help"]},
     others=(
-        "lfcal", ("assess", "board", "calibrate", "compare", "convert", "flatten", "info", "lattice", "metric", "show"),
+        "lfcal",
+        (
+            "assess",
+            "board",
+            "calibrate",
+            "compare",
+            "convert",
+            "flatten",
+            "info",
+            "lattice",
+            "metric",
+            "show",
+        ),
     ),
-)  # fmt: skip
+)
 @click.version_option(package_name="lfrender", prog_name="lfrender")
 def main() -> None:
     """Depth and full-resolution pictures from focused plenoptic captures."""

@@ -1,7 +1,8 @@
-"""The table of all options, how commands take them from it, and how errors in their values are reported.
+"""The table of all options, how commands take them from it, and how errors in their values are
+reported.
 
-What a command works on is the same everywhere, a `CaptureInput`: its options make sense for every command, or are
-refused with the reason.
+What a command works on is the same everywhere, a `CaptureInput`: its options make sense for every
+command, or are refused with the reason.
 """
 
 from __future__ import annotations
@@ -21,12 +22,23 @@ from lfcal.runtime.image_formats import MOSAICS
 from ..runtime.choices import Detail, PoseFormat, Preset
 from .inputs import CaptureInput
 
-__all__ = ["at_most_one", "capture_command", "connect_cluster", "declare", "option_errors", "output_option"]
+__all__ = [
+    "at_most_one",
+    "capture_command",
+    "connect_cluster",
+    "declare",
+    "option_errors",
+    "output_option",
+]
 
-_FILE, _OUTPUT = cl.InputPath(), cl.OutputPath()
-_SIZE, _GRID = cl.Pair("WxH", "2048x1536"), cl.Pair("ROWSxCOLUMNS", "5x5")
-_PRESET, _POSES = click.Choice(get_args(Preset)), click.Choice(get_args(PoseFormat))
-_POSITIVE, _SHARE = click.FloatRange(0, min_open=True), click.FloatRange(0, 1, min_open=True)
+_FILE = cl.InputPath()
+_OUTPUT = cl.OutputPath()
+_SIZE = cl.Pair("WxH", "2048x1536")
+_GRID = cl.Pair("ROWSxCOLUMNS", "5x5")
+_PRESET = click.Choice(get_args(Preset))
+_POSES = click.Choice(get_args(PoseFormat))
+_POSITIVE = click.FloatRange(0, min_open=True)
+_SHARE = click.FloatRange(0, 1, min_open=True)
 
 
 def _row(*names_kind_help: Any, **more: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
@@ -178,9 +190,13 @@ def declare(name: str, inputs: str = "FLAT", **further: Any) -> Callable[[Any], 
 
 
 def output_option(metavar: str, text: str, piped: str = "", **more: Any) -> Callable[[Any], Any]:
-    """The option `--output`; `piped` is the format of what goes to stdout with `-`, if that is possible."""
+    """The option `--output`; `piped` is the format of what goes to stdout with `-`, if that is
+    possible.
+    """
     text += f" With -, {piped[1:].upper()} to stdout." if piped else ""
-    return cl.option("-o --output", cl.OutputPath(piped), text, metavar, **{"required": True, **more})
+    return cl.option(
+        "-o --output", cl.OutputPath(piped), text, metavar, **{"required": True, **more}
+    )
 
 
 def capture_command(
@@ -191,11 +207,13 @@ def capture_command(
     inputs: str = "FLAT",
     several: str = "",
 ) -> Callable[[Any], click.Command]:
-    """Make a command that works on captures; its function takes a `CaptureInput` and the values of its own options.
+    """Make a command that works on captures; its function takes a `CaptureInput` and the values of
+    its own options.
 
-    These are `output`, as for `output_option`, and `own`: titles in the help, with names of options in the table.
-    `refused` are options of captures that make no sense, with the reason to say. A command that takes `several` inputs
-    calls them so, and its camera is calibrated from the first of the `inputs`. `examples` are shown in the help.
+    These are `output`, as for `output_option`, and `own`: titles in the help, with names of options
+    in the table. `refused` are options of captures that make no sense, with the reason to say. A
+    command that takes `several` inputs calls them so, and its camera is calibrated from the first
+    of the `inputs`. `examples` are shown in the help.
     """
     reasons = refused or {}
 
@@ -206,7 +224,9 @@ def capture_command(
             fields = {name: values.pop(name) for name in _FIELDS}
             for name, reason in reasons.items():
                 if fields[name] is not None:
-                    option = next(word for word in TABLE[name][0][0].split() if word.startswith("--"))
+                    option = next(
+                        word for word in TABLE[name][0][0].split() if word.startswith("--")
+                    )
                     raise click.UsageError(f"{option} makes no sense here: {reason}")
             at_most_one("--camera", fields["camera"], "--white", fields["white"])
             flat = given.inputs[0] if several else values.pop("flat")
@@ -214,15 +234,25 @@ def capture_command(
 
         decorated: Any = cl.report_options(run)
         decorated = cl.with_options(*(declare(name, hidden=True) for name in reasons))(decorated)
-        shown: dict[str, list[Callable[[Any], Any]]] = {"Files": [output_option(*output)] if output else []}
+        shown: dict[str, list[Callable[[Any], Any]]] = {
+            "Files": [output_option(*output)] if output else []
+        }
         for title, names in (own or {}).items():
             shown.setdefault(title, []).extend(map(declare, names.split()))
         for title, fields in _CAPTURE.items():
-            shown.setdefault(title, []).extend(declare(name, inputs) for name in fields if name not in reasons)
+            shown.setdefault(title, []).extend(
+                declare(name, inputs) for name in fields if name not in reasons
+            )
         # Click shows the option of the outermost decorator first.
         for title, some in reversed(shown.items()):
-            decorated = cloup.option_group(title.replace("FLAT", inputs), *some)(decorated) if some else decorated
-        argument = cl.several_inputs("inputs", several) if several else click.argument("flat", type=_FILE)
+            decorated = (
+                cloup.option_group(title.replace("FLAT", inputs), *some)(decorated)
+                if some
+                else decorated
+            )
+        argument = (
+            cl.several_inputs("inputs", several) if several else click.argument("flat", type=_FILE)
+        )
         return cl.command(*examples)(argument(decorated))
 
     return decorate
@@ -244,7 +274,9 @@ def connect_cluster(given: Any, report: cl.Report) -> Iterator[dict[str, Any]]:
 
 
 def at_most_one(*pairs: Any) -> None:
-    """Raise an error if options exclude each other: names and values in turn, None or False for those not given."""
+    """Raise an error if options exclude each other: names and values in turn, None or False for
+    those not given.
+    """
     values = zip(pairs[::2], pairs[1::2], strict=True)
     given = [name for name, value in values if value is not None and value is not False]
     if len(given) > 1:
@@ -253,7 +285,9 @@ def at_most_one(*pairs: Any) -> None:
 
 @contextmanager
 def option_errors() -> Iterator[None]:
-    """Report a ValueError as an error of usage: about the option that the argument of a function comes from."""
+    """Report a ValueError as an error of usage: about the option that the argument of a function
+    comes from.
+    """
     try:
         yield
     except LightFieldError:
@@ -261,6 +295,8 @@ def option_errors() -> Iterator[None]:
     except ValueError as error:
         argument, space, rest = str(error).partition(" ")
         names = {"patch_size": "--patch-size", "position": "--at"}
-        names |= {name: f"--{name}" for name in ("aperture", "roi", "scale", "frames", "start", "na")}
+        names |= {
+            name: f"--{name}" for name in ("aperture", "roi", "scale", "frames", "start", "na")
+        }
         names["depth_range"] = "--depth-range"
         raise click.UsageError(f"{names.get(argument, argument)}{space}{rest}") from error

@@ -35,23 +35,30 @@ __all__ = ["demo", "report", "view"]
 def view(capture: CaptureInput, given: Any) -> None:
     """Refocus FLAT in the browser, with mouse or fingers.
 
-    Click to focus, drag to look from aside. Of several flats, or a folder of them, the page leads from one to the next,
-    and each is analysed when it is looked at. The page is served to this machine alone until Ctrl-C. It needs a
-    browser with WebGL 2.
+    Click to focus, drag to look from aside. Of several flats, or a folder of them, the page leads
+    from one to the next, and each is analysed when it is looked at. The page is served to this
+    machine alone until Ctrl-C. It needs a browser with WebGL 2.
     """
     from ..web.server import WebServer, page_routes
     from ..web.viewer import FlatPages, write_viewer
 
-    report, export, flats = capture.report, given.export, _find_flats(given.inputs)
-    several, page = len(flats) > 1, export is not None and export.suffix != ""
+    report = capture.report
+    export = given.export
+    flats = _find_flats(given.inputs)
+    several = len(flats) > 1
+    page = export is not None and export.suffix != ""
     if page:
         check_output(export, {".html", ".htm"}, [*flats, *capture.files])
     if several and page:
         raise click.UsageError(f"{export} holds one flat: give a folder to --export")
     if several and capture.depth_file is not None:
-        raise click.UsageError("--depth is for one flat: leave it out, each is analysed when it is looked at")
+        raise click.UsageError(
+            "--depth is for one flat: leave it out, each is analysed when it is looked at"
+        )
     if several:
-        load, found, sentences = _loader(capture, flats), {}, [f"{len(flats)} flats, analysed when they are looked at."]
+        load = _loader(capture, flats)
+        found = {}
+        sentences = [f"{len(flats)} flats, analysed when they are looked at."]
     else:
         capture = replace(capture, flat=flats[0])
         loaded = capture.load()
@@ -81,11 +88,17 @@ def _find_flats(inputs: Iterable[Path]) -> list[Path]:
     from ..sequence.frames import open_frames
 
     folders = {path for path in inputs if path.is_dir() and path.suffix.lower() != ".zarr"}
-    return [flat for path in inputs for flat in (open_frames([path]).files if path in folders else [path])]
+    return [
+        flat
+        for path in inputs
+        for flat in (open_frames([path]).files if path in folders else [path])
+    ]
 
 
 def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
-    """A function that loads one of the flats; a camera that is no file is found on the first that is looked at."""
+    """A function that loads one of the flats; a camera that is no file is found on the first that
+    is looked at.
+    """
     found: list[Calibration] = []
 
     def load(number: int) -> Any:
@@ -119,14 +132,17 @@ def report(capture: CaptureInput, given: Any) -> None:
     from ..web.report import write_report
     from ..web.report_pictures import draw_pictures
 
-    progress, output = capture.report, given.output
+    progress = capture.report
+    output = given.output
     check_output(output, {".html", ".htm"}, capture.files)
     pixels, calibration, depth = capture.load()
     with progress.stage("render"):
         pictures = draw_pictures(pixels, calibration, depth)
     with progress.stage("write"):
         seconds = dict(progress.seconds)
-        write_report(output, pixels, calibration, depth, pictures, title=capture.flat.name, seconds=seconds)
+        write_report(
+            output, pixels, calibration, depth, pictures, title=capture.flat.name, seconds=seconds
+        )
     sentences = figures.capture_sentences(capture, calibration, depth)
     found = {"report": str(output), **figures.capture_figures(calibration, depth)}
     progress.finish(found, *sentences, f"{output} in {progress.took}: open it in a browser.")
@@ -134,18 +150,24 @@ def report(capture: CaptureInput, given: Any) -> None:
 
 @cl.command("lfrender demo -o demo")
 @output_option(
-    "FOLDER", "Folder for pictures and page.", required=False, default=Path("lfrender-demo"), show_default=True
+    "FOLDER",
+    "Folder for pictures and page.",
+    required=False,
+    default=Path("lfrender-demo"),
+    show_default=True,
 )
 @cl.report_options
 def demo(report: cl.Report, given: Any) -> None:
     """Try everything on a simulated capture, and show it on a page.
 
-    The capture is calibrated, analysed and rendered from its pixels alone, and compared with the truth.
+    The capture is calibrated, analysed and rendered from its pixels alone, and compared with the
+    truth.
     """
     from ..web.demo import run_demo
 
     found = run_demo(given.output, report)
-    right, merit = found["mode_right"], found["merit"]["all_in_focus"]["psnr"]
+    right = found["mode_right"]
+    merit = found["merit"]["all_in_focus"]["psnr"]
     centres = found["calibration"]["scene"]["centre_error"]
     report.finish(
         found,

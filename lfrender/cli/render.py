@@ -34,8 +34,9 @@ __all__ = ["render"]
 def render(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT as one picture that is sharp at every depth.
 
-    Without --depth, --patch-size and --traditional the depth is analysed first. A flat of more than 100 MB, as TIFF or
-    Zarr, is read and drawn in tiles; the finished tiles of an interrupted run are used by the next one.
+    Without --depth, --patch-size and --traditional the depth is analysed first. A flat of more than
+    100 MB, as TIFF or Zarr, is read and drawn in tiles; the finished tiles of an interrupted run
+    are used by the next one.
     """
     in_tiles = _check(capture, given)
     if given.scale is None and given.patch_size is None and capture.recording is not None:
@@ -55,7 +56,9 @@ def render(capture: CaptureInput, given: Any) -> None:
         return
     from ..output.formats import check_format
 
-    output, patch_size, traditional = given.output, given.patch_size, given.traditional
+    output = given.output
+    patch_size = given.patch_size
+    traditional = given.traditional
     pixels = capture.read()
     check_format(output, "picture", dtype=pixels.dtype, alpha=given.alpha, inputs=capture.files)
     pixels, calibration = capture.calibrate(pixels)
@@ -80,18 +83,26 @@ def render(capture: CaptureInput, given: Any) -> None:
     if patch_size is not None:
         what = f"of one patch size, {patch_size:g} px{', mixed from all lenses' if given.blend else ''}"
     capture.report.finish(
-        {"picture": str(output), **figures.picture_figures(picture), **figures.capture_figures(calibration, depth)},
+        {
+            "picture": str(output),
+            **figures.picture_figures(picture),
+            **figures.capture_figures(calibration, depth),
+        },
         *figures.capture_sentences(capture, calibration, drawn),
-        figures.picture_sentence(output, picture, what, capture.report.took), *stated,
-    )  # fmt: skip
+        figures.picture_sentence(output, picture, what, capture.report.took),
+        *stated,
+    )
 
 
 def _check(capture: CaptureInput, given: Any) -> bool:
     """Refuse options that exclude each other; whether the picture is drawn in tiles."""
     from ..output.formats import is_ome_name
 
-    roi, patch_size, depth_file = capture.roi, given.patch_size, capture.depth_file
-    mean, on_cluster = ("--traditional", given.traditional), given.workers or given.scheduler
+    roi = capture.roi
+    patch_size = given.patch_size
+    depth_file = capture.depth_file
+    mean = ("--traditional", given.traditional)
+    on_cluster = given.workers or given.scheduler
     at_most_one("--depth", depth_file, "--patch-size", patch_size, *mean)
     at_most_one("--scale", given.scale, *mean)
     at_most_one("--detail", given.detail, "--patch-size", patch_size, *mean)
@@ -104,16 +115,24 @@ def _check(capture: CaptureInput, given: Any) -> bool:
     # A plain Zarr array is written in tiles however small it is, OME-Zarr is not.
     plain = given.output.suffix.lower() == ".zarr" and not is_ome_name(given.output)
     whole = given.traditional or roi
-    in_tiles = not whole and (on_cluster or given.tile is not None or plain or is_large(capture.flat))
+    in_tiles = not whole and (
+        on_cluster or given.tile is not None or plain or is_large(capture.flat)
+    )
     if in_tiles and given.edges:
-        raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
+        raise click.UsageError(
+            "--edges is for flats that are analysed as a whole: leave it out here"
+        )
     for option, value in (("--8bit", given.eight_bits), ("--exposure", given.exposure)):
         if in_tiles and value:
-            raise click.UsageError(f"{option} is for flats that are drawn as a whole: write the pixels as they are")
+            raise click.UsageError(
+                f"{option} is for flats that are drawn as a whole: write the pixels as they are"
+            )
     return bool(in_tiles)
 
 
-def _find_depth(capture: CaptureInput, pixels: NDArray[Any], calibration: Calibration, edges: bool | None) -> DepthMap:
+def _find_depth(
+    capture: CaptureInput, pixels: NDArray[Any], calibration: Calibration, edges: bool | None
+) -> DepthMap:
     from ..rendering.render import expand_roi
 
     with option_errors():

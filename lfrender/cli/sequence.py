@@ -35,7 +35,10 @@ __all__ = ["batch"]
     "lfrender batch film.mkv -c camera.json -o sharp.mov --start 2.5 --end 10",
     "lfrender batch frames/*.png -o pictures --workers 4",
     "lfrender batch film_2048x2048_420p10.yuv -c camera.cfg -o views --views 5x5 --format yuv --resize 1920x1080",
-    output=("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, .mov for cutting, or .mkv without any loss."),
+    output=(
+        "FOLDER|FILM",
+        "Folder for the pictures, or a film: .mp4, .mov for cutting, or .mkv without any loss.",
+    ),
     own={
         "Files": "depth_maps overwrite",
         "Which frames": "frames start end",
@@ -53,15 +56,17 @@ __all__ = ["batch"]
 def batch(capture: CaptureInput, given: Any) -> int:
     """Render the frames of a sequence.
 
-    Frames are image files, folders of them, pages of TIFF files, and videos. The camera is calibrated once, depth
-    is kept where nothing moves, pictures already there are kept, and a frame that cannot be read is reported and
-    does not stop the others (exit code 1).
+    Frames are image files, folders of them, pages of TIFF files, and videos. The camera is
+    calibrated once, depth is kept where nothing moves, pictures already there are kept, and a frame
+    that cannot be read is reported and does not stop the others (exit code 1).
     """
     from .. import open_frames
     from ..output.formats import check_format
     from ..sequence.frames import is_video
 
-    report, output, maps = capture.report, given.output, given.depth_maps
+    report = capture.report
+    output = given.output
+    maps = given.depth_maps
     films = [path for path in (output, maps) if path is not None and is_video(path)]
     further = _drawing_options(given, output in films)
     if given.fps is not None and not films:
@@ -72,7 +77,9 @@ def batch(capture: CaptureInput, given: Any) -> int:
         check_format(path, "film", inputs=[*given.inputs, *capture.files])
     chosen = {name: getattr(given, name) for name in ("frames", "start", "end")}
     with option_errors():
-        frames = open_frames(given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark, **chosen)
+        frames = open_frames(
+            given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark, **chosen
+        )
     calibration = None
     if capture.camera or capture.white or capture.mosaic or capture.recording:
         with report.stage("calibrate"):
@@ -87,25 +94,36 @@ def batch(capture: CaptureInput, given: Any) -> int:
             calibration = load_camera(output)
     found = {"film" if output in films else "pictures": str(output), **found}
     failures = [result.message for result in results if result.outcome == "failed"]
-    found["warnings"] = [*(calibration.warnings if calibration else ()), *(failures if report.as_json else ())]
+    found["warnings"] = [
+        *(calibration.warnings if calibration else ()),
+        *(failures if report.as_json else ()),
+    ]
     sentences = [sentence, f"{output} is written."]
     if maps is not None:
         found |= {"depth_maps": str(maps), "colours": plan.colours}
-        ends = "magnification M from {:.1f} (blue) to {:.1f} (red), logarithmic".format(*plan.colours or (0, 0))
+        ends = "magnification M from {:.1f} (blue) to {:.1f} (red), logarithmic".format(
+            *plan.colours or (0, 0)
+        )
         sentences.append(f"{maps}: {ends}." if maps in films else f"{maps}: the depth maps.")
     report.finish(found, *sentences)
     return 1 if failures else 0
 
 
 def _render(
-    capture: CaptureInput, given: Any, frames: Frames, calibration: Calibration | None, films: list[Path],
+    capture: CaptureInput,
+    given: Any,
+    frames: Frames,
+    calibration: Calibration | None,
+    films: list[Path],
     further: dict[str, Any],
-) -> tuple[list[FrameResult], Plan]:  # fmt: skip
+) -> tuple[list[FrameResult], Plan]:
     """Render all, and tell what is done."""
     from .. import render_frames
     from ..sequence.film import render_film
 
-    report, results, plans = capture.report, [], []
+    report = capture.report
+    results = []
+    plans = []
 
     def announce(plan: Plan) -> None:
         plans.append(plan)
@@ -115,20 +133,38 @@ def _render(
 
     render: Any = render_film if given.output in films else render_frames
     with (
-        report.stage("frames"), report.progress("frames") as step, connect_cluster(given, report) as cluster,
-    ):  # fmt: skip
+        report.stage("frames"),
+        report.progress("frames") as step,
+        connect_cluster(given, report) as cluster,
+    ):
         try:
             for result in render(
-                frames, given.output, calibration, preset=capture.chosen_preset, scale=given.scale,
-                overwrite=given.overwrite, depth_maps=given.depth_maps, rate=given.fps, announce=announce,
-                exposure=given.exposure, **cluster, **further,
-            ):  # fmt: skip
+                frames,
+                given.output,
+                calibration,
+                preset=capture.chosen_preset,
+                scale=given.scale,
+                overwrite=given.overwrite,
+                depth_maps=given.depth_maps,
+                rate=given.fps,
+                announce=announce,
+                exposure=given.exposure,
+                **cluster,
+                **further,
+            ):
                 results.append(result)
                 step(len(results), frames.count or None, result.message)
         except KeyboardInterrupt:
             if not report.quiet:
-                again = "the same command without --overwrite" if given.overwrite else "the same command"
-                cl.echo(f"{len(results):,} of {frames.count:,} frames are done; {again} goes on", err=True)
+                again = (
+                    "the same command without --overwrite"
+                    if given.overwrite
+                    else "the same command"
+                )
+                cl.echo(
+                    f"{len(results):,} of {frames.count:,} frames are done; {again} goes on",
+                    err=True,
+                )
             raise
     return results, plans[0]
 
@@ -146,15 +182,21 @@ def _describe(plan: Plan, given: Any, rate: Any) -> str:
 def _sum_up(results: list[FrameResult], seconds: float) -> tuple[dict[str, Any], str]:
     """Figures of a run, and a sentence."""
     rendered = [result for result in results if result.outcome == "rendered"]
-    kept, failed = (sum(result.outcome == name for result in results) for name in ("kept", "failed"))
+    kept, failed = (
+        sum(result.outcome == name for result in results) for name in ("kept", "failed")
+    )
     each = seconds / max(len(rendered), 1)
     still = sum(result.still for result in rendered) / max(len(rendered), 1)
     told = [f"{len(rendered):,} frames rendered" + (f", {each:.2f} s each" if rendered else "")]
     told += [f"{kept:,} kept from before"] if kept else []
     told += [f"{failed:,} failed"] if failed else []
     figures = {
-        "rendered": len(rendered), "kept": kept, "failed": failed, "seconds_per_frame": each, "still": still,
-    }  # fmt: skip
+        "rendered": len(rendered),
+        "kept": kept,
+        "failed": failed,
+        "seconds_per_frame": each,
+        "still": still,
+    }
     moved = f" {percent(still)} of their lenses had not moved." if still > 0.005 else ""
     return figures, f"{', '.join(told)}.{moved}"
 

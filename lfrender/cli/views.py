@@ -1,4 +1,6 @@
-"""`lfrender refocus`, `views` and `lenslet`: another depth in focus, the scene seen from elsewhere, views as a flat."""
+"""`lfrender refocus`, `views` and `lenslet`: another depth in focus, the scene seen from elsewhere,
+views as a flat.
+"""
 
 from __future__ import annotations
 
@@ -34,22 +36,32 @@ _PICTURES = 24
     "lfrender refocus flat.png --at 700 420 -o picture.tif",
     "lfrender refocus flat.png -c camera.json -o stack.tif --stack 12",
     "lfrender refocus flat.png -o focus.mp4",
-    output=("PICTURE", "Picture to write: .tif, .jpg, ...; or .gif, .mp4: from far to near and back.", ".png"),
+    output=(
+        "PICTURE",
+        "Picture to write: .tif, .jpg, ...; or .gif, .mp4: from far to near and back.",
+        ".png",
+    ),
     own={"What to draw": "at patch_sizes stack focus_aperture scale eight_bits exposure"},
 )
 def refocus(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT in focus at one depth, out of focus before and behind.
 
-    Several depths make a focal stack on one grid: pages of one TIFF, or PICTURE_01.png and so on; as .gif, .mp4 or .mkv
-    an animation.
+    Several depths make a focal stack on one grid: pages of one TIFF, or PICTURE_01.png and so on;
+    as .gif, .mp4 or .mkv an animation.
     """
     from ..output.formats import check_format
 
-    report, output, at, sizes, stack = capture.report, given.output, given.at, list(given.patch_sizes), given.stack
+    report = capture.report
+    output = given.output
+    at = given.at
+    sizes = list(given.patch_sizes)
+    stack = given.stack
     at_most_one("--patch-size", sizes or None, "--at", at, "--stack", stack)
     moving = output.suffix.lower() in MOVING
     if moving and (at or len(sizes) == 1):
-        raise click.UsageError(f"{output} moves through several depths: give --stack N, or another suffix")
+        raise click.UsageError(
+            f"{output} moves through several depths: give --stack N, or another suffix"
+        )
     if not (sizes or at or stack or moving):
         raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
     stack = stack if sizes or at or stack else _PICTURES
@@ -73,7 +85,9 @@ def refocus(capture: CaptureInput, given: Any) -> None:
             one = sizes[0] if sizes else None
             pictures = [run(pixels, calibration, one, position=at, **drawing)]
         pictures = [_cut(picture, capture, calibration) for picture in pictures]
-    settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
+    settings = [
+        {"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))
+    ]
     paths, stated = capture.write(given, pictures, settings)
     one_file = len(paths) == 1
     what = f"{len(pictures)} depths" if len(pictures) > 1 else "in focus at one depth"
@@ -81,9 +95,11 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     found = {"picture": str(output)} if one_file else {"pictures": list(map(str, paths))}
     found |= {"patch_sizes": sizes, **figures.picture_figures(pictures[0])}
     report.finish(
-        found | figures.capture_figures(calibration, depth), *figures.capture_sentences(capture, calibration),
-        figures.picture_sentence(named, pictures[0], what, report.took), *stated,
-    )  # fmt: skip
+        found | figures.capture_figures(calibration, depth),
+        *figures.capture_sentences(capture, calibration),
+        figures.picture_sentence(named, pictures[0], what, report.took),
+        *stated,
+    )
 
 
 def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) -> Rendering:
@@ -113,9 +129,15 @@ def views(capture: CaptureInput, given: Any) -> None:
     for option, value in (("--grid", given.grid), ("--poses", given.poses)):
         at_most_one(option, value, *others)
     at_most_one("--resize", given.resize, "--scale", given.scale)
-    for option, value in (("--resize", given.resize), ("--roi", capture.roi), ("--exposure", given.exposure)):
+    for option, value in (
+        ("--resize", given.resize),
+        ("--roi", capture.roi),
+        ("--exposure", given.exposure),
+    ):
         at_most_one(option, value, "--poses", given.poses)
-    report, output, still = capture.report, given.output, given.grid or given.stereo or given.quilt or given.poses
+    report = capture.report
+    output = given.output
+    still = given.grid or given.stereo or given.quilt or given.poses
     if given.animation is None and output.suffix.lower() in MOVING and not still:
         given.animation = _PICTURES
     given.suffix = f".{given.suffix.lstrip('.').lower()}"
@@ -125,11 +147,16 @@ def views(capture: CaptureInput, given: Any) -> None:
     depth = capture.analyze(pixels, calibration)
     offsets = _offsets(given, given.aperture * calibration.lattice.radius)
     found: dict[str, Any] = {"views": str(output), "offsets": offsets}
-    given.gain, given.settings = 1.0, {"rendering": "views", "aperture": given.aperture, "preset": depth.preset}
+    given.gain, given.settings = (
+        1.0,
+        {"rendering": "views", "aperture": given.aperture, "preset": depth.preset},
+    )
     stated: list[str] = []
     with report.stage("render and write"), report.progress("views") as step, option_errors():
         if given.poses:
-            found |= _write_posed(given, pixels, calibration, depth, offsets, partial(_counted, step))
+            found |= _write_posed(
+                given, pixels, calibration, depth, offsets, partial(_counted, step)
+            )
         else:
             drawn = _draw_views(capture, given, pixels, calibration, depth, offsets=offsets)
             stated = _write_views(capture, given, _counted(step, drawn, len(offsets)))
@@ -139,8 +166,9 @@ def views(capture: CaptureInput, given: Any) -> None:
     report.finish(
         {**found, **figures.capture_figures(calibration, depth)},
         *figures.capture_sentences(capture, calibration, depth),
-        f"{output}: {len(offsets)} views, in {report.took}.", *stated,
-    )  # fmt: skip
+        f"{output}: {len(offsets)} views, in {report.took}.",
+        *stated,
+    )
 
 
 def _counted(step: Callable[[int, int], None], views: Iterable[Any], count: int) -> Iterator[Any]:
@@ -189,12 +217,15 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
             check_grid(output, given.suffix, dtype, inputs, (rows, columns))
 
 
-def _draw_views(capture: CaptureInput, given: Any, *flat_camera_depth: Any, offsets: list[Any]) -> Iterator[Rendering]:
+def _draw_views(
+    capture: CaptureInput, given: Any, *flat_camera_depth: Any, offsets: list[Any]
+) -> Iterator[Rendering]:
     from .. import views as run
     from ..output.picture import Brightness, default_exposure, eight_bits, needs_eight_bits
     from ..output.views import resize_view, scale_for_size
 
-    camera, size = flat_camera_depth[1], given.resize
+    camera = flat_camera_depth[1]
+    size = given.resize
     shown = given.output if given.output.suffix else Path(f"view{given.suffix}")
     exposure = default_exposure(shown) if given.exposure is None else given.exposure
     brightness = Brightness(exposure)
@@ -204,7 +235,9 @@ def _draw_views(capture: CaptureInput, given: Any, *flat_camera_depth: Any, offs
         picture = brightness.apply(picture)
         given.gain = brightness.gain
         given.settings.update(brightness.entries)
-        yield eight_bits(picture) if given.eight_bits or needs_eight_bits(shown, picture) else picture
+        yield (
+            eight_bits(picture) if given.eight_bits or needs_eight_bits(shown, picture) else picture
+        )
 
 
 def _holds_eight_bits(given: Any) -> bool:
@@ -213,7 +246,11 @@ def _holds_eight_bits(given: Any) -> bool:
 
     suffix = given.output.suffix.lower()
     kind = FORMATS.get(suffix if given.stereo or given.quilt else given.suffix)
-    return suffix not in (".mkv", ".mov") if given.animation else kind is not None and kind.pixel_types == ("uint8",)
+    return (
+        suffix not in (".mkv", ".mov")
+        if given.animation
+        else kind is not None and kind.pixel_types == ("uint8",)
+    )
 
 
 def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering]) -> list[str]:
@@ -231,7 +268,9 @@ def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering
     elif given.quilt:
         ending = write_quilt(output, pictures, *given.quilt, **options)
         if not output.stem.endswith(ending):
-            return [f"Players take the grid from the name: call it {output.stem}{ending}{output.suffix} for them."]
+            return [
+                f"Players take the grid from the name: call it {output.stem}{ending}{output.suffix} for them."
+            ]
     elif given.stereo:
         write_picture(output, stereo_pair(*pictures), **options)
     elif given.suffix.startswith(".yuv"):
@@ -242,7 +281,12 @@ def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering
 
 
 def _write_posed(
-    given: Any, pixels: NDArray[Any], calibration: Calibration, depth: DepthMap, offsets: list[Any], counted: Any
+    given: Any,
+    pixels: NDArray[Any],
+    calibration: Calibration,
+    depth: DepthMap,
+    offsets: list[Any],
+    counted: Any,
 ) -> dict[str, Any]:
     """Write views with their cameras; returns found about these."""
     from lfcal import Optics
@@ -250,10 +294,15 @@ def _write_posed(
     from ..output.posed_files import write_posed_views
     from ..rendering.viewpoints import still_depth, views_with_depth
 
-    known, still = Optics.load(given.optics) if given.optics is not None else None, still_depth(depth)
-    drawn = views_with_depth(pixels, calibration, depth, offsets=offsets, scale=given.scale, still=still)
+    known = Optics.load(given.optics) if given.optics is not None else None
+    still = still_depth(depth)
+    drawn = views_with_depth(
+        pixels, calibration, depth, offsets=offsets, scale=given.scale, still=still
+    )
     pictures = counted(drawn, len(offsets))
-    rig = write_posed_views(given.output, given.poses, pictures, calibration, depth, offsets, still, known)
+    rig = write_posed_views(
+        given.output, given.poses, pictures, calibration, depth, offsets, still, known
+    )
     positions = [camera.position.tolist() for camera in rig.cameras]
     return {"unit": rig.unit, "camera_error": rig.error, "positions": positions}
 
@@ -264,21 +313,30 @@ def _write_posed(
     "lfrender lenslet flat.png -c flat.json -o views",
 )
 @cl.several_inputs("inputs", "INPUT...")
-@output_option("FLAT|FOLDER", "Flat to write, .png or .tif, and beside it its camera file, .json; or folder of views.")
+@output_option(
+    "FLAT|FOLDER",
+    "Flat to write, .png or .tif, and beside it its camera file, .json; or folder of views.",
+)
 @declare("camera")
-@cl.option("--grid", cl.Pair("ROWSxCOLUMNS", "5x5"), "Of the views, if their names do not have row and column.")
+@cl.option(
+    "--grid",
+    cl.Pair("ROWSxCOLUMNS", "5x5"),
+    "Of the views, if their names do not have row and column.",
+)
 @declare("grid_format")
 @cl.report_options
 def lenslet(report: cl.Report, given: Any) -> None:
     """Turn a grid of views into the flat of a regular lens array, or the reverse.
 
-    Each pixel of the views becomes a lens with one pixel of each view under it, row by row. INPUT is a folder of views,
-    or files. With a camera file, INPUT is such a flat, whose views are written as they are, pixel by pixel.
+    Each pixel of the views becomes a lens with one pixel of each view under it, row by row. INPUT
+    is a folder of views, or files. With a camera file, INPUT is such a flat, whose views are
+    written as they are, pixel by pixel.
     """
     from ..output.lenslet import lenslet_image, read_view_grid
     from ..output.picture import write_picture
 
-    output, camera_file = given.output, given.output.with_suffix(".json")
+    output = given.output
+    camera_file = given.output.with_suffix(".json")
     if given.camera is not None:
         _write_pixel_views(report, given)
         return
@@ -293,7 +351,12 @@ def lenslet(report: cl.Report, given: Any) -> None:
     if (problem := figures.few_pixels_problem(min(rows, columns))) is not None:
         report.warn(problem)
     report.finish(
-        {"flat": str(output), "camera": str(camera_file), "grid": [rows, columns], "size": [width, height]},
+        {
+            "flat": str(output),
+            "camera": str(camera_file),
+            "grid": [rows, columns],
+            "size": [width, height],
+        },
         f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and {camera_file}, in {report.took}.",
     )
 
@@ -316,4 +379,7 @@ def _write_pixel_views(report: cl.Report, given: Any) -> None:
     with report.stage("write"):
         write_grid(given.output, views.reshape(-1, *views.shape[2:]), columns, suffix)
     found = {"views": str(given.output), "grid": [rows, columns], "size": [width, height]}
-    report.finish(found, f"{given.output}: {rows} x {columns} views of {width} x {height} px, in {report.took}.")
+    report.finish(
+        found,
+        f"{given.output}: {rows} x {columns} views of {width} x {height} px, in {report.took}.",
+    )

@@ -55,7 +55,8 @@ def volume(capture: CaptureInput, given: Any) -> None:
     from .. import Microscope, open_frames
     from ..volume.files import SUFFIXES, check_volume_file
 
-    report, output = capture.report, given.output
+    report = capture.report
+    output = given.output
     one_file = output.suffix.lower() in SUFFIXES
     with option_errors():
         microscope = Microscope(
@@ -161,7 +162,8 @@ def _reconstruct(
 def _describe(found: Volume) -> str:
     """Size of a volume, and how well it explains the flat, in two sentences."""
     deep, high, wide = found.data.shape
-    first, last = found.depths[0], found.depths[-1]
+    first = found.depths[0]
+    last = found.depths[-1]
     dz, _, dx = found.spacing
     if found.unit == "um":
         size = f"of {dx:.3g} x {dx:.3g} x {dz:.3g} um, from {first:.4g} to {last:.4g} um"

@@ -1,7 +1,8 @@
-"""Values that travel between depth analysis, rendering and files: depth maps, surfaces, pictures, optics, viewpoints.
+"""Values that travel between depth analysis, rendering and files: depth maps, surfaces, pictures,
+optics, viewpoints.
 
-For every room above; plots for notebooks and napari are made from them here too. `house()`, `clutter()`, `board()` and
-so on are sample data, `open_registry` those of a lab.
+For every room above; plots for notebooks and napari are made from them here too. `house()`,
+`clutter()`, `board()` and so on are sample data, `open_registry` those of a lab.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -11,9 +12,19 @@ if TYPE_CHECKING:
     from .samples import board, cache_folder, clutter, example, house, periodic, plane, ramp, slope
 
 __all__ = [
-    "Registry", "board", "cache_folder", "clutter", "example", "house", "open_registry", "periodic", "plane", "ramp",
-    "slope", "write_registry",
-]  # fmt: skip
+    "Registry",
+    "board",
+    "cache_folder",
+    "clutter",
+    "example",
+    "house",
+    "open_registry",
+    "periodic",
+    "plane",
+    "ramp",
+    "slope",
+    "write_registry",
+]
 
 
 def __getattr__(name: str) -> Any:

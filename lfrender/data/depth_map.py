@@ -1,4 +1,6 @@
-"""Result of the depth analysis: patch size, mode, magnification and confidence of every lens, and its files."""
+"""Result of the depth analysis: patch size, mode, magnification and confidence of every lens, and
+its files.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +30,30 @@ if TYPE_CHECKING:
     from .dense_depth import DenseDepth
 
 __all__ = [
-    "BINOCULAR", "DEPTH_ADVICE", "MODES", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap",
-    "check_depth", "default_scale", "is_same_flat", "sample_flat",
-]  # fmt: skip
+    "BINOCULAR",
+    "DEPTH_ADVICE",
+    "MODES",
+    "REASONS",
+    "TELESCOPIC",
+    "UNRESOLVED",
+    "DepthFileError",
+    "DepthMap",
+    "check_depth",
+    "default_scale",
+    "is_same_flat",
+    "sample_flat",
+]
 
 
 def sample_flat(flat: NDArray | FlatSource) -> NDArray[np.float32]:
-    """Gray values (n,) float32 of a flat (H, W) or (H, W, C), in memory or not, on a grid, over their mean."""
+    """Gray values (n,) float32 of a flat (H, W) or (H, W, C), in memory or not, on a grid, over
+    their mean.
+    """
     height, width = flat.shape[:2]
-    at = [np.unique((np.arange(n) + 0.5) / n * length).astype(int) for n, length in ((16, height), (64, width))]
+    at = [
+        np.unique((np.arange(n) + 0.5) / n * length).astype(int)
+        for n, length in ((16, height), (64, width))
+    ]
     if isinstance(flat, FlatSource):
         rows = np.concatenate([flat.read(0, row, width, row + 1) for row in at[0].tolist()])
     else:
@@ -47,30 +64,53 @@ def sample_flat(flat: NDArray | FlatSource) -> NDArray[np.float32]:
 
 
 def is_same_flat(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
-    """Whether the samples of two flats are the same but for rounding; also of another type, bit depth or exposure."""
+    """Whether the samples of two flats are the same but for rounding; also of another type, bit
+    depth or exposure.
+    """
     # Rounding to 8 bits differs by 0.01 of the standard deviation.
-    return one.shape == other.shape and bool(np.sqrt(np.mean((one - other) ** 2)) <= 0.02 * one.std() + 1e-6)
+    return one.shape == other.shape and bool(
+        np.sqrt(np.mean((one - other) ** 2)) <= 0.02 * one.std() + 1e-6
+    )
 
 
 #: Codes of `DepthMap.mode`.
-TELESCOPIC, BINOCULAR, UNRESOLVED = 1, -1, 0
+TELESCOPIC = 1
+BINOCULAR = -1
+UNRESOLVED = 0
 MODES = {TELESCOPIC: "telescopic", BINOCULAR: "binocular", UNRESOLVED: "unresolved"}
 #: Why a lens is unresolved, by the code in `DepthMap.reason`; 0 is resolved.
-REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the microlenses", "not analysed")
+REASONS = (
+    "resolved",
+    "too little texture",
+    "ambiguous",
+    "image plane on the microlenses",
+    "not analysed",
+)
 #: Where a depth map comes from, for `check_type`.
 DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
-# Distances of output pixels from one to its double: steps of 19 %, while the depth of a scene that stays moves by 1 %.
+# Distances of output pixels from one to its double: steps of 19 %, while the depth of a scene that
+# stays moves by 1 %.
 _SPACINGS_PER_OCTAVE = 4
-# Of files that somebody has compressed: unpacked bytes over those of the file, and what is never too much [bytes].
+# Of files that somebody has compressed: unpacked bytes over those of the file, and what is never
+# too much [bytes].
 LARGEST_RATIO = 50
 SMALL = 1 << 26
-# Arrays and numbers of a file that bear the name of their field; derived ones are for other programs.
+# Arrays and numbers of a file that bear the name of their field; derived ones are for other
+# programs.
 _SAVED = (
-    "patch_size", "standard_error", "confidence", "reason", "pitch", "image_size", "preset", "mode", "magnification",
+    "patch_size",
+    "standard_error",
+    "confidence",
+    "reason",
+    "pitch",
+    "image_size",
+    "preset",
+    "mode",
+    "magnification",
     "filled",
-)  # fmt: skip
+)
 _OPTIONAL = ("flat_samples", "centres")
 
 
@@ -92,27 +132,30 @@ class DepthMap(Frozen):
     Parameters
     ----------
     patch_size : (n,) float32 [px]
-        Signed patch size `s` of docs/geometry.md: positive telescopic, negative binocular, NaN where unresolved.
+        Signed patch size `s` of docs/geometry.md: positive telescopic, negative binocular, NaN
+        where unresolved.
     standard_error : (n,) float32 [px]
-        Of `patch_size`, from the scatter over the pairs with each neighbour; inf where unknown. If the whole scene is
-        one plane, all lenses share the error of that plane.
+        Of `patch_size`, from the scatter over the pairs with each neighbour; inf where unknown. If
+        the whole scene is one plane, all lenses share the error of that plane.
     confidence : (n,) float32
         0..1, the probability that `patch_size` is the right optimum of the match.
     filled_patch_size : (n,) float32 [px]
-        `patch_size`, with unresolved lenses filled by the matching, which follows their neighbours; finite.
+        `patch_size`, with unresolved lenses filled by the matching, which follows their neighbours;
+        finite.
     surface : Surface
-        `filled_patch_size` densified to a regular grid of scene points, with depth edges located on the pixels.
+        `filled_patch_size` densified to a regular grid of scene points, with depth edges located on
+        the pixels.
     pitch : float [px]
     image_size : (int, int) [px]
         Width and height of the flat.
     preset : str
         Preset it was analysed with.
     reason : (n,) int8, optional
-        0 resolved, 1 too little texture, 2 ambiguous or periodic, 3 image plane on the microlenses, 4 not analysed.
-        By default unresolved lenses are 1 where their confidence is 0, else 2.
+        0 resolved, 1 too little texture, 2 ambiguous or periodic, 3 image plane on the microlenses,
+        4 not analysed. By default unresolved lenses are 1 where their confidence is 0, else 2.
     saved : dict of str to float
-        Share of the work that each shortcut left out: of the lenses, for `ranges` of the shifts. Empty if none was
-        taken.
+        Share of the work that each shortcut left out: of the lenses, for `ranges` of the shifts.
+        Empty if none was taken.
     frame_state : FrameState
         For the analysis of the next frame; of it is saved what earlier frames leave.
     flat_samples : (m,) float32 or None
@@ -120,8 +163,8 @@ class DepthMap(Frozen):
     centres : (n, 2) float32 [px] or None
         Of the microimages, for plots; None in files of earlier versions.
     lens_blur : LensBlur or None
-        Discs of the microlenses as the capture shows them (`lfcal.measure_lens_blur`), None where the camera file tells
-        them or too few lenses show the same place.
+        Discs of the microlenses as the capture shows them (`lfcal.measure_lens_blur`), None where
+        the camera file tells them or too few lenses show the same place.
 
     Examples
     --------
@@ -152,17 +195,27 @@ class DepthMap(Frozen):
         check_type(self.surface, Surface, "surface", "lfrender.data.surface.Surface makes one")
         names = ("patch_size", "standard_error", "confidence", "filled_patch_size")
         self._set(**{name: np.array(getattr(self, name), dtype=np.float32) for name in names})
-        reason, n = self.reason, np.size(self.patch_size)
+        reason = self.reason
+        n = np.size(self.patch_size)
         if reason is None:
             reason = np.where(np.isfinite(self.patch_size), 0, np.where(self.confidence > 0, 2, 1))
-        self._set(reason=np.array(reason, np.int8), image_size=(int(self.image_size[0]), int(self.image_size[1])))
-        shapes = dict.fromkeys((*names, "reason"), (n,)) | ({} if self.centres is None else {"centres": (n, 2)})
+        self._set(
+            reason=np.array(reason, np.int8),
+            image_size=(int(self.image_size[0]), int(self.image_size[1])),
+        )
+        shapes = dict.fromkeys((*names, "reason"), (n,)) | (
+            {} if self.centres is None else {"centres": (n, 2)}
+        )
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
         if ((self.reason == 0) != np.isfinite(self.patch_size)).any():
-            raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
-        if not (np.isfinite(self.filled_patch_size).all() and np.isfinite(self.surface.patch_size).all()):
+            raise ValueError(
+                "reason must be 0 for every lens with a patch size, and only for those"
+            )
+        if not (
+            np.isfinite(self.filled_patch_size).all() and np.isfinite(self.surface.patch_size).all()
+        ):
             raise ValueError("filled_patch_size and surface must be finite")
 
     def __len__(self) -> int:
@@ -175,13 +228,17 @@ class DepthMap(Frozen):
 
     @cached_property
     def magnification(self) -> NDArray[np.float32]:
-        """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008, section 6); NaN where unresolved."""
+        """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008, section 6); NaN where
+        unresolved.
+        """
         with np.errstate(divide="ignore"):
             return (self.pitch / np.abs(self.patch_size)).astype(np.float32)
 
     @cached_property
     def curvature(self) -> NDArray[np.float32]:
-        """(n,) float32 [1/px^2]: of the log likelihood at its peak, `1 / standard_error^2`; 0 where unknown."""
+        """(n,) float32 [1/px^2]: of the log likelihood at its peak, `1 / standard_error^2`; 0 where
+        unknown.
+        """
         with np.errstate(divide="ignore"):
             return (1 / self.standard_error.astype(np.float64) ** 2).astype(np.float32)
 
@@ -190,9 +247,12 @@ class DepthMap(Frozen):
         """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
         return np.isnan(self.patch_size)
 
-    def nearest_lens(self, shape: tuple[int, int], first: ArrayLike, spacing: float) -> NDArray[np.int64] | None:
-        """(h, w) the lens nearest to each pixel, `spacing` [px] apart from `first` on; None if the centres are not
-        known."""
+    def nearest_lens(
+        self, shape: tuple[int, int], first: ArrayLike, spacing: float
+    ) -> NDArray[np.int64] | None:
+        """(h, w) the lens nearest to each pixel, `spacing` [px] apart from `first` on; None if the
+        centres are not known.
+        """
         from scipy.spatial import cKDTree
 
         if self.centres is None:
@@ -202,26 +262,30 @@ class DepthMap(Frozen):
         return np.asarray(cKDTree(self.centres).query(places)[1]).reshape(shape)
 
     def is_of(self, flat: NDArray | FlatSource) -> bool:
-        """Whether it was made from a flat (H, W) or (H, W, C), in any type or exposure; True where that is unknown.
+        """Whether it was made from a flat (H, W) or (H, W, C), in any type or exposure; True where
+        that is unknown.
 
         Flats of a colour filter mosaic are given in colour, as they were analysed.
         """
         return self.flat_samples is None or is_same_flat(self.flat_samples, sample_flat(flat))
 
     def distance(self, camera: Optics | Calibration) -> NDArray[np.float64]:
-        """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved.
+        """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where
+        unresolved.
 
-        A Calibration with `optics`, as made by `calibrate_metric`, also takes account of the tilt of its array and of
-        the curvature of its field, which Optics alone cannot. CalibrationError if it has no optics.
+        A Calibration with `optics`, as made by `calibrate_metric`, also takes account of the tilt
+        of its array and of the curvature of its field, which Optics alone cannot. CalibrationError
+        if it has no optics.
         """
         optics, points = self._optics(camera)
         return optics.distance(self.patch_size.astype(np.float64) / self.pitch, points)
 
     def distance_error(self, camera: Optics | Calibration) -> NDArray[np.float64]:
-        """(n,) float64 [m]: standard errors of `distance`, made of those of `patch_size` and of the calibration.
+        """(n,) float64 [m]: standard errors of `distance`, made of those of `patch_size` and of the
+        calibration.
 
-        Errors of the calibration are shared by all lenses: they do not average out. inf where unknown, NaN where
-        unresolved.
+        Errors of the calibration are shared by all lenses: they do not average out. inf where
+        unknown, NaN where unresolved.
         """
         optics, points = self._optics(camera)
         error = self.standard_error.astype(np.float64) / self.pitch
@@ -233,19 +297,25 @@ class DepthMap(Frozen):
             return camera, None
         check_type(camera, Calibration, "camera", f"{CAMERA_ADVICE}, or give lfcal.Optics")
         if camera.optics is None:
-            raise CalibrationError("the camera file holds no optics; measure them with 'lfcal metric FLAT...'")
+            raise CalibrationError(
+                "the camera file holds no optics; measure them with 'lfcal metric FLAT...'"
+            )
         check_depth(self, camera)
         return camera.optics, camera.lattice.centres()
 
     def dense(self, scale: float | None = None, fill: bool = True) -> DenseDepth:
-        """Patch size, validity and error of every pixel of the picture, as `lfrender.data.dense_depth.dense_depth`."""
+        """Patch size, validity and error of every pixel of the picture, as
+        `lfrender.data.dense_depth.dense_depth`.
+        """
         from .. import dense_depth
 
         made: DenseDepth = dense_depth(self, scale, fill)
         return made
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the magnification over the scene on Matplotlib axes, by default the current ones; returns them."""
+        """Draw the magnification over the scene on Matplotlib axes, by default the current ones;
+        returns them.
+        """
         from matplotlib.colors import LogNorm
 
         (shown, low, high), surface = self.clipped_magnification(), self.surface
@@ -254,81 +324,142 @@ class DepthMap(Frozen):
             shown[self.filled[lens]] = np.nan
         corner = np.array(surface.first) - surface.spacing / 2
         corners = corner, corner + surface.spacing * np.array(shown.shape[::-1])
-        look: dict[str, Any] = {"norm": LogNorm(low, high), "cmap": "turbo", "interpolation": "nearest"}
+        look: dict[str, Any] = {
+            "norm": LogNorm(low, high),
+            "cmap": "turbo",
+            "interpolation": "nearest",
+        }
         drawn = show_on_axes(ax, shown, *corners, "Magnification", **look)
         # Grey as in the maps of `lfrender.output.depth_picture`.
         drawn.axes.set_facecolor(np.full(3, 150 / 255))
-        bar = drawn.figure.colorbar(drawn, ax=drawn.axes, label="magnification M (grey: unresolved)")
-        bar.set_ticks(np.geomspace(low, high, 5), labels=[f"{tick:.2g}" for tick in np.geomspace(low, high, 5)])
+        bar = drawn.figure.colorbar(
+            drawn, ax=drawn.axes, label="magnification M (grey: unresolved)"
+        )
+        bar.set_ticks(
+            np.geomspace(low, high, 5),
+            labels=[f"{tick:.2g}" for tick in np.geomspace(low, high, 5)],
+        )
         bar.minorticks_off()
         return drawn.axes
 
     def clipped_magnification(self) -> tuple[NDArray[np.float32], float, float]:
-        """(h, w) magnification on the grid of the surface, clipped to the range of nearly all of it, and that range."""
+        """(h, w) magnification on the grid of the surface, clipped to the range of nearly all of
+        it, and that range.
+        """
         whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), 1e-3 * self.pitch)
         low, high = (float(value) for value in np.percentile(whole, (1, 99)))
         high = max(high, 1.2 * low)
         return np.clip(whole, low, high), low, high
 
     def __repr__(self) -> str:
-        shares = [f"{np.mean(self.mode == code):.0%} {name}" for code, name in MODES.items()] if len(self) else []
+        shares = (
+            [f"{np.mean(self.mode == code):.0%} {name}" for code, name in MODES.items()]
+            if len(self)
+            else []
+        )
         return f"DepthMap({', '.join([f'{len(self)} lenses', *shares])}; {self.preset!r})"
 
     def _repr_html_(self) -> str:
-        figures, known = {}, self.magnification[np.isfinite(self.magnification)]
+        figures = {}
+        known = self.magnification[np.isfinite(self.magnification)]
         if known.size:
-            figures["magnification"] = f"{known.min():.2f} to {known.max():.2f}, median {np.median(known):.2f}"
-            figures["standard error of s"] = f"{np.median(self.standard_error[self.mode != 0]):.2g} px (median)"
+            figures["magnification"] = (
+                f"{known.min():.2f} to {known.max():.2f}, median {np.median(known):.2f}"
+            )
+            figures["standard error of s"] = (
+                f"{np.median(self.standard_error[self.mode != 0]):.2g} px (median)"
+            )
         if self.saved:
             figures["saved"] = ", ".join(f"{name} {part:.0%}" for name, part in self.saved.items())
         return html_card(repr(self), figures, self.plot)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
-        surface, saved, state = self.surface, self.saved, self.frame_state
-        values = {name: value for name in (*_SAVED, *_OPTIONAL) if (value := getattr(self, name)) is not None}
-        values |= {"drawn": self.filled_patch_size, "surface": surface.patch_size, "surface_first": surface.first}
-        values |= {"saved_by": np.array(list(saved), str), "saved": np.array(list(saved.values()), np.float64)}
+        surface = self.surface
+        saved = self.saved
+        state = self.frame_state
+        values = {
+            name: value
+            for name in (*_SAVED, *_OPTIONAL)
+            if (value := getattr(self, name)) is not None
+        }
+        values |= {
+            "drawn": self.filled_patch_size,
+            "surface": surface.patch_size,
+            "surface_first": surface.first,
+        }
+        values |= {
+            "saved_by": np.array(list(saved), str),
+            "saved": np.array(list(saved.values()), np.float64),
+        }
         if self.lens_blur is not None:
             values |= {"lens_blur": json.dumps(self.lens_blur.to_dict())}
         if state.reference is not None and state.kept is not None:
             # Without it, many small changes would pass once the depth has been loaded again.
-            values |= {"kept": state.kept, **{f"kept_{name}": of for name, of in state.reference._asdict().items()}}
+            values |= {
+                "kept": state.kept,
+                **{f"kept_{name}": of for name, of in state.reference._asdict().items()},
+            }
         with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
             np.savez(stream, version=np.int64(_VERSION), surface_spacing=surface.spacing, **values)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> DepthMap:
-        """Read a file written by `save`; DepthFileError if it is missing, is not such a file, or a field is wrong."""
+        """Read a file written by `save`; DepthFileError if it is missing, is not such a file, or a
+        field is wrong.
+        """
         remedy = "make one with 'lfrender analyze'"
         try:
             # np.load leaves a damaged file open if it opened it itself.
-            with open(open_regular(path), "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            with (
+                open(open_regular(path), "rb") as stream,
+                np.load(stream, allow_pickle=False) as file,
+            ):
                 _check_unpacked_size(stream)
                 data = dict(file)
             version = int(data["version"])
             if version != _VERSION:
-                raise DepthFileError(f"{path}: version {version} is not known (this is {_VERSION}); {remedy}")
-            grid, first = np.ascontiguousarray(data["surface"], np.float32), tuple(data["surface_first"].tolist())
-            saved = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True) if "saved" in data else ()
+                raise DepthFileError(
+                    f"{path}: version {version} is not known (this is {_VERSION}); {remedy}"
+                )
+            grid = np.ascontiguousarray(data["surface"], np.float32)
+            first = tuple(data["surface_first"].tolist())
+            saved = (
+                zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True)
+                if "saved" in data
+                else ()
+            )
             more: dict[str, Any] = {
-                name: data[name].astype(np.float32) for name in _OPTIONAL if name in data and data[name].size
+                name: data[name].astype(np.float32)
+                for name in _OPTIONAL
+                if name in data and data[name].size
             }
             if "lens_blur" in data:
                 more["lens_blur"] = LensBlur.from_dict(json.loads(str(data["lens_blur"])))
             if "kept" in data:
                 reference = LocalMatch(*(data[f"kept_{name}"] for name in LocalMatch._fields))
                 more["frame_state"] = FrameState(reference, data["kept"])
-            surface, reason = Surface(grid, first, float(data["surface_spacing"])), data.get("reason")
+            surface = Surface(grid, first, float(data["surface_spacing"]))
+            reason = data.get("reason")
             return cls(
-                data["patch_size"], data["standard_error"], data["confidence"], data["drawn"], surface,
-                float(data["pitch"]), tuple(data["image_size"].tolist()), str(data["preset"]), reason,  # type: ignore
-                dict(saved), **more,
-            )  # fmt: skip
+                data["patch_size"],
+                data["standard_error"],
+                data["confidence"],
+                data["drawn"],
+                surface,
+                float(data["pitch"]),
+                tuple(data["image_size"].tolist()),
+                str(data["preset"]),
+                reason,  # type: ignore
+                dict(saved),
+                **more,
+            )
         except DepthFileError:
             raise
         except OSError as error:
-            raise DepthFileError(f"{path}: cannot be read as a depth file ({error.strerror or error})") from error
+            raise DepthFileError(
+                f"{path}: cannot be read as a depth file ({error.strerror or error})"
+            ) from error
         # Damaged bytes can raise nearly any error in the readers of ZIP files and array headers.
         except Exception as error:
             text = " ".join(str(error).split())[:200] or type(error).__name__
@@ -336,7 +467,9 @@ class DepthMap(Frozen):
 
 
 def _check_unpacked_size(stream: Any) -> None:
-    """ValueError if an archive would unpack to far more than its own size: `save` does not compress."""
+    """ValueError if an archive would unpack to far more than its own size: `save` does not
+    compress.
+    """
     with ZipFile(stream) as archive:
         unpacked = sum(entry.file_size for entry in archive.infolist())
     size = os.fstat(stream.fileno()).st_size
@@ -345,19 +478,25 @@ def _check_unpacked_size(stream: Any) -> None:
 
 
 def check_depth(depth: DepthMap, calibration: Calibration) -> None:
-    """Raise a TypeError if these are something else, a CalibrationError if they do not belong to each other."""
+    """Raise a TypeError if these are something else, a CalibrationError if they do not belong to
+    each other.
+    """
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
-        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+        raise CalibrationError(
+            "the depth map was made with another camera or flat size; analyze this flat"
+        )
 
 
 def default_scale(depth: DepthMap) -> float:
-    """Output pixels per pitch that keep the flat's resolution where patches are largest [px per pitch].
+    """Output pixels per pitch that keep the flat's resolution where patches are largest [px per
+    pitch].
 
-    Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as its patch has, for
-    98 % of the lenses. The distance of output pixels is rounded to 1, 1.19, 1.41, 1.68, 2, 2.38 ... px of the flat, so
-    that pictures of one camera have one size, whatever they show at about one depth.
+    Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as
+    its patch has, for 98 % of the lenses. The distance of output pixels is rounded to 1, 1.19,
+    1.41, 1.68, 2, 2.38 ... px of the flat, so that pictures of one camera have one size, whatever
+    they show at about one depth.
 
     Examples
     --------

@@ -18,24 +18,34 @@ class LocalMatch(NamedTuple):
     cost: NDArray[np.float32]  # (n,) at that depth
     offset: NDArray[np.float32]  # (n,) [px of the search] from there to the minimum
     error: NDArray[np.float32]  # (n,) [px of the search] standard error of the offset for one pair
-    clear: NDArray[np.bool_]  # (n,) lenses with texture, and with any that a match may distinguish from noise
+    clear: NDArray[
+        np.bool_
+    ]  # (n,) lenses with texture, and with any that a match may distinguish from noise
     textured: NDArray[np.bool_]
 
     def where(self, mask: NDArray[np.bool_], other: LocalMatch) -> LocalMatch:
         """This one, with the lenses of `mask` (n,) taken from another."""
-        return LocalMatch(*(np.where(mask, theirs, own) for theirs, own in zip(other, self, strict=True)))
+        return LocalMatch(
+            *(np.where(mask, theirs, own) for theirs, own in zip(other, self, strict=True))
+        )
 
 
 @dataclass
 class FrameState:
     """State of a depth map in a sequence: not compared."""
 
-    # What the `kept` lenses are compared with: their match in the frame in which their depth was estimated. A
-    # comparison with the last frame only would let many small changes pass.
+    # What the `kept` lenses are compared with: their match in the frame in which their depth was
+    # estimated. A comparison with the last frame only would let many small changes pass.
     reference: LocalMatch | None = None
-    kept: NDArray[np.bool_] | None = None  # (n,) lenses that have kept their depth from an earlier frame
-    complete: LocalMatch | None = None  # the reference of all lenses; made when the first next frame needs it
-    changed: NDArray[np.bool_] | None = None  # (n,) lenses that show something else than in the frame of `previous`
+    kept: NDArray[np.bool_] | None = (
+        None  # (n,) lenses that have kept their depth from an earlier frame
+    )
+    complete: LocalMatch | None = (
+        None  # the reference of all lenses; made when the first next frame needs it
+    )
+    changed: NDArray[np.bool_] | None = (
+        None  # (n,) lenses that show something else than in the frame of `previous`
+    )
     previous: weakref.ref[Any] | None = None  # of a DepthMap
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:

@@ -17,15 +17,20 @@ __all__ = ["napari_layers"]
 
 
 def napari_layers(
-    flat: ArrayLike | None = None, calibration: Calibration | None = None, depth: DepthMap | None = None,
+    flat: ArrayLike | None = None,
+    calibration: Calibration | None = None,
+    depth: DepthMap | None = None,
     rendering: Rendering | None = None,
-) -> list[tuple[Any, dict[str, Any], str]]:  # fmt: skip
-    """Layers of napari, one for each argument that is given, all in the coordinates of the flat, order `y, x`.
+) -> list[tuple[Any, dict[str, Any], str]]:
+    """Layers of napari, one for each argument that is given, all in the coordinates of the flat,
+    order `y, x`.
 
-    Add them by `for layer in napari_layers(...): viewer.add_layer(napari.layers.Layer.create(*layer))`.
+    Add them by `for layer in napari_layers(...):
+    viewer.add_layer(napari.layers.Layer.create(*layer))`.
 
-    `flat` is (H, W) or (H, W, 3); the centres of `calibration` become points, the magnification of `depth` over the
-    scene an image. Returns layer data tuples, (data, keywords, type); napari itself need not be installed.
+    `flat` is (H, W) or (H, W, 3); the centres of `calibration` become points, the magnification of
+    `depth` over the scene an image. Returns layer data tuples, (data, keywords, type); napari
+    itself need not be installed.
 
     Examples
     --------
@@ -40,7 +45,10 @@ def napari_layers(
     if rendering is not None:
         check_type(rendering, Rendering, "rendering", PICTURE_ADVICE)
         image = np.squeeze(rendering.image)
-        place = {"scale": rendering.affine[[1, 0], [1, 0]], "translate": rendering.affine[[1, 0], 2]}
+        place = {
+            "scale": rendering.affine[[1, 0], [1, 0]],
+            "translate": rendering.affine[[1, 0], 2],
+        }
         layers.append((image, {"name": "rendering", "rgb": image.ndim == 3, **place}, "image"))
     if depth is not None:
         check_type(depth, DepthMap, "depth", DEPTH_ADVICE)

@@ -23,7 +23,8 @@ __all__ = ["Registry", "open_registry", "write_registry"]
 
 @dataclass(frozen=True)
 class Registry:
-    """Files at `base`, a folder or an address, with their `hashes` (`sha256:...`) by name; from `open_registry`.
+    """Files at `base`, a folder or an address, with their `hashes` (`sha256:...`) by name; from
+    `open_registry`.
 
     Examples
     --------
@@ -45,13 +46,19 @@ class Registry:
         return sorted(self.hashes)
 
     def fetch(self, name: str) -> Path:
-        """The file, from the cache if it is there; FlatError if there is none, or its hash is not the one listed."""
+        """The file, from the cache if it is there; FlatError if there is none, or its hash is not
+        the one listed.
+        """
         if name not in self.hashes:
-            raise FlatError(f"{name}: is not in the registry at {self.base}; it has {', '.join(self.names[:8])}")
+            raise FlatError(
+                f"{name}: is not in the registry at {self.base}; it has {', '.join(self.names[:8])}"
+            )
         try:
             import pooch
         except ImportError as error:
-            raise FlatError("registries need the package 'pooch'; pip install 'lfrender[samples]'") from error
+            raise FlatError(
+                "registries need the package 'pooch'; pip install 'lfrender[samples]'"
+            ) from error
         address = self.base.rstrip("/") + "/"
         place = cache_folder() / "fetched" / hashlib.sha256(self.base.encode()).hexdigest()[:12]
         store = pooch.create(path=place, base_url=address, registry=self.hashes)
@@ -60,7 +67,9 @@ class Registry:
         try:
             return Path(store.fetch(name, downloader=copy))
         except (OSError, ValueError) as error:
-            raise FlatError(f"{address}{name}: cannot be fetched ({' '.join(str(error).split())})") from error
+            raise FlatError(
+                f"{address}{name}: cannot be fetched ({' '.join(str(error).split())})"
+            ) from error
 
     def read(self, name: str, page: int | None = None) -> NDArray[Any]:
         """The pixels of a file, as `lfcal.read_flat`."""
@@ -70,10 +79,11 @@ class Registry:
 def open_registry(
     base: str | os.PathLike[str], hashes: Mapping[str, str] | str | os.PathLike[str] | None = None
 ) -> Registry:
-    """The registry of a folder or of an address (`https://...`); FlatError if its list cannot be read.
+    """The registry of a folder or of an address (`https://...`); FlatError if its list cannot be
+    read.
 
-    `hashes` are those by name, or the list with them: by default `registry.txt` in the folder. For an address it must
-    be given, since a list from the same server would prove nothing.
+    `hashes` are those by name, or the list with them: by default `registry.txt` in the folder. For
+    an address it must be given, since a list from the same server would prove nothing.
 
     Examples
     --------
@@ -85,7 +95,9 @@ def open_registry(
     if isinstance(hashes, Mapping):
         return Registry(place, dict(hashes))
     if hashes is None and "://" in place:
-        raise FlatError(f"{place}: give the list of hashes too (hashes='registry.txt'); write_registry makes it")
+        raise FlatError(
+            f"{place}: give the list of hashes too (hashes='registry.txt'); write_registry makes it"
+        )
     path = Path(place) / "registry.txt" if hashes is None else Path(hashes)
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -94,14 +106,21 @@ def open_registry(
     found = {}
     for number, line in enumerate(lines, 1):
         name, _, value = line.rpartition(" ")
-        if not re.fullmatch(r"sha256:[0-9a-f]{64}", value) or ".." in Path(name).parts or Path(name).is_absolute():
-            raise FlatError(f"{path}: line {number} is not 'NAME sha256:HASH'; write_registry makes the list")
+        if (
+            not re.fullmatch(r"sha256:[0-9a-f]{64}", value)
+            or ".." in Path(name).parts
+            or Path(name).is_absolute()
+        ):
+            raise FlatError(
+                f"{path}: line {number} is not 'NAME sha256:HASH'; write_registry makes the list"
+            )
         found[name] = value
     return Registry(place, found)
 
 
 def write_registry(folder: str | os.PathLike[str]) -> Path:
-    """Write `registry.txt` with the hashes of all files in a folder but hidden ones; returns its path.
+    """Write `registry.txt` with the hashes of all files in a folder but hidden ones; returns its
+    path.
 
     Examples
     --------
@@ -110,11 +129,18 @@ def write_registry(folder: str | os.PathLike[str]) -> Path:
     ...     lfrender.data.write_registry(folder).name
     'registry.txt'
     """
-    target, lines = Path(folder) / "registry.txt", []
+    target = Path(folder) / "registry.txt"
+    lines = []
     for path in sorted(Path(folder).rglob("*")):
         name = path.relative_to(folder)
-        if path.is_file() and path != target and not any(part.startswith(".") for part in name.parts):
-            lines.append(f"{name.as_posix()} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}\n")
+        if (
+            path.is_file()
+            and path != target
+            and not any(part.startswith(".") for part in name.parts)
+        ):
+            lines.append(
+                f"{name.as_posix()} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}\n"
+            )
     with atomic_write(target) as temporary:
         temporary.write_text("".join(lines), encoding="utf-8")
     return target

@@ -31,11 +31,12 @@ __all__ = [
     "convert_to_dtype",
     "finish_picture",
     "show_on_axes",
-]  # fmt: skip
+]
 
 #: Where a picture comes from, for `check_type`.
 PICTURE_ADVICE = "lfrender.render makes one"
-#: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
+#: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not
+#: included.
 Part = tuple[int, int, int, int]
 
 
@@ -61,7 +62,9 @@ class PictureGrid:
     def size(self) -> tuple[int, int]:
         """Columns and rows."""
         # The last digits of the pitch do not decide what is done with halves.
-        columns, rows = (math.floor(length / self.spacing + 0.5 - 1e-6) for length in self.image_size)
+        columns, rows = (
+            math.floor(length / self.spacing + 0.5 - 1e-6) for length in self.image_size
+        )
         return max(1, columns), max(1, rows)
 
     @property
@@ -72,7 +75,8 @@ class PictureGrid:
     def affine(self, part: Part | None = None) -> NDArray[np.float64]:
         """(2, 3) from a pixel of a part, by default of the whole, to scene coordinates."""
         left, top = (part or self.whole)[:2]
-        step, first = self.spacing, self.first
+        step = self.spacing
+        first = self.first
         return np.array([[step, 0.0, first + step * left], [0.0, step, first + step * top]])
 
     def flat_part(self, part: Part, halo: int) -> Part:
@@ -85,10 +89,17 @@ class PictureGrid:
         """A part of the picture with `halo` pixels about it, as far as there are any."""
         columns, rows = self.size
         left, top, right, bottom = part
-        return max(left - halo, 0), max(top - halo, 0), min(right + halo, columns), min(bottom + halo, rows)
+        return (
+            max(left - halo, 0),
+            max(top - halo, 0),
+            min(right + halo, columns),
+            min(bottom + halo, rows),
+        )
 
     def border(self, part: Part, wide: int) -> Iterator[Part]:
-        """What a part has in common with the four strips, `wide` pixels, along the border of the whole picture."""
+        """What a part has in common with the four strips, `wide` pixels, along the border of the
+        whole picture.
+        """
         columns, rows = self.size
         top_down = (0, 0, columns, wide), (0, rows - wide, columns, rows)
         for strip in (*top_down, (0, 0, wide, rows), (columns - wide, 0, columns, rows)):
@@ -100,8 +111,12 @@ class PictureGrid:
     def part_of_region(self, roi: tuple[float, float, float, float]) -> Part:
         """Columns and rows whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
         low, high = ((np.array(ends) - self.first) / self.spacing for ends in (roi[:2], roi[2:]))
-        left, top = (int(min(max(np.ceil(at), 0), n - 1)) for at, n in zip(low, self.size, strict=True))
-        right, bottom = (int(min(np.floor(at) + 1, n)) for at, n in zip(high, self.size, strict=True))
+        left, top = (
+            int(min(max(np.ceil(at), 0), n - 1)) for at, n in zip(low, self.size, strict=True)
+        )
+        right, bottom = (
+            int(min(np.floor(at) + 1, n)) for at, n in zip(high, self.size, strict=True)
+        )
         return left, top, max(right, left + 1), max(bottom, top + 1)
 
     def tiles(self, side: tuple[int, int]) -> Iterator[Part]:
@@ -114,7 +129,9 @@ class PictureGrid:
 
 def check_pictures(pictures: Any) -> Iterator[Rendering]:
     """The pictures one by one, or a TypeError where something else stands among them."""
-    check_type(pictures, Iterable, "pictures", "give a list of what lfrender.render or lfrender.views draw")
+    check_type(
+        pictures, Iterable, "pictures", "give a list of what lfrender.render or lfrender.views draw"
+    )
     for picture in pictures:
         check_type(picture, Rendering, "pictures", PICTURE_ADVICE)
         yield picture
@@ -123,7 +140,9 @@ def check_pictures(pictures: Any) -> Iterator[Rendering]:
 def check_scale(scale: float, pitch: float) -> float:
     """The scale [px per pitch] as a float, or a ValueError that says which are possible."""
     if not (np.isfinite(scale) and 0 < scale <= 4 * pitch):
-        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * pitch:.0f}), got {scale:g}")
+        raise ValueError(
+            f"scale must lie between 0 and four times the pitch ({4 * pitch:.0f}), got {scale:g}"
+        )
     return float(scale)
 
 
@@ -157,14 +176,17 @@ class Picture:
         return np.array(pixels, dtype) if copy else np.asarray(pixels, dtype)
 
     def to_xarray(self) -> Any:
-        """An `xarray.DataArray` with scene coordinates `x, y` [px of the flat]; the other arrays are coordinates too.
+        """An `xarray.DataArray` with scene coordinates `x, y` [px of the flat]; the other arrays
+        are coordinates too.
 
         LightFieldError if the package `xarray` is not installed.
         """
         try:
             import xarray
         except ImportError as error:
-            message = "arrays with coordinates need the package 'xarray'; pip install 'lfrender[xarray]'"
+            message = (
+                "arrays with coordinates need the package 'xarray'; pip install 'lfrender[xarray]'"
+            )
             raise LightFieldError(message) from error
         (name, pixels), *others = self._layers().items()
         height, width = pixels.shape[:2]
@@ -173,7 +195,9 @@ class Picture:
             "x": self.affine[0, 2] + self.affine[0, 0] * np.arange(width),
         }
         about = {key: (("y", "x"), values) for key, values in others}
-        return xarray.DataArray(pixels, {**places, **about}, ("y", "x", "channel")[: pixels.ndim], name)
+        return xarray.DataArray(
+            pixels, {**places, **about}, ("y", "x", "channel")[: pixels.ndim], name
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -193,7 +217,8 @@ class Rendering(Picture, Frozen):
     white : float, optional
         White level of an integer image, if it is less than the largest value of the type.
     noise : float, optional [white]
-        Standard deviation of the noise of a pixel of the flat in the light of white, if the detail was restored.
+        Standard deviation of the noise of a pixel of the flat in the light of white, if the detail
+        was restored.
 
     Examples
     --------
@@ -226,7 +251,8 @@ class Rendering(Picture, Frozen):
         write_picture(path, self, **options)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the picture over scene coordinates on Matplotlib axes, by default the current ones; returns them.
+        """Draw the picture over scene coordinates on Matplotlib axes, by default the current ones;
+        returns them.
 
         Dim pictures of more than 8 bits are shown brighter.
         """
@@ -235,7 +261,8 @@ class Rendering(Picture, Frozen):
         height, width = image.shape[:2]
         corners = self.affine @ [-0.5, -0.5, 1], self.affine @ [width - 0.5, height - 0.5, 1]
         look: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 1}
-        shown, title = np.clip(np.squeeze(image), 0, 1), f"{self.scale:.1f} px per pitch"
+        shown = np.clip(np.squeeze(image), 0, 1)
+        title = f"{self.scale:.1f} px per pitch"
         return show_on_axes(ax, shown, *corners, title, **look).axes
 
     def __repr__(self) -> str:
@@ -250,8 +277,12 @@ class Rendering(Picture, Frozen):
         return html_card(repr(self), {}, self.plot)
 
 
-def show_on_axes(ax: Any, image: NDArray, first: NDArray, last: NDArray, title: str, **look: Any) -> Any:
-    """A picture on Matplotlib axes, by default the current ones, between two corners of it in scene coordinates."""
+def show_on_axes(
+    ax: Any, image: NDArray, first: NDArray, last: NDArray, title: str, **look: Any
+) -> Any:
+    """A picture on Matplotlib axes, by default the current ones, between two corners of it in scene
+    coordinates.
+    """
     import matplotlib.pyplot as plt
 
     ax = ax or plt.gca()
@@ -260,13 +291,23 @@ def show_on_axes(ax: Any, image: NDArray, first: NDArray, last: NDArray, title: 
 
 
 def finish_picture(
-    image: NDArray, valid: NDArray[np.bool_], affine: NDArray[np.float64], scale: float, flat: NDArray,
+    image: NDArray,
+    valid: NDArray[np.bool_],
+    affine: NDArray[np.float64],
+    scale: float,
+    flat: NDArray,
     calibration: Calibration,
-) -> Rendering:  # fmt: skip
+) -> Rendering:
     """A picture (h, w, C) as a `Rendering` with the dtype and the number of dimensions of the flat."""
     if np.ndim(flat) == 2 and image.shape[2] == 1:
         image = image[:, :, 0]
-    return Rendering(convert_to_dtype(image, np.asarray(flat).dtype), affine, valid, scale, calibration.white_level)
+    return Rendering(
+        convert_to_dtype(image, np.asarray(flat).dtype),
+        affine,
+        valid,
+        scale,
+        calibration.white_level,
+    )
 
 
 def convert_to_dtype(image: NDArray, dtype: np.dtype) -> NDArray:

@@ -1,7 +1,9 @@
-"""Sample data: simulated captures with their truth, made on demand and kept, the same on every machine.
+"""Sample data: simulated captures with their truth, made on demand and kept, the same on every
+machine.
 
-So that documentation, tutorials and reports of bugs are about the same pixels: `lfrender.data.house()` is traced once
-and read from the cache after that. Another version of the simulator makes its own.
+So that documentation, tutorials and reports of bugs are about the same pixels:
+`lfrender.data.house()` is traced once and read from the cache after that. Another version of the
+simulator makes its own.
 """
 
 from __future__ import annotations
@@ -28,11 +30,22 @@ if TYPE_CHECKING:
 
     from .depth_map import DepthMap
 
-__all__ = ["board", "cache_folder", "clutter", "example", "house", "periodic", "plane", "ramp", "slope"]
+__all__ = [
+    "board",
+    "cache_folder",
+    "clutter",
+    "example",
+    "house",
+    "periodic",
+    "plane",
+    "ramp",
+    "slope",
+]
 
 
 def cache_folder() -> Path:
-    """Where samples and fetched captures are kept: `$LFRENDER_CACHE`, or the user's cache of the system.
+    """Where samples and fetched captures are kept: `$LFRENDER_CACHE`, or the user's cache of the
+    system.
 
     Examples
     --------
@@ -42,14 +55,21 @@ def cache_folder() -> Path:
     """
     import platformdirs
 
-    return Path(os.environ.get("LFRENDER_CACHE") or platformdirs.user_cache_dir("lfrender", appauthor=False))
+    return Path(
+        os.environ.get("LFRENDER_CACHE") or platformdirs.user_cache_dir("lfrender", appauthor=False)
+    )
 
 
 def _scene(name: str, about: str) -> Callable[..., Capture]:
     """The public function that makes the sample `name`."""
 
     def make(
-        *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
+        *,
+        size: tuple[int, int] = (800, 600),
+        pitch: float = 23.2,
+        samples: int = 16,
+        seed: int = 0,
+        **camera: Any,
     ) -> Capture:
         from data_synth import SCENES, Camera, load_capture, simulate
 
@@ -82,7 +102,9 @@ def _scene(name: str, about: str) -> Callable[..., Capture]:
 
 
 house = _scene("house", "The house behind branches: telescopic and binocular places on one flat.")
-clutter = _scene("clutter", "Balls, boxes and cards before a wall, binocular, depth edges everywhere.")
+clutter = _scene(
+    "clutter", "Balls, boxes and cards before a wall, binocular, depth edges everywhere."
+)
 plane = _scene("plane", "One plane that faces the camera, binocular.")
 slope = _scene("slope", "One slanted plane, binocular.")
 ramp = _scene("ramp", "A smooth ramp of brightness, on which every seam shows.")
@@ -90,7 +112,8 @@ periodic = _scene("periodic", "Texture that repeats, whose depth is ambiguous.")
 
 
 def example() -> tuple[NDArray[np.uint8], Calibration, DepthMap]:
-    """A small flat of the house, its true camera, and its depth with the preset `fast`: the inputs of the examples.
+    """A small flat of the house, its true camera, and its depth with the preset `fast`: the inputs
+    of the examples.
 
     Examples
     --------
@@ -107,10 +130,16 @@ def example() -> tuple[NDArray[np.uint8], Calibration, DepthMap]:
 
 
 def board(
-    *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, poses: int = 6, samples: int = 16, seed: int = 0,
+    *,
+    size: tuple[int, int] = (800, 600),
+    pitch: float = 23.2,
+    poses: int = 6,
+    samples: int = 16,
+    seed: int = 0,
     **camera: Any,
-) -> BoardShoot:  # fmt: skip
-    """Photographs of a checkerboard in random poses, for metric calibration; arguments as of `house`.
+) -> BoardShoot:
+    """Photographs of a checkerboard in random poses, for metric calibration; arguments as of
+    `house`.
 
     Returns a `data_synth.BoardShoot` with `flats`, `white`, `camera`, and the poses.
 
@@ -125,23 +154,34 @@ def board(
 
     design = Camera.design(size=size, pitch=pitch, **camera)
     recipe: dict[str, Any] = {"poses": poses, "samples": samples, "seed": seed}
-    shoot: BoardShoot = _cached("board", design, recipe, BoardShoot.load, lambda: shoot_board(design, **recipe))
+    shoot: BoardShoot = _cached(
+        "board", design, recipe, BoardShoot.load, lambda: shoot_board(design, **recipe)
+    )
     return shoot
 
 
 def _cached(
-    name: str, camera: Camera, recipe: dict[str, Any], load: Callable[[Path], Any], make: Callable[[], Any]
+    name: str,
+    camera: Camera,
+    recipe: dict[str, Any],
+    load: Callable[[Path], Any],
+    make: Callable[[], Any],
 ) -> Any:
     """A sample from its folder in the cache, made and saved there if it is not whole."""
-    about = json.dumps([_simulator_digest(), dataclasses.asdict(camera), recipe], sort_keys=True, default=list)
-    folder = cache_folder() / "samples" / f"{name}-{hashlib.sha256(about.encode()).hexdigest()[:16]}"
+    about = json.dumps(
+        [_simulator_digest(), dataclasses.asdict(camera), recipe], sort_keys=True, default=list
+    )
+    folder = (
+        cache_folder() / "samples" / f"{name}-{hashlib.sha256(about.encode()).hexdigest()[:16]}"
+    )
     if folder.is_dir():
         try:
             return load(folder)
         except (OSError, ValueError, KeyError):
             # Damaged, or left by a run that was killed: made again.
             shutil.rmtree(folder, ignore_errors=True)
-    sample, unfinished = make(), folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
+    sample = make()
+    unfinished = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
     try:
         unfinished.parent.mkdir(parents=True, exist_ok=True)
         sample.save(unfinished)
@@ -162,5 +202,8 @@ def _simulator_digest() -> str:
     """SHA-256 of the sources of the simulator: what another version makes is another sample."""
     import data_synth
 
-    sources = sorted((item for item in files(data_synth).iterdir() if item.name.endswith(".py")), key=lambda s: s.name)
+    sources = sorted(
+        (item for item in files(data_synth).iterdir() if item.name.endswith(".py")),
+        key=lambda s: s.name,
+    )
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()

@@ -1,4 +1,6 @@
-"""Patch size on a regular grid of scene points: linear between its values on one surface, nearest across an edge."""
+"""Patch size on a regular grid of scene points: linear between its values on one surface, nearest
+across an edge.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,14 @@ from numpy.typing import NDArray
 from lfcal.runtime.arrays import Frozen
 from lfcal.runtime.kernels import FAST, kernel
 
-__all__ = ["DepthGrid", "Surface", "constant_surface", "edge_step", "patch_size_at", "sample_surface_at"]
+__all__ = [
+    "DepthGrid",
+    "Surface",
+    "constant_surface",
+    "edge_step",
+    "patch_size_at",
+    "sample_surface_at",
+]
 
 
 class DepthGrid(NamedTuple):
@@ -26,14 +35,22 @@ class DepthGrid(NamedTuple):
 
 @njit(fastmath=FAST, inline="always")
 def patch_size_at(surface, grid, x, y):
-    """Patch size at scene point (x, y): linear between the values of the surface, nearest across a depth edge."""
+    """Patch size at scene point (x, y): linear between the values of the surface, nearest across a
+    depth edge.
+    """
     rows, columns = surface.shape
     gx = min(max((x - grid.x) / grid.spacing, np.float32(0.0)), np.float32(columns - 1))
     gy = min(max((y - grid.y) / grid.spacing, np.float32(0.0)), np.float32(rows - 1))
-    i, j = min(int(gx), max(columns - 2, 0)), min(int(gy), max(rows - 2, 0))
-    i1, j1 = min(i + 1, columns - 1), min(j + 1, rows - 1)
-    fx, fy = gx - i, gy - j
-    a, b, c, d = surface[j, i], surface[j, i1], surface[j1, i], surface[j1, i1]
+    i = min(int(gx), max(columns - 2, 0))
+    j = min(int(gy), max(rows - 2, 0))
+    i1 = min(i + 1, columns - 1)
+    j1 = min(j + 1, rows - 1)
+    fx = gx - i
+    fy = gy - j
+    a = surface[j, i]
+    b = surface[j, i1]
+    c = surface[j1, i]
+    d = surface[j1, i1]
     if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < grid.edge:
         return (1 - fy) * ((1 - fx) * a + fx * b) + fy * ((1 - fx) * c + fx * d)
     return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
@@ -95,8 +112,9 @@ def edge_step(pitch: float) -> float:
 def sample_surface_at(
     surface: Surface, edge: float, shape: tuple[int, int], first: Any, spacing: float
 ) -> NDArray[np.float32]:
-    """Patch size [px] at every pixel of a picture, `spacing` apart from `first` (2,) on; `edge` [px] is as
-    `edge_step`."""
+    """Patch size [px] at every pixel of a picture, `spacing` apart from `first` (2,) on; `edge`
+    [px] is as `edge_step`.
+    """
     out = np.empty(shape, np.float32)
     _sample(surface.patch_size, surface.grid(edge), float(first[0]), float(first[1]), spacing, out)
     return out

@@ -34,32 +34,36 @@ def analyze(
 ) -> DepthMap:
     """Estimate the signed patch size, mode and magnification of every microlens.
 
-    Neighbouring microimages are correlated over all signed shifts at once (Lumsdaine and Georgiev 2008, sections 4 to
-    6: telescopic and binocular differ only in the sign), semi-global matching along the lattice chooses one shift, and
-    that is refined on the pixels of every pair, to a plane through each lens.
+    Neighbouring microimages are correlated over all signed shifts at once (Lumsdaine and Georgiev
+    2008, sections 4 to 6: telescopic and binocular differ only in the sign), semi-global matching
+    along the lattice chooses one shift, and that is refined on the pixels of every pair, to a plane
+    through each lens.
 
     Parameters
     ----------
     flat : (H, W) or (H, W, C) array
-        Raw capture; integers are taken relative to the `white_level` of the camera or the range of their type, floats
-        to 1.
+        Raw capture; integers are taken relative to the `white_level` of the camera or the range of
+        their type, floats to 1.
     calibration : Calibration
         Of the same image size.
     preset : {"fast", "balanced", "accurate"}
         How much time to spend; `"accurate"` is another word for `"balanced"`.
     skip : bool or names
-        Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`, `"ranges"`, `"still"`,
-        `"steady"` (see `Shortcuts`). `DepthMap.saved` has the share of the work that each has saved.
+        Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`,
+        `"ranges"`, `"still"`, `"steady"` (see `Shortcuts`). `DepthMap.saved` has the share of the
+        work that each has saved.
     roi : (x0, y0, x1, y1), optional [px]
-        Only lenses with their centre between these opposite corners are analysed; the others are unresolved.
+        Only lenses with their centre between these opposite corners are analysed; the others are
+        unresolved.
     previous : (flat, DepthMap), optional
-        An earlier frame of the same camera and exposure, and its depth with the same preset: lenses whose pixels, and
-        those of their neighbours, have not changed keep it; so do lenses that still match at that depth. Over many
-        frames with slow changes give the frame that was analysed, not the last one, or changes smaller than the noise
-        add up.
+        An earlier frame of the same camera and exposure, and its depth with the same preset: lenses
+        whose pixels, and those of their neighbours, have not changed keep it; so do lenses that
+        still match at that depth. Over many frames with slow changes give the frame that was
+        analysed, not the last one, or changes smaller than the noise add up.
     edges : bool, optional
-        Locate depth edges of the surface on the pixels of the microimages, which draws scenes with occlusion 1 to 3 dB
-        better and takes about as long as the rest of `"balanced"`. By default `"balanced"` does so.
+        Locate depth edges of the surface on the pixels of the microimages, which draws scenes with
+        occlusion 1 to 3 dB better and takes about as long as the rest of `"balanced"`. By default
+        `"balanced"` does so.
 
     Returns
     -------
@@ -94,16 +98,19 @@ def analyze(
     flat = check_flat(flat, calibration)
     calibration = match_exposure(flat[exposure_rows(len(flat))], calibration)
     lattice = calibration.lattice
-    if previous is not None and not (isinstance(previous, tuple) and isinstance(previous[-1], DepthMap)):
+    if previous is not None and not (
+        isinstance(previous, tuple) and isinstance(previous[-1], DepthMap)
+    ):
         raise TypeError("previous must be (flat, DepthMap) of an earlier frame")
     inside = None if roi is None else select_lenses(check_region(roi, lattice), lattice)
     if previous is not None and shortcuts.still:
         if inside is not None:
             raise ValueError("give either roi or previous, not both")
         return replace(
-            update_depth(flat, calibration, preset, shortcuts, edges, *previous), flat_samples=sample_flat(flat),
+            update_depth(flat, calibration, preset, shortcuts, edges, *previous),
+            flat_samples=sample_flat(flat),
             lens_blur=previous[-1].lens_blur,
-        )  # fmt: skip
+        )
     gray, small, factor = prepare_flat(flat, calibration, preset)
     small_part = small
     if inside is not None:

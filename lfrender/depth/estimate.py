@@ -1,4 +1,6 @@
-"""Patch size of lenses: searched over all shifts, refined on the pixels of every pair, classified and smoothed."""
+"""Patch size of lenses: searched over all shifts, refined on the pixels of every pair, classified
+and smoothed.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ from .validity.classify import (
     match_suggests_texture,
     shift_exceeds_shading,
     signal_share,
-)  # fmt: skip
+)
 from .validity.periodicity import find_periodic_texture
 
 __all__ = ["LensEstimates", "LensSet", "estimate_lenses"]
@@ -59,7 +61,8 @@ class LensEstimates:
     # (n,) [px] second-best patch size of lenses with texture; NaN where there is none
     second: NDArray[np.float32]
     match: MatchResult
-    # Measurement of each lens without smoothing, or what it keeps; with an infinite error where it is unresolved.
+    # Measurement of each lens without smoothing, or what it keeps; with an infinite error where it
+    # is unresolved.
     own_fits: LensFits
 
     @property
@@ -88,7 +91,8 @@ class LensEstimates:
         def where(old: NDArray, new: NDArray) -> NDArray:
             return np.where(kept, old, new)
 
-        size, error = before.filled_patch_size, np.where(before.reason == 0, before.standard_error, np.inf)
+        size = before.filled_patch_size
+        error = np.where(before.reason == 0, before.standard_error, np.inf)
         own = self.own_fits
         return replace(
             self,
@@ -98,27 +102,45 @@ class LensEstimates:
             reason=where(before.reason, self.reason),
             guess=where(size, self.guess),
             own_fits=replace(
-                own, patch_size=where(size, own.patch_size), standard_error=where(error, own.standard_error)
+                own,
+                patch_size=where(size, own.patch_size),
+                standard_error=where(error, own.standard_error),
             ),
         )
 
 
 def estimate_lenses(
-    lenses: LensSet, preset: Preset, before: DepthMap | None = None, sizes: NDArray[np.float32] | None = None
+    lenses: LensSet,
+    preset: Preset,
+    before: DepthMap | None = None,
+    sizes: NDArray[np.float32] | None = None,
 ) -> LensEstimates:
-    """Search the patch size of lenses, refine it on the pixels of every pair, and classify the result.
+    """Search the patch size of lenses, refine it on the pixels of every pair, and classify the
+    result.
 
     Lenses that are not `updated` keep what they had `before`; `sizes` are as for `match_lenses`.
     """
-    texture, updated, pitch = lenses.texture, lenses.updated, lenses.pitch
-    known = None if before is None else np.where(updated, np.nan, before.filled_patch_size).astype(np.float32)
+    texture = lenses.texture
+    updated = lenses.updated
+    pitch = lenses.pitch
+    known = (
+        None
+        if before is None
+        else np.where(updated, np.nan, before.filled_patch_size).astype(np.float32)
+    )
     matcher = Matcher(texture, lenses.neighbours, preset)
     match = match_lenses(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
-    like_shading = looks_like_shading(texture.clear & updated, match, texture.statistics.contrast, pitch)
+    like_shading = looks_like_shading(
+        texture.clear & updated, match, texture.statistics.contrast, pitch
+    )
     doubtful = texture.faint | like_shading
-    textured = updated & ((texture.clear & ~doubtful) | (doubtful & match_proves_texture(match, pitch)))
+    textured = updated & (
+        (texture.clear & ~doubtful) | (doubtful & match_proves_texture(match, pitch))
+    )
     perhaps = updated & doubtful & ~textured & match_suggests_texture(match)
-    own = _refine(lenses, preset, np.where(textured | perhaps, match.patch_size, np.nan).astype(np.float32))
+    own = _refine(
+        lenses, preset, np.where(textured | perhaps, match.patch_size, np.nan).astype(np.float32)
+    )
     measured = np.isfinite(own.patch_size)
     refined = np.where(measured, own.patch_size, match.patch_size)
     error = np.where(measured, own.standard_error, np.inf)
@@ -131,16 +153,23 @@ def estimate_lenses(
 def _refine(lenses: LensSet, preset: Preset, first: NDArray[np.float32]) -> LensFits:
     """Fits of lenses to their pixels from the patch sizes `first` (n,) [px]; NaN leaves a lens out.
 
-    Where neighbours share few pixels the fit falls short: it starts from a larger patch size too, the better one
-    counts.
+    Where neighbours share few pixels the fit falls short: it starts from a larger patch size too,
+    the better one counts.
     """
-    texture, pitch = lenses.texture, lenses.pitch
+    texture = lenses.texture
+    pitch = lenses.pitch
     # Beyond this difference of brightness two pixels hardly show the same point.
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast).astype(np.float32)
 
     def fit(start: NDArray[np.float32]) -> LensFits:
         pairs = fit_pairs(
-            texture.flat, lenses.neighbours.forward, start, scale, texture.noise, preset.iterations, preset.last_step
+            texture.flat,
+            lenses.neighbours.forward,
+            start,
+            scale,
+            texture.noise,
+            preset.iterations,
+            preset.last_step,
         )
         return fit_lens_planes(texture.flat, lenses.neighbours, pairs, start)
 
@@ -150,15 +179,27 @@ def _refine(lenses: LensSet, preset: Preset, first: NDArray[np.float32]) -> Lens
 
 
 def _classify(
-    lenses: LensSet, match: MatchResult, textured: NDArray[np.bool_], own: LensFits, refined: NDArray, error: NDArray,
+    lenses: LensSet,
+    match: MatchResult,
+    textured: NDArray[np.bool_],
+    own: LensFits,
+    refined: NDArray,
+    error: NDArray,
     before: DepthMap | None,
-) -> LensEstimates:  # fmt: skip
-    """Decide which lenses are resolved, with errors and confidence, from their match and refined patch sizes (n,)."""
-    texture, pitch, neighbours = lenses.texture, lenses.pitch, lenses.neighbours
+) -> LensEstimates:
+    """Decide which lenses are resolved, with errors and confidence, from their match and refined
+    patch sizes (n,).
+    """
+    texture = lenses.texture
+    pitch = lenses.pitch
+    neighbours = lenses.neighbours
     signal = signal_share(texture)
     explained = match.normalised_correlation / signal
-    reason, error, sure = classify_lenses(textured, match, refined, error, signal, neighbours.all, pitch)
-    depths, shown = refined, reason == 0
+    reason, error, sure = classify_lenses(
+        textured, match, refined, error, signal, neighbours.all, pitch
+    )
+    depths = refined
+    shown = reason == 0
     if before is not None:
         # Lenses that keep their depth show the same scene.
         depths = np.where(lenses.updated, refined, before.filled_patch_size)
@@ -169,6 +210,9 @@ def _classify(
     own_error = np.where(reason == 0, inflate_errors(own.standard_error, explained), np.inf)
     second = np.where(textured, match.second, np.nan).astype(np.float32)
     own = replace(own, standard_error=own_error)
-    # Beyond this places are seen by no lens: without texture, costs may be least at an end of the range.
+    # Beyond this places are seen by no lens: without texture, costs may be least at an end of the
+    # range.
     guess = np.clip(match.patch_size, -RESOLVABLE * pitch, RESOLVABLE * pitch)
-    return LensEstimates(refined, error, SURE * sure if perhaps else sure, reason, guess, second, match, own)
+    return LensEstimates(
+        refined, error, SURE * sure if perhaps else sure, reason, guess, second, match, own
+    )

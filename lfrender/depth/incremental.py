@@ -1,7 +1,8 @@
-"""Depth of the next frame: only lenses that show something else at another depth are estimated again.
+"""Depth of the next frame: only lenses that show something else at another depth are estimated
+again.
 
-A lens keeps its depth if its pixels, and those of its neighbours, differ from the previous frame by no more than noise,
-or if it still matches its neighbours at the depth it had.
+A lens keeps its depth if its pixels, and those of its neighbours, differ from the previous frame by
+no more than noise, or if it still matches its neighbours at the depth it had.
 """
 
 from __future__ import annotations
@@ -39,16 +40,24 @@ __all__ = ["changed_since", "find_changed_lenses", "find_moved", "update_depth"]
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda before, now, centres, *_: len(centres))
 def _compare(begin, end, before, now, centres, radius, side, out):
-    """Per lens: mean square of the differences of pixels, and of sums over blocks of `side` x `side` pixels over the
-    root of their number; number of blocks."""
+    """Per lens: mean square of the differences of pixels, and of sums over blocks of `side` x
+    `side` pixels over the root of their number; number of blocks.
+    """
     height, width = now.shape
     for lens in range(begin, end):
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        energy, sums, count = np.float32(0.0), np.float32(0.0), 0
-        for top in range(max(0, int(cy - radius)), min(height - side, int(cy + radius) + 1 - side) + 1, side):
+        cx = centres[lens, 0]
+        cy = centres[lens, 1]
+        energy = np.float32(0.0)
+        sums = np.float32(0.0)
+        count = 0
+        for top in range(
+            max(0, int(cy - radius)), min(height - side, int(cy + radius) + 1 - side) + 1, side
+        ):
             y = np.float32(top + 0.5 * (side - 1)) - cy
             half = np.sqrt(max(radius * radius - y * y, np.float32(0.0)))
-            for left in range(max(0, int(cx - half)), min(width - side, int(cx + half) + 1 - side) + 1, side):
+            for left in range(
+                max(0, int(cx - half)), min(width - side, int(cx + half) + 1 - side) + 1, side
+            ):
                 total = np.float32(0.0)
                 for row in range(top, top + side):
                     for column in range(left, left + side):
@@ -61,17 +70,22 @@ def _compare(begin, end, before, now, centres, radius, side, out):
         out[0, lens], out[1, lens], out[2, lens] = energy / pixels, sums / pixels, max(count, 1)
 
 
-def find_changed_lenses(before: GrayFlat, statistics: LensStatistics, now: GrayFlat) -> NDArray[np.bool_]:
-    """(n,) bool: lenses whose pixels differ visibly, and by more than noise, from those of a frame `before`.
+def find_changed_lenses(
+    before: GrayFlat, statistics: LensStatistics, now: GrayFlat
+) -> NDArray[np.bool_]:
+    """(n,) bool: lenses whose pixels differ visibly, and by more than noise, from those of a frame
+    `before`.
 
-    The noise of a difference is estimated on its smoothest lenses of like brightness, or on those that differ least
-    between the frames, whichever is less. Motion below the noise of a pixel shows in sums over blocks.
+    The noise of a difference is estimated on its smoothest lenses of like brightness, or on those
+    that differ least between the frames, whichever is less. Motion below the noise of a pixel shows
+    in sums over blocks.
     """
     side = 4 if now.radius >= 6 else 2
     out = np.empty((3, len(now.centres)), np.float32)
     _compare(before.image, now.image, now.centres, np.float32(now.radius), side, out)
     pixel, block, count = out
-    # Noise grows with brightness: that of the tenth of lenses with the least, in eight groups, and in those beside.
+    # Noise grows with brightness: that of the tenth of lenses with the least, in eight groups, and
+    # in those beside.
     noise = np.minimum(2 * statistics.roughness**2, pixel)
     edges = np.quantile(statistics.mean, np.arange(1, 8) / 8)
     group = np.searchsorted(edges, statistics.mean)
@@ -79,9 +93,10 @@ def find_changed_lenses(before: GrayFlat, statistics: LensStatistics, now: GrayF
     level = [np.quantile(noise[group == k], 0.1) if (group == k).any() else least for k in range(8)]
     level = np.maximum(np.pad(level, 1, "edge"), least)
     allowed = np.maximum(np.maximum(level[:-2], level[2:]), level[1:-1])[group]
-    # A pixel changes by 2 / 255 in video coding, which is invisible; motion by a quarter of a pixel changes more than
-    # 0.7 % of the variance.
-    invisible, unseen = (2 / 255) ** 2, 0.007 * statistics.contrast**2
+    # A pixel changes by 2 / 255 in video coding, which is invisible; motion by a quarter of a pixel
+    # changes more than 0.7 % of the variance.
+    invisible = (2 / 255) ** 2
+    unseen = 0.007 * statistics.contrast**2
     area = side * side
     most = np.maximum(allowed * _limit(count * area), np.maximum(invisible, unseen))
     most_block = np.maximum(allowed * _limit(count), np.maximum(invisible, area * unseen))
@@ -94,11 +109,17 @@ def _limit(count: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def update_depth(
-    flat: NDArray, calibration: Calibration, preset: str, shortcuts: Shortcuts, edges: bool, earlier: NDArray,
+    flat: NDArray,
+    calibration: Calibration,
+    preset: str,
+    shortcuts: Shortcuts,
+    edges: bool,
+    earlier: NDArray,
     before: DepthMap,
-) -> DepthMap:  # fmt: skip
-    """Estimate the depth of a frame from the `earlier` frame and its depth, `before`; arguments and errors as
-    `analyze`."""
+) -> DepthMap:
+    """Estimate the depth of a frame from the `earlier` frame and its depth, `before`; arguments and
+    errors as `analyze`.
+    """
     lattice = calibration.lattice
     earlier = _check_previous(flat, calibration, preset, earlier, before)
     neighbours = neighbour_rows(lattice, lattice.steps)
@@ -110,12 +131,16 @@ def update_depth(
     state = FrameState(changed=changed, previous=weakref.ref(before))
     if kept.all():
         state.reference, state.kept = before.frame_state.reference, before.frame_state.kept
-        return _remember(replace(before, saved=saved, frame_state=state), gray, old_statistics, calibration)
+        return _remember(
+            replace(before, saved=saved, frame_state=state), gray, old_statistics, calibration
+        )
     statistics = sample_statistics(gray)
     if shortcuts.steady:
         reference = _complete_reference(before, old_gray, old_statistics, small, factor)
         # Lenses with the same pixels match as they did.
-        match = _match_at_depth(gray, small, statistics, before, factor, kept).where(kept, reference)
+        match = _match_at_depth(gray, small, statistics, before, factor, kept).where(
+            kept, reference
+        )
         estimated = (before.reason == 0) & match.textured
         moved, doubtful = find_moved(reference, match, estimated, before.reason, neighbours)
         moved &= ~kept
@@ -124,19 +149,29 @@ def update_depth(
         state.reference, state.kept = reference, kept
         if kept.all():
             state.complete = reference
-            return _remember(replace(before, saved=saved, frame_state=state), gray, statistics, calibration)
+            return _remember(
+                replace(before, saved=saved, frame_state=state), gray, statistics, calibration
+            )
     if not kept.any():
         depth = estimate_depth_map(gray, small, preset, shortcuts)
         depth = locate_edges(gray, small, depth) if edges else depth
         state.reference, state.kept = None, None
     else:
         near = dilate_mask(dilate_mask(~kept, neighbours), neighbours)
-        blank = find_textureless(gray, small, statistics, PRESETS[preset], asked=near) if shortcuts.blank else None
+        blank = (
+            find_textureless(gray, small, statistics, PRESETS[preset], asked=near)
+            if shortcuts.blank
+            else None
+        )
         old = rescale_depth(before, small, 1 / factor)
         start = replace(old, surface=_coarse_surface(old.surface, small, preset))
-        depth = estimate_lens_by_lens(gray, small, preset, shortcuts, statistics, blank, kept, start)
+        depth = estimate_lens_by_lens(
+            gray, small, preset, shortcuts, statistics, blank, kept, start
+        )
         if edges:
-            depth = _locate_new_edges(gray, small, depth, old.surface, dilate_mask(~kept, neighbours))
+            depth = _locate_new_edges(
+                gray, small, depth, old.surface, dilate_mask(~kept, neighbours)
+            )
         depth = replace(depth, saved={**depth.saved, **saved})
     after = replace(rescale_depth(depth, lattice, factor), frame_state=state)
     return _remember(after, gray, statistics, calibration)
@@ -146,15 +181,22 @@ def _coarse_surface(surface: Surface, lattice: Lattice, preset: str) -> Surface:
     """The surface on the grid that it has before edges are located."""
     _, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
     finer = round(spacing / surface.spacing)
-    return surface if finer <= 1 else Surface(surface.patch_size[::finer, ::finer].copy(), first, spacing)
+    return (
+        surface
+        if finer <= 1
+        else Surface(surface.patch_size[::finer, ::finer].copy(), first, spacing)
+    )
 
 
 def _locate_new_edges(
     gray: GrayFlat, lattice: Lattice, depth: DepthMap, old: Surface, changed: NDArray[np.bool_]
 ) -> DepthMap:
-    """The depth map with its edges about the lenses that have `changed` (n,), and as in the `old` surface elsewhere."""
+    """The depth map with its edges about the lenses that have `changed` (n,), and as in the `old`
+    surface elsewhere.
+    """
     after = locate_edges(gray, lattice, depth, changed)
-    new, values = after.surface, after.surface.patch_size
+    new = after.surface
+    values = after.surface.patch_size
     finer = round(new.spacing / old.spacing)
     if finer > 1:
         values = refine_grid(values, finer, TOLERANCE * lattice.pitch)
@@ -174,24 +216,36 @@ def _check_previous(
         kinds = " and ".join(f"{a.shape[2]} x {a.dtype}" for a in (earlier, flat))
         raise FlatError(f"both frames must have the same channels and type, they have {kinds}")
     if len(before) != len(calibration.lattice) or before.preset != preset:
-        raise ValueError("the earlier depth map was made with another camera or preset; analyze without previous")
+        raise ValueError(
+            "the earlier depth map was made with another camera or preset; analyze without previous"
+        )
     return earlier
 
 
-def _latest_frame(calibration: Calibration) -> list[tuple[weakref.ref[DepthMap], GrayFlat, LensStatistics]]:
+def _latest_frame(
+    calibration: Calibration,
+) -> list[tuple[weakref.ref[DepthMap], GrayFlat, LensStatistics]]:
     """Cache of the last analysed frame of a camera: its depth map, grey flat and statistics."""
     return cached(calibration, "latest frame", list)
 
 
-def _remember(depth: DepthMap, gray: GrayFlat, statistics: LensStatistics, calibration: Calibration) -> DepthMap:
-    """The depth map; its grey flat of up to 32 MB, with the strips cut out of it, is kept for the next one."""
+def _remember(
+    depth: DepthMap, gray: GrayFlat, statistics: LensStatistics, calibration: Calibration
+) -> DepthMap:
+    """The depth map; its grey flat of up to 32 MB, with the strips cut out of it, is kept for the
+    next one.
+    """
     if gray.image.nbytes <= 1 << 25:
         _latest_frame(calibration)[:] = [(weakref.ref(depth), gray, statistics)]
     return depth
 
 
-def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple[GrayFlat, LensStatistics]:
-    """The grey flat that a depth map belongs to, and its statistics, taken from the cache if it is the last one."""
+def _frame_of(
+    depth: DepthMap, flat: NDArray, calibration: Calibration
+) -> tuple[GrayFlat, LensStatistics]:
+    """The grey flat that a depth map belongs to, and its statistics, taken from the cache if it is
+    the last one.
+    """
     with suppress(IndexError):
         # Taken out, since no two threads may cut strips out of the same grey flat.
         of, gray, statistics = _latest_frame(calibration).pop()
@@ -204,7 +258,9 @@ def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple
 def _complete_reference(
     depth: DepthMap, gray: GrayFlat, statistics: LensStatistics, lattice: Lattice, factor: int
 ) -> LocalMatch:
-    """What all lenses are compared with: those that kept their depth with the frame it is from, others with theirs."""
+    """What all lenses are compared with: those that kept their depth with the frame it is from,
+    others with theirs.
+    """
     state = depth.frame_state
     if state.complete is None:
         state.complete = _match_at_depth(gray, lattice, statistics, depth, factor, state.kept)
@@ -214,10 +270,16 @@ def _complete_reference(
 
 
 def _match_at_depth(
-    gray: GrayFlat, lattice: Lattice, statistics: LensStatistics, depth: DepthMap, factor: int,
+    gray: GrayFlat,
+    lattice: Lattice,
+    statistics: LensStatistics,
+    depth: DepthMap,
+    factor: int,
     known: NDArray[np.bool_] | None,
-) -> LocalMatch:  # fmt: skip
-    """Match every lens at its `depth`, on pixels `factor` times as large; `known` ones (n,) only as neighbours."""
+) -> LocalMatch:
+    """Match every lens at its `depth`, on pixels `factor` times as large; `known` ones (n,) only as
+    neighbours.
+    """
     texture = classify_texture(gray, statistics)
     matcher = Matcher(texture, neighbours_of(lattice), PRESETS[depth.preset])
     textured = texture.clear | texture.faint
@@ -227,32 +289,43 @@ def _match_at_depth(
 
 
 def find_moved(
-    reference: LocalMatch, match: LocalMatch, estimated: NDArray[np.bool_], reason: NDArray[np.int8],
+    reference: LocalMatch,
+    match: LocalMatch,
+    estimated: NDArray[np.bool_],
+    reason: NDArray[np.int8],
     neighbours: NDArray[np.int32],
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # fmt: skip
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Lenses whose depth may have changed, and those in doubt if one of their neighbours has.
 
-    An `estimated` lens (n,) keeps its depth if from `reference` to `match` its cost rose by at most 0.15 and its
-    minimum did not move, together with two neighbours, by more than max(0.1 px, 4 sigma). Beside one that moved, a
-    quarter of that is doubtful. Others are estimated if they now carry texture or match.
+    An `estimated` lens (n,) keeps its depth if from `reference` to `match` its cost rose by at most
+    0.15 and its minimum did not move, together with two neighbours, by more than max(0.1 px, 4
+    sigma). Beside one that moved, a quarter of that is doubtful. Others are estimated if they now
+    carry texture or match.
     """
-    shift, rise = match.offset - reference.offset, match.cost - reference.cost
+    shift = match.offset - reference.offset
+    rise = match.cost - reference.cost
     moved = estimated & (rise > 0.15)
     moved |= (reason == 0) & reference.textured & ~match.textured
     moved |= (reason != 0) & match.textured & (rise < -0.15)
     moved |= (reason == 1) & match.clear & ~reference.clear
     # Away from a minimum the cost has no bend that would tell its error.
-    limit = np.maximum(np.float32(0.1), np.float32(4 * 2**0.5) * np.minimum(reference.error, match.error))
+    limit = np.maximum(
+        np.float32(0.1), np.float32(4 * 2**0.5) * np.minimum(reference.error, match.error)
+    )
     for side in (-1, 1):
         # Of fewer than three beside each other it is noise.
         moved |= count_connected(estimated & (side * shift > limit), neighbours) >= 2
-    return np.asarray(moved), np.asarray(~estimated | (4 * rise > 0.15) | (4 * np.abs(shift) > limit))
+    return np.asarray(moved), np.asarray(
+        ~estimated | (4 * rise > 0.15) | (4 * np.abs(shift) > limit)
+    )
 
 
 def changed_since(
     before: DepthMap, after: DepthMap, earlier: NDArray, flat: NDArray, calibration: Calibration
 ) -> NDArray[np.bool_]:
-    """(n,) bool: lenses that show something else in `flat` than in the `earlier` one, as known from the analysis."""
+    """(n,) bool: lenses that show something else in `flat` than in the `earlier` one, as known from
+    the analysis.
+    """
     state = after.frame_state
     if state.changed is not None and state.previous is not None and state.previous() is before:
         return state.changed

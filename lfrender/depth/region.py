@@ -1,4 +1,6 @@
-"""Analysis of a part of a flat: cropping the flat and its lattice, and embedding the depth of the part again."""
+"""Analysis of a part of a flat: cropping the flat and its lattice, and embedding the depth of the
+part again.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +20,23 @@ from ..flat.lens_graph import lens_grid
 from ..runtime.cache import cached_latest
 
 __all__ = [
-    "check_region", "crop_flat", "crop_lattice", "embed_region", "empty_lenses", "rescale_depth", "rows_of",
+    "check_region",
+    "crop_flat",
+    "crop_lattice",
+    "embed_region",
+    "empty_lenses",
+    "rescale_depth",
+    "rows_of",
     "select_lenses",
-]  # fmt: skip
+]
 
 
-def check_region(roi: tuple[float, float, float, float], lattice: Lattice) -> tuple[float, float, float, float]:
-    """Two opposite corners of a part of the flat as `x0 < x1`, `y0 < y1`, or a ValueError that says what is wrong."""
+def check_region(
+    roi: tuple[float, float, float, float], lattice: Lattice
+) -> tuple[float, float, float, float]:
+    """Two opposite corners of a part of the flat as `x0 < x1`, `y0 < y1`, or a ValueError that says
+    what is wrong.
+    """
     try:
         corners = np.array(roi, float).reshape(2, 2)
     except (TypeError, ValueError):
@@ -32,7 +44,9 @@ def check_region(roi: tuple[float, float, float, float], lattice: Lattice) -> tu
     (x0, y0), (x1, y1) = np.sort(corners, axis=0).tolist()
     width, height = lattice.image_size
     if not np.isfinite(corners).all() or x0 == x1 or y0 == y1:
-        raise ValueError(f"roi {_text(roi)} has no area: give two opposite corners, x0 y0 x1 y1 [px]")
+        raise ValueError(
+            f"roi {_text(roi)} has no area: give two opposite corners, x0 y0 x1 y1 [px]"
+        )
     if x1 < 0 or y1 < 0 or x0 >= width or y0 >= height:
         raise ValueError(f"roi {_text(roi)} lies outside the flat of {width} x {height} px")
     return x0, y0, x1, y1
@@ -43,29 +57,44 @@ def _text(roi: Iterable[float]) -> str:
 
 
 def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> NDArray[np.bool_]:
-    """(n,) bool: lenses with their centre inside `x0, y0, x1, y1` [px]; a ValueError where there is none."""
+    """(n,) bool: lenses with their centre inside `x0, y0, x1, y1` [px]; a ValueError where there is
+    none.
+    """
     centres = lattice.centres()
     inside = np.asarray(((centres >= roi[:2]) & (centres <= roi[2:])).all(1), bool)
     if not inside.any():
-        raise ValueError(f"no microlens has its centre in roi {_text(roi)}: make it larger than {lattice.pitch:.1f} px")
+        raise ValueError(
+            f"no microlens has its centre in roi {_text(roi)}: make it larger than {lattice.pitch:.1f} px"
+        )
     return inside
 
 
-def crop_flat(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tuple[GrayFlat, Lattice]:
+def crop_flat(
+    gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]
+) -> tuple[GrayFlat, Lattice]:
     """Crop a flat and its lattice to the lenses `inside` and those around that support them."""
-    centres, size = lattice.centres()[inside], np.array(lattice.image_size)
-    # The reach of the shading correction. Parts end at multiples of a pitch: the next frame mostly has the same part.
-    around, step = 4.5 * lattice.pitch, int(np.ceil(lattice.pitch))
+    centres = lattice.centres()[inside]
+    size = np.array(lattice.image_size)
+    # The reach of the shading correction. Parts end at multiples of a pitch: the next frame mostly
+    # has the same part.
+    around = 4.5 * lattice.pitch
+    step = int(np.ceil(lattice.pitch))
     low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
     high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
-    sub = cached_latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: crop_lattice(lattice, low, high))
+    sub = cached_latest(
+        lattice, "part", (*low.tolist(), *high.tolist()), lambda: crop_lattice(lattice, low, high)
+    )
     image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
     kinds = None if gray.lens_type is None else gray.lens_type[rows_of(sub, lattice)]
-    return replace(gray, image=image, centres=sub.centres().astype(np.float32), lens_type=kinds), sub
+    return replace(
+        gray, image=image, centres=sub.centres().astype(np.float32), lens_type=kinds
+    ), sub
 
 
 def crop_lattice(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]) -> Lattice:
-    """The lattice of the pixels from `low` (2,) to `high` (2,), not included, in the pixels of that part."""
+    """The lattice of the pixels from `low` (2,) to `high` (2,), not included, in the pixels of that
+    part.
+    """
     distortion = lattice.distortion
     if distortion is not None:
         middle = None if distortion.middle is None else distortion.middle - low
@@ -74,8 +103,12 @@ def crop_lattice(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int6
     return Lattice(lattice.origin - low, lattice.basis, (width, height), lattice.radius, distortion)
 
 
-def embed_region(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bool_]) -> DepthMap:
-    """Depth of the whole flat from that of a part, whose surface it keeps; other lenses are "not analysed"."""
+def embed_region(
+    depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bool_]
+) -> DepthMap:
+    """Depth of the whole flat from that of a part, whose surface it keeps; other lenses are "not
+    analysed".
+    """
     rows = rows_of(sub, lattice)
     chosen = inside[rows]
     filled = float(np.median(depth.filled_patch_size[chosen]))
@@ -83,9 +116,15 @@ def embed_region(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArra
     for name, whole in values.items():
         whole[rows[chosen]] = getattr(depth, name)[chosen]
     x, y = (lattice.origin - sub.origin + depth.surface.first).tolist()
-    surface, saved = replace(depth.surface, first=(x, y)), {**depth.saved, "roi": 1 - float(inside.mean())}
+    surface = replace(depth.surface, first=(x, y))
+    saved = {**depth.saved, "roi": 1 - float(inside.mean())}
     return DepthMap(
-        **values, surface=surface, pitch=lattice.pitch, image_size=lattice.image_size, preset=depth.preset, saved=saved
+        **values,
+        surface=surface,
+        pitch=lattice.pitch,
+        image_size=lattice.image_size,
+        preset=depth.preset,
+        saved=saved,
     )
 
 
@@ -93,10 +132,12 @@ def empty_lenses(count: int, filled: float = 0.0, reason: int = 1) -> dict[str, 
     """The arrays of a depth map of so many lenses without a depth, by their names."""
     nothing = np.zeros(count, np.float32)
     return {
-        "patch_size": nothing + np.float32(np.nan), "standard_error": nothing + np.float32(np.inf),
-        "confidence": nothing, "filled_patch_size": nothing + np.float32(filled),
+        "patch_size": nothing + np.float32(np.nan),
+        "standard_error": nothing + np.float32(np.inf),
+        "confidence": nothing,
+        "filled_patch_size": nothing + np.float32(filled),
         "reason": np.full(count, reason, np.int8),
-    }  # fmt: skip
+    }
 
 
 def rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
@@ -107,15 +148,25 @@ def rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
 
 
 def rescale_depth(
-    depth: DepthMap, lattice: Lattice, factor: float, flat_samples: NDArray[np.float32] | None = None
+    depth: DepthMap,
+    lattice: Lattice,
+    factor: float,
+    flat_samples: NDArray[np.float32] | None = None,
 ) -> DepthMap:
     """The same depth in pixels `factor` times as small, those of `lattice`."""
     x, y = ((first + 0.5) * factor - 0.5 for first in depth.surface.first)
     scale = np.float32(factor)
-    sizes = {name: scale * getattr(depth, name) for name in ("patch_size", "standard_error", "filled_patch_size")}
+    sizes = {
+        name: scale * getattr(depth, name)
+        for name in ("patch_size", "standard_error", "filled_patch_size")
+    }
     surface = Surface(depth.surface.patch_size * scale, (x, y), depth.surface.spacing * factor)
     return replace(
-        depth, **sizes, surface=surface, pitch=lattice.pitch, image_size=lattice.image_size,
+        depth,
+        **sizes,
+        surface=surface,
+        pitch=lattice.pitch,
+        image_size=lattice.image_size,
         centres=lattice.centres().astype(np.float32),
         flat_samples=depth.flat_samples if flat_samples is None else flat_samples,
-    )  # fmt: skip
+    )

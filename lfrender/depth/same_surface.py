@@ -15,12 +15,15 @@ TOLERANCE = 0.04
 
 @register_jitable(inline="always")
 def same_surface(a, b, tolerance):
-    """Whether patch sizes differ by no more than a tolerance [all in px]; False where one of them is NaN."""
+    """Whether patch sizes differ by no more than a tolerance [all in px]; False where one of them
+    is NaN.
+    """
     return abs(a - b) <= tolerance
 
 
 @njit(fastmath=FAST, inline="always")
 def depth_order(s, pitch):
-    """A monotonic function of nearness to the camera: telescopic patch sizes first, then binocular ones
-    (docs/geometry.md)."""
+    """A monotonic function of nearness to the camera: telescopic patch sizes first, then binocular
+    ones (docs/geometry.md).
+    """
     return s if s > 0 else s + 2 * pitch

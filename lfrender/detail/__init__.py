@@ -1,1 +1,3 @@
-"""Detail of pictures: the noise of the flat, the known blur of its microlenses, and a filter that undoes it."""
+"""Detail of pictures: the noise of the flat, the known blur of its microlenses, and a filter that
+undoes it.
+"""

@@ -1,9 +1,10 @@
-"""Filters that undo the blur of the microlenses, as a table over patch size and power of the detail.
+"""Filters that undo the blur of the microlenses, as a table over patch size and power of the
+detail.
 
-A Wiener filter makes the mean square error least: `T H S / (H^2 S + A + N)`, with the transfer function `H` of the
-picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, and noise `N` (N. Wiener 1949). It is fitted
-as a sum of four bands, the differences of smoothings (1, 2, 1) / 4 with growing distances, as a wavelet transform
-"a trous" (M. Holschneider et al. 1989).
+A Wiener filter makes the mean square error least: `T H S / (H^2 S + A + N)`, with the transfer
+function `H` of the picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, and
+noise `N` (N. Wiener 1949). It is fitted as a sum of four bands, the differences of smoothings (1,
+2, 1) / 4 with growing distances, as a wavelet transform "a trous" (M. Holschneider et al. 1989).
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ from .blur import disc_transfer, interpolation_transfer, squares_to_average, sur
 
 __all__ = ["SMOOTHING", "DetailFilters", "make_filters"]
 
-#: Distances of the outer taps of the smoothings, one upon the other, that part a picture into bands [px].
+#: Distances of the outer taps of the smoothings, one upon the other, that part a picture into bands
+#: [px].
 SMOOTHING = (1, 1, 2, 4)
 
 _Table = NDArray[np.float64]
-# What folds back onto a frequency: the spectrum of the scene about these multiples of the picture's sampling.
+# What folds back onto a frequency: the spectrum of the scene about these multiples of the picture's
+# sampling.
 _FOLDS = ((0, 0), (-1, 0), (0, -1), (-1, -1))
 
 
@@ -33,14 +36,16 @@ _FOLDS = ((0, 0), (-1, 0), (0, -1), (-1, -1))
 class DetailFilters:
     """What is added of each band, for the places of a picture."""
 
-    # (p, n + 1, 4) by power of the detail over light, and patch size: first the negative ones from zero, then the
-    # positive ones; the last restores nothing
+    # (p, n + 1, 4) by power of the detail over light, and patch size: first the negative ones from
+    # zero, then the positive ones; the last restores nothing
     gains: NDArray[np.float32]
-    # (2, n + 1) predicted power of the second band, and of both coarser ones together, of noise in the light of white
+    # (2, n + 1) predicted power of the second band, and of both coarser ones together, of noise in
+    # the light of white
     noise: NDArray[np.float32]
     per_power: NDArray[np.float32]  # (2, n + 1) power of detail for each unit of power of these
     per_ratio: float  # entries for each unit of `|s / D|`
-    # A power has the row `bits / 2^23 * per_octave - weakest`, where its bits as float32 are read as an integer.
+    # A power has the row `bits / 2^23 * per_octave - weakest`, where its bits as float32 are read
+    # as an integer.
     weakest: float
     per_octave: float
 
@@ -51,20 +56,32 @@ class DetailFilters:
 
 
 def make_filters(
-    calibration: Calibration, blur: LensBlur | None, noise: float, scale: float, reach: float, full: float,
+    calibration: Calibration,
+    blur: LensBlur | None,
+    noise: float,
+    scale: float,
+    reach: float,
+    full: float,
     depths: tuple[float, float],
-) -> DetailFilters:  # fmt: skip
-    """The filters for a blended picture of `scale` pixels per pitch whose patch sizes lie between `depths` [px].
+) -> DetailFilters:
+    """The filters for a blended picture of `scale` pixels per pitch whose patch sizes lie between
+    `depths` [px].
 
-    `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged; `full` is the scale of the
-    largest patches.
+    `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged; `full` is
+    the scale of the largest patches.
     """
-    # Filters are computed for 14 powers of detail [white^2] and 16 |s / D| of either sign, and tabulated more finely.
-    powers, levels = np.geomspace(1e-8, 0.015, 14), np.geomspace(0.06, 0.8, 16)
-    step, per_ratio, per_octave = levels[1] / levels[0], 60.0, 2.0
+    # Filters are computed for 14 powers of detail [white^2] and 16 |s / D| of either sign, and
+    # tabulated more finely.
+    powers = np.geomspace(1e-8, 0.015, 14)
+    levels = np.geomspace(0.06, 0.8, 16)
+    step = levels[1] / levels[0]
+    per_ratio = 60.0
+    per_octave = 2.0
     of_level = np.concatenate([-levels, levels])
     some = _is_near(of_level, step, np.array(depths) / calibration.lattice.pitch)
-    known, wanted, grain = _Levels.of(of_level[some], noise, calibration, blur, scale, reach, full).sums()
+    known, wanted, grain = _Levels.of(
+        of_level[some], noise, calibration, blur, scale, reach, full
+    ).sums()
     fine = np.arange(round(levels[-1] * per_ratio) + 1) / per_ratio
     at = np.log(np.maximum(fine, levels[0]) / levels[0]) / np.log(step)
     near = np.concatenate([at, at + len(levels)])
@@ -82,11 +99,14 @@ def make_filters(
     trusted = _trusted_share(np.abs(of_level[some]), calibration, reach)
     gains = _between(spread(trusted[:, None] * _fit(powers, known, wanted, grain)), rows, 0)
     # Of the second band, and of the coarser ones.
-    power, noises = (spread(np.stack([one[:, -3], one[:, -2] + one[:, -1]])) for one in (known, grain))
+    power, noises = (
+        spread(np.stack([one[:, -3], one[:, -2] + one[:, -1]])) for one in (known, grain)
+    )
     per_power = np.divide(1, power, out=np.zeros_like(power), where=power > 0)
     # The last restores nothing.
     tables = [
-        np.pad(one, ((0, 0), (0, 1), (0, 0))[: one.ndim]).astype(np.float32) for one in (gains, noises, per_power)
+        np.pad(one, ((0, 0), (0, 1), (0, 0))[: one.ndim]).astype(np.float32)
+        for one in (gains, noises, per_power)
     ]
     return DetailFilters(tables[0], tables[1], tables[2], per_ratio, first * per_octave, per_octave)
 
@@ -100,12 +120,16 @@ def _averaged_views(ratio: _Table, calibration: Calibration, reach: float) -> _T
 
 
 def _trusted_share(ratio: _Table, calibration: Calibration, reach: float) -> _Table:
-    """How much of the detail is restored at these `|s / D|`: nothing of two lenses averaged, all of four."""
+    """How much of the detail is restored at these `|s / D|`: nothing of two lenses averaged, all of
+    four.
+    """
     return np.asarray(np.clip(_averaged_views(ratio, calibration, reach) / 2 - 1, 0, 1))
 
 
 def _is_near(ratios: _Table, step: float, depths: _Table) -> NDArray[np.bool_]:
-    """Which of the `s / D` a picture with these ends of its depths needs; the last of either sign, for all beyond."""
+    """Which of the `s / D` a picture with these ends of its depths needs; the last of either sign,
+    for all beyond.
+    """
     size = np.abs(ratios)
     ends = np.sort((ratios * step, ratios / step), 0)
     last = (size == size.min()) | (size == size.max())
@@ -114,7 +138,9 @@ def _is_near(ratios: _Table, step: float, depths: _Table) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class _Levels:
-    """How a picture shows a scene at several `s / D`. Frequencies (f,) are in cycles per pixel of the picture."""
+    """How a picture shows a scene at several `s / D`. Frequencies (f,) are in cycles per pixel of
+    the picture.
+    """
 
     grown: _Table  # (n, 1) side of a pixel of the flat [px of the picture]
     discs: _Table  # (n, types) diameters [px of the picture]
@@ -124,10 +150,17 @@ class _Levels:
 
     @classmethod
     def of(
-        cls, ratios: _Table, noise: float, calibration: Calibration, blur: LensBlur | None, scale: float, reach: float,
+        cls,
+        ratios: _Table,
+        noise: float,
+        calibration: Calibration,
+        blur: LensBlur | None,
+        scale: float,
+        reach: float,
         full: float,
-    ) -> _Levels:  # fmt: skip
-        lattice, size = calibration.lattice, np.abs(ratios)
+    ) -> _Levels:
+        lattice = calibration.lattice
+        size = np.abs(ratios)
         grown = scale / (size * lattice.pitch)
         discs = sure_discs(blur, ratios).T * grown[:, None]
         shares = type_shares(calibration.lens_types, ratios, discs.shape[1]).T
@@ -138,21 +171,29 @@ class _Levels:
 
     def _read(self, fx: _Table, fy: _Table) -> _Table:
         read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
-        return read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart) if self.apart.any() else read
+        return (
+            read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart) if self.apart.any() else read
+        )
 
     def left(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
-        """(n, f) what is left of each frequency of a scene, and (f,) the power that is expected of it."""
+        """(n, f) what is left of each frequency of a scene, and (f,) the power that is expected of
+        it.
+        """
         frequency = np.hypot(fx, fy)
         disc = (
             self.shares[..., None]
-            * np.interp(self.discs[..., None] * np.atleast_2d(frequency)[:, None], *_tabulated_disc())
+            * np.interp(
+                self.discs[..., None] * np.atleast_2d(frequency)[:, None], *_tabulated_disc()
+            )
         ).sum(1)
         pixel = np.sinc(fx * self.grown) * np.sinc(fy * self.grown)
         # Detail is expected to fall with the third power of frequency.
         return disc * pixel * self._read(fx, fy), np.maximum(frequency, 0.01) ** -3.0
 
     def sums(self) -> _Table:
-        """(3, n, 23) of power of detail, of what is wanted of it, and of noise, weighted by `_basis`."""
+        """(3, n, 23) of power of detail, of what is wanted of it, and of noise, weighted by
+        `_basis`.
+        """
         fx, fy, basis = _basis()
         (left, scene), *folded = (self.left(fx + x, fy + y) for x, y in _FOLDS)
         seen = left**2 * scene
@@ -188,7 +229,9 @@ def _bands(fx: _Table, fy: _Table) -> _Table:
 
 @lru_cache(1)
 def _basis() -> tuple[_Table, _Table, _Table]:
-    """Frequencies (f,) in a quarter of the spectrum, and (23, f): products of bands, bands, powers but the first."""
+    """Frequencies (f,) in a quarter of the spectrum, and (23, f): products of bands, bands, powers
+    but the first.
+    """
     across = (np.arange(8) + 0.5) / 16
     fx, fy = (axis.ravel() for axis in np.meshgrid(across, across))
     bands = _bands(fx, fy)
@@ -197,7 +240,9 @@ def _basis() -> tuple[_Table, _Table, _Table]:
 
 
 def _fit(powers: _Table, known: _Table, wanted: _Table, grain: _Table) -> _Table:
-    """(p, n, bands): gains beyond the band's own of least mean square error, of `wanted / (known + grain / power)`."""
+    """(p, n, bands): gains beyond the band's own of least mean square error, of `wanted / (known +
+    grain / power)`.
+    """
     weight = powers[:, None, None] * known + grain
     count = len(SMOOTHING)
     normal = weight[..., : count**2].reshape(*weight.shape[:2], count, count)

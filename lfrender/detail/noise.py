@@ -1,7 +1,7 @@
 """The noise of a flat's pixels, in light: what neighbours differ by where a flat is smoothest.
 
-Second differences along both axes leave noise alone where light changes evenly (J. Immerkaer 1996); of many microimages
-those that have the least show the least of the scene.
+Second differences along both axes leave noise alone where light changes evenly (J. Immerkaer 1996);
+of many microimages those that have the least show the least of the scene.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ Look = Callable[[tuple[int, int, int, int]], NDArray]
 
 
 def measure_noise(look: Look, calibration: Calibration) -> float:
-    """Standard deviation of a pixel's mean over the channels in the light of white [white]; 0 if no lens is whole.
+    """Standard deviation of a pixel's mean over the channels in the light of white [white]; 0 if no
+    lens is whole.
 
-    Its variance is in proportion to light, a hundredth of white at least; the quietest tenth of a hundred microimages
-    shows it. Half the noise moves pictures by 0.01 dB, twice by 0.03.
+    Its variance is in proportion to light, a hundredth of white at least; the quietest tenth of a
+    hundred microimages shows it. Half the noise moves pictures by 0.01 dB, twice by 0.03.
     """
     lattice = calibration.lattice
     half = int(np.clip(trusted_radius(calibration) / np.sqrt(2), 2, 5))
@@ -34,7 +35,9 @@ def measure_noise(look: Look, calibration: Calibration) -> float:
     some = centres[inside][:: max(1, int(inside.sum()) // 100)]
     if not len(some):
         return 0.0
-    boxes = np.stack([look((x - half, y - half, x + half + 1, y + half + 1)) for x, y in some.tolist()])
+    boxes = np.stack(
+        [look((x - half, y - half, x + half + 1, y + half + 1)) for x, y in some.tolist()]
+    )
     grey = grey_light(boxes, calibration)
     rough = np.diff(np.diff(grey, 2, 1), 2, 2)
     # The sum of the squared weights of both second differences.

@@ -1,7 +1,9 @@
-"""Restore the detail of a picture: each place by the filter of its patch size and its power above the noise.
+"""Restore the detail of a picture: each place by the filter of its patch size and its power above
+the noise.
 
-Lenses blur light. Values that are encoded for display (`is_encoded`) are squared before they are filtered. The filter
-works on the mean over the channels; all channels of a pixel change by the same factor, so that no colours appear.
+Lenses blur light. Values that are encoded for display (`is_encoded`) are squared before they are
+filtered. The filter works on the mean over the channels; all channels of a pixel change by the same
+factor, so that no colours appear.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ _STRIP = 128
 class Places(NamedTuple):
     """Which filter each pixel of a picture takes."""
 
-    kinds: NDArray[np.uint16]  # (r, c) index of the filter on a grid; the last of all restores nothing
+    kinds: NDArray[
+        np.uint16
+    ]  # (r, c) index of the filter on a grid; the last of all restores nothing
     rows: NDArray[np.int64]  # (h,) row of the grid of each row of the picture
     columns: NDArray[np.int64]  # (w,) likewise
 
@@ -40,7 +44,9 @@ class _Lookup(NamedTuple):
     """What kernels look up, by power of the detail (p) and filter (n), as `DetailFilters`."""
 
     gains: NDArray[np.float32]  # (p, n, 4)
-    noise: NDArray[np.float32]  # (2, n) of the second band, and of the coarser ones, in the light of white
+    noise: NDArray[
+        np.float32
+    ]  # (2, n) of the second band, and of the coarser ones, in the light of white
     per_power: NDArray[np.float32]  # (2, n) power of detail for each unit of power of these
     weakest: np.float32
     per_octave: np.float32
@@ -52,11 +58,16 @@ class _Lookup(NamedTuple):
     top: np.float32  # largest value
 
 
-def choose_filters(filters: DetailFilters, surface: Surface, grid: PictureGrid) -> NDArray[np.uint16]:
-    """(r, c) index of the filter of each value of the surface: none within two pixels of a depth edge of 0.04 D."""
+def choose_filters(
+    filters: DetailFilters, surface: Surface, grid: PictureGrid
+) -> NDArray[np.uint16]:
+    """(r, c) index of the filter of each value of the surface: none within two pixels of a depth
+    edge of 0.04 D.
+    """
     import cv2
 
-    sizes, each = surface.patch_size, filters.count // 2
+    sizes = surface.patch_size
+    each = filters.count // 2
     side = 2 * max(1, round(2 * grid.spacing / surface.spacing)) + 1
     around = np.ones((side, side), np.uint8)
     level = np.abs(sizes) * np.float32(filters.per_ratio / grid.pitch)
@@ -66,24 +77,36 @@ def choose_filters(filters: DetailFilters, surface: Surface, grid: PictureGrid) 
     return kinds
 
 
-def find_places(kinds: NDArray[np.uint16], surface: Surface, grid: PictureGrid, part: Part) -> Places:
+def find_places(
+    kinds: NDArray[np.uint16], surface: Surface, grid: PictureGrid, part: Part
+) -> Places:
     """Which of the filters of `choose_filters` each pixel of a part of the picture takes."""
     nearest = []
     for k in (0, 1):
         at = np.arange(part[k], part[k + 2])
-        node = np.rint((grid.first + grid.spacing * at - surface.first[k]) / surface.spacing).astype(np.int64)
+        node = np.rint(
+            (grid.first + grid.spacing * at - surface.first[k]) / surface.spacing
+        ).astype(np.int64)
         nearest.append(np.clip(node, 0, kinds.shape[1 - k] - 1))
     return Places(kinds, nearest[1], nearest[0])
 
 
 def restore_detail(
-    image: NDArray[np.float32], valid: NDArray[np.bool_], places: Places, filters: DetailFilters, white: float,
-    encoded: bool, dtype: DTypeLike = np.float32, overshoot: float = 0.25,
-) -> NDArray[Any]:  # fmt: skip
-    """A picture (h, w, C) as sharp as noise allows, and less noisy. A part with `HALO` gets the whole's bits.
+    image: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    places: Places,
+    filters: DetailFilters,
+    white: float,
+    encoded: bool,
+    dtype: DTypeLike = np.float32,
+    overshoot: float = 0.25,
+) -> NDArray[Any]:
+    """A picture (h, w, C) as sharp as noise allows, and less noisy. A part with `HALO` gets the
+    whole's bits.
 
-    Beside pixels that are not `valid` nothing is restored. Values are about the square root of light if they are
-    `encoded`. A pixel may leave the range of the values about it by the share `overshoot` of that range: no halos.
+    Beside pixels that are not `valid` nothing is restored. Values are about the square root of
+    light if they are `encoded`. A pixel may leave the range of the values about it by the share
+    `overshoot` of that range: no halos.
     """
     import cv2
 
@@ -91,7 +114,9 @@ def restore_detail(
     seen = np.empty((0, 0), np.uint8)
     if not valid.all():
         reach = 2 * sum(SMOOTHING) + 1
-        seen = np.asarray(cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8)), np.uint8)
+        seen = np.asarray(
+            cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8)), np.uint8
+        )
     # No overshoot beside clipped values: lenses blurred more light than these show.
     rows = image.reshape(height, -1)
     unclipped = cv2.inRange(rows, -np.inf, white * (1 - 0.5 / 255))
@@ -101,29 +126,54 @@ def restore_detail(
     kind = np.dtype(dtype)
     half, top = (0.5, float(np.iinfo(kind).max)) if kind.kind in "ui" else (0.0, np.inf)
     lookup = _Lookup(
-        filters.gains, filters.noise, filters.per_power, np.float32(filters.weakest), np.float32(filters.per_octave),
-        np.float32(overshoot), np.float32(0.01), np.float32(1 / white), encoded,
-        np.float32(half), np.float32(top),
-    )  # fmt: skip
+        filters.gains,
+        filters.noise,
+        filters.per_power,
+        np.float32(filters.weakest),
+        np.float32(filters.per_octave),
+        np.float32(overshoot),
+        np.float32(0.01),
+        np.float32(1 / white),
+        encoded,
+        np.float32(half),
+        np.float32(top),
+    )
     out = np.empty(image.shape, np.float32)
     steps = np.array((*SMOOTHING, *_AVERAGING))
-    _restore_rows(rows, unclipped, out.reshape(height, -1), channels, seen, places, lookup, steps, len(SMOOTHING))
+    _restore_rows(
+        rows,
+        unclipped,
+        out.reshape(height, -1),
+        channels,
+        seen,
+        places,
+        lookup,
+        steps,
+        len(SMOOTHING),
+    )
     return out.astype(dtype, copy=False)
 
 
-# Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector loop takes together.
+# Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector
+# loop takes together.
 @kernel(error_model="numpy", share=lambda image, *_: (len(image) + _STRIP - 1) // _STRIP)
 def _restore_rows(begin, end, image, unclipped, out, channels, seen, places, lookup, steps, bands):
-    """Restore strips of rows. Of each smoothing only the last rows are kept, which stay in the processor's cache."""
-    height, width = len(image), image.shape[1] // channels
+    """Restore strips of rows. Of each smoothing only the last rows are kept, which stay in the
+    processor's cache.
+    """
+    height = len(image)
+    width = image.shape[1] // channels
     halo = steps.sum()
     kept = halo + 1
     layers = np.zeros((bands + 1, kept, width), np.float32)
     powers = np.zeros((len(steps) - bands + 1, 2, kept, width), np.float32)
-    scratch, kinds = np.empty(width + 2 * steps.max(), np.float32), np.empty(width, np.uint32)
-    lines, wide = np.empty((9, width), np.float32), np.empty((5, width * channels), np.float32)
+    scratch = np.empty(width + 2 * steps.max(), np.float32)
+    kinds = np.empty(width, np.uint32)
+    lines = np.empty((9, width), np.float32)
+    wide = np.empty((5, width * channels), np.float32)
     for strip in range(begin, end):
-        top, bottom = strip * _STRIP, min((strip + 1) * _STRIP, height)
+        top = strip * _STRIP
+        bottom = min((strip + 1) * _STRIP, height)
         first = max(top - halo, 0)
         for newest in range(first, bottom + halo):
             if newest < height:
@@ -141,26 +191,39 @@ def _restore_rows(begin, end, image, unclipped, out, channels, seen, places, loo
                 if first <= y < height:
                     for n in range(2):
                         _smooth_at(
-                            powers[k - bands, n], y, first, height, steps[k], scratch, powers[k - bands + 1, n]
-                        )  # fmt: skip
+                            powers[k - bands, n],
+                            y,
+                            first,
+                            height,
+                            steps[k],
+                            scratch,
+                            powers[k - bands + 1, n],
+                        )
             if top <= y < bottom:
-                share, at = lines[0], y % kept
+                share = lines[0]
+                at = y % kept
                 _look_up(places, seen, y, lookup.gains.shape[1] - 1, kinds, share)
                 _find_factors(layers[-1, at], powers[-1, :, at], share, lookup, kinds, lines)
                 _find_ratio(layers, at, lookup, lines)
-                above, below = image[max(y - 1, 0)], image[min(y + 1, height - 1)]
-                _store_row(above, image[y], below, unclipped[y], lines[0], channels, lookup, wide, out[y])
+                above = image[max(y - 1, 0)]
+                below = image[min(y + 1, height - 1)]
+                _store_row(
+                    above, image[y], below, unclipped[y], lines[0], channels, lookup, wide, out[y]
+                )
 
 
 @njit
 def _to_light(row, channels, lookup, out):
     """Mean light over the channels of a row of the picture, with white as one."""
-    width, unit = len(out), lookup.unit
+    width = len(out)
+    unit = lookup.unit
     share = (unit * unit if lookup.encoded else unit) / np.float32(channels)
     # The compiler uses vector instructions for strides it knows.
     if channels == 3 and lookup.encoded:
         for x in range(width):
-            r, g, b = row[3 * x], row[3 * x + 1], row[3 * x + 2]
+            r = row[3 * x]
+            g = row[3 * x + 1]
+            b = row[3 * x + 2]
             out[x] = (r * r + g * g + b * b) * share
     elif channels == 3:
         for x in range(width):
@@ -176,10 +239,20 @@ def _to_light(row, channels, lookup, out):
 
 @njit
 def _smooth_at(plane, y, first, height, step, scratch, out):
-    """Row `y` of `out` (kept, w): the mean of `plane` with the weights 1, 2, 1 along each axis, `step` apart."""
-    kept, width, quarter, two = len(plane), plane.shape[1], np.float32(0.25), np.float32(2)
-    above, here, below = plane[max(y - step, first) % kept], plane[y % kept], plane[min(y + step, height - 1) % kept]
-    before, own, after, into = scratch[:width], scratch[step : step + width], scratch[2 * step :], out[y % kept]
+    """Row `y` of `out` (kept, w): the mean of `plane` with the weights 1, 2, 1 along each axis,
+    `step` apart.
+    """
+    kept = len(plane)
+    width = plane.shape[1]
+    quarter = np.float32(0.25)
+    two = np.float32(2)
+    above = plane[max(y - step, first) % kept]
+    here = plane[y % kept]
+    below = plane[min(y + step, height - 1) % kept]
+    before = scratch[:width]
+    own = scratch[step : step + width]
+    after = scratch[2 * step :]
+    into = out[y % kept]
     for x in range(width):
         own[x] = quarter * (two * here[x] + above[x] + below[x])
     for k in range(step):
@@ -190,21 +263,29 @@ def _smooth_at(plane, y, first, height, step, scratch, out):
 
 @njit
 def _find_power(layers, at, out):
-    """Row `at` of `out` (2, kept, w): square of the second band, and of the two coarser ones together."""
-    one, two, three, last = layers[1, at], layers[2, at], layers[3, at], layers[4, at]
-    fine, coarse = out[0, at], out[1, at]
+    """Row `at` of `out` (2, kept, w): square of the second band, and of the two coarser ones
+    together.
+    """
+    one = layers[1, at]
+    two = layers[2, at]
+    three = layers[3, at]
+    last = layers[4, at]
+    fine = out[0, at]
+    coarse = out[1, at]
     for x in range(len(one)):
         difference = one[x] - two[x]
         fine[x] = difference * difference
     for x in range(len(one)):
-        middle, wide = two[x] - three[x], three[x] - last[x]
+        middle = two[x] - three[x]
+        wide = three[x] - last[x]
         coarse[x] = middle * middle + wide * wide
 
 
 @njit
 def _look_up(places, seen, y, nothing, kinds, share):
     """Index of the filter of each pixel of row `y`, and how much of it is taken."""
-    row, columns = places.kinds[places.rows[y]], places.columns
+    row = places.kinds[places.rows[y]]
+    columns = places.columns
     for x in range(len(kinds)):
         kinds[x] = row[columns[x]]
     for x in range(len(kinds)):
@@ -217,16 +298,30 @@ def _look_up(places, seen, y, nothing, kinds, share):
 
 @njit(error_model="numpy")
 def _find_factors(coarsest, power, share, lookup, kinds, lines):
-    """Lines 1 to 4: what is added of each band, from a row of the coarsest layer and of the power (2, w)."""
-    gains, width, darkest = lookup.gains, len(share), lookup.darkest
-    zero, one, tiny, half = np.float32(0), np.float32(1), np.float32(1e-20), np.float32(0.5)
-    f0, f1, f2, f3, fine, coarse, strength, light = (
-        lines[1], lines[2], lines[3], lines[4], lines[5], lines[6], lines[7], lines[8]
-    )  # fmt: skip
+    """Lines 1 to 4: what is added of each band, from a row of the coarsest layer and of the power
+    (2, w).
+    """
+    gains = lookup.gains
+    width = len(share)
+    darkest = lookup.darkest
+    zero = np.float32(0)
+    one = np.float32(1)
+    tiny = np.float32(1e-20)
+    half = np.float32(0.5)
+    f0 = lines[1]
+    f1 = lines[2]
+    f2 = lines[3]
+    f3 = lines[4]
+    fine = lines[5]
+    coarse = lines[6]
+    strength = lines[7]
+    light = lines[8]
     for x in range(width):
         light[x] = max(coarsest[x], darkest)
     for band in range(2):
-        found, noise, per_power = power[band], lookup.noise[band], lookup.per_power[band]
+        found = power[band]
+        noise = lookup.noise[band]
+        per_power = lookup.per_power[band]
         above, rest = (fine, f1) if band == 0 else (coarse, f2)
         for x in range(width):
             above[x] = max(found[x] - light[x] * noise[kinds[x]], zero)
@@ -234,7 +329,8 @@ def _find_factors(coarsest, power, share, lookup, kinds, lines):
             rest[x] = above[x] / max(found[x], tiny) - one
         for x in range(width):
             above[x] *= per_power[kinds[x]]
-    # Less of it where fine detail is weaker than the coarse predicts; there noise alone is taken away.
+    # Less of it where fine detail is weaker than the coarse predicts; there noise alone is taken
+    # away.
     for x in range(width):
         strength[x] = max(max(fine[x], coarse[x]), tiny)
     for x in range(width):
@@ -242,24 +338,41 @@ def _find_factors(coarsest, power, share, lookup, kinds, lines):
     for x in range(width):
         strength[x] = max(strength[x] / light[x], tiny)
     # The bits of a number above zero grow with its logarithm.
-    logarithm, per_bit = strength.view(np.int32), lookup.per_octave / np.float32(1 << 23)
-    last, weakest = np.float32(len(gains) - 1), lookup.weakest
+    logarithm = strength.view(np.int32)
+    per_bit = lookup.per_octave / np.float32(1 << 23)
+    last = np.float32(len(gains) - 1)
+    weakest = lookup.weakest
     for x in range(width):
         row = np.float32(logarithm[x]) * per_bit - weakest
         gain = gains[np.uint32(min(max(row, zero), last) + half), kinds[x]]
-        taken, rest = fine[x], share[x] - fine[x]
-        noise, wide = rest * f1[x], rest * f2[x]
+        taken = fine[x]
+        rest = share[x] - fine[x]
+        noise = rest * f1[x]
+        wide = rest * f2[x]
         f0[x], f1[x], f2[x], f3[x] = (
-            taken * gain[0] + noise, taken * gain[1] + noise, taken * gain[2] + wide, taken * gain[3] + wide
-        )  # fmt: skip
+            taken * gain[0] + noise,
+            taken * gain[1] + noise,
+            taken * gain[2] + wide,
+            taken * gain[3] + wide,
+        )
 
 
 @njit(error_model="numpy")
 def _find_ratio(layers, at, lookup, lines):
     """Line 0: by what each value of a row changes."""
-    ratio, f0, f1, f2, f3 = lines[0], lines[1], lines[2], lines[3], lines[4]
-    own, a, b, c, d = layers[0, at], layers[1, at], layers[2, at], layers[3, at], layers[4, at]
-    zero, one, tiny = np.float32(0), np.float32(1), np.float32(1e-7)
+    ratio = lines[0]
+    f0 = lines[1]
+    f1 = lines[2]
+    f2 = lines[3]
+    f3 = lines[4]
+    own = layers[0, at]
+    a = layers[1, at]
+    b = layers[2, at]
+    c = layers[3, at]
+    d = layers[4, at]
+    zero = np.float32(0)
+    one = np.float32(1)
+    tiny = np.float32(1e-7)
     # Loops over few arrays are vectorised.
     for x in range(len(ratio)):
         ratio[x] = f0[x] * (own[x] - a[x])
@@ -278,9 +391,16 @@ def _find_ratio(layers, at, lookup, lines):
 
 @njit
 def _store_row(above, here, below, unclipped, ratio, channels, lookup, wide, out):
-    """A row with each pixel times its ratio, in the range of the neighbours in three rows but for the overshoot."""
-    low, high, least, most, scaled = wide[0], wide[1], wide[2], wide[3], wide[4]
-    size, zero = len(here), np.float32(0)
+    """A row with each pixel times its ratio, in the range of the neighbours in three rows but for
+    the overshoot.
+    """
+    low = wide[0]
+    high = wide[1]
+    least = wide[2]
+    most = wide[3]
+    scaled = wide[4]
+    size = len(here)
+    zero = np.float32(0)
     if channels == 3:
         for x in range(len(ratio)):
             scaled[3 * x] = scaled[3 * x + 1] = scaled[3 * x + 2] = ratio[x]
@@ -290,8 +410,12 @@ def _store_row(above, here, below, unclipped, ratio, channels, lookup, wide, out
     for i in range(size):
         low[i] = min(here[i], min(above[i], below[i]))
         high[i] = max(here[i], max(above[i], below[i]))
-    low1, low2, high1, high2 = low[channels:], low[2 * channels :], high[channels:], high[2 * channels :]
-    into_low, into_high = least[channels:], most[channels:]
+    low1 = low[channels:]
+    low2 = low[2 * channels :]
+    high1 = high[channels:]
+    high2 = high[2 * channels :]
+    into_low = least[channels:]
+    into_high = most[channels:]
     for i in range(size - 2 * channels):
         into_low[i] = min(low[i], min(low1[i], low2[i]))
     for i in range(size - 2 * channels):
@@ -302,7 +426,9 @@ def _store_row(above, here, below, unclipped, ratio, channels, lookup, wide, out
             (size - channels + c, max(size - 2 * channels, 0) + c),
         ):
             least[at], most[at] = min(low[at], low[other]), max(high[at], high[other])
-    overshoot, half, top = lookup.overshoot, lookup.half, lookup.top
+    overshoot = lookup.overshoot
+    half = lookup.half
+    top = lookup.top
     for i in range(size):
         beyond = overshoot * (most[i] - least[i]) if unclipped[i] else zero
         scaled[i] = min(max(here[i] * scaled[i], least[i] - beyond), most[i] + beyond)

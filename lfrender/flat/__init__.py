@@ -1,4 +1,5 @@
-"""Images and statistics of one flat: colour, brightness corrected for vignetting, texture, noise, blur; its lens graph.
+"""Images and statistics of one flat: colour, brightness corrected for vignetting, texture, noise,
+blur; its lens graph.
 
 Computed from a flat and its calibration, for `depth` and `rendering`.
 """

@@ -16,7 +16,8 @@ __all__ = ["complete_capture"]
 def complete_capture(
     flat: NDArray | str | os.PathLike[str], calibration: Calibration | None
 ) -> tuple[NDArray, Calibration]:
-    """The pixels of a flat, in colour if its file holds a raw mosaic, and the camera, from the flat if none is given.
+    """The pixels of a flat, in colour if its file holds a raw mosaic, and the camera, from the flat
+    if none is given.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Colour from a colour filter mosaic, each pixel from pixels of its own microimage alone.
 
-Green is interpolated along edges, red and blue by their difference to green (J. F. Hamilton and J. E. Adams, US patent
-5629734, 1997), from pixels of similar green.
+Green is interpolated along edges, red and blue by their difference to green (J. F. Hamilton and J.
+E. Adams, US patent 5629734, 1997), from pixels of similar green.
 """
 
 from __future__ import annotations
@@ -31,8 +31,10 @@ _SIMILAR = 0.08
 
 
 class _Mosaic(NamedTuple):
-    """A flat (H, W) behind colour filters, as kernels take it: number of the lens of each pixel (H, W), colour of the
-    2 x 2 filters, weight of a pixel 0, 1 and 2 rows or columns away, and difference of a guide that halves it."""
+    """A flat (H, W) behind colour filters, as kernels take it: number of the lens of each pixel (H,
+    W), colour of the 2 x 2 filters, weight of a pixel 0, 1 and 2 rows or columns away, and
+    difference of a guide that halves it.
+    """
 
     flat: NDArray
     lens: NDArray[np.int32]
@@ -41,14 +43,20 @@ class _Mosaic(NamedTuple):
     similar: np.float32
 
 
-@kernel(share=lambda origin, inverse, basis, displacement, low, left, top, out: len(out), fastmath=FAST)
+@kernel(
+    share=lambda origin, inverse, basis, displacement, low, left, top, out: len(out), fastmath=FAST
+)
 def _number_lenses(begin, end, origin, inverse, basis, displacement, low, left, top, out):
-    """Number of the lens whose centre is nearest to each pixel; different for lenses that could be neighbours."""
+    """Number of the lens whose centre is nearest to each pixel; different for lenses that could be
+    neighbours.
+    """
     width = out.shape[1]
     distorted = displacement.size > 0
     for y in range(begin, end):
         for x in range(width):
-            i, j = nearest_index(float(left + x), float(top + y), origin, inverse, displacement, low)
+            i, j = nearest_index(
+                float(left + x), float(top + y), origin, inverse, displacement, low
+            )
             dx = left + x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
             dy = top + y - origin[1] - i * basis[0, 1] - j * basis[1, 1]
             nearest = np.inf
@@ -58,7 +66,8 @@ def _number_lenses(begin, end, origin, inverse, basis, displacement, low, left, 
                     ey = dy - di * basis[0, 1] - dj * basis[1, 1]
                     if distorted:
                         bend_x, bend_y = displacement_at(displacement, low, i + di, j + dj)
-                        ex, ey = ex - bend_x, ey - bend_y
+                        ex = ex - bend_x
+                        ey = ey - bend_y
                     square = ex * ex + ey * ey
                     if square < nearest:
                         nearest = square
@@ -73,20 +82,30 @@ def _belongs(lens, own, y, x):
 
 @njit(fastmath=FAST, inline="always")
 def _interpolate_green(flat, lens, y, x, step_y, step_x):
-    """Green at a red or blue pixel from its two neighbours in one direction, the change there, and their number.
+    """Green at a red or blue pixel from its two neighbours in one direction, the change there, and
+    their number.
 
-    Half the second difference of the pixel's own colour is added, as all colours change alike at an edge.
+    Half the second difference of the pixel's own colour is added, as all colours change alike at an
+    edge.
     """
-    own, here = lens[y, x], np.float32(flat[y, x])
+    own = lens[y, x]
+    here = np.float32(flat[y, x])
     total = change = np.float32(0.0)
     count = 0
     first = np.float32(0.0)
     for side in (-1, 1):
-        y1, x1, y2, x2 = y + side * step_y, x + side * step_x, y + 2 * side * step_y, x + 2 * side * step_x
+        y1 = y + side * step_y
+        x1 = x + side * step_x
+        y2 = y + 2 * side * step_y
+        x2 = x + 2 * side * step_x
         if not _belongs(lens, own, y1, x1):
             continue
         green = np.float32(flat[y1, x1])
-        bend = np.float32(0.5) * (here - np.float32(flat[y2, x2])) if _belongs(lens, own, y2, x2) else np.float32(0.0)
+        bend = (
+            np.float32(0.5) * (here - np.float32(flat[y2, x2]))
+            if _belongs(lens, own, y2, x2)
+            else np.float32(0.0)
+        )
         total += green + bend
         change += bend
         if count == 1:
@@ -99,7 +118,9 @@ def _interpolate_green(flat, lens, y, x, step_y, step_x):
 @kernel(share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
 def _fill_green(begin, end, mosaic, even, out):
     """Green by the directions of edges; changes below `even` do not show one."""
-    flat, lens, colours = mosaic.flat, mosaic.lens, mosaic.colours
+    flat = mosaic.flat
+    lens = mosaic.lens
+    colours = mosaic.colours
     width = flat.shape[1]
     for y in range(begin, end):
         for x in range(width):
@@ -111,15 +132,18 @@ def _fill_green(begin, end, mosaic, even, out):
             weight_x = count_x * count_x / (change_x * change_x + even * even)
             weight_y = count_y * count_y / (change_y * change_y + even * even)
             if count_x + count_y > 0:
-                out[y, x, 1] = max((weight_x * across + weight_y * down) / (weight_x + weight_y), np.float32(0.0))
+                out[y, x, 1] = max(
+                    (weight_x * across + weight_y * down) / (weight_x + weight_y), np.float32(0.0)
+                )
             else:
                 out[y, x, 1] = flat[y, x]
 
 
 @njit(fastmath=FAST, inline="always")
 def _interpolate_difference(flat, lens, colours, near, similar, wanted, guide, y, x, out):
-    """The colour `wanted` from the colour `guide`: that plus their mean difference at the pixels around of that colour,
-    weighted by distance and by similarity of the guide."""
+    """The colour `wanted` from the colour `guide`: that plus their mean difference at the pixels
+    around of that colour, weighted by distance and by similarity of the guide.
+    """
     reach = len(near) - 1
     total = weights = np.float32(0.0)
     for v in range(y - reach, y + reach + 1):
@@ -137,31 +161,46 @@ def _interpolate_difference(flat, lens, colours, near, similar, wanted, guide, y
 @kernel(share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
 def _fill_colour(begin, end, mosaic, colour, out):
     """Red or blue, guided by green."""
-    flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar
+    flat = mosaic.flat
+    lens = mosaic.lens
+    colours = mosaic.colours
+    near = mosaic.near
+    similar = mosaic.similar
     width = flat.shape[1]
     for y in range(begin, end):
         for x in range(width):
             if colours[y & 1, x & 1] == colour:
                 out[y, x, colour] = flat[y, x]
             else:
-                out[y, x, colour] = _interpolate_difference(flat, lens, colours, near, similar, colour, 1, y, x, out)
+                out[y, x, colour] = _interpolate_difference(
+                    flat, lens, colours, near, similar, colour, 1, y, x, out
+                )
 
 
 @kernel(share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
 def _refill_rim(begin, end, mosaic, out):
-    """Green at the rim of a microimage, where a neighbour is missing: guided by the colour of the pixel."""
-    flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar
+    """Green at the rim of a microimage, where a neighbour is missing: guided by the colour of the
+    pixel.
+    """
+    flat = mosaic.flat
+    lens = mosaic.lens
+    colours = mosaic.colours
+    near = mosaic.near
+    similar = mosaic.similar
     width = flat.shape[1]
     for y in range(begin, end):
         for x in range(width):
-            own, colour = lens[y, x], colours[y & 1, x & 1]
+            own = lens[y, x]
+            colour = colours[y & 1, x & 1]
             if colour != 1 and not (
                 _belongs(lens, own, y - 1, x)
                 and _belongs(lens, own, y + 1, x)
                 and _belongs(lens, own, y, x - 1)
                 and _belongs(lens, own, y, x + 1)
             ):
-                out[y, x, 1] = _interpolate_difference(flat, lens, colours, near, similar, 1, colour, y, x, out)
+                out[y, x, 1] = _interpolate_difference(
+                    flat, lens, colours, near, similar, 1, colour, y, x, out
+                )
 
 
 def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = (0, 0)) -> NDArray:
@@ -174,8 +213,8 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
     calibration : Calibration
         Its `mosaic` names the filters; None means that there are none.
     corner : (int, int) [px]
-        Flat coordinates x, y of the first pixel of a part, both even. Its outermost pixels, up to `SUPPORT`, differ
-        from those of the whole.
+        Flat coordinates x, y of the first pixel of a part, both even. Its outermost pixels, up to
+        `SUPPORT`, differ from those of the whole.
 
     Returns
     -------
@@ -201,7 +240,9 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
     white = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
     # Frames of live cameras follow one another; 16 megapixels take 64 MB.
     lens = (
-        cached_latest(calibration, "lens of pixels", (corner, pixels.shape), partial(_lens_of_pixels, *place))
+        cached_latest(
+            calibration, "lens of pixels", (corner, pixels.shape), partial(_lens_of_pixels, *place)
+        )
         if pixels.size <= 1 << 24
         else _lens_of_pixels(*place)
     )
@@ -222,8 +263,18 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
     return np.minimum(np.rint(out, out=out), white).astype(pixels.dtype)
 
 
-def _lens_of_pixels(lattice: Lattice, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.int32]:
+def _lens_of_pixels(
+    lattice: Lattice, corner: tuple[int, int], shape: tuple[int, ...]
+) -> NDArray[np.int32]:
     lens = np.empty(shape, np.int32)
     displacement, low = lens_displacements(lattice)
-    _number_lenses(lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, displacement, low, *corner, lens)
+    _number_lenses(
+        lattice.origin,
+        np.linalg.inv(lattice.basis),
+        lattice.basis,
+        displacement,
+        low,
+        *corner,
+        lens,
+    )
     return lens

@@ -14,13 +14,23 @@ from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
 
 __all__ = [
-    "GrayFlat", "correction_cell", "correction_tables", "downsample", "downsample_lattice", "grey_light",
-    "has_uneven_lenses", "is_encoded", "make_gray_flat", "trusted_radius", "white_level",
-]  # fmt: skip
+    "GrayFlat",
+    "correction_cell",
+    "correction_tables",
+    "downsample",
+    "downsample_lattice",
+    "grey_light",
+    "has_uneven_lenses",
+    "is_encoded",
+    "make_gray_flat",
+    "trusted_radius",
+    "white_level",
+]
 
 # More would amplify noise at the rim of a microimage rather than the picture.
 _LARGEST_GAIN = 4.0
-# Pixels of a small image at the rim of a microimage that average pixels from beyond it [px of the small image].
+# Pixels of a small image at the rim of a microimage that average pixels from beyond it [px of the
+# small image].
 _MIXED = 0.5
 
 
@@ -37,7 +47,8 @@ class GrayFlat:
 
 
 def correction_tables(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
-    """Factors (t, k), for each type of lens if known, that undo the vignetting at squared distances `0, step, 2 * step`
+    """Factors (t, k), for each type of lens if known, that undo the vignetting at squared distances
+    `0, step, 2 * step`
     ... from the centre of a lens, and that step [px^2]."""
     # To the corners between square microimages.
     squared = np.linspace(0.0, (0.75 * calibration.lattice.pitch) ** 2, 512)
@@ -47,7 +58,9 @@ def correction_tables(calibration: Calibration) -> tuple[NDArray[np.float32], fl
     light = calibration.vignetting.at(radii)[None]
     gain = calibration.gain_map
     if gain is not None and gain.type_light.size:
-        light = light * np.array([np.interp(radii / gain.step, np.arange(len(one)), one) for one in gain.type_light])
+        light = light * np.array(
+            [np.interp(radii / gain.step, np.arange(len(one)), one) for one in gain.type_light]
+        )
     return (1.0 / np.maximum(light, 1.0 / _LARGEST_GAIN)).astype(np.float32), float(squared[1])
 
 
@@ -55,11 +68,17 @@ def correction_cell(calibration: Calibration) -> NDArray[np.int8]:
     """(m, m) which of `correction_tables` is that of lens `(i, j)`: `cell[i % m, j % m]`."""
     gain = calibration.gain_map
     # Writable in any case: for read-only arrays, kernels are compiled anew.
-    return np.zeros((1, 1), np.int8) if gain is None or not gain.type_cell.size else gain.type_cell.copy()
+    return (
+        np.zeros((1, 1), np.int8)
+        if gain is None or not gain.type_cell.size
+        else gain.type_cell.copy()
+    )
 
 
 def has_uneven_lenses(calibration: Calibration, types: bool = False) -> bool:
-    """Whether lenses differ in their light by more than one per cent, or with `types` by the type of lens."""
+    """Whether lenses differ in their light by more than one per cent, or with `types` by the type
+    of lens.
+    """
     known = calibration.gain_map
     if known is None:
         return False
@@ -69,8 +88,9 @@ def has_uneven_lenses(calibration: Calibration, types: bool = False) -> bool:
 
 
 def white_level(flat: NDArray, calibration: Calibration) -> float:
-    """Value of the brightest pixel that flats of the camera, or pictures of them, can have; 1 for floats, less if
-    dim."""
+    """Value of the brightest pixel that flats of the camera, or pictures of them, can have; 1 for
+    floats, less if dim.
+    """
     if flat.dtype.kind not in "ui":
         return min(1.0, calibration.white_level or 1.0)
     highest = float(np.iinfo(flat.dtype).max)
@@ -79,9 +99,11 @@ def white_level(flat: NDArray, calibration: Calibration) -> float:
 
 @kernel(share=lambda rows, channels, factor, scale, gain, out: len(out), fastmath=FAST)
 def _average_channels(begin, end, rows, channels, factor, scale, gain, out):
-    """Mean over the channels of interleaved pixels and blocks of `factor` x `factor` of them, times `scale` and, unless
-    that is empty, `gain` (h, w)."""
-    width, together = out.shape[1], channels * factor
+    """Mean over the channels of interleaved pixels and blocks of `factor` x `factor` of them, times
+    `scale` and, unless that is empty, `gain` (h, w).
+    """
+    width = out.shape[1]
+    together = channels * factor
     weight = np.float32(scale / (together * factor))
     line = np.empty(width * together, np.float32)
     for y in range(begin, end):
@@ -109,27 +131,38 @@ def _average_channels(begin, end, rows, channels, factor, scale, gain, out):
 
 @kernel(share=lambda centres, *_: len(centres), fastmath=FAST)
 def _fill_gains(begin, end, centres, tables, radius, gains, per_step, image):
-    """Set the pixels within `radius` of a lens centre to their gain, from row `tables` (n,) of `gains` (t, k)."""
+    """Set the pixels within `radius` of a lens centre to their gain, from row `tables` (n,) of
+    `gains` (t, k).
+    """
     height, width = image.shape
     last = gains.shape[1] - 1
     for lens in range(begin, end):
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
+        cx = centres[lens, 0]
+        cy = centres[lens, 1]
+        for y in range(
+            max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1
+        ):
             half = np.sqrt(max(radius * radius - square(y - cy), np.float32(0.0)))
-            for x in range(max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1):
+            for x in range(
+                max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1
+            ):
                 away = square(x - cx) + square(y - cy)
                 image[y, x] = gains[tables[lens], min(int(away * per_step), last)]
 
 
 @kernel(share=lambda centres, *_: len(centres), fastmath=FAST)
 def _fill_unlit(begin, end, centres, radius, light, image):
-    """Replace pixels whose `light` is NaN by the mean of the others of their lens: dark, they would match like
-    texture."""
+    """Replace pixels whose `light` is NaN by the mean of the others of their lens: dark, they would
+    match like texture.
+    """
     height, width = image.shape
     for lens in range(begin, end):
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        top, bottom = max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius)))
-        left, right = max(0, int(np.ceil(cx - radius))), min(width - 1, int(np.floor(cx + radius)))
+        cx = centres[lens, 0]
+        cy = centres[lens, 1]
+        top = max(0, int(np.ceil(cy - radius)))
+        bottom = min(height - 1, int(np.floor(cy + radius)))
+        left = max(0, int(np.ceil(cx - radius)))
+        right = min(width - 1, int(np.floor(cx + radius)))
         total = 0.0
         lit = unlit = 0
         for y in range(top, bottom + 1):
@@ -150,9 +183,13 @@ def _fill_unlit(begin, end, centres, radius, light, image):
 
 
 def make_gray_flat(
-    flat: NDArray, calibration: Calibration, factor: int = 1, light: NDArray[np.float32] | None = None
+    flat: NDArray,
+    calibration: Calibration,
+    factor: int = 1,
+    light: NDArray[np.float32] | None = None,
 ) -> GrayFlat:
-    """Brightness of `flat` (H, W, C), corrected for vignetting, the mean of `factor` x `factor` pixels each.
+    """Brightness of `flat` (H, W, C), corrected for vignetting, the mean of `factor` x `factor`
+    pixels each.
 
     `light` (H, W) is the gain of its pixels; needed if the flat is part of a larger one.
     """
@@ -163,37 +200,55 @@ def make_gray_flat(
     uneven = has_uneven_lenses(calibration)
     gain = np.empty((0, 0), np.float32)
     if calibration.vignetting is not None and not uneven:
-        gain = cached(calibration, ("gain", factor), lambda: _correction_image(calibration, lattice, factor))
-    _average_channels(rows, flat.shape[2], factor, 1.0 / white_level(flat, calibration), gain, image)
+        gain = cached(
+            calibration, ("gain", factor), lambda: _correction_image(calibration, lattice, factor)
+        )
+    _average_channels(
+        rows, flat.shape[2], factor, 1.0 / white_level(flat, calibration), gain, image
+    )
     if factor > 1:
         radius = radius / factor - _MIXED
     centres = lattice.centres().astype(np.float32)
     if uneven:
         if light is None:
-            light = cached(calibration, ("light", factor), lambda: _average_light(calibration.gain(), factor))
+            light = cached(
+                calibration, ("light", factor), lambda: _average_light(calibration.gain(), factor)
+            )
         else:
             light = _average_light(light, factor)
         np.divide(image, light, out=image, where=np.isfinite(light))
         _fill_unlit(centres, _own_radius(lattice, radius), light, image)
     types = calibration.lens_types
     lens_type = None if types is None else types.of(calibration.lattice.indices())
-    rounding = 12**-0.5 / (factor * white_level(flat, calibration)) if flat.dtype.kind in "ui" else 0.0
+    rounding = (
+        12**-0.5 / (factor * white_level(flat, calibration)) if flat.dtype.kind in "ui" else 0.0
+    )
     return GrayFlat(image, centres, radius, lattice.pitch, lens_type, rounding)
 
 
 def downsample_lattice(lattice: Lattice, factor: int) -> Lattice:
-    """The lattice of a flat whose blocks of `factor` x `factor` pixels have become one; the same object every time."""
-    return lattice if factor == 1 else cached(lattice, ("downsampled", factor), lambda: lattice.downscaled(factor))
+    """The lattice of a flat whose blocks of `factor` x `factor` pixels have become one; the same
+    object every time.
+    """
+    return (
+        lattice
+        if factor == 1
+        else cached(lattice, ("downsampled", factor), lambda: lattice.downscaled(factor))
+    )
 
 
 def _own_radius(lattice: Lattice, radius: float) -> np.float32:
-    """A trusted radius and three pixels, which interpolation and smoothing read, as far as no lenses share a pixel."""
+    """A trusted radius and three pixels, which interpolation and smoothing read, as far as no
+    lenses share a pixel.
+    """
     apart = float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min()) / 2
     # A distortion changes that distance.
     return np.float32(min(radius + 3.0, apart if lattice.distortion is None else 0.98 * apart))
 
 
-def _correction_image(calibration: Calibration, lattice: Lattice, factor: int) -> NDArray[np.float32]:
+def _correction_image(
+    calibration: Calibration, lattice: Lattice, factor: int
+) -> NDArray[np.float32]:
     """(H, W) correction of every pixel of the downsampled flat, 1 where no microimage is trusted."""
     image = np.ones(lattice.image_size[::-1], np.float32)
     radius = trusted_radius(calibration)
@@ -201,7 +256,8 @@ def _correction_image(calibration: Calibration, lattice: Lattice, factor: int) -
     gains, step = correction_tables(calibration)
     cell = correction_cell(calibration)
     i, j = lattice.indices().T % len(cell)
-    centres, per_step = lattice.centres().astype(np.float32), np.float32(factor**2 / step)
+    centres = lattice.centres().astype(np.float32)
+    per_step = np.float32(factor**2 / step)
     _fill_gains(centres, cell[i, j], _own_radius(lattice, radius), gains, per_step, image)
     return image
 
@@ -214,18 +270,23 @@ def _average_light(light: NDArray[np.float32], factor: int) -> NDArray[np.float3
 
 
 def is_encoded(dtype: DTypeLike, calibration: Calibration) -> bool:
-    """Whether values are about the square root of light: as the camera file tells, else those of 8 bits are."""
+    """Whether values are about the square root of light: as the camera file tells, else those of 8
+    bits are.
+    """
     return np.dtype(dtype) == np.uint8 if calibration.encoded is None else calibration.encoded
 
 
 def grey_light(pixels: NDArray, calibration: Calibration) -> NDArray[np.float32]:
     """(...) mean light over the channels of pixels (..., C), with white as one."""
     light = pixels / np.float32(white_level(pixels, calibration))
-    return (light * light if is_encoded(pixels.dtype, calibration) else light).mean(-1, dtype=np.float32)
+    return (light * light if is_encoded(pixels.dtype, calibration) else light).mean(
+        -1, dtype=np.float32
+    )
 
 
 def trusted_radius(calibration: Calibration) -> float:
-    """Radius [px] within which microimages can be compared: off the rim, with nine tenths of the light; at least 0.3 D.
+    """Radius [px] within which microimages can be compared: off the rim, with nine tenths of the
+    light; at least 0.3 D.
 
     With less light, the correction of the vignetting is as uncertain as weak texture is strong.
     """
@@ -241,16 +302,21 @@ def trusted_radius(calibration: Calibration) -> float:
 
 
 def downsample(gray: GrayFlat, factor: int) -> GrayFlat:
-    """`gray` at a whole fraction of its resolution: each pixel is the mean of `factor` x `factor`; cached."""
+    """`gray` at a whole fraction of its resolution: each pixel is the mean of `factor` x `factor`;
+    cached.
+    """
 
     def make() -> GrayFlat:
         import cv2
 
         height, width = (n // factor for n in gray.image.shape)
         whole = gray.image[: height * factor, : width * factor]
-        image = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+        image = np.asarray(
+            cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32
+        )
         centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
-        radius, pitch = gray.radius / factor - _MIXED, gray.pitch / factor
+        radius = gray.radius / factor - _MIXED
+        pitch = gray.pitch / factor
         return GrayFlat(image, centres, radius, pitch, gray.lens_type, gray.rounding / factor)
 
     return gray if factor == 1 else cached(gray, ("downsampled", factor), make)

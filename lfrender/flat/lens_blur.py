@@ -15,13 +15,17 @@ __all__ = ["find_lens_blur", "has_blocks"]
 _SURE = 0.5
 # Rows that blocks are looked for in.
 _ROWS = 200
-# The steps between blocks stand out by this many standard errors, and by so many times as much as any others: JPEG of
-# quality 75 and less has 7 to 39, and twice the others at least; flats that were not coded so have up to 2 and 1.9.
-_OUTSTANDING, _TIMES = 5.0, 2.5
+# The steps between blocks stand out by this many standard errors, and by so many times as much as
+# any others: JPEG of quality 75 and less has 7 to 39, and twice the others at least; flats that
+# were not coded so have up to 2 and 1.9.
+_OUTSTANDING = 5.0
+_TIMES = 2.5
 
 
 def has_blocks(pixels: NDArray) -> bool:
-    """Whether steps between columns of pixels (h, w, C) stand out every eight columns: blocks of JPEG."""
+    """Whether steps between columns of pixels (h, w, C) stand out every eight columns: blocks of
+    JPEG.
+    """
     rows = np.linspace(0, len(pixels) - 1, min(_ROWS, len(pixels))).astype(int)
     step = np.abs(np.diff(pixels[rows].mean(2, dtype=np.float32), axis=1))
     if step.shape[1] < 80:
@@ -35,21 +39,30 @@ def has_blocks(pixels: NDArray) -> bool:
 
 
 def find_lens_blur(
-    pixels: NDArray, corner: tuple[int, int], calibration: Calibration, patch_size: NDArray[np.float32]
+    pixels: NDArray,
+    corner: tuple[int, int],
+    calibration: Calibration,
+    patch_size: NDArray[np.float32],
 ) -> LensBlur | None:
     """As `lfcal.measure_lens_blur`, from a part (h, w, C) of a flat that begins at `corner`.
 
-    None where the camera file tells the discs well enough, and where compression has taken detail, which would pass for
-    blur. `patch_size` (n,) [px] is NaN where unresolved, and for lenses that the part does not show whole.
+    None where the camera file tells the discs well enough, and where compression has taken detail,
+    which would pass for blur. `patch_size` (n,) [px] is NaN where unresolved, and for lenses that
+    the part does not show whole.
     """
     sizes = patch_size[np.isfinite(patch_size)]
     known, (left, top) = calibration.lens_blur, corner
     if not sizes.size or has_blocks(pixels):
         return None
-    if known is not None and known.at(np.quantile(sizes, (0.05, 0.95)) / calibration.lattice.pitch)[1].max() < _SURE:
+    if (
+        known is not None
+        and known.at(np.quantile(sizes, (0.05, 0.95)) / calibration.lattice.pitch)[1].max() < _SURE
+    ):
         return None
 
     def light(part: tuple[int, int, int, int]) -> NDArray[np.float32]:
-        return grey_light(pixels[part[1] - top : part[3] - top, part[0] - left : part[2] - left], calibration)
+        return grey_light(
+            pixels[part[1] - top : part[3] - top, part[0] - left : part[2] - left], calibration
+        )
 
     return measure_lens_blur(light, calibration, patch_size, trusted_radius(calibration))

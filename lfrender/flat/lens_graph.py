@@ -1,4 +1,6 @@
-"""Lenses by their place: neighbours of every lens, and the lens nearest to a place, on a lattice that may be bent."""
+"""Lenses by their place: neighbours of every lens, and the lens nearest to a place, on a lattice
+that may be bent.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +14,26 @@ from lfcal.runtime.kernels import FAST, kernel
 from ..runtime.cache import cached
 
 __all__ = [
-    "count_connected", "count_neighbours", "count_similar", "dilate_mask", "displacement_at", "distant_rings",
-    "lens_displacements", "lens_grid", "lens_offsets", "nearest_index", "nearest_lens", "neighbour_rows", "two_rings",
-]  # fmt: skip
+    "count_connected",
+    "count_neighbours",
+    "count_similar",
+    "dilate_mask",
+    "displacement_at",
+    "distant_rings",
+    "lens_displacements",
+    "lens_grid",
+    "lens_offsets",
+    "nearest_index",
+    "nearest_lens",
+    "neighbour_rows",
+    "two_rings",
+]
 
 
 def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Rows (nj, ni) in `lattice.centres()` of lenses `(i, j)`, at `[j - low[1], i - low[0]]`, -1 if there is none, and
-    `low`; cached, not to be written into."""
+    """Rows (nj, ni) in `lattice.centres()` of lenses `(i, j)`, at `[j - low[1], i - low[0]]`, -1 if
+    there is none, and `low`; cached, not to be written into.
+    """
 
     def make() -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         ij = lattice.indices()
@@ -33,8 +47,9 @@ def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
 
 
 def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int32]:
-    """(n, k) rows of the lenses `steps` (k, 2) index steps from each lens, -1 if there is none; cached, not to be
-    written into."""
+    """(n, k) rows of the lenses `steps` (k, 2) index steps from each lens, -1 if there is none;
+    cached, not to be written into.
+    """
 
     def make() -> NDArray[np.int32]:
         grid, low = lens_grid(lattice)
@@ -72,7 +87,9 @@ def _count_similar(begin, end, mask, sizes, rows, gap, out):
 
 
 def count_connected(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(n,) number of neighbours, by `rows` (n, k), in `mask` (n,) of each lens in it; 0 for the other lenses."""
+    """(n,) number of neighbours, by `rows` (n, k), in `mask` (n,) of each lens in it; 0 for the
+    other lenses.
+    """
     return count_neighbours(mask, rows) * mask
 
 
@@ -83,7 +100,9 @@ def count_neighbours(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArra
     return count
 
 
-def count_similar(mask: NDArray[np.bool_], sizes: NDArray, rows: NDArray[np.int32], gap: float) -> NDArray[np.int64]:
+def count_similar(
+    mask: NDArray[np.bool_], sizes: NDArray, rows: NDArray[np.int32], gap: float
+) -> NDArray[np.int64]:
     """(n,) number of neighbours in `mask` (n,) whose patch size (n,) differs by at most `gap`."""
     count = np.empty(len(rows), np.int64)
     _count_similar(mask, sizes, rows, sizes.dtype.type(gap), count)
@@ -99,7 +118,9 @@ def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:
     """Row in `lattice.centres()` of the centre nearest to each of the `points` (n, 2) [px]."""
     from scipy.spatial import cKDTree
 
-    return np.asarray(cKDTree(lattice.centres()).query(np.asarray(points, dtype=float))[1], dtype=np.int64)
+    return np.asarray(
+        cKDTree(lattice.centres()).query(np.asarray(points, dtype=float))[1], dtype=np.int64
+    )
 
 
 @kernel(error_model="numpy", share=lambda neighbours, out: len(out))
@@ -124,8 +145,9 @@ def _find_two_rings(begin, end, neighbours, out):
 
 
 def two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(n, 3 k) int32 rows of the lenses in two rings about each, of its neighbours (n, k) and theirs, then -1;
-    cached."""
+    """(n, 3 k) int32 rows of the lenses in two rings about each, of its neighbours (n, k) and
+    theirs, then -1; cached.
+    """
 
     def make() -> NDArray[np.int32]:
         out = np.empty((len(neighbours), 3 * neighbours.shape[1]), np.int32)
@@ -136,12 +158,15 @@ def two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def distant_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
-    """`two_rings` of every third lens: their estimates are nearly independent of those of its own two rings."""
+    """`two_rings` of every third lens: their estimates are nearly independent of those of its own
+    two rings.
+    """
 
     def make() -> NDArray[np.int32]:
         # -1 leads to the last row, which leads nowhere.
         beyond = np.vstack([neighbours, np.full((1, neighbours.shape[1]), -1, np.int32)])
-        each, far = np.arange(neighbours.shape[1]), neighbours
+        each = np.arange(neighbours.shape[1])
+        far = neighbours
         for _ in range(2):
             far = beyond[far, each]
         return two_rings(np.ascontiguousarray(far))
@@ -150,13 +175,18 @@ def distant_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """All lenses about one within `reach` and a pitch, the nearest first; of distorted lattices, some 500 tell.
+    """All lenses about one within `reach` and a pitch, the nearest first; of distorted lattices,
+    some 500 tell.
 
-    Returns offsets (k, 3) float32 [px]: `x, y` on the straight lattice, and the least distance on the flat; and the
-    steps (k, 2) int32 in lattice indices.
+    Returns offsets (k, 3) float32 [px]: `x, y` on the straight lattice, and the least distance on
+    the flat; and the steps (k, 2) int32 in lattice indices.
     """
     limit = reach + lattice.pitch
-    span = np.arange(-1, 2) if limit <= 0 else np.arange(-_span(lattice, limit), _span(lattice, limit) + 1)
+    span = (
+        np.arange(-1, 2)
+        if limit <= 0
+        else np.arange(-_span(lattice, limit), _span(lattice, limit) + 1)
+    )
     steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
     offsets = steps @ lattice.basis
     distance = np.linalg.norm(offsets, axis=1)
@@ -164,10 +194,14 @@ def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], N
         ij = lattice.indices()
         some = ij[:: max(1, len(ij) // 500)]
         here = lattice.points(some)
-        distance = np.array([np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps])
+        distance = np.array(
+            [np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps]
+        )
     order = np.argsort(distance, kind="stable")
     order = order[distance[order] <= limit]
-    return np.column_stack([offsets, distance])[order].astype(np.float32), steps[order].astype(np.int32)
+    return np.column_stack([offsets, distance])[order].astype(np.float32), steps[order].astype(
+        np.int32
+    )
 
 
 def _span(lattice: Lattice, limit: float) -> int:
@@ -177,18 +211,21 @@ def _span(lattice: Lattice, limit: float) -> int:
 
 # [lattice steps] beyond the flat that are tabulated: the most that kernels ask for.
 _MARGIN = 6
-# Turns of the fixed-point iteration: enough for distortions that change the pitch by a tenth. A constant of its own: as
-# a field of a tuple it changes how the compiler rounds in the kernels of rendering.
+# Turns of the fixed-point iteration: enough for distortions that change the pitch by a tenth. A
+# constant of its own: as a field of a tuple it changes how the compiler rounds in the kernels of
+# rendering.
 _TURNS = 6
 
 
 def lens_displacements(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Displacement (nj, ni, 2) [px] of lens `(i, j)` by the distortion, at `[j - low[1], i - low[0]]`, and `low`; (0,
-    0, 2) if the lattice is straight."""
+    """Displacement (nj, ni, 2) [px] of lens `(i, j)` by the distortion, at `[j - low[1], i -
+    low[0]]`, and `low`; (0, 0, 2) if the lattice is straight.
+    """
     if lattice.distortion is None:
         return np.zeros((0, 0, 2), np.float32), np.zeros(2, np.int64)
     ij = lattice.indices()
-    low, high = ij.min(0) - _MARGIN, ij.max(0) + _MARGIN
+    low = ij.min(0) - _MARGIN
+    high = ij.max(0) + _MARGIN
     i, j = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     index = np.stack([i, j], -1).reshape(-1, 2)
     displacement = lattice.points(index) - (lattice.origin + index @ lattice.basis)
@@ -205,11 +242,13 @@ def displacement_at(displacement, low, i, j):
 
 @njit(fastmath=FAST, inline="always")
 def nearest_index(x, y, origin, inverse, displacement, low):
-    """Index i, j (whole floats) of the lens whose lattice cell holds a flat position, by fixed-point iteration.
+    """Index i, j (whole floats) of the lens whose lattice cell holds a flat position, by
+    fixed-point iteration.
 
     `inverse` is that of the basis. Each turn gains a factor of the gradient of the distortion.
     """
-    ox, oy = x - origin[0], y - origin[1]
+    ox = x - origin[0]
+    oy = y - origin[1]
     i = np.rint(ox * inverse[0, 0] + oy * inverse[1, 0])
     j = np.rint(ox * inverse[0, 1] + oy * inverse[1, 1])
     if displacement.size > 0:
@@ -219,5 +258,6 @@ def nearest_index(x, y, origin, inverse, displacement, low):
             new_j = np.rint((ox - bx) * inverse[0, 1] + (oy - by) * inverse[1, 1])
             if new_i == i and new_j == j:
                 break
-            i, j = new_i, new_j
+            i = new_i
+            j = new_j
     return i, j

@@ -1,8 +1,10 @@
-"""Microimages cut out of a flat into strips of memory, and masks of the pixels that two shifted microimages share.
+"""Microimages cut out of a flat into strips of memory, and masks of the pixels that two shifted
+microimages share.
 
-A row of a microimage is too short for the vector instructions of a processor. Cut out with a common width, the rows of
-all lenses follow each other, so that a shift of one microimage against another is one offset along the strip, and one
-long loop compares them. Which pixels count depends on the whole pixels of the shift alone: a mask holds it.
+A row of a microimage is too short for the vector instructions of a processor. Cut out with a common
+width, the rows of all lenses follow each other, so that a shift of one microimage against another
+is one offset along the strip, and one long loop compares them. Which pixels count depends on the
+whole pixels of the shift alone: a mask holds it.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ __all__ = [
     "row_of_disc",
 ]
 
-#: Vector loops handle so many values at a time, the unwanted ones masked. Interpolation reads one beyond.
+#: Vector loops handle so many values at a time, the unwanted ones masked. Interpolation reads one
+#: beyond.
 VECTOR_LENGTH = 64
 # Mean error of centres rounded to pixels, over both directions [px].
 _ROUNDING = 0.25
@@ -40,12 +43,15 @@ _ROUNDING = 0.25
 
 @dataclass(frozen=True)
 class Strips:
-    """Microimages as strips of one length: row `r` of one is row `r // step` of part `r % step` of its strip.
+    """Microimages as strips of one length: row `r` of one is row `r // step` of part `r % step` of
+    its strip.
 
     So every `step`-th row, which are read together, follow each other.
     """
 
-    values: NDArray[np.float32]  # one strip after the other, less the mean of its lens; any off the flat, 0 at the end
+    values: NDArray[
+        np.float32
+    ]  # one strip after the other, less the mean of its lens; any off the flat, 0 at the end
     centre_pixels: NDArray[np.int32]  # (n, 2) pixel `x, y` in the middle of each microimage
     complete: NDArray[np.bool_]  # (n,) microimages that lie within the flat
     extracted: NDArray[np.bool_]  # (n,) microimages that have been cut out
@@ -60,34 +66,49 @@ class Strips:
 
     @property
     def offsets(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Offset x, y from the middle [px] of each value of the first part of a strip; infinite after its end."""
+        """Offset x, y from the middle [px] of each value of the first part of a strip; infinite
+        after its end.
+        """
         return _offsets(self.half_width, self.width, self.rows, self.step)
 
 
 @lru_cache(maxsize=8)
-def _offsets(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _offsets(
+    half: int, width: int, rows: int, step: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     at = np.arange(rows * width)
     off = np.full(VECTOR_LENGTH, np.inf)
-    columns, lines = (np.append(place - half, off).astype(np.float32) for place in (at % width, at // width * step))
+    columns, lines = (
+        np.append(place - half, off).astype(np.float32)
+        for place in (at % width, at // width * step)
+    )
     return columns, lines
 
 
 class OverlapMasks(NamedTuple):
-    """Masks of the pixels of a microimage that another one also holds, by their shift in whole pixels."""
+    """Masks of the pixels of a microimage that another one also holds, by their shift in whole
+    pixels.
+    """
 
-    slots: NDArray[np.int32]  # (2 k + 1, 2 k + 1) row of the shift `x, y` in the others at `[y + k, x + k]`, or -1
-    masks: NDArray[np.float32]  # (slots, rows * width + spare) 1 or 0 for the pixels of the first part of a strip
-    # (slots, 4) position of the first 1; a multiple of `VECTOR_LENGTH` values that holds them all; how much later in a
-    # strip follow the pixel at this shift and the one below it
+    slots: NDArray[
+        np.int32
+    ]  # (2 k + 1, 2 k + 1) row of the shift `x, y` in the others at `[y + k, x + k]`, or -1
+    masks: NDArray[
+        np.float32
+    ]  # (slots, rows * width + spare) 1 or 0 for the pixels of the first part of a strip
+    # (slots, 4) position of the first 1; a multiple of `VECTOR_LENGTH` values that holds them all;
+    # how much later in a strip follow the pixel at this shift and the one below it
     ends: NDArray[np.int32]
     counts: NDArray[np.int32]  # (slots,) number of ones
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
-    """Copy every `step`-th row of a box from (left, top) on, one after the other, to `out` from `begin` on.
+    """Copy every `step`-th row of a box from (left, top) on, one after the other, to `out` from
+    `begin` on.
 
-    `pixels` are those of the flat in one line, `stride` its width. What lies off it gets the value of any pixel.
+    `pixels` are those of the flat in one line, `stride` its width. What lies off it gets the value
+    of any pixel.
     """
     beyond = len(pixels) - wide
     for row in range(rows):
@@ -103,7 +124,9 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def row_of_disc(y, x, radius, low, high):
-    """First column of row `y` [px from the centre] of a disc about column `x`, between two others, and how many."""
+    """First column of row `y` [px from the centre] of a disc about column `x`, between two others,
+    and how many.
+    """
     half = radius * radius - y * y
     if half < 0:
         return low, 0
@@ -114,16 +137,20 @@ def row_of_disc(y, x, radius, low, high):
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda image, middle, *_: len(middle))
 def _extract(begin, end, image, middle, means, half, width, rows, step, wanted, done, values):
-    pixels, across = image.reshape(-1), image.shape[1]
+    pixels = image.reshape(-1)
+    across = image.shape[1]
     size = rows * step * width
     for lens in range(begin, end):
         if done[lens] or not (wanted.size == 0 or wanted[lens]):
             continue
         done[lens] = True
         strip = values[lens * size : (lens + 1) * size]
-        left, top = middle[lens, 0] - half, middle[lens, 1] - half
+        left = middle[lens, 0] - half
+        top = middle[lens, 1] - half
         for part in range(step):
-            copy_box(pixels, across, left, top + part, rows, width, strip, part * rows * width, step)
+            copy_box(
+                pixels, across, left, top + part, rows, width, strip, part * rows * width, step
+            )
         mean = means[lens]
         for k in range(np.uint64(size)):
             strip[k] -= mean
@@ -142,7 +169,8 @@ def _clear_beyond(size, spare, wanted, done, values):
 def extract_strips(
     gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArray[np.bool_] | None = None
 ) -> Strips:
-    """Cut out the `wanted` microimages (n,), minus the `means` (n,) of each, for reading every `step`-th row.
+    """Cut out the `wanted` microimages (n,), minus the `means` (n,) of each, for reading every
+    `step`-th row.
 
     The strips are cached with the flat, for the same means and step.
     """
@@ -151,16 +179,28 @@ def extract_strips(
         kept[step] = means, _allocate_strips(gray, step)
     strips = kept[step][1]
     _extract(
-        gray.image, strips.centre_pixels, means, strips.half_width, strips.width, strips.rows,
-        strips.step, np.empty(0, bool) if wanted is None else wanted, strips.extracted, strips.values,
-    )  # fmt: skip
+        gray.image,
+        strips.centre_pixels,
+        means,
+        strips.half_width,
+        strips.width,
+        strips.rows,
+        strips.step,
+        np.empty(0, bool) if wanted is None else wanted,
+        strips.extracted,
+        strips.values,
+    )
     if wanted is not None:
-        _clear_beyond(strips.size, _spare_values(strips.width), wanted, strips.extracted, strips.values)
+        _clear_beyond(
+            strips.size, _spare_values(strips.width), wanted, strips.extracted, strips.values
+        )
     return strips
 
 
 def _spare_values(width: int) -> int:
-    """Values that vector loops may read beyond a strip, of pixels that another microimage shows up to `width` away."""
+    """Values that vector loops may read beyond a strip, of pixels that another microimage shows up
+    to `width` away.
+    """
     return VECTOR_LENGTH + width
 
 
@@ -171,15 +211,27 @@ def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
     inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
-    values = allocate_pooled((len(middle) * rows * step * width + _spare_values(width),), np.float32)
+    values = allocate_pooled(
+        (len(middle) * rows * step * width + _spare_values(width),), np.float32
+    )
     values[-_spare_values(width) :] = 0.0
-    return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
+    return Strips(
+        values,
+        middle,
+        inside[:, 0] & inside[:, 1],
+        np.zeros(len(middle), bool),
+        half,
+        width,
+        rows,
+        step,
+    )
 
 
 @njit(inline="always")
 def overlap_range(dx, dy, half, width, step, bunch):
-    """First position in a strip that another microimage, shifted by `dx, dy` pixels, may hold too, and the number of
-    positions, as a multiple of `bunch`; not above 0 if there is none."""
+    """First position in a strip that another microimage, shifted by `dx, dy` pixels, may hold too,
+    and the number of positions, as a multiple of `bunch`; not above 0 if there is none.
+    """
     first = -(min(0, dy) // step) * width + max(0, -dx)
     number = ((2 * half - 1 - max(0, dy)) // step + 1) * width - first
     return first, (number + bunch - 1) // bunch * bunch
@@ -192,33 +244,45 @@ def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, cou
             slot = slots[dy + reach, dx + reach]
             if slot < 0:
                 continue
-            start, stop, count = rows * width, 0, 0
+            start = rows * width
+            stop = 0
+            count = 0
             for r in range(rows):
                 y = r * step - half
                 for c in range(width):
                     x = c - half
-                    # The other microimage is interpolated between four pixels; their middle must lie within it.
-                    bx, by = x + dx + 0.5, y + dy + 0.5
+                    # The other microimage is interpolated between four pixels; their middle must
+                    # lie within it.
+                    bx = x + dx + 0.5
+                    by = y + dy + 0.5
                     inside = x * x + y * y <= radius2 and bx * bx + by * by <= radius2
                     masks[slot, r * width + c] = inside
                     if inside:
-                        start, stop = min(start, r * width + c), r * width + c + 1
+                        start = min(start, r * width + c)
+                        stop = r * width + c + 1
                         count += 1
             ends[slot, 0] = start
-            ends[slot, 1] = (max(stop - start, 0) + VECTOR_LENGTH - 1) // VECTOR_LENGTH * VECTOR_LENGTH
+            ends[slot, 1] = (
+                (max(stop - start, 0) + VECTOR_LENGTH - 1) // VECTOR_LENGTH * VECTOR_LENGTH
+            )
             ends[slot, 2] = ((dy % step) * rows + dy // step) * width + dx
             ends[slot, 3] = (((dy + 1) % step) * rows + (dy + 1) // step) * width + dx
             counts[slot] = count
 
 
 def make_shift_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> OverlapMasks:
-    """Masks of the pixels that two microimages of this `radius` [px] share at shifts `wanted` (m, 2), each read a
-    fraction of a pixel farther; cached, not to be written into."""
-    return _masks_of(strips.half_width, strips.width, strips.rows, strips.step, radius, wanted.tobytes())
+    """Masks of the pixels that two microimages of this `radius` [px] share at shifts `wanted` (m,
+    2), each read a fraction of a pixel farther; cached, not to be written into.
+    """
+    return _masks_of(
+        strips.half_width, strips.width, strips.rows, strips.step, radius, wanted.tobytes()
+    )
 
 
 @lru_cache(maxsize=8)
-def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts: bytes) -> OverlapMasks:
+def _masks_of(
+    half: int, width: int, rows: int, step: int, radius: float, shifts: bytes
+) -> OverlapMasks:
     wanted = np.frombuffer(shifts, np.int64).reshape(-1, 2)
     reach = max(1, int(np.abs(wanted).max(initial=0)))
     side = 2 * reach + 1
@@ -227,6 +291,18 @@ def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts
     slots = np.where(used, np.cumsum(used.ravel()).reshape(side, side) - 1, -1).astype(np.int32)
     count = int(used.sum())
     masks = np.zeros((count, rows * width + VECTOR_LENGTH), np.float32)
-    ends, counts = np.empty((count, 4), np.int32), np.empty(count, np.int32)
-    _fill_masks(slots, reach, half, width, rows, step, max(radius - _ROUNDING, 1.0) ** 2, masks, ends, counts)
+    ends = np.empty((count, 4), np.int32)
+    counts = np.empty(count, np.int32)
+    _fill_masks(
+        slots,
+        reach,
+        half,
+        width,
+        rows,
+        step,
+        max(radius - _ROUNDING, 1.0) ** 2,
+        masks,
+        ends,
+        counts,
+    )
     return OverlapMasks(slots, masks, ends, counts)

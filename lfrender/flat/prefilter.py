@@ -1,8 +1,10 @@
-"""Prefilter for bilinear interpolation: sharpen a flat by as much as interpolation will blur it on average.
+"""Prefilter for bilinear interpolation: sharpen a flat by as much as interpolation will blur it on
+average.
 
-Bilinear interpolation at a random place averages the flat with a triangle whose variance is 0 px^2 at whole pixels and
-1/6 px^2 on average. Half of that, times the negative second difference, gives it back. Where a picture is the mean of
-many lenses and places, it has the sharpness of the flat itself then.
+Bilinear interpolation at a random place averages the flat with a triangle whose variance is 0 px^2
+at whole pixels and 1/6 px^2 on average. Half of that, times the negative second difference, gives
+it back. Where a picture is the mean of many lenses and places, it has the sharpness of the flat
+itself then.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ __all__ = ["prefilter_flat", "prefilter_packed"]
 
 
 def prefilter_flat(pixels: NDArray) -> NDArray:
-    """The flat (H, W, C) sharpened by `p - (sum of the four neighbours - 4 p) / 12`; integers are rounded and
-    clipped."""
+    """The flat (H, W, C) sharpened by `p - (sum of the four neighbours - 4 p) / 12`; integers are
+    rounded and clipped.
+    """
     rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
     out = np.empty(rows.shape, np.float32)
     _filter_floats(rows, pixels.shape[2], np.float32(1 / 12), out)
@@ -29,25 +32,42 @@ def prefilter_flat(pixels: NDArray) -> NDArray:
     return out.astype(pixels.dtype, copy=False).reshape(pixels.shape)
 
 
-# Without fastmath: a part of a flat gets the same bits as the whole, whatever pixels a vector loop handles together.
+# Without fastmath: a part of a flat gets the same bits as the whole, whatever pixels a vector loop
+# handles together.
 @njit(error_model="numpy")
 def _filter_row(flat, y, channels, into):
-    """Sixteen times the pixels of a row less their four neighbours: twelve times what is wanted, in the type of `into`.
+    """Sixteen times the pixels of a row less their four neighbours: twelve times what is wanted, in
+    the type of `into`.
 
     Whole numbers of 16 bits in bytes, and of single precision in others, are exact.
     """
     kind = into.dtype.type
     height, width = flat.shape
-    above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
+    above = flat[max(y - 1, 0)]
+    here = flat[y]
+    below = flat[min(y + 1, height - 1)]
     n = max(width - 2 * channels, 0)
-    before, own, after = here[:n], here[channels:], here[2 * channels :]
-    up, down, middle = above[channels:], below[channels:], into[channels:]
+    before = here[:n]
+    own = here[channels:]
+    after = here[2 * channels :]
+    up = above[channels:]
+    down = below[channels:]
+    middle = into[channels:]
     for k in range(n):
-        middle[k] = kind(own[k]) * kind(16) - (kind(before[k]) + kind(after[k])) - (kind(up[k]) + kind(down[k]))
+        middle[k] = (
+            kind(own[k]) * kind(16)
+            - (kind(before[k]) + kind(after[k]))
+            - (kind(up[k]) + kind(down[k]))
+        )
     for end in range(min(2 * channels, width)):
         k = end if end < channels else width - 2 * channels + end
-        left, right = here[k - channels if k >= channels else k], here[k + channels if k < width - channels else k]
-        into[k] = kind(here[k]) * kind(16) - (kind(left) + kind(right)) - (kind(above[k]) + kind(below[k]))
+        left = here[k - channels if k >= channels else k]
+        right = here[k + channels if k < width - channels else k]
+        into[k] = (
+            kind(here[k]) * kind(16)
+            - (kind(left) + kind(right))
+            - (kind(above[k]) + kind(below[k]))
+        )
 
 
 @kernel(error_model="numpy", share=lambda flat, *_: len(flat))
@@ -79,7 +99,8 @@ def _pack_row(row, channels, into):
 
 @kernel(share=lambda flat, *_: len(flat))
 def _pack_bytes(begin, end, flat, channels, out):
-    line, row = np.empty(flat.shape[1], np.int16), np.empty(flat.shape[1], np.uint8)
+    line = np.empty(flat.shape[1], np.int16)
+    row = np.empty(flat.shape[1], np.uint8)
     for y in range(begin, end):
         _filter_row(flat, y, channels, line)
         for k in range(len(row)):
@@ -91,9 +112,12 @@ def _pack_bytes(begin, end, flat, channels, out):
 
 @kernel(share=lambda flat, *_: len(flat))
 def _pack_shorts(begin, end, flat, channels, out):
-    line, row = np.empty(flat.shape[1], np.float32), np.empty(flat.shape[1], np.uint16)
+    line = np.empty(flat.shape[1], np.float32)
+    row = np.empty(flat.shape[1], np.uint16)
     # The constant 1/12 is rounded up, so that truncating the product is integer division.
-    six, twelfth, highest = np.float32(6), np.float32(1 / 12), np.float32(65535)
+    six = np.float32(6)
+    twelfth = np.float32(1 / 12)
+    highest = np.float32(65535)
     for y in range(begin, end):
         _filter_row(flat, y, channels, line)
         for k in range(len(row)):
@@ -102,8 +126,11 @@ def _pack_shorts(begin, end, flat, channels, out):
 
 
 def prefilter_packed(pixels: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint32 | np.uint64]:
-    """`prefilter_flat` with the channels of each pixel, at most four, in one number (H, W), the first lowest."""
-    rows, channels = np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2]
+    """`prefilter_flat` with the channels of each pixel, at most four, in one number (H, W), the
+    first lowest.
+    """
+    rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
+    channels = pixels.shape[2]
     of_bytes = pixels.dtype == np.uint8
     out = allocate_pooled(pixels.shape[:2], np.uint32 if of_bytes else np.uint64)
     (_pack_bytes if of_bytes else _pack_shorts)(rows, channels, out)

@@ -1,9 +1,10 @@
 """Remove the shading that nearby microimages have in common, found as their weighted average.
 
-Residual vignetting, or vignetting correction of a flat whose black level was not subtracted, makes neighbouring
-microimages alike without any shift, so that smooth lenses match at patch size 0. The scene moves from lens to lens and
-averages out. The average is removed as far as it exceeds that of unrelated pictures (shrinkage after James and Stein
-1961) and is no stronger than shading can be: a scene without disparity stays.
+Residual vignetting, or vignetting correction of a flat whose black level was not subtracted, makes
+neighbouring microimages alike without any shift, so that smooth lenses match at patch size 0. The
+scene moves from lens to lens and averages out. The average is removed as far as it exceeds that of
+unrelated pictures (shrinkage after James and Stein 1961) and is no stronger than shading can be: a
+scene without disparity stays.
 """
 
 from __future__ import annotations
@@ -28,15 +29,19 @@ LARGEST_SHADING = 0.02
 
 
 @kernel(error_model="numpy", fastmath=FAST, share=lambda _, centres, *__: len(centres))
-def _subtract_shading(begin, end, image, centres, wanted, near, weights, contrast, radius, strips, out):
-    """Subtract the common pattern from the `wanted` lenses; `near` (n, k) are rows of the lenses that share theirs.
+def _subtract_shading(
+    begin, end, image, centres, wanted, near, weights, contrast, radius, strips, out
+):
+    """Subtract the common pattern from the `wanted` lenses; `near` (n, k) are rows of the lenses
+    that share theirs.
 
-    `strips` are values (n size,) of square windows, their middle pixels (n, 2), which are complete, and half their
-    width. They are laid over each other by whole pixels: shading is smooth.
+    `strips` are values (n size,) of square windows, their middle pixels (n, 2), which are complete,
+    and half their width. They are laid over each other by whole pixels: shading is smooth.
     """
     height, across = image.shape
     values, middle, complete, half = strips
-    pixels, into = image.reshape(-1), out.reshape(-1)
+    pixels = image.reshape(-1)
+    into = out.reshape(-1)
     width = 2 * half + 1
     size = np.uint64(width * width)
     shade = np.empty(size, np.float32)
@@ -49,17 +54,24 @@ def _subtract_shading(begin, end, image, centres, wanted, near, weights, contras
             other = near[lens, r]
             # Lenses cut by the border of the flat hold only part of the microimage.
             if other >= 0 and complete[other]:
-                weight, at = weights[other], np.uint64(other) * size
+                weight = weights[other]
+                at = np.uint64(other) * size
                 total += weight
                 expected += square(weight * contrast[other])
                 for k in range(size):
                     shade[k] += weight * values[at + k]
         if total == 0:
             continue
-        left, top, cx, cy = middle[lens, 0] - half, middle[lens, 1] - half, centres[lens, 0], centres[lens, 1]
-        low_x, high_x = max(left, 0), min(left + width, across) - 1
-        low_y, end_y = max(top, 0, int(np.ceil(cy - radius))), min(top + width, height, int(np.floor(cy + radius)) + 1)
-        energy, count = np.float32(0), 0
+        left = middle[lens, 0] - half
+        top = middle[lens, 1] - half
+        cx = centres[lens, 0]
+        cy = centres[lens, 1]
+        low_x = max(left, 0)
+        high_x = min(left + width, across) - 1
+        low_y = max(top, 0, int(np.ceil(cy - radius)))
+        end_y = min(top + width, height, int(np.floor(cy + radius)) + 1)
+        energy = np.float32(0)
+        count = 0
         for y in range(low_y, end_y):
             first, number = row_of_disc(np.float32(y) - cy, cx, radius, low_x, high_x)
             at = np.uint64((y - top) * width + first - left)
@@ -75,7 +87,8 @@ def _subtract_shading(begin, end, image, centres, wanted, near, weights, contras
             continue
         for y in range(low_y, end_y):
             first, number = row_of_disc(np.float32(y) - cy, cx, radius, low_x, high_x)
-            at, place = np.uint64((y - top) * width + first - left), np.uint64(y * across + first)
+            at = np.uint64((y - top) * width + first - left)
+            place = np.uint64(y * across + first)
             for k in range(np.uint64(number)):
                 into[place + k] = pixels[place + k] - share * shade[at + k]
 
@@ -85,18 +98,26 @@ def _steps_to_same_type(lattice: Lattice) -> NDArray[np.int64]:
     span = np.arange(-6, 7)
     steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
     distance = np.linalg.norm(steps @ lattice.basis, axis=1)
-    # Three interleaved lens types lie at (i - j) mod 3; on other arrays this is any third of the lenses.
-    return steps[(distance > 0) & (distance < 4.2 * lattice.pitch) & ((steps[:, 0] - steps[:, 1]) % 3 == 0)]
+    # Three interleaved lens types lie at (i - j) mod 3; on other arrays this is any third of the
+    # lenses.
+    return steps[
+        (distance > 0) & (distance < 4.2 * lattice.pitch) & ((steps[:, 0] - steps[:, 1]) % 3 == 0)
+    ]
 
 
 def remove_shading(
-    gray: GrayFlat, lattice: Lattice, means: NDArray[np.float32], contrast: NDArray[np.float32],
-    wanted: NDArray[np.bool_], others: GrayFlat | None = None,
-) -> GrayFlat:  # fmt: skip
-    """`gray` without the pattern that the lenses of its type around each `wanted` lens (n,) have in common.
+    gray: GrayFlat,
+    lattice: Lattice,
+    means: NDArray[np.float32],
+    contrast: NDArray[np.float32],
+    wanted: NDArray[np.bool_],
+    others: GrayFlat | None = None,
+) -> GrayFlat:
+    """`gray` without the pattern that the lenses of its type around each `wanted` lens (n,) have in
+    common.
 
-    `means` and `contrast` (n,) are of each microimage; `others` is `gray` without the shading of other lenses: it is
-    changed and returned.
+    `means` and `contrast` (n,) are of each microimage; `others` is `gray` without the shading of
+    other lenses: it is changed and returned.
     """
     if others is not None and not wanted.any():
         return others
@@ -104,7 +125,9 @@ def remove_shading(
     weights = (0.01**2 / (0.01**2 + contrast**2)).astype(np.float32)
     near = neighbour_rows(lattice, _steps_to_same_type(lattice))
     # The lenses to be read; for every step there is the opposite one.
-    strips = extract_strips(gray, means, 1, None if wanted.all() else count_neighbours(wanted, near) > 0)
+    strips = extract_strips(
+        gray, means, 1, None if wanted.all() else count_neighbours(wanted, near) > 0
+    )
     table = strips.values, strips.centre_pixels, strips.complete, strips.half_width
     if others is None:
         out = allocate_pooled(gray.image.shape, np.float32)
@@ -112,7 +135,14 @@ def remove_shading(
     else:
         out = others.image
     _subtract_shading(
-        gray.image, gray.centres, wanted, near, weights, contrast, np.float32(gray.radius),
-        table, out,
-    )  # fmt: skip
+        gray.image,
+        gray.centres,
+        wanted,
+        near,
+        weights,
+        contrast,
+        np.float32(gray.radius),
+        table,
+        out,
+    )
     return dataclasses.replace(gray, image=out)

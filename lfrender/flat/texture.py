@@ -1,7 +1,8 @@
-"""Texture of every microimage: statistics of its brightness, the noise of the flat, and which lenses can be matched.
+"""Texture of every microimage: statistics of its brightness, the noise of the flat, and which
+lenses can be matched.
 
-A lens has texture if the contrast of its middle exceeds noise and rounding. Clear texture also exceeds the contrast
-that the fixed-pattern shading of microimages can have.
+A lens has texture if the contrast of its middle exceeds noise and rounding. Clear texture also
+exceeds the contrast that the fixed-pattern shading of microimages can have.
 """
 
 from __future__ import annotations
@@ -21,9 +22,16 @@ from .lens_graph import dilate_mask, neighbour_rows
 from .shading import remove_shading
 
 __all__ = [
-    "FIXED_PATTERN", "LensStatistics", "Texture", "classify_texture", "estimate_noise",
-    "find_noise_only", "find_texture", "measure_statistics", "sample_statistics",
-]  # fmt: skip
+    "FIXED_PATTERN",
+    "LensStatistics",
+    "Texture",
+    "classify_texture",
+    "estimate_noise",
+    "find_noise_only",
+    "find_texture",
+    "measure_statistics",
+    "sample_statistics",
+]
 
 #: [brightness] contrast that fixed-pattern shading of a microimage may have.
 FIXED_PATTERN = 0.02
@@ -38,7 +46,8 @@ class LensStatistics:
     mean: NDArray[np.float32]  # (n,)
     contrast: NDArray[np.float32]  # (n,) standard deviation
     central_contrast: NDArray[np.float32]  # (n,) the same within 0.36 pitches of the centre
-    # (n,) RMS of what neither a plane nor a straight edge explains: noise, rounding, and the finest detail
+    # (n,) RMS of what neither a plane nor a straight edge explains: noise, rounding, and the finest
+    # detail
     roughness: NDArray[np.float32]
 
 
@@ -50,7 +59,9 @@ class Texture:
     statistics: LensStatistics  # of that flat
     noise: float  # standard deviation of a pixel, white = 1
     clear: NDArray[np.bool_]  # (n,) lenses with texture
-    faint: NDArray[np.bool_]  # (n,) lenses whose contrast may be noise or shading: only a match can confirm it
+    faint: NDArray[
+        np.bool_
+    ]  # (n,) lenses whose contrast may be noise or shading: only a match can confirm it
 
 
 @njit(error_model="numpy")
@@ -64,28 +75,47 @@ def _mean_and_deviation(number, total, squares):
 def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
     """Fill `out` (4, n); roughness is the response to a checkerboard filter (Immerkaer 1996)."""
     height, width = image.shape
-    line, across, one = image.reshape(-1), np.uint64(width), np.uint64(1)
-    zero, unit, two, four, middle2 = np.float32(0), np.float32(1), np.float32(2), np.float32(4), middle * middle
+    line = image.reshape(-1)
+    across = np.uint64(width)
+    one = np.uint64(1)
+    zero = np.float32(0)
+    unit = np.float32(1)
+    two = np.float32(2)
+    four = np.float32(4)
+    middle2 = middle * middle
     for lens in range(begin, end):
         if not wanted[lens]:
             continue
-        cx, cy = centres[lens, 0], centres[lens, 1]
+        cx = centres[lens, 0]
+        cy = centres[lens, 1]
         # Squares of differences from a value of the lens lose no digits.
         near = image[min(max(int(cy), 0), height - 1), min(max(int(cx), 0), width - 1)]
         number = total = squares = rough = inner = inner_total = inner_squares = zero
-        for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1, row_step):
+        for y in range(
+            max(1, int(np.ceil(cy - radius))),
+            min(height - 2, int(np.floor(cy + radius))) + 1,
+            row_step,
+        ):
             dy = np.float32(y) - cy
             half = np.sqrt(max(radius * radius - dy * dy, zero))
-            left, right = max(1, int(np.ceil(cx - half))), min(width - 2, int(np.floor(cx + half)))
-            at, first = np.uint64(y * width + left), np.float32(left) - cx
+            left = max(1, int(np.ceil(cx - half)))
+            right = min(width - 2, int(np.floor(cx + half)))
+            at = np.uint64(y * width + left)
+            first = np.float32(left) - cx
             for k in range(np.uint64(max(right - left + 1, 0))):
                 here = at + k
-                above, below = here - across, here + across
+                above = here - across
+                below = here + across
                 value = line[here] - near
                 bend = (
                     four * line[here]
                     - two * (line[here - one] + line[here + one] + line[above] + line[below])
-                    + (line[above - one] + line[above + one] + line[below - one] + line[below + one])
+                    + (
+                        line[above - one]
+                        + line[above + one]
+                        + line[below - one]
+                        + line[below + one]
+                    )
                 )
                 total += value
                 squares += value * value
@@ -103,10 +133,14 @@ def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
 
 
 def measure_statistics(
-    gray: GrayFlat, known: LensStatistics | None = None, wanted: NDArray[np.bool_] | None = None, row_step: int = 1,
-) -> LensStatistics:  # fmt: skip
-    """Brightness inside each microimage, from every `row_step`-th row; lenses not `wanted` (n,) keep what is
-    `known`."""
+    gray: GrayFlat,
+    known: LensStatistics | None = None,
+    wanted: NDArray[np.bool_] | None = None,
+    row_step: int = 1,
+) -> LensStatistics:
+    """Brightness inside each microimage, from every `row_step`-th row; lenses not `wanted` (n,)
+    keep what is `known`.
+    """
     out = np.zeros((4, len(gray.centres)), np.float32)
     if known is not None:
         out[:] = known.mean, known.contrast, known.central_contrast, known.roughness
@@ -132,13 +166,18 @@ def find_noise_only(plain: LensStatistics, noise: float) -> NDArray[np.bool_]:
 
 
 def find_texture(
-    gray: GrayFlat, lattice: Lattice, plain: LensStatistics, blank: NDArray[np.bool_] | None = None,
-    wanted: NDArray[np.bool_] | None = None, known_noise: float | None = None,
-) -> Texture:  # fmt: skip
-    """Remove the common shading of microimages, of the `wanted` lenses (n,), and classify the texture that is left.
+    gray: GrayFlat,
+    lattice: Lattice,
+    plain: LensStatistics,
+    blank: NDArray[np.bool_] | None = None,
+    wanted: NDArray[np.bool_] | None = None,
+    known_noise: float | None = None,
+) -> Texture:
+    """Remove the common shading of microimages, of the `wanted` lenses (n,), and classify the
+    texture that is left.
 
-    `plain` are the statistics of `gray`; of lenses known to be `blank` (n,), only the shading beside lenses with
-    texture is removed.
+    `plain` are the statistics of `gray`; of lenses known to be `blank` (n,), only the shading
+    beside lenses with texture is removed.
     """
     wanted = np.ones(len(plain.mean), bool) if wanted is None else wanted
     first = wanted if blank is None else wanted & ~blank
@@ -146,7 +185,9 @@ def find_texture(
     found = measure_statistics(flattened, known=plain, wanted=first)
     if blank is not None:
         # Lenses with texture are matched with those beside them.
-        some = _has_any(found, estimate_noise(found.roughness) if known_noise is None else known_noise)
+        some = _has_any(
+            found, estimate_noise(found.roughness) if known_noise is None else known_noise
+        )
         beside = wanted & ~first & dilate_mask(some & first, neighbour_rows(lattice, lattice.steps))
         flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, beside, flattened)
         found = measure_statistics(flattened, found, beside)
@@ -157,15 +198,18 @@ def find_texture(
 
 
 def classify_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None = None) -> Texture:
-    """Classify texture with the common shading left in: faster, and correct if there is much texture."""
+    """Classify texture with the common shading left in: faster, and correct if there is much
+    texture.
+    """
     noise = estimate_noise(plain.roughness) if noise is None else noise
     clear = _is_clear(plain, noise)
     return Texture(gray, plain, noise, clear, _has_any(plain, noise) & ~clear)
 
 
 def estimate_noise(roughness: NDArray[np.float32]) -> float:
-    """Noise of a flat [white] from the roughness (n,) of its lenses: that of the smoothest fiftieth, a grey level of 8
-    bits at least, for rounding and compression."""
+    """Noise of a flat [white] from the roughness (n,) of its lenses: that of the smoothest
+    fiftieth, a grey level of 8 bits at least, for rounding and compression.
+    """
     return cached(roughness, "noise", lambda: max(float(np.quantile(roughness, 0.02)), 1 / 255))
 
 
@@ -176,4 +220,6 @@ def _has_any(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
 
 def _is_clear(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
     # Above two and a half times the noise.
-    return _has_any(found, noise) & (found.contrast > np.hypot(2.5 * noise, FIXED_PATTERN * found.mean))
+    return _has_any(found, noise) & (
+        found.contrast > np.hypot(2.5 * noise, FIXED_PATTERN * found.mean)
+    )

@@ -15,13 +15,15 @@ from ..runtime.cache import cached
 
 __all__ = ["check_flat", "exposure_rows", "match_exposure"]
 
-# Largest float of a flat, where white is 1: noise and gain reach above white, but not beyond this. Set by hand.
+# Largest float of a flat, where white is 1: noise and gain reach above white, but not beyond this.
+# Set by hand.
 _BRIGHTEST = 16.0
 
 
 def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
-    """The flat as (H, W, C) uint8, uint16 or float32, in colour if the camera has a mosaic; FlatError or
-    CalibrationError."""
+    """The flat as (H, W, C) uint8, uint16 or float32, in colour if the camera has a mosaic;
+    FlatError or CalibrationError.
+    """
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     if isinstance(flat, (str, os.PathLike)):
         raise FlatError(f"flat is a path; give its pixels, lfcal.read_flat({os.fspath(flat)!r})")
@@ -37,7 +39,9 @@ def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
     size = (array.shape[1], array.shape[0])
     if size != calibration.image_size:
         was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))
-        raise CalibrationError(f"calibration is for images of {was} px, the flat has {now}; calibrate on this flat")
+        raise CalibrationError(
+            f"calibration is for images of {was} px, the flat has {now}; calibrate on this flat"
+        )
     _check_floats(array)
     if calibration.mosaic is not None and array.shape[2] == 1:
         from .demosaicing import demosaic
@@ -51,7 +55,9 @@ def _check_floats(array: NDArray) -> None:
         return
     if not np.isfinite(array).all():
         bad = np.argwhere(~np.isfinite(array))[0]
-        raise FlatError(f"flat has a NaN or infinite pixel at x={bad[1]}, y={bad[0]}; replace such pixels first")
+        raise FlatError(
+            f"flat has a NaN or infinite pixel at x={bad[1]}, y={bad[0]}; replace such pixels first"
+        )
     if array.size and float(array.max()) > _BRIGHTEST:
         raise FlatError(
             f"flat holds floats up to {array.max():.4g}, but floats are 1 at white; divide it by the largest value of "
@@ -65,10 +71,12 @@ def exposure_rows(height: int) -> NDArray[np.int64]:
 
 
 def match_exposure(rows: NDArray, calibration: Calibration) -> Calibration:
-    """The camera with a white level that a dim flat comes near to, by its `exposure_rows`; as it is for others.
+    """The camera with a white level that a dim flat comes near to, by its `exposure_rows`; as it is
+    for others.
 
-    Noise, texture and tolerances are then measured against the light of the flat. The level is lowered in steps, four
-    for each factor of two, so that the frames of a sequence have the same. Flats of 8 bits are never dim.
+    Noise, texture and tolerances are then measured against the light of the flat. The level is
+    lowered in steps, four for each factor of two, so that the frames of a sequence have the same.
+    Flats of 8 bits are never dim.
     """
     if rows.dtype == np.uint8 or rows.size == 0:
         return calibration
@@ -80,4 +88,6 @@ def match_exposure(rows: NDArray, calibration: Calibration) -> Calibration:
     if power < 1:
         return calibration
     level = float(white / 2**power)
-    return cached(calibration, ("white level", level), lambda: replace(calibration, white_level=level))
+    return cached(
+        calibration, ("white level", level), lambda: replace(calibration, white_level=level)
+    )

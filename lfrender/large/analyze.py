@@ -1,8 +1,9 @@
 """Depth of flats too large for memory, by tiles of lenses.
 
-Results of single lenses depend on others in two ways. On lenses nearby: each tile is analysed with a halo of lenses
-around it, whose results are taken from the tiles they belong to. And on all lenses, by the noise and the range of
-depths: these are estimated first, in windows spread over the flat.
+Results of single lenses depend on others in two ways. On lenses nearby: each tile is analysed with
+a halo of lenses around it, whose results are taken from the tiles they belong to. And on all
+lenses, by the noise and the range of depths: these are estimated first, in windows spread over the
+flat.
 """
 
 from __future__ import annotations
@@ -52,10 +53,11 @@ def analyze_large(
     threads: int | None = None,
     memory: float = 6e8,
 ) -> DepthMap:
-    """Estimate the depth of a flat that need not fit into memory; as `analyze`, with nearly the same results.
+    """Estimate the depth of a flat that need not fit into memory; as `analyze`, with nearly the
+    same results.
 
-    The tiles follow from size, type and pitch of the flat and from `memory` alone: the result does not depend on the
-    number of workers or on the machine.
+    The tiles follow from size, type and pitch of the flat and from `memory` alone: the result does
+    not depend on the number of workers or on the machine.
 
     Parameters
     ----------
@@ -66,8 +68,8 @@ def analyze_large(
     progress : callable or None
         Called with the number of finished tiles and of all.
     client : distributed.Client or None
-        Have tiles analysed by the workers of this cluster, with the same results bit for bit. They read the flat
-        themselves: it must lie on storage that all of them see under the same path.
+        Have tiles analysed by the workers of this cluster, with the same results bit for bit. They
+        read the flat themselves: it must lie on storage that all of them see under the same path.
     threads : int or None
         Threads of the kernels in each worker of a cluster; None leaves it to the machine.
     memory : float [bytes]
@@ -88,14 +90,21 @@ def analyze_large(
     shortcuts = Shortcuts.of(skip)
     reader = TileReader(source, calibration)
     calibration = reader.calibration = match_exposure(reader.sample_exposure(), calibration)
-    flat, workers = _Flat(reader, preset, shortcuts), Workers(client, threads)
+    flat = _Flat(reader, preset, shortcuts)
+    workers = Workers(client, threads)
     windows = lens_windows(calibration.lattice, flat.factor)
     plain, rough, sizes = map(
         np.concatenate, zip(*workers.map(_survey_window, flat, windows, _Flat.read), strict=True)
-    )  # fmt: skip
-    flat = replace(flat, overview=SceneStatistics(estimate_noise(rough), sizes, estimate_noise(plain)))
+    )
+    flat = replace(
+        flat, overview=SceneStatistics(estimate_noise(rough), sizes, estimate_noise(plain))
+    )
     tiles = lens_tiles(
-        calibration.lattice, flat.factor, PRESETS[preset], reader.channels * source.dtype.itemsize, memory
+        calibration.lattice,
+        flat.factor,
+        PRESETS[preset],
+        reader.channels * source.dtype.itemsize,
+        memory,
     )
     depth = _analyze_tiles(flat, workers, list(tiles), progress)
     # Those of a colour filter mosaic are not those of the flat in colour.
@@ -105,15 +114,19 @@ def analyze_large(
     return replace(depth, lens_blur=_find_lens_blur(reader, calibration, depth))
 
 
-def _find_lens_blur(reader: TileReader, calibration: Calibration, depth: DepthMap) -> LensBlur | None:
+def _find_lens_blur(
+    reader: TileReader, calibration: Calibration, depth: DepthMap
+) -> LensBlur | None:
     """The blur that the middle of the flat shows."""
-    size, pitch = np.array(calibration.image_size), calibration.lattice.pitch
+    size = np.array(calibration.image_size)
+    pitch = calibration.lattice.pitch
     first = np.maximum(size - _BLUR_PART, 0) // 2
     end = np.minimum(first + _BLUR_PART, size)
     left, top = first.tolist()
     pixels = reader.read((left, top, *end.tolist()))
     # Microimages that the border of the part cuts are left out.
-    low, high = np.where(first > 0, first + pitch, -1), np.where(end < size, end - pitch, size)
+    low = np.where(first > 0, first + pitch, -1)
+    high = np.where(end < size, end - pitch, size)
     centres = calibration.lattice.centres()
     inside = ((centres > low) & (centres < high)).all(1)
 
@@ -142,7 +155,11 @@ class _Flat:
 
     @cached_property
     def _gain(self) -> Any:
-        return self.reader.calibration.region_gain() if uneven_lenses(self.reader.calibration) else None
+        return (
+            self.reader.calibration.region_gain()
+            if uneven_lenses(self.reader.calibration)
+            else None
+        )
 
     def read(self, part: LensTile) -> NDArray[Any]:
         return self.reader.read_raw(part.rectangle)
@@ -151,17 +168,27 @@ class _Flat:
         pixels = self.reader.read(part.rectangle, raw)
         height, width = pixels.shape[:2]
         light = None if self._gain is None else self._gain.at(*part.rectangle[:2], width, height)
-        return make_gray_flat(pixels, replace(self.reader.calibration, lattice=part.full), part.factor, light)
+        return make_gray_flat(
+            pixels, replace(self.reader.calibration, lattice=part.full), part.factor, light
+        )
 
 
-def _survey_window(flat: _Flat, part: LensTile, pixels: NDArray[Any]) -> tuple[NDArray[np.float32], ...]:
-    """Roughness of the lenses of a window, with and without their common shading, and the depths of those with one."""
+def _survey_window(
+    flat: _Flat, part: LensTile, pixels: NDArray[Any]
+) -> tuple[NDArray[np.float32], ...]:
+    """Roughness of the lenses of a window, with and without their common shading, and the depths of
+    those with one.
+    """
     gray = flat.gray_tile(part, pixels)
     plain = sample_statistics(gray)
     texture = find_texture(gray, part.lattice, plain)
     depth = estimate_lens_by_lens(gray, part.lattice, flat.preset, Shortcuts.of(False), plain, None)
     known = part.inside & ~depth.filled
-    return plain.roughness[part.inside], texture.statistics.roughness[part.inside], depth.patch_size[known]
+    return (
+        plain.roughness[part.inside],
+        texture.statistics.roughness[part.inside],
+        depth.patch_size[known],
+    )
 
 
 def _analyze_tile(flat: _Flat, part: LensTile, pixels: NDArray[Any]) -> DepthMap:
@@ -170,15 +197,23 @@ def _analyze_tile(flat: _Flat, part: LensTile, pixels: NDArray[Any]) -> DepthMap
     plain = sample_statistics(gray)
     blank = None
     if flat.shortcuts.blank and flat.overview is not None:
-        blank = find_textureless(gray, part.lattice, plain, PRESETS[flat.preset], flat.overview.raw_noise)
-    depth = estimate_lens_by_lens(gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview)
+        blank = find_textureless(
+            gray, part.lattice, plain, PRESETS[flat.preset], flat.overview.raw_noise
+        )
+    depth = estimate_lens_by_lens(
+        gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview
+    )
     return locate_edges(gray, part.lattice, depth) if PRESETS[flat.preset].edges else depth
 
 
 def _analyze_tiles(
-    flat: _Flat, workers: Workers, tiles: list[LensTile], progress: Callable[[int, int], None] | None
+    flat: _Flat,
+    workers: Workers,
+    tiles: list[LensTile],
+    progress: Callable[[int, int], None] | None,
 ) -> DepthMap:
-    lattice, preset = flat.lattice, flat.preset
+    lattice = flat.lattice
+    preset = flat.preset
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
     values = empty_lenses(len(lattice))
     finer = FINER if PRESETS[preset].edges else 1
@@ -197,12 +232,21 @@ def _analyze_tiles(
     corner = first[0] - 0.5 * (1 - 1 / finer) * spacing
     fine = Surface(surface, (corner, corner), spacing / finer)
     return DepthMap(
-        **values, surface=fine, pitch=lattice.pitch, image_size=lattice.image_size, preset=preset, saved=saved
+        **values,
+        surface=fine,
+        pitch=lattice.pitch,
+        image_size=lattice.image_size,
+        preset=preset,
+        saved=saved,
     )
 
 
-def _paste(target: NDArray[np.float32], surface: Surface, part: LensTile, spacing: float, finer: int) -> None:
-    """Copy the cells, `spacing` [px] wide with `finer` values each way, of a tile from its own surface."""
+def _paste(
+    target: NDArray[np.float32], surface: Surface, part: LensTile, spacing: float, finer: int
+) -> None:
+    """Copy the cells, `spacing` [px] wide with `finer` values each way, of a tile from its own
+    surface.
+    """
     values = surface.patch_size
     if round(spacing / surface.spacing) < finer:
         values = refine_grid(values, finer, TOLERANCE * part.lattice.pitch)

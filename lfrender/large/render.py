@@ -1,4 +1,6 @@
-"""Pictures of flats too large for memory: drawn tile by tile into a file, with the same bits as drawn as a whole."""
+"""Pictures of flats too large for memory: drawn tile by tile into a file, with the same bits as
+drawn as a whole.
+"""
 
 from __future__ import annotations
 
@@ -67,11 +69,12 @@ def render_large(
     client: Any = None,
     threads: int | None = None,
 ) -> LargePicture:
-    """Draw a large flat into a file, tile by tile: the pixels are those of `render`, whatever the tiles.
+    """Draw a large flat into a file, tile by tile: the pixels are those of `render`, whatever the
+    tiles.
 
-    Finished tiles are kept in a hidden folder beside `path`, with which a run that was killed can be continued. The
-    picture appears whole; errors are those of `render` and `write_picture`. TIFF and Zarr pictures need memory for one
-    tile, others are held as a whole to be encoded.
+    Finished tiles are kept in a hidden folder beside `path`, with which a run that was killed can
+    be continued. The picture appears whole; errors are those of `render` and `write_picture`. TIFF
+    and Zarr pictures need memory for one tile, others are held as a whole to be encoded.
 
     Parameters
     ----------
@@ -100,36 +103,62 @@ def render_large(
     >>> made.scale
     6.0
     """
-    output, reader = Path(path), TileReader(source, calibration)
+    output = Path(path)
+    reader = TileReader(source, calibration)
     check_large_picture(output, source.dtype, alpha)
     exposed = match_exposure(reader.sample_exposure(), calibration)
     renderer = make_renderer(reader.read, exposed, depth, patch_size, scale, blend, detail)
-    grid, workers = renderer.grid, Workers(client, threads)
+    grid = renderer.grid
+    workers = Workers(client, threads)
     # For a cluster four tiles a thread, so that few threads are idle at the end.
     side = _tile_size(renderer, reader, tile, 1 if client is None else 4 * workers.count)
-    text, suffix = describe(grid.affine(), settings), output.suffix.lower()
+    text = describe(grid.affine(), settings)
+    suffix = output.suffix.lower()
     channels = reader.channels + alpha
     shape = (*grid.size[::-1], channels) if channels > 1 else grid.size[::-1]
     # Of all that the picture depends on: tiles of an earlier run are used if it is the same.
     key = fingerprint(
-        file_identity(source.path), file_identity(source.dark), [source.page, str(source.dtype)], calibration.to_dict(),
-        [patch_size, grid.scale, renderer.blend, renderer.noise, *side, alpha, compress, suffix, text],
+        file_identity(source.path),
+        file_identity(source.dark),
+        [source.page, str(source.dtype)],
+        calibration.to_dict(),
+        [
+            patch_size,
+            grid.scale,
+            renderer.blend,
+            renderer.noise,
+            *side,
+            alpha,
+            compress,
+            suffix,
+            text,
+        ],
         *([] if depth is None else [depth.patch_size, depth.surface.patch_size]),
-    )  # fmt: skip
-    checkpoint, direct = Checkpoint(output), FORMATS[suffix].tiles
+    )
+    checkpoint = Checkpoint(output)
+    direct = FORMATS[suffix].tiles
     writer = TileWriter(
-        output if direct else output.with_suffix(".tif"), checkpoint.open(), shape, source.dtype, side, text,
-        icc=read_metadata(source.path).icc, compress=compress and direct,
-    )  # fmt: skip
+        output if direct else output.with_suffix(".tif"),
+        checkpoint.open(),
+        shape,
+        source.dtype,
+        side,
+        text,
+        icc=read_metadata(source.path).icc,
+        compress=compress and direct,
+    )
     # Valid pixels of each finished tile. A killed run may have left the list of tiles without them.
     done: dict[str, int] = checkpoint.find("picture", key) or {}
     if not writer.open(fresh=not done):
         done = {}
         checkpoint.keep("picture", key, done)
-    kept, parts = len(done), dict(enumerate(grid.tiles(side)))
+    kept = len(done)
+    parts = dict(enumerate(grid.tiles(side)))
     missing = {number: part for number, part in parts.items() if str(number) not in done}
     # A copy, without the tables that are cached in it: workers compute their own.
-    drawn = workers.map(_draw_tile, _Drawing(replace(renderer), reader), missing.values(), _read_part)
+    drawn = workers.map(
+        _draw_tile, _Drawing(replace(renderer), reader), missing.values(), _read_part
+    )
 
     def store(tile: tuple[int, tuple[NDArray[Any], NDArray[np.bool_]]]) -> None:
         number, (pixels, valid) = tile
@@ -162,13 +191,19 @@ def _read_part(drawing: _Drawing, tile: Part) -> NDArray[Any]:
     return drawing.reader.read_raw(drawing.renderer.required_part(tile))
 
 
-def _draw_tile(drawing: _Drawing, tile: Part, raw: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _draw_tile(
+    drawing: _Drawing, tile: Part, raw: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     part = drawing.renderer.required_part(tile)
-    return drawing.renderer.draw(drawing.reader.read(part, raw), part[:2], tile, drawing.reader.dtype)
+    return drawing.renderer.draw(
+        drawing.reader.read(part, raw), part[:2], tile, drawing.reader.dtype
+    )
 
 
 def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> None:
-    """Raise an error if a picture could not be written; as `check_format`, but Zarr arrays may be replaced."""
+    """Raise an error if a picture could not be written; as `check_format`, but Zarr arrays may be
+    replaced.
+    """
     if output.suffix.lower() != ".zarr" or not output.is_dir():
         check_format(output, "picture", dtype=dtype, alpha=alpha, inputs=inputs)
         return
@@ -177,39 +212,56 @@ def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ())
         raise PictureError(f"{output}: is an input of this command; give another output")
 
 
-def _tile_size(renderer: Renderer, reader: TileReader, tile: int | None, least: int) -> tuple[int, int]:
-    """Columns and rows of the tiles: as given, or nearly square ones of a gigabyte, at least `least` of them."""
+def _tile_size(
+    renderer: Renderer, reader: TileReader, tile: int | None, least: int
+) -> tuple[int, int]:
+    """Columns and rows of the tiles: as given, or nearly square ones of a gigabyte, at least
+    `least` of them.
+    """
     columns, rows = renderer.grid.size
     if tile is not None:
         if tile < 1:
             raise ValueError(f"tile must be a positive number of pixels, got {tile}")
         return min(tile, columns), min(tile, rows)
-    item, spacing = reader.dtype.itemsize * reader.channels, renderer.grid.spacing
-    # A pixel of the flat is in memory as read, for this tile and the next one, without vignetting, and prepared for
-    # interpolation, and has an occlusion depth. A pixel of the picture is there as computed, and as stored twice.
+    item = reader.dtype.itemsize * reader.channels
+    spacing = renderer.grid.spacing
+    # A pixel of the flat is in memory as read, for this tile and the next one, without vignetting,
+    # and prepared for interpolation, and has an occlusion depth. A pixel of the picture is there as
+    # computed, and as stored twice.
     bytes_each = spacing**2 * (4 * item + 6) + 4 * reader.channels + 4 + 2 * item
     one = renderer.required_part((columns // 2, rows // 2, columns // 2 + 1, rows // 2 + 1))
     side = max(int((2**30 / bytes_each) ** 0.5 - (one[2] - one[0]) / spacing), 64)
     if least > 1:
         # Smaller tiles for a cluster would be mostly halo.
         side = min(side, max(int(np.sqrt(columns * rows / least)), 512))
-    across, down = -(-columns // side), -(-rows // side)
+    across = -(-columns // side)
+    down = -(-rows // side)
     return -(-columns // across), -(-rows // down)
 
 
 def _encode(
-    writer: TileWriter, folder: Path, output: Path, renderer: Renderer, settings: Mapping[str, Any] | None,
-    source: FlatSource, alpha: bool,
-) -> None:  # fmt: skip
+    writer: TileWriter,
+    folder: Path,
+    output: Path,
+    renderer: Renderer,
+    settings: Mapping[str, Any] | None,
+    source: FlatSource,
+    alpha: bool,
+) -> None:
     """Write the finished tiles as a picture of another format."""
     import tifffile
 
-    whole, encoded = folder / "whole.tif", folder / f"encoded{output.suffix}"
+    whole = folder / "whole.tif"
+    encoded = folder / f"encoded{output.suffix}"
     writer.finish(whole)
-    pixels, valid = tifffile.imread(whole), np.ones(renderer.grid.size[::-1], bool)
+    pixels = tifffile.imread(whole)
+    valid = np.ones(renderer.grid.size[::-1], bool)
     if alpha:
-        valid, pixels = pixels[..., -1] > 0, pixels[..., :3] if pixels.shape[2] > 2 else pixels[..., 0]
+        valid = pixels[..., -1] > 0
+        pixels = pixels[..., :3] if pixels.shape[2] > 2 else pixels[..., 0]
     picture = Rendering(pixels, renderer.grid.affine(), valid, renderer.scale)
     # Encoded into the hidden folder: if the process is killed, the next run removes the file.
-    write_picture(encoded, picture, alpha=alpha, settings=settings, embedded=read_metadata(source.path))
+    write_picture(
+        encoded, picture, alpha=alpha, settings=settings, embedded=read_metadata(source.path)
+    )
     move_into_place(encoded, output)

@@ -1,7 +1,9 @@
-"""Parts of a large flat: which lenses and which pixels belong to a tile or a window, and reading these pixels.
+"""Parts of a large flat: which lenses and which pixels belong to a tile or a window, and reading
+these pixels.
 
-Windows are spread over the flat, tiles make up all of it. Where the preset reduces the flat, parts begin where a pixel
-of the reduced flat does: their pixels are those that the whole reduced flat would have.
+Windows are spread over the flat, tiles make up all of it. Where the preset reduces the flat, parts
+begin where a pixel of the reduced flat does: their pixels are those that the whole reduced flat
+would have.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ Rectangle = tuple[int, int, int, int]
 
 
 class TileReader:
-    """Reads parts of a flat, in colour where the camera has a colour mosaic; copies open the file themselves."""
+    """Reads parts of a flat, in colour where the camera has a colour mosaic; copies open the file
+    themselves.
+    """
 
     def __init__(self, source: FlatSource, calibration: Calibration) -> None:
         check_type(source, FlatSource, "source", "lfcal.open_flat makes one")
@@ -38,7 +42,9 @@ class TileReader:
         self.size = source.shape[1], source.shape[0]
         if self.size != calibration.image_size:
             was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, self.size))
-            raise CalibrationError(f"calibration is for images of {was} px, the flat has {now}; calibrate on this flat")
+            raise CalibrationError(
+                f"calibration is for images of {was} px, the flat has {now}; calibrate on this flat"
+            )
         self._source: FlatSource | None = source
         dark = None if source.dark is None else source.dark.absolute()
         self._file = source.path.absolute(), source.page, dark
@@ -55,21 +61,29 @@ class TileReader:
         """The pixels of a part as stored, with those around it that demosaicing needs."""
         if self._source is None:
             if file_identity(self._file[0])[1] != self._bytes:
-                raise FlatError(f"{self._file[0]}: is another file where the workers are, or has been changed")
+                raise FlatError(
+                    f"{self._file[0]}: is another file where the workers are, or has been changed"
+                )
             self._source = open_flat(*self._file)
         return self._source.read(*self._widen(part))
 
     def read(self, part: Rectangle, raw: NDArray[Any] | None = None) -> NDArray[Any]:
-        """(h, w, C) pixels of a part, the same as `check_flat` gives there; from those of `read_raw` if given."""
+        """(h, w, C) pixels of a part, the same as `check_flat` gives there; from those of
+        `read_raw` if given.
+        """
         raw = self.read_raw(part) if raw is None else raw
         if not self._mosaic:
             return raw if raw.ndim == 3 else raw[:, :, None]
         left, top, _, _ = self._widen(part)
         colour = demosaic(raw, self.calibration, (left, top))
-        return np.ascontiguousarray(colour[part[1] - top : part[3] - top, part[0] - left : part[2] - left])
+        return np.ascontiguousarray(
+            colour[part[1] - top : part[3] - top, part[0] - left : part[2] - left]
+        )
 
     def _widen(self, part: Rectangle) -> Rectangle:
-        """The part with the pixels around it that demosaicing needs; it begins at even places of a mosaic."""
+        """The part with the pixels around it that demosaicing needs; it begins at even places of a
+        mosaic.
+        """
         if not self._mosaic:
             return part
         left, top = (max(0, at - SUPPORT) // 2 * 2 for at in part[:2])
@@ -79,25 +93,38 @@ class TileReader:
     def sample_exposure(self) -> NDArray[Any]:
         """Rows (n, W, C) of the flat from which its exposure is measured."""
         width, height = self.size
-        return np.concatenate([self.read((0, row, width, row + 1)) for row in exposure_rows(height).tolist()])
+        return np.concatenate(
+            [self.read((0, row, width, row + 1)) for row in exposure_rows(height).tolist()]
+        )
 
 
 @dataclass(frozen=True)
 class LensTile:
-    """A part of the flat that is analysed alone; corner and core are in pixels of the flat as it is analysed."""
+    """A part of the flat that is analysed alone; corner and core are in pixels of the flat as it is
+    analysed.
+    """
 
     factor: int
     corner: NDArray[np.int64]  # (2,) first pixel x, y
     full: Lattice  # in the pixels of the part as it is read
     lattice: Lattice  # in those of the part as it is analysed
-    inside: NDArray[np.bool_]  # lenses of `lattice` whose results are taken from this part; the others are its halo
+    inside: NDArray[
+        np.bool_
+    ]  # lenses of `lattice` whose results are taken from this part; the others are its halo
     core: tuple[float, ...]  # `left, top, right, bottom` around the centres of these lenses
 
     @classmethod
     def cut(
-        cls, whole: Lattice, factor: int, low: Iterable[int], high: Iterable[int], core: NDArray[np.float64]
+        cls,
+        whole: Lattice,
+        factor: int,
+        low: Iterable[int],
+        high: Iterable[int],
+        core: NDArray[np.float64],
     ) -> LensTile:
-        """The part from pixel `low` to before `high` of the flat whose lattice, in pixels as read, is `whole`."""
+        """The part from pixel `low` to before `high` of the flat whose lattice, in pixels as read,
+        is `whole`.
+        """
         corner = np.array(list(low), np.int64)
         end = np.minimum(np.array(list(high), np.int64) * factor, whole.image_size)
         full = crop_lattice(whole, corner * factor, end)
@@ -115,12 +142,17 @@ class LensTile:
 
 
 def lens_windows(whole: Lattice, factor: int) -> Iterator[LensTile]:
-    """At most 6 x 6 windows of 16 pitches, evenly spread from border to border; lenses near their borders are halo."""
-    size, pitch = np.array(_reduced_size(whole, factor)), whole.pitch / factor
+    """At most 6 x 6 windows of 16 pitches, evenly spread from border to border; lenses near their
+    borders are halo.
+    """
+    size = np.array(_reduced_size(whole, factor))
+    pitch = whole.pitch / factor
     side = int(max(16 * pitch, 256))
     counts = np.clip(size // side, 1, 6)
     spans = np.where(counts > 1, side, size)
-    columns, rows = (np.linspace(0, max(0, n - side), k).astype(int) for n, k in zip(size, counts, strict=True))
+    columns, rows = (
+        np.linspace(0, max(0, n - side), k).astype(int) for n, k in zip(size, counts, strict=True)
+    )
     for corner in np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2):
         end = np.minimum(corner + spans, size)
         # At the border of the flat the window cuts nothing off.
@@ -132,17 +164,26 @@ def lens_windows(whole: Lattice, factor: int) -> Iterator[LensTile]:
 def lens_tiles(
     whole: Lattice, factor: int, preset: Preset, pixel_bytes: int = 3, memory: float = 6e8
 ) -> Iterator[LensTile]:
-    """The flat, of `pixel_bytes` per pixel, cut into tiles that need `memory` [bytes] each, with their halos."""
-    size, pitch = _reduced_size(whole, factor), whole.pitch / factor
-    # Matching averages blocks of pixels and skips rows of them: tiles use the same blocks as the whole flat.
+    """The flat, of `pixel_bytes` per pixel, cut into tiles that need `memory` [bytes] each, with
+    their halos.
+    """
+    size = _reduced_size(whole, factor)
+    pitch = whole.pitch / factor
+    # Matching averages blocks of pixels and skips rows of them: tiles use the same blocks as the
+    # whole flat.
     block = max(1, round(pitch / preset.search_pitch)) * preset.row_step
     # Shading is averaged over 4.2 pitches, the rest is for support.
     halo = int(np.ceil(8 * pitch))
     # Pixels as read, of this tile and of the next one; then grey, without shading, cut out, masks.
     bytes_each = 2 * pixel_bytes * factor**2 + 20
     side = max(2 * halo, int(np.sqrt(memory / bytes_each)) - 2 * halo)
-    edges = [np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist() for length in size]
-    spacing = grid_shape(whole if factor == 1 else whole.downscaled(factor), preset.surface_cells)[2]
+    edges = [
+        np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist()
+        for length in size
+    ]
+    spacing = grid_shape(whole if factor == 1 else whole.downscaled(factor), preset.surface_cells)[
+        2
+    ]
     for top, bottom in zip(edges[1], edges[1][1:], strict=False):
         for left, right in zip(edges[0], edges[0][1:], strict=False):
             low = [_align(max(0, at - halo), spacing, block) for at in (left, top)]
@@ -159,7 +200,9 @@ def _reduced_size(whole: Lattice, factor: int) -> tuple[int, int]:
 
 
 def _align(at: int, spacing: float, block: int) -> int:
-    """The pixel at or before `at` where a block begins and, of 40 cells, most nearly a cell of the surface."""
+    """The pixel at or before `at` where a block begins and, of 40 cells, most nearly a cell of the
+    surface.
+    """
     last = int(at / spacing)
     starts = np.arange(max(0, last - 40), last + 1) * spacing
     pixels = np.rint(starts / block).astype(int) * block

@@ -1,1 +1,3 @@
-"""Live pictures of a camera: sources, the newest frame analysed and drawn, recordings, a page for browsers."""
+"""Live pictures of a camera: sources, the newest frame analysed and drawn, recordings, a page for
+browsers.
+"""

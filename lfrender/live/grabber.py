@@ -1,6 +1,8 @@
-"""Reading a source in a thread of its own: the newest frame only, frames counted, and opened again when it comes back.
+"""Reading a source in a thread of its own: the newest frame only, frames counted, and opened again
+when it comes back.
 
-A slow reader never blocks the camera: a frame that is not taken before the next one arrives is counted as lost.
+A slow reader never blocks the camera: a frame that is not taken before the next one arrives is
+counted as lost.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ _AGAIN = 1.0
 
 
 class Grabber:
-    """Reads the frames that `open_source` gives; errors of the first frame are raised, later ones are a `message`."""
+    """Reads the frames that `open_source` gives; errors of the first frame are raised, later ones
+    are a `message`.
+    """
 
     def __init__(self, open_source: Callable[[], Iterator[Shot]]) -> None:
         self.received = self.lost = 0
@@ -38,7 +42,9 @@ class Grabber:
         self._thread.start()
 
     def take(self, timeout: float) -> Shot | None:
-        """The newest frame that has not been taken yet; None if none arrives within so many seconds."""
+        """The newest frame that has not been taken yet; None if none arrives within so many
+        seconds.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None, timeout)
             shot, self._newest = self._newest, None
@@ -55,7 +61,11 @@ class Grabber:
             self.received += 1 + shot.lost
             recorder = self.recorder
             shot = replace(
-                shot, number=self.received, arrived=time.monotonic(), time=time.time(), recorded=recorder is not None
+                shot,
+                number=self.received,
+                arrived=time.monotonic(),
+                time=time.time(),
+                recorded=recorder is not None,
             )
             self._newest, self.message = shot, ""
             self._changed.notify_all()
@@ -73,7 +83,9 @@ class Grabber:
             # Drivers raise errors of any kind when a camera is pulled out.
             except Exception as error:
                 text = " ".join(str(error).split()) or type(error).__name__
-                self.message = text if isinstance(error, LightFieldError) else f"the camera fails: {text}"
+                self.message = (
+                    text if isinstance(error, LightFieldError) else f"the camera fails: {text}"
+                )
                 self._stopped.wait(_AGAIN)
                 self._frames = self._open()
         self._frames.close()  # type: ignore[attr-defined]

@@ -1,7 +1,9 @@
-"""Recordings: raw frames with their times, the camera and the settings in one TIFF, which all commands read.
+"""Recordings: raw frames with their times, the camera and the settings in one TIFF, which all
+commands read.
 
-Page by page the pixels are as the source gave them. The description of each page is a JSON text with the number and the
-times of the frame; that of the first one holds the camera and the settings too.
+Page by page the pixels are as the source gave them. The description of each page is a JSON text
+with the number and the times of the frame; that of the first one holds the camera and the settings
+too.
 """
 
 from __future__ import annotations
@@ -102,8 +104,15 @@ class Recorder:
             self.skipped += 1
             return
         when = datetime.fromtimestamp(shot.time, UTC).isoformat(timespec="microseconds")
-        text = {"software": "lfrender", "frame": shot.number, "time": when, "camera_clock_ns": shot.ticks}
+        text = {
+            "software": "lfrender",
+            "frame": shot.number,
+            "time": when,
+            "camera_clock_ns": shot.ticks,
+        }
         text |= {} if self._about is None else {"recording": self._about}
-        self._file.write(shot.pixels, contiguous=False, **tiff_tags(shot.pixels.shape, json.dumps(text), b""))
+        self._file.write(
+            shot.pixels, contiguous=False, **tiff_tags(shot.pixels.shape, json.dumps(text), b"")
+        )
         self._about = None
         self.frames += 1

@@ -1,7 +1,7 @@
 """The live page: pictures as JPEG, the status as JSON, and commands.
 
-A page asks for the picture after the last one that it has shown, and waits until there is one: a slow browser gets
-fewer pictures, and holds up nobody.
+A page asks for the picture after the last one that it has shown, and waits until there is one: a
+slow browser gets fewer pictures, and holds up nobody.
 """
 
 from __future__ import annotations
@@ -21,9 +21,18 @@ __all__ = ["LiveServer"]
 class LiveServer(WebServer):
     """Serves the page of a session; the rest is as for `WebServer`."""
 
-    def __init__(self, session: Session, title: str, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(
+        self, session: Session, title: str, host: str = "127.0.0.1", port: int = 0
+    ) -> None:
         self._session = session
-        self._page = str(fill("live.html", title=title, style=read_asset("viewer.css"), script=read_asset("live.js")))
+        self._page = str(
+            fill(
+                "live.html",
+                title=title,
+                style=read_asset("viewer.css"),
+                script=read_asset("live.js"),
+            )
+        )
         routes = {
             ("GET", "/"): lambda _: HTMLResponse(self._page),
             ("GET", "/status"): lambda _: JSONResponse(session.status()),
@@ -46,7 +55,8 @@ class LiveServer(WebServer):
             return JSONResponse({"message": str(error)}, 400)
         try:
             found = self._session.picture(kind, after, place)
-        # What is wrong with one picture, such as a place without depth, is said, and the page goes on.
+        # What is wrong with one picture, such as a place without depth, is said, and the page goes
+        # on.
         except Exception as error:
             return JSONResponse({"message": " ".join(str(error).split())}, 500)
         if found is None:

@@ -1,7 +1,9 @@
-"""A live session: the newest frame of a source, its depth and its pictures, as far as somebody looks at them.
+"""A live session: the newest frame of a source, its depth and its pictures, as far as somebody
+looks at them.
 
-Depth and the sharp picture are updated from a reference frame where nothing has moved. While a recording runs, they are
-made of each frame alone, so that they have the bits of those that are rendered from the recording.
+Depth and the sharp picture are updated from a reference frame where nothing has moved. While a
+recording runs, they are made of each frame alone, so that they have the bits of those that are
+rendered from the recording.
 """
 
 from __future__ import annotations
@@ -42,11 +44,14 @@ COMMANDS = ("record", "stop", "snapshot", "calibrate")
 KINDS = ("raw", "traditional", "sharp", "focus", "depth")
 # A picture that nobody has asked for during so long [s] is not made.
 _WATCHED = 5.0
-# Compared with a reference frame, a frame in which less than this share of the lenses is still becomes the next one.
+# Compared with a reference frame, a frame in which less than this share of the lenses is still
+# becomes the next one.
 _STILL = 0.9
-# After so many references in a row depth starts afresh, or changes smaller than the noise would add up.
+# After so many references in a row depth starts afresh, or changes smaller than the noise would add
+# up.
 _CHAIN = 30
-# Output pixels per pitch of the depth picture, which browsers enlarge: more would take longer than the depth itself.
+# Output pixels per pitch of the depth picture, which browsers enlarge: more would take longer than
+# the depth itself.
 _DEPTH_SCALE = 4.0
 
 
@@ -71,26 +76,34 @@ class View:
     def light(self) -> dict[str, Any]:
         """What the raw frame tells about exposure and focus.
 
-        Its pixels over 32 levels up to white, the share of those at white, and the sharpness of the middle third:
-        standard deviation of its Laplacian over its mean, which is largest in focus.
+        Its pixels over 32 levels up to white, the share of those at white, and the sharpness of the
+        middle third: standard deviation of its Laplacian over its mean, which is largest in focus.
         """
         import cv2
 
         pixels = self.shot.pixels
-        top = white_of(pixels, self.shot.white or (self.camera.white_level if self.camera else None))
+        top = white_of(
+            pixels, self.shot.white or (self.camera.white_level if self.camera else None)
+        )
         height, width = pixels.shape[:2]
-        part = pixels[height // 3 : height - height // 3, width // 3 : width - width // 3].astype(np.float32)
+        part = pixels[height // 3 : height - height // 3, width // 3 : width - width // 3].astype(
+            np.float32
+        )
         grey = part if part.ndim == 2 else part.mean(2)
         few = pixels[:: max(1, height // 500), :: max(1, width // 500)]
         return {
             "histogram": np.histogram(few, 32, (0, top))[0].tolist(),
             "clipped": float((few >= top).mean()),
-            "sharpness": float(cv2.Laplacian(grey, cv2.CV_32F).std() / max(float(grey.mean()), 1e-9)),
+            "sharpness": float(
+                cv2.Laplacian(grey, cv2.CV_32F).std() / max(float(grey.mean()), 1e-9)
+            ),
         }
 
     def has(self, kind: str) -> bool:
         """Whether the picture can be drawn; without a camera all are the raw frame."""
-        needed = {"sharp": self.sharp, "focus": self.depth, "depth": self.depth}.get(kind, self.camera)
+        needed = {"sharp": self.sharp, "focus": self.depth, "depth": self.depth}.get(
+            kind, self.camera
+        )
         return self.camera is None or needed is not None
 
     def draw(self, kind: str, at: Place = (0.5, 0.5)) -> NDArray[Any]:
@@ -104,7 +117,10 @@ class View:
             assert self.depth is not None
             return np.asarray(depth_picture(self.depth, _DEPTH_SCALE))
         elif kind == "focus":
-            place = tuple(share * length - 0.5 for share, length in zip(at, self.camera.image_size, strict=True))
+            place = tuple(
+                share * length - 0.5
+                for share, length in zip(at, self.camera.image_size, strict=True)
+            )
             picture = refocus(self.flat, self.camera, position=place, depth=self.depth)  # type: ignore[arg-type]
         else:
             assert self.sharp is not None
@@ -124,20 +140,28 @@ class View:
             if key not in self.jpegs:
                 pixels = self.draw(kind, at)
                 pixels = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
-                self.jpegs[key] = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
+                self.jpegs[key] = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 90])[
+                    1
+                ].tobytes()
             return self.jpegs[key]
 
 
 def _in_colour(shot: Shot, camera: Calibration) -> NDArray[Any]:
     """The pixels of a frame, in colour where the camera has a mosaic.
 
-    Recorded frames get the colours that commands would give them; others, of 8 bits, in a tenth of that time by
-    variable number of gradients (Chang et al. 1999), which also mixes pixels of neighbouring microimages: on Fujita2
-    pictures are 40.2 dB from those of the true colours, and not 42.9.
+    Recorded frames get the colours that commands would give them; others, of 8 bits, in a tenth of
+    that time by variable number of gradients (Chang et al. 1999), which also mixes pixels of
+    neighbouring microimages: on Fujita2 pictures are 40.2 dB from those of the true colours, and
+    not 42.9.
     """
     import cv2
 
-    if shot.recorded or shot.pixels.ndim == 3 or camera.mosaic is None or shot.pixels.dtype != np.uint8:
+    if (
+        shot.recorded
+        or shot.pixels.ndim == 3
+        or camera.mosaic is None
+        or shot.pixels.dtype != np.uint8
+    ):
         return demosaic(shot.pixels, camera)
     return cv2.demosaicing(shot.pixels, getattr(cv2, f"COLOR_Bayer{camera.mosaic}2RGB_VNG"))
 
@@ -145,9 +169,9 @@ def _in_colour(shot: Shot, camera: Calibration) -> NDArray[Any]:
 class Session:
     """Analyses and draws the newest frame of a source again and again, in a thread of its own.
 
-    `find_camera` gives the camera of a frame, measured on it unless it is `given`; where it fails, the raw frames are
-    shown and it is tried again. Dim frames are shown brighter, by one gain until the next calibration (`exposure`).
-    Recordings and snapshots go into `folder`.
+    `find_camera` gives the camera of a frame, measured on it unless it is `given`; where it fails,
+    the raw frames are shown and it is tried again. Dim frames are shown brighter, by one gain until
+    the next calibration (`exposure`). Recordings and snapshots go into `folder`.
     """
 
     def __init__(
@@ -184,8 +208,12 @@ class Session:
             self.message = str(error)
         self._thread.start()
 
-    def picture(self, kind: str, after: int, at: Place = (0.5, 0.5), timeout: float = 5.0) -> tuple[View, bytes] | None:
-        """The picture of a frame later than number `after` as JPEG; None if there is none within so many seconds."""
+    def picture(
+        self, kind: str, after: int, at: Place = (0.5, 0.5), timeout: float = 5.0
+    ) -> tuple[View, bytes] | None:
+        """The picture of a frame later than number `after` as JPEG; None if there is none within so
+        many seconds.
+        """
         end = time.monotonic() + timeout
         with self._published:
             while True:
@@ -207,15 +235,23 @@ class Session:
         return f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
 
     def status(self) -> dict[str, Any]:
-        """Counts, the time from the arrival of a frame to its picture [s], its light, and what is to be said."""
-        grabber, recorder, camera = self.grabber, self.grabber.recorder, self.camera
+        """Counts, the time from the arrival of a frame to its picture [s], its light, and what is
+        to be said.
+        """
+        grabber = self.grabber
+        recorder = self.grabber.recorder
+        camera = self.camera
         return {
-            "received": grabber.received, "lost": grabber.lost, "latency": self.latency, "still": self.still,
+            "received": grabber.received,
+            "lost": grabber.lost,
+            "latency": self.latency,
+            "still": self.still,
             "camera": "\n".join([self.about, *(camera.warnings if camera else ()), *self.findings]),
-            "saved": self.saved, "recording": recorder and recorder.told,
+            "saved": self.saved,
+            "recording": recorder and recorder.told,
             "message": grabber.message or (recorder and recorder.message) or self.message,
             **(self.view.light if self.view else {}),
-        }  # fmt: skip
+        }
 
     def command(self, name: str) -> None:
         """Do `record`, `stop`, `snapshot` or `calibrate`; OutputError if a file cannot be written."""
@@ -250,7 +286,9 @@ class Session:
         return Recorder(path, {"camera": camera, "preset": self.preset, "scale": self.scale})
 
     def _watched(self, *kinds: str) -> bool:
-        return any(time.monotonic() - self._wanted.get(kind, -_WATCHED) < _WATCHED for kind in kinds)
+        return any(
+            time.monotonic() - self._wanted.get(kind, -_WATCHED) < _WATCHED for kind in kinds
+        )
 
     def _run(self) -> None:
         while not self._stopped.is_set():
@@ -265,7 +303,10 @@ class Session:
                 self.message = self._analyze(view)
             # What is wrong with one frame, such as its size, is said, and the next one is tried.
             except Exception as error:
-                self.message, view.camera = " ".join(str(error).split()) or type(error).__name__, None
+                self.message, view.camera = (
+                    " ".join(str(error).split()) or type(error).__name__,
+                    None,
+                )
             with self._published:
                 self.view = view
                 self._published.notify_all()
@@ -279,16 +320,24 @@ class Session:
             self._tried = time.monotonic()
         white = shot.white or camera.white_level
         self._gain = exposure_gain(shot.pixels, white, self._exposure)
-        # A camera that is given tells nothing but the rotation: this frame need not be its white image.
+        # A camera that is given tells nothing but the rotation: this frame need not be its white
+        # image.
         found = assess(
-            shot.pixels, calibration=replace(camera, source="scene") if self._given else camera, white_level=shot.white
+            shot.pixels,
+            calibration=replace(camera, source="scene") if self._given else camera,
+            white_level=shot.white,
         ).findings
-        self.findings = [f"{name}: {finding}" for name, finding in found.items() if finding.measured]
+        self.findings = [
+            f"{name}: {finding}" for name, finding in found.items() if finding.measured
+        ]
         return camera
 
     def _analyze(self, view: View) -> str:
-        """Find camera, depth and sharp picture of a frame, as far as somebody wants them; what is to be said of it."""
-        camera, message = self.camera, ""
+        """Find camera, depth and sharp picture of a frame, as far as somebody wants them; what is
+        to be said of it.
+        """
+        camera = self.camera
+        message = ""
         if camera is None:
             # A recording has one camera or none.
             if view.shot.recorded or time.monotonic() - self._tried < 2:
@@ -309,14 +358,18 @@ class Session:
                     drawn = {"previous": (before.flat, before.depth, before.sharp)}
                 view.sharp = render(view.flat, camera, depth, **drawn)
             # A picture of no scene has another scale than those that follow.
-            if self.scale is not None and (before is None or self.still < _STILL or (view.sharp and not before.sharp)):
+            if self.scale is not None and (
+                before is None or self.still < _STILL or (view.sharp and not before.sharp)
+            ):
                 self._chain = 0 if before is None else self._chain + 1
                 self._reference = view, camera
         view.camera = camera
         return message
 
     def _comparable(self, view: View, camera: Calibration) -> View | None:
-        """The frame that this one is compared with, if there is one and the picture may depend on it."""
+        """The frame that this one is compared with, if there is one and the picture may depend on
+        it.
+        """
         if view.shot.recorded or self._reference is None or self._chain >= _CHAIN:
             return None
         before, of = self._reference

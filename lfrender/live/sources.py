@@ -1,7 +1,9 @@
-"""Sources of live frames: files played in a loop, devices and streams of OpenCV, GenICam cameras by GenTL or Aravis.
+"""Sources of live frames: files played in a loop, devices and streams of OpenCV, GenICam cameras by
+GenTL or Aravis.
 
-A source is a generator of shots: it opens its camera when the first one is asked for, raises `SourceError` as soon as
-the camera is gone, and gives it back when it is closed. Pixels are copied before the camera gets its buffer back.
+A source is a generator of shots: it opens its camera when the first one is asked for, raises
+`SourceError` as soon as the camera is gone, and gives it back when it is closed. Pixels are copied
+before the camera gets its buffer back.
 """
 
 from __future__ import annotations
@@ -56,8 +58,11 @@ class Shot:
     recorded: bool = False  # whether it goes into a recording
 
 
-def open_source(name: str, pixel_format: str | None = None, rate: float | None = None) -> Iterator[Shot]:
-    """The frames of a source, by its name (docs/live.md); of files, `rate` a second, by default as the video, or 10.
+def open_source(
+    name: str, pixel_format: str | None = None, rate: float | None = None
+) -> Iterator[Shot]:
+    """The frames of a source, by its name (docs/live.md); of files, `rate` a second, by default as
+    the video, or 10.
 
     GenICam cameras are set to a `pixel_format` such as `"Mono12"`, if it is given.
     """
@@ -68,7 +73,9 @@ def open_source(name: str, pixel_format: str | None = None, rate: float | None =
     if pixel_format is not None:
         raise SourceError(f"{name}: --pixel-format is for GenICam cameras; leave it out")
     path = Path(name).expanduser()
-    if path.is_dir() or (path.suffix.lower() in {*IMAGE_SUFFIXES, *VIDEO_FORMATS, RAW_SUFFIX} and "://" not in name):
+    if path.is_dir() or (
+        path.suffix.lower() in {*IMAGE_SUFFIXES, *VIDEO_FORMATS, RAW_SUFFIX} and "://" not in name
+    ):
         return _play_files(path, rate)
     return _read_opencv(name)
 
@@ -78,14 +85,17 @@ def _play_files(path: Path, rate: float | None) -> Iterator[Shot]:
     frames = open_frames([path])
     step = 1 / float(rate or frames.rate or Fraction(10))
     kept: list[NDArray[Any]] | None = []
-    complete, due = False, time.monotonic()
+    complete = False
+    due = time.monotonic()
     while True:
-        lost, error = 0, None
+        lost = 0
+        error = None
         for item in kept if complete and kept else frames:
             try:
                 pixels = item if isinstance(item, np.ndarray) else item.read()
             except FlatError as wrong:
-                lost, error = lost + 1, wrong
+                lost = lost + 1
+                error = wrong
                 continue
             if kept is not None and not complete:
                 kept = [*kept, pixels] if (len(kept) + 1) * pixels.nbytes <= _MOST_KEPT else None
@@ -108,7 +118,9 @@ def _read_opencv(name: str) -> Iterator[Shot]:
         device = cv2.VideoCapture(int(name))
     elif " ! " in name:
         if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):
-            raise SourceError(f"{name}: this OpenCV is built without GStreamer, as those of PyPI are; use Debian's")
+            raise SourceError(
+                f"{name}: this OpenCV is built without GStreamer, as those of PyPI are; use Debian's"
+            )
         device = cv2.VideoCapture(name, cv2.CAP_GSTREAMER)
     elif "://" in name:
         wait = int(1000 * _PATIENCE)
@@ -124,23 +136,32 @@ def _read_opencv(name: str) -> Iterator[Shot]:
             good, frame = device.read()
             if not good:
                 raise SourceError(f"{name}: gives no more frames")
-            yield Shot(np.ascontiguousarray(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)))
+            yield Shot(
+                np.ascontiguousarray(
+                    frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+                )
+            )
     finally:
         device.release()
 
 
 def to_flat(name: str, data: NDArray[Any], width: int, height: int) -> Shot:
-    """A frame of a GenICam camera from the name of its pixel format (PFNC) and its data; the pixels are a copy.
+    """A frame of a GenICam camera from the name of its pixel format (PFNC) and its data; the pixels
+    are a copy.
 
-    Pixels of 8 bits, of 10 to 16 in two bytes, and of 12 in three bytes for two are read: grey, colours, and Bayer
-    mosaics. SourceError for others.
+    Pixels of 8 bits, of 10 to 16 in two bytes, and of 12 in three bytes for two are read: grey,
+    colours, and Bayer mosaics. SourceError for others.
     """
     found = _FORMAT.fullmatch(name)
     colours, bits, packed = found.groups() if found else ("", "", None)
     if not found or (packed and data.dtype == np.uint8 and bits != "12"):
-        raise SourceError(f"pixels of the camera of kind {name} are not read; set Mono8, Mono12, BayerRG8 or the like")
+        raise SourceError(
+            f"pixels of the camera of kind {name} are not read; set Mono8, Mono12, BayerRG8 or the like"
+        )
     if packed and data.dtype == np.uint8:
-        first, middle, last = (part.astype(np.uint16) for part in data[: width * height * 3 // 2].reshape(-1, 3).T)
+        first, middle, last = (
+            part.astype(np.uint16) for part in data[: width * height * 3 // 2].reshape(-1, 3).T
+        )
         # PFNC has the low bits first, GigE Vision 1 ("Packed") the high ones.
         one = first | (middle & 15) << 8 if packed == "p" else first << 4 | middle & 15
         values = np.stack([one, last << 4 | middle >> 4], 1).ravel()
@@ -150,15 +171,26 @@ def to_flat(name: str, data: NDArray[Any], width: int, height: int) -> Shot:
     pixels = values[: width * height * channels].reshape((height, width, channels))
     if channels > 1:
         pixels = pixels[:, :, 2::-1] if colours[0] == "B" else pixels[:, :, :3]
-    filters = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}.get(colours.removeprefix("Bayer"))
+    filters = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}.get(
+        colours.removeprefix("Bayer")
+    )
     white = None if bits in ("8", "16") else float(2 ** int(bits) - 1)
-    return Shot(np.array(pixels if channels > 1 else pixels[:, :, 0], order="C"), filters, white, encoded=False)
+    return Shot(
+        np.array(pixels if channels > 1 else pixels[:, :, 0], order="C"),
+        filters,
+        white,
+        encoded=False,
+    )
 
 
 def _counted(shot: Shot, number: int, before: int | None, ticks: int | None) -> Shot:
-    """A frame with the number of those that are missing between its number and that of the one `before`."""
+    """A frame with the number of those that are missing between its number and that of the one
+    `before`.
+    """
     # Numbers of GigE Vision 1 begin again after 65535.
-    return replace(shot, lost=number - before - 1 if before is not None and number > before else 0, ticks=ticks)
+    return replace(
+        shot, lost=number - before - 1 if before is not None and number > before else 0, ticks=ticks
+    )
 
 
 def _read_gentl(name: str, pixel_format: str | None) -> Iterator[Shot]:
@@ -171,7 +203,9 @@ def _read_gentl(name: str, pixel_format: str | None) -> Iterator[Shot]:
             f"{name}: GenTL producers need the package 'harvesters'; pip install 'lfrender[live]'"
         ) from error
     producer, _, wanted = name.partition(".cti")
-    harvester, camera, before = Harvester(), None, None
+    harvester = Harvester()
+    camera = None
+    before = None
     try:
         if not Path(f"{producer}.cti").is_file():
             raise SourceError(f"{producer}.cti: there is no such GenTL producer")
@@ -180,7 +214,9 @@ def _read_gentl(name: str, pixel_format: str | None) -> Iterator[Shot]:
         devices = [device.id_ for device in harvester.device_info_list]
         device = next((found for found in devices if wanted[1:] in ("", found)), None)
         if device is None:
-            raise SourceError(f"{name}: no such camera; this producer finds {', '.join(devices) or 'none'}")
+            raise SourceError(
+                f"{name}: no such camera; this producer finds {', '.join(devices) or 'none'}"
+            )
         interrupt = signal.getsignal(signal.SIGINT)
         camera = harvester.create({"id_": device})
         # The library takes Ctrl-C for itself.
@@ -191,7 +227,9 @@ def _read_gentl(name: str, pixel_format: str | None) -> Iterator[Shot]:
         camera.start()
         while True:
             with camera.fetch(timeout=_PATIENCE) as buffer:
-                part, number, ticks = buffer.payload.components[0], buffer.frame_id, None
+                part = buffer.payload.components[0]
+                number = buffer.frame_id
+                ticks = None
                 with suppress(GenericException):
                     ticks = buffer.timestamp_ns
                 shot = to_flat(part.data_format, part.data, part.width, part.height)
@@ -219,7 +257,8 @@ def _read_aravis(name: str, pixel_format: str | None) -> Iterator[Shot]:
             f"{name}: needs Aravis for Python: apt install gir1.2-aravis-0.8 python3-gi, and an environment made with "
             "python3 -m venv --system-site-packages"
         ) from error
-    camera, before = None, None
+    camera = None
+    before = None
     try:
         camera = Aravis.Camera.new(name.removeprefix("arv:") or None)
         if pixel_format:
@@ -233,7 +272,9 @@ def _read_aravis(name: str, pixel_format: str | None) -> Iterator[Shot]:
             buffer = stream.timeout_pop_buffer(int(1e6 * _PATIENCE))
             if buffer is None:
                 raise SourceError(f"{name}: no frame for {_PATIENCE:g} s")
-            shot, number, ticks = None, buffer.get_frame_id(), buffer.get_timestamp()
+            shot = None
+            number = buffer.get_frame_id()
+            ticks = buffer.get_timestamp()
             if buffer.get_status() == Aravis.BufferStatus.SUCCESS:
                 size = buffer.get_image_width(), buffer.get_image_height()
                 shot = to_flat(kind, np.frombuffer(buffer.get_data(), np.uint8), *size)

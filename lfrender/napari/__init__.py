@@ -1,1 +1,3 @@
-"""The plugin for napari (`pip install 'lfrender[napari]'`): readers, sample data, and widgets, by `napari.yaml`."""
+"""The plugin for napari (`pip install 'lfrender[napari]'`): readers, sample data, and widgets, by
+`napari.yaml`.
+"""

@@ -66,4 +66,5 @@ def _sample(name: str) -> list[Layer]:
     return napari_layers(flat=sample.flat, calibration=sample.truth.calibration)
 
 
-house, clutter = partial(_sample, "house"), partial(_sample, "clutter")
+house = partial(_sample, "house")
+clutter = partial(_sample, "clutter")

@@ -1,7 +1,8 @@
-"""Functions that napari makes widgets of: calibrate, analyze, render; layers in, layers out, in scene coordinates.
+"""Functions that napari makes widgets of: calibrate, analyze, render; layers in, layers out, in
+scene coordinates.
 
-Annotations name napari's types without importing it: magicgui resolves these strings, and these alone, so that all
-other annotations have to be types.
+Annotations name napari's types without importing it: magicgui resolves these strings, and these
+alone, so that all other annotations have to be types.
 """
 
 from pathlib import Path
@@ -26,7 +27,9 @@ __all__ = ["analyze", "calibrate", "render"]
 
 
 def calibrate(
-    flat: "napari.types.ImageData", kind: Literal["auto", "white", "scene"] = "auto", save_to: Path = Path()
+    flat: "napari.types.ImageData",
+    kind: Literal["auto", "white", "scene"] = "auto",
+    save_to: Path = Path(),
 ) -> list["napari.types.LayerDataTuple"]:
     """The centres of the microimages as points; `save_to` is a camera file to write."""
     camera = find_camera(_pixels(flat), kind=kind)
@@ -41,7 +44,9 @@ def analyze(
     preset: Preset = "balanced",
     save_to: Path = Path(),
 ) -> list["napari.types.LayerDataTuple"]:
-    """The magnification over the scene as an image; without a camera file the flat itself is calibrated."""
+    """The magnification over the scene as an image; without a camera file the flat itself is
+    calibrated.
+    """
     pixels, calibration = _prepare(flat, camera)
     depth = find_depth(pixels, calibration, preset)
     if save_to.suffix:
@@ -55,7 +60,9 @@ def render(
     preset: Preset = "balanced",
     pixels_per_pitch: float = 0.0,
 ) -> list["napari.types.LayerDataTuple"]:
-    """The picture that is sharp everywhere, and its depth; with 0 pixels per pitch in full resolution."""
+    """The picture that is sharp everywhere, and its depth; with 0 pixels per pitch in full
+    resolution.
+    """
     pixels, calibration = _prepare(flat, camera)
     depth = find_depth(pixels, calibration, preset)
     picture = draw(pixels, calibration, depth, scale=pixels_per_pitch or None)

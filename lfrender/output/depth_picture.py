@@ -20,10 +20,14 @@ __all__ = ["MODE_COLOURS", "colour_scale", "depth_picture", "lens_maps", "magnif
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 
 
-def depth_picture(depth: DepthMap, scale: float | None = None, limits: tuple[float, float] | None = None) -> Rendering:
-    """The magnification of every pixel of the picture that `render` draws, in the colours of `lens_maps`.
+def depth_picture(
+    depth: DepthMap, scale: float | None = None, limits: tuple[float, float] | None = None
+) -> Rendering:
+    """The magnification of every pixel of the picture that `render` draws, in the colours of
+    `lens_maps`.
 
-    They lie between these `limits` if they are given; valid are pixels whose nearest lens has a depth.
+    They lie between these `limits` if they are given; valid are pixels whose nearest lens has a
+    depth.
     """
     scale = default_scale(depth) if scale is None else scale
     dense = dense_depth(depth, scale, fill=False)
@@ -45,7 +49,9 @@ def colour_scale(name: Literal["turbo", "viridis"]) -> NDArray[np.uint8]:
     import cv2
 
     code = {"turbo": cv2.COLORMAP_TURBO, "viridis": cv2.COLORMAP_VIRIDIS}[name]
-    return np.asarray(cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], code)[0, :, ::-1], np.uint8)
+    return np.asarray(
+        cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], code)[0, :, ::-1], np.uint8
+    )
 
 
 def lens_maps(
@@ -53,15 +59,20 @@ def lens_maps(
 ) -> dict[str, NDArray[np.uint8]]:
     """Colours (h, w, 3) of the lens at each pixel: `"magnification"`, `"modes"`, `"confidence"`.
 
-    Magnification is blue to red on a logarithmic scale with the ends `magnification_limits`, grey where unresolved;
-    confidence is dark for 0 and light for 1. `affine` (2, 3) leads from pixel to scene coordinates.
+    Magnification is blue to red on a logarithmic scale with the ends `magnification_limits`, grey
+    where unresolved; confidence is dark for 0 and light for 1. `affine` (2, 3) leads from pixel to
+    scene coordinates.
     """
     v, u = np.indices(shape)
-    points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ np.asarray(affine, dtype=float).T
+    points = (
+        np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ np.asarray(affine, dtype=float).T
+    )
     lens = nearest_lens(lattice, points).reshape(shape)
     confidence = np.rint(255 * np.clip(np.nan_to_num(depth.confidence), 0, 1)).astype(np.uint8)
     return {
-        "magnification": _colours(depth.magnification, *magnification_limits(depth.magnification))[lens],
+        "magnification": _colours(depth.magnification, *magnification_limits(depth.magnification))[
+            lens
+        ],
         "modes": np.array([MODE_COLOURS[code] for code in (0, 1, -1)], np.uint8)[depth.mode][lens],
         "confidence": colour_scale("viridis")[confidence][lens],
     }

@@ -1,7 +1,9 @@
-"""The file formats of pictures, registered once: what each can hold, and how pictures are written into it.
+"""The file formats of pictures, registered once: what each can hold, and how pictures are written
+into it.
 
-TIFF files named `.ome.tif` and Zarr are as the microscopy community stores them (OME, NGFF 0.5): pixels have the size
-of scene coordinates, so that viewers lay pictures of any scale over each other.
+TIFF files named `.ome.tif` and Zarr are as the microscopy community stores them (OME, NGFF 0.5):
+pixels have the size of scene coordinates, so that viewers lay pictures of any scale over each
+other.
 """
 
 from __future__ import annotations
@@ -25,9 +27,18 @@ from lfcal import LightFieldError, OutputError
 from lfcal.runtime.output_file import check_output
 
 __all__ = [
-    "FORMATS", "EmbeddedMetadata", "Page", "PictureError", "PictureFormat", "check_format", "check_package",
-    "is_ome_name", "read_metadata", "tiff_tags", "tiff_tiles",
-]  # fmt: skip
+    "FORMATS",
+    "EmbeddedMetadata",
+    "Page",
+    "PictureError",
+    "PictureFormat",
+    "check_format",
+    "check_package",
+    "is_ome_name",
+    "read_metadata",
+    "tiff_tags",
+    "tiff_tiles",
+]
 
 #: Pixels, with alpha where they have 2 or 4 channels, and their JSON text.
 Page = tuple[NDArray[Any], str]
@@ -53,13 +64,18 @@ class EmbeddedMetadata(NamedTuple):
 
 
 def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
-    """Colour profile and EXIF data of an image file (PNG, JPEG, WebP), of TIFF the profile; nothing if damaged."""
+    """Colour profile and EXIF data of an image file (PNG, JPEG, WebP), of TIFF the profile; nothing
+    if damaged.
+    """
     import tifffile
     from PIL import Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
     suffix = Path(path).suffix.lower()
     # The formats' own classes: Image.open refuses sensors above 179 megapixels.
-    readers: dict[str, Any] = {".png": PngImagePlugin.PngImageFile, ".webp": WebPImagePlugin.WebPImageFile}
+    readers: dict[str, Any] = {
+        ".png": PngImagePlugin.PngImageFile,
+        ".webp": WebPImagePlugin.WebPImageFile,
+    }
     try:
         if suffix in (".tif", ".tiff"):
             with tifffile.TiffFile(path) as tiff:
@@ -67,12 +83,16 @@ def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
                 return EmbeddedMetadata(b"" if tag is None else bytes(tag.value))
         with readers.get(suffix, JpegImagePlugin.JpegImageFile)(str(path)) as image:
             # Looking for EXIF data behind the pixels of a PNG file would decode them.
-            exif = Image.Exif() if suffix == ".png" and "exif" not in image.info else image.getexif()
+            exif = (
+                Image.Exif() if suffix == ".png" and "exif" not in image.info else image.getexif()
+            )
             # Width and height of the flat, which are not those of the picture.
             for tag in (0x0100, 0x0101, 0xA002, 0xA003):
                 exif.pop(tag, None)
                 exif.get_ifd(0x8769).pop(tag, None)
-            return EmbeddedMetadata(image.info.get("icc_profile") or b"", exif.tobytes() if len(exif) else b"")
+            return EmbeddedMetadata(
+                image.info.get("icc_profile") or b"", exif.tobytes() if len(exif) else b""
+            )
     # Readers raise errors of any kind on damaged data; the pixels matter more.
     except Exception:
         return EmbeddedMetadata()
@@ -90,13 +110,19 @@ class PictureFormat:
     stack: bool = False  # whether a file can hold several pictures
     tiles: bool = False  # whether it can be written tile by tile (`tiled_picture`)
     animation: str = ""  # name of the format in Pillow if it can hold an animation
-    film: tuple[str, dict[str, str]] | None = None  # encoder of FFmpeg and its options, if it is a film
+    film: tuple[str, dict[str, str]] | None = (
+        None  # encoder of FFmpeg and its options, if it is a film
+    )
     package: str = ""  # that is needed ...
     extra: str = ""  # ... and the extra of lfrender that installs it
 
     def reduces(self, pixel_type: str | None) -> bool:
         """Whether it holds 8 bits a channel in the place of pixels of this type."""
-        return pixel_type in _ALL and pixel_type not in self.pixel_types and "uint8" in self.pixel_types
+        return (
+            pixel_type in _ALL
+            and pixel_type not in self.pixel_types
+            and "uint8" in self.pixel_types
+        )
 
 
 def check_format(
@@ -106,14 +132,21 @@ def check_format(
     alpha: bool = False,
     inputs: Iterable[Any] = (),
 ) -> None:
-    """Raise an OutputError or PictureError if a file could not be written, before anything is computed for it.
+    """Raise an OutputError or PictureError if a file could not be written, before anything is
+    computed for it.
 
-    Its format must be for one of the `uses`, hold 8 bits or pixels of this type, and have its package installed; `path`
-    must be in a folder that can be written, and none of the `inputs` that are read for it.
+    Its format must be for one of the `uses`, hold 8 bits or pixels of this type, and have its
+    package installed; `path` must be in a folder that can be written, and none of the `inputs` that
+    are read for it.
     """
-    check_output(path, [name for name, kind in FORMATS.items() if any(getattr(kind, use) for use in uses)], inputs)
+    check_output(
+        path,
+        [name for name, kind in FORMATS.items() if any(getattr(kind, use) for use in uses)],
+        inputs,
+    )
     suffix = Path(path).suffix.lower()
-    kind, name = FORMATS[suffix], None if dtype is None else np.dtype(dtype).name
+    kind = FORMATS[suffix]
+    name = None if dtype is None else np.dtype(dtype).name
     if name not in (None, *kind.pixel_types) and not kind.reduces(name):
         raise PictureError(f"{path}: {suffix} cannot hold {name} pixels; use .tif")
     if alpha and not kind.alpha:
@@ -146,7 +179,8 @@ def _affine(text: str) -> NDArray[np.float64]:
 
 def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes, ome: bool = False) -> dict[str, Any]:
     """Options of tifffile for a picture of this shape, with alpha where it has 2 or 4 channels."""
-    channels, about = (*shape, 1)[2], None
+    channels = (*shape, 1)[2]
+    about = None
     if ome:
         about = {"axes": "YXS"[: len(shape)], "Description": text}
         for axis, size in zip("XY", np.diag(_affine(text)), strict=True):
@@ -155,16 +189,21 @@ def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes, ome: bool = False) 
         "photometric": "rgb" if channels >= 3 else "minisblack",
         "planarconfig": "contig" if len(shape) == 3 else None,
         "extrasamples": ["unassalpha"] if channels in (2, 4) else None,
-        "description": None if ome else text, "software": "lfrender", "metadata": about, "iccprofile": icc or None,
-    }  # fmt: skip
+        "description": None if ome else text,
+        "software": "lfrender",
+        "metadata": about,
+        "iccprofile": icc or None,
+    }
 
 
 def tiff_tiles(dtype: Any, side: int = 256) -> dict[str, Any]:
     """Options of tifffile for deflated tiles of `side` x `side` pixels."""
     return {
-        "tile": (side, side), "compression": "zlib", "compressionargs": {"level": 3},
+        "tile": (side, side),
+        "compression": "zlib",
+        "compressionargs": {"level": 3},
         "predictor": np.dtype(dtype).kind != "f",
-    }  # fmt: skip
+    }
 
 
 def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool) -> None:
@@ -176,7 +215,11 @@ def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compr
     with tifffile.TiffWriter(path, bigtiff=big, ome=ome) as tiff:
         for pixels, text in pages:
             tiles = tiff_tiles(pixels.dtype) if compress else {}
-            tiff.write(np.ascontiguousarray(pixels), **tiff_tags(pixels.shape, text, embedded.icc, ome), **tiles)
+            tiff.write(
+                np.ascontiguousarray(pixels),
+                **tiff_tags(pixels.shape, text, embedded.icc, ome),
+                **tiles,
+            )
 
 
 def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
@@ -186,15 +229,27 @@ def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _comp
     layers = np.atleast_3d(pixels)
     count = layers.shape[2]
     # The library writes three or four layers of one name as R, G, B and A.
-    channels = {"RGBA"[:count]: pixels} if count > 2 else {name: layers[..., k] for k, name in enumerate("YA"[:count])}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": text}
-    with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as file:
+    channels = (
+        {"RGBA"[:count]: pixels}
+        if count > 2
+        else {name: layers[..., k] for k, name in enumerate("YA"[:count])}
+    )
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "comments": text,
+    }
+    with OpenEXR.File(
+        header, {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    ) as file:
         file.write(str(path))
 
 
 def _in_colour(pixels: NDArray[Any]) -> NDArray[Any]:
     """Grey pixels with alpha as colours with alpha, others as they are."""
-    return np.ascontiguousarray(pixels[..., (0, 0, 0, 1)] if pixels.ndim == 3 and pixels.shape[2] == 2 else pixels)
+    return np.ascontiguousarray(
+        pixels[..., (0, 0, 0, 1)] if pixels.ndim == 3 and pixels.shape[2] == 2 else pixels
+    )
 
 
 def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool) -> None:
@@ -204,12 +259,18 @@ def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compr
     ((pixels, text),) = pages
     pixels = _in_colour(pixels)
     if pixels.ndim == 3:
-        pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA)
+        pixels = cv2.cvtColor(
+            pixels, cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+        )
     try:
         data = cv2.imencode(".png", pixels)[1].tobytes()
     except cv2.error as error:
         raise PictureError(f"{path}: cannot be written as .png ({error.err or error})") from error
-    chunks = _png_chunk(b"iCCP", b"ICC profile\0\0" + zlib.compress(embedded.icc)) if embedded.icc else b""
+    chunks = (
+        _png_chunk(b"iCCP", b"ICC profile\0\0" + zlib.compress(embedded.icc))
+        if embedded.icc
+        else b""
+    )
     chunks += _png_chunk(b"tEXt", b"Description\0" + text.encode("ascii"))
     chunks += _png_chunk(b"eXIf", embedded.exif.removeprefix(b"Exif\0\0")) if embedded.exif else b""
     # Behind the signature and the header.
@@ -220,40 +281,61 @@ def _png_chunk(kind: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
-def _write_small(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool) -> None:
+def _write_small(
+    path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool
+) -> None:
     """JPEG or WebP."""
     from PIL import Image
 
     ((pixels, text),) = pages
-    more: dict[str, Any] = {name: value for name, value in zip(("icc_profile", "exif"), embedded, strict=True) if value}
+    more: dict[str, Any] = {
+        name: value for name, value in zip(("icc_profile", "exif"), embedded, strict=True) if value
+    }
     if path.suffix.lower() != ".webp":
         more["comment"] = text.encode("ascii")
     try:
         Image.fromarray(_in_colour(pixels)).save(path, quality=95, **more)
     except (OSError, ValueError) as error:
         size = f"{pixels.shape[1]} x {pixels.shape[0]} px"
-        raise PictureError(f"{path}: {size} cannot be written as {path.suffix} ({error}); use .tif") from error
+        raise PictureError(
+            f"{path}: {size} cannot be written as {path.suffix} ({error}); use .tif"
+        ) from error
 
 
-def _write_ome_zarr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
+def _write_ome_zarr(
+    path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool
+) -> None:
     """An OME-Zarr group with the array `0`, (c, y, x) or (y, x)."""
     import zarr
 
     ((pixels, text),) = pages
-    array, lead, affine = np.moveaxis(pixels, 2, 0) if pixels.ndim == 3 else pixels, pixels.ndim - 2, _affine(text)
-    axes = [{"name": "c", "type": "channel"}] * lead + [{"name": name, "type": "space"} for name in "yx"]
+    array = np.moveaxis(pixels, 2, 0) if pixels.ndim == 3 else pixels
+    lead = pixels.ndim - 2
+    affine = _affine(text)
+    axes = [{"name": "c", "type": "channel"}] * lead + [
+        {"name": name, "type": "space"} for name in "yx"
+    ]
     moves = [
         {"type": "scale", "scale": [1.0] * lead + np.diag(affine)[::-1].tolist()},
         {"type": "translation", "translation": [0.0] * lead + affine[::-1, 2].tolist()},
     ]
-    scales = [{"name": path.name, "axes": axes, "datasets": [{"path": "0", "coordinateTransformations": moves}]}]
+    scales = [
+        {
+            "name": path.name,
+            "axes": axes,
+            "datasets": [{"path": "0", "coordinateTransformations": moves}],
+        }
+    ]
     made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
         with zarr.config.set({"array.write_empty_chunks": True}):
             attributes = {"ome": {"version": "0.5", "multiscales": scales}, "description": text}
             group = zarr.create_group(str(made), attributes=attributes, zarr_format=3)
-            chunks, names = (*array.shape[:lead], *np.minimum(array.shape[lead:], 512)), [one["name"] for one in axes]
-            group.create_array("0", data=np.ascontiguousarray(array), chunks=chunks, dimension_names=names)
+            chunks = (*array.shape[:lead], *np.minimum(array.shape[lead:], 512))
+            names = [one["name"] for one in axes]
+            group.create_array(
+                "0", data=np.ascontiguousarray(array), chunks=chunks, dimension_names=names
+            )
         made.replace(path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
@@ -261,12 +343,15 @@ def _write_ome_zarr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, 
         shutil.rmtree(made, ignore_errors=True)
 
 
-_WHOLE, _ALL = ("uint8", "uint16"), ("uint8", "uint16", "float32")
+_WHOLE = ("uint8", "uint16")
+_ALL = ("uint8", "uint16", "float32")
 _TIFF = PictureFormat(_ALL, _write_tiff, stack=True, tiles=True)
 _JPEG = PictureFormat(("uint8",), _write_small, alpha=False)
 
 
-def _film(pixel_types: tuple[str, ...], encoder: str, options: dict[str, str] | None = None) -> PictureFormat:
+def _film(
+    pixel_types: tuple[str, ...], encoder: str, options: dict[str, str] | None = None
+) -> PictureFormat:
     return PictureFormat(pixel_types, film=(encoder, options or {}), package="av", extra="video")
 
 
@@ -280,7 +365,8 @@ FORMATS = {
     ".mkv": _film(_WHOLE, "ffv1", {"level": "3", "g": "1", "slicecrc": "1"}),
     # ProRes 422 HQ, which programs for cutting films take.
     ".mov": _film(_WHOLE, "prores_ks", {"profile": "3", "vendor": "apl0"}),
-    # H.264 plays everywhere. The eye sees no difference at this rate factor (crf), and hardly any at twice that.
+    # H.264 plays everywhere. The eye sees no difference at this rate factor (crf), and hardly any
+    # at twice that.
     ".mp4": _film(("uint8",), "libx264", {"crf": "10", "preset": "fast"}),
     ".png": PictureFormat(_WHOLE, _write_png, animation="PNG"),
     ".tif": _TIFF,
@@ -288,5 +374,7 @@ FORMATS = {
     ".webp": PictureFormat(("uint8",), _write_small, animation="WEBP"),
     # Raw planes, by default 4:2:0 of 10 bits, as coders of video take them.
     ".yuv": _film(_WHOLE, "rawvideo"),
-    ".zarr": PictureFormat(_ALL, _write_ome_zarr, folder=True, tiles=True, package="zarr", extra="zarr"),
+    ".zarr": PictureFormat(
+        _ALL, _write_ome_zarr, folder=True, tiles=True, package="zarr", extra="zarr"
+    ),
 }

@@ -1,6 +1,7 @@
 """Views of a grid as the flat of a regular lens array, and back, pixel by pixel.
 
-The view in row `v` and column `u` is pixel `(u, v)` under each lens, of which there is one for each pixel of the views.
+The view in row `v` and column `u` is pixel `(u, v)` under each lens, of which there is one for each
+pixel of the views.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ __all__ = ["lenslet_image", "lenslet_views", "read_view_grid"]
 
 
 def lenslet_image(views: ArrayLike) -> tuple[NDArray[Any], Calibration]:
-    """The flat of a regular array that shows views (rows, columns, h, w) or (rows, columns, h, w, 3), and its camera.
+    """The flat of a regular array that shows views (rows, columns, h, w) or (rows, columns, h, w,
+    3), and its camera.
 
-    A view of row `v`, column `u` is `flat[v::rows, u::columns]`. Where things move by `d` px to the right from a view
-    to the one on its right, the patch size is `1 / d` px: an HCI disparity, which counts to the left, is `-d`.
+    A view of row `v`, column `u` is `flat[v::rows, u::columns]`. Where things move by `d` px to the
+    right from a view to the one on its right, the patch size is `1 / d` px: an HCI disparity, which
+    counts to the left, is `-d`.
 
     Examples
     --------
@@ -33,19 +36,25 @@ def lenslet_image(views: ArrayLike) -> tuple[NDArray[Any], Calibration]:
     """
     grid = np.asarray(views)
     if grid.ndim not in (4, 5) or grid.shape[4:] not in ((), (3,)) or not grid.size:
-        raise FlatError(f"views have shape (rows, columns, h, w) or (rows, columns, h, w, 3), got {grid.shape}")
+        raise FlatError(
+            f"views have shape (rows, columns, h, w) or (rows, columns, h, w, 3), got {grid.shape}"
+        )
     rows, columns, height, width = grid.shape[:4]
-    flat = np.moveaxis(grid, (2, 0, 3, 1), (0, 1, 2, 3)).reshape(height * rows, width * columns, *grid.shape[4:])
-    origin, basis = ((columns - 1) / 2, (rows - 1) / 2), ((columns, 0), (0, rows))
+    flat = np.moveaxis(grid, (2, 0, 3, 1), (0, 1, 2, 3)).reshape(
+        height * rows, width * columns, *grid.shape[4:]
+    )
+    origin = ((columns - 1) / 2, (rows - 1) / 2)
+    basis = ((columns, 0), (0, rows))
     lattice = Lattice(np.array(origin), np.array(basis), flat.shape[1::-1], min(rows, columns) / 2)
     return np.ascontiguousarray(flat), Calibration(lattice)
 
 
 def lenslet_views(flat: ArrayLike, calibration: Calibration) -> NDArray[Any]:
-    """The views (rows, columns, h, w) or (rows, columns, h, w, 3) under the lenses of a regular array.
+    """The views (rows, columns, h, w) or (rows, columns, h, w, 3) under the lenses of a regular
+    array.
 
-    FlatError if the flat is of another size than those of the camera, CameraFileError if its microimages are no
-    rectangles of whole pixels: `lfrender.views` draws views of any camera.
+    FlatError if the flat is of another size than those of the camera, CameraFileError if its
+    microimages are no rectangles of whole pixels: `lfrender.views` draws views of any camera.
 
     Examples
     --------
@@ -53,18 +62,25 @@ def lenslet_views(flat: ArrayLike, calibration: Calibration) -> NDArray[Any]:
     >>> bool((lenslet_views(*lenslet_image(views)) == views).all())
     True
     """
-    pixels, lattice = np.asarray(flat), calibration.lattice
+    pixels = np.asarray(flat)
+    lattice = calibration.lattice
     if pixels.shape[1::-1] != calibration.image_size:
         raise FlatError("the flat is of another size than those of the camera")
     side = np.rint(np.abs(np.diag(lattice.basis)))
     start = lattice.origin - (side - 1) / 2
-    straight = np.abs(np.abs(lattice.basis) - np.diag(side)).max() * max(lattice.image_size) < 0.25 * side.max()
+    straight = (
+        np.abs(np.abs(lattice.basis) - np.diag(side)).max() * max(lattice.image_size)
+        < 0.25 * side.max()
+    )
     exact = straight and side.min() >= 1 and np.abs(start - np.rint(start)).max() < 0.25
     if lattice.distortion is not None or not exact:
-        raise CameraFileError("the microimages are no rectangles of whole pixels; 'lfrender views' draws views")
+        raise CameraFileError(
+            "the microimages are no rectangles of whole pixels; 'lfrender views' draws views"
+        )
     columns, rows = side.astype(int)
     left, top = (np.rint(start) % side).astype(int)
-    height, width = (pixels.shape[0] - top) // rows, (pixels.shape[1] - left) // columns
+    height = (pixels.shape[0] - top) // rows
+    width = (pixels.shape[1] - left) // columns
     whole = pixels[top : top + height * rows, left : left + width * columns]
     lenses = whole.reshape(height, rows, width, columns, *pixels.shape[2:])
     return np.moveaxis(lenses, (1, 3, 0, 2), (0, 1, 2, 3))
@@ -73,8 +89,9 @@ def lenslet_views(flat: ArrayLike, calibration: Calibration) -> NDArray[Any]:
 def read_view_grid(inputs: Iterable[Path], grid: tuple[int, int] | None = None) -> NDArray[Any]:
     """Views (rows, columns, h, w) or (rows, columns, h, w, 3) from image files, or folders of them.
 
-    With `grid`, rows and columns, they are taken row by row in the order of the numbers in their names; without, the
-    last two numbers of a name are its row and column. FlatError if views are missing or not of one kind.
+    With `grid`, rows and columns, they are taken row by row in the order of the numbers in their
+    names; without, the last two numbers of a name are its row and column. FlatError if views are
+    missing or not of one kind.
 
     Examples
     --------
@@ -94,21 +111,35 @@ def read_view_grid(inputs: Iterable[Path], grid: tuple[int, int] | None = None) 
     paths = sorted(named, key=lambda path: (named[path], path))
     if grid is None:
         if not paths or min(map(len, named.values())) < 2:
-            raise FlatError("names of views have their row and column, as row1_column1; else give --grid ROWSxCOLUMNS")
+            raise FlatError(
+                "names of views have their row and column, as row1_column1; else give --grid ROWSxCOLUMNS"
+            )
         cells = {tuple(named[path][-2:]): path for path in paths}
         rows, columns = (sorted({cell[axis] for cell in cells}) for axis in (0, 1))
-        grid, order = (len(rows), len(columns)), [(row, column) for row in rows for column in columns]
-        missing = [f"no view of row {row}, column {column}" for row, column in order if (row, column) not in cells]
+        grid = (len(rows), len(columns))
+        order = [(row, column) for row in rows for column in columns]
+        missing = [
+            f"no view of row {row}, column {column}"
+            for row, column in order
+            if (row, column) not in cells
+        ]
         if missing or len(cells) != len(paths):
             told = missing[0] if missing else "several views of one row and column"
             raise FlatError(f"a grid of {grid[0]} x {grid[1]} views: there is {told}")
         paths = [cells[cell] for cell in order]
     if len(paths) != grid[0] * grid[1]:
-        raise FlatError(f"a grid of {grid[0]} x {grid[1]} needs {grid[0] * grid[1]} views, {len(paths)} are there")
+        raise FlatError(
+            f"a grid of {grid[0]} x {grid[1]} needs {grid[0] * grid[1]} views, {len(paths)} are there"
+        )
     views = [read_flat(paths[0])]
     for path in paths[1:]:
         views.append(read_flat(path))
-        kinds = ["{} x {} px of {}".format(*view.shape[1::-1], view.dtype) for view in (views[-1], views[0])]
+        kinds = [
+            "{} x {} px of {}".format(*view.shape[1::-1], view.dtype)
+            for view in (views[-1], views[0])
+        ]
         if kinds[0] != kinds[1] or views[-1].ndim != views[0].ndim:
-            raise FlatError(f"{path}: is {kinds[0]}, the first is {kinds[1]}; views of a grid are of one kind")
+            raise FlatError(
+                f"{path}: is {kinds[0]}, the first is {kinds[1]}; views of a grid are of one kind"
+            )
     return np.stack(views).reshape(*grid, *views[0].shape)

@@ -1,4 +1,6 @@
-"""Writing pictures: the pixels as they are, and with them the affine that lays one picture over another."""
+"""Writing pictures: the pixels as they are, and with them the affine that lays one picture over
+another.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,16 @@ from ..data.rendering import Rendering
 from .formats import FORMATS, EmbeddedMetadata, Page, PictureError, check_format
 
 __all__ = [
-    "Brightness", "PictureError", "default_exposure", "describe", "eight_bits", "needs_eight_bits", "with_alpha",
-    "write_picture", "write_stack",
-]  # fmt: skip
+    "Brightness",
+    "PictureError",
+    "default_exposure",
+    "describe",
+    "eight_bits",
+    "needs_eight_bits",
+    "with_alpha",
+    "write_picture",
+    "write_stack",
+]
 
 _NO_METADATA = EmbeddedMetadata()
 
@@ -39,31 +48,35 @@ def write_picture(
     compress: bool = False,
     exposure: Exposure | None = None,
 ) -> None:
-    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr; whole or not at all.
+    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr; whole or
+    not at all.
 
-    All but WebP carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3 affine from output pixel
-    `(u, v)` to scene coordinates `X` and the settings. OutputError or PictureError if the file cannot be written, or
-    its format cannot hold these pixels.
+    All but WebP carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3
+    affine from output pixel `(u, v)` to scene coordinates `X` and the settings. OutputError or
+    PictureError if the file cannot be written, or its format cannot hold these pixels.
 
     Parameters
     ----------
     path : path-like
         The suffix chooses the format; `.ome.tif` is a TIFF with OME metadata.
     picture : Rendering or (h, w) or (h, w, 3) uint8, uint16 or float32
-        Colours in the order red, green, blue. What a format cannot hold is written with 8 bits, in proportion: float32
-        into all but TIFF, OpenEXR and Zarr, uint16 into JPEG and WebP; see `eight_bits`.
+        Colours in the order red, green, blue. What a format cannot hold is written with 8 bits, in
+        proportion: float32 into all but TIFF, OpenEXR and Zarr, uint16 into JPEG and WebP; see
+        `eight_bits`.
     alpha : bool
         Make pixels that no lens has seen transparent (not in JPEG); they are 0 in any case.
     settings : mapping, optional
         Further entries for the JSON text.
     embedded : EmbeddedMetadata
-        Colour profile (not in OpenEXR) and EXIF data (not in TIFF and OpenEXR) to put into the file.
+        Colour profile (not in OpenEXR) and EXIF data (not in TIFF and OpenEXR) to put into the
+        file.
     compress : bool
-        Write a TIFF in deflated tiles instead of plain rows: smaller, and slower to write. Above 4 GB it is a BigTIFF.
+        Write a TIFF in deflated tiles instead of plain rows: smaller, and slower to write. Above 4
+        GB it is a BigTIFF.
     exposure : float or "auto", optional [EV]
-        Brighten a rendering by one gain, which the JSON text names; `"auto"` does so to a dim one of more than 8 bits,
-        by its brightest places. The default is `"auto"` for JPEG and WebP, which are made to be looked at, and none for
-        all others.
+        Brighten a rendering by one gain, which the JSON text names; `"auto"` does so to a dim one
+        of more than 8 bits, by its brightest places. The default is `"auto"` for JPEG and WebP,
+        which are made to be looked at, and none for all others.
 
     Examples
     --------
@@ -84,10 +97,11 @@ def write_stack(
     settings: Sequence[Mapping[str, Any]] | None = None,
     embedded: EmbeddedMetadata = _NO_METADATA,
 ) -> list[Path]:
-    """Write pictures, at least one, as pages of one TIFF, or in other formats as numbered files, `NAME_01.png` ...
+    """Write pictures, at least one, as pages of one TIFF, or in other formats as numbered files,
+    `NAME_01.png` ...
 
-    `settings` are further entries for the JSON text of each; the rest is as for `write_picture`. OutputError if
-    numbered files of a longer stack are there already.
+    `settings` are further entries for the JSON text of each; the rest is as for `write_picture`.
+    OutputError if numbered files of a longer stack are there already.
 
     Examples
     --------
@@ -102,7 +116,8 @@ def write_stack(
     check_type(pictures, Sequence, "pictures", "give a list of pictures")
     if not pictures:
         raise PictureError(f"{path}: a stack needs at least one picture")
-    target, digits = Path(path), max(2, len(str(len(pictures))))
+    target = Path(path)
+    digits = max(2, len(str(len(pictures))))
     brightness = Brightness(default_exposure(target))
     several = zip(pictures, settings or [{}] * len(pictures), strict=True)
     pages = [_page(target, picture, entries, brightness) for picture, entries in several]
@@ -120,11 +135,14 @@ def write_stack(
 def needs_eight_bits(path: str | os.PathLike[str], picture: Any) -> bool:
     """Whether the format of `path` holds 8 bits a channel, but not the pixels of a picture."""
     kind = FORMATS.get(Path(path).suffix.lower())
-    return kind is not None and kind.reduces(np.asarray(getattr(picture, "image", picture)).dtype.name)
+    return kind is not None and kind.reduces(
+        np.asarray(getattr(picture, "image", picture)).dtype.name
+    )
 
 
 def eight_bits(picture: Any) -> Any:
-    """A rendering, or plain pixels, with 8 bits a channel: 0 to white become 0 to 255, without a tone curve.
+    """A rendering, or plain pixels, with 8 bits a channel: 0 to white become 0 to 255, without a
+    tone curve.
 
     White is that of the rendering, else the largest value of the type, and 1 of floats.
     """
@@ -134,7 +152,9 @@ def eight_bits(picture: Any) -> Any:
 
 
 class Brightness:
-    """One gain for all pictures of a result, found on the first: `exposure` is in EV, `"auto"`, or None for no gain."""
+    """One gain for all pictures of a result, found on the first: `exposure` is in EV, `"auto"`, or
+    None for no gain.
+    """
 
     def __init__(self, exposure: Exposure | None = None, gain: float = 1.0) -> None:
         self._exposure, self.gain = exposure, gain
@@ -153,8 +173,12 @@ class Brightness:
 
 
 def default_exposure(path: str | os.PathLike[str]) -> Exposure | None:
-    """`"auto"` for formats that are made to be looked at; None, no gain, for those that are made for work."""
-    return "auto" if Path(path).suffix.lower() in (".jpg", ".jpeg", ".webp", ".gif", ".mp4") else None
+    """`"auto"` for formats that are made to be looked at; None, no gain, for those that are made
+    for work.
+    """
+    return (
+        "auto" if Path(path).suffix.lower() in (".jpg", ".jpeg", ".webp", ".gif", ".mp4") else None
+    )
 
 
 def describe(affine: NDArray[np.float64] | None, settings: Mapping[str, Any] | None) -> str:
@@ -166,7 +190,9 @@ def describe(affine: NDArray[np.float64] | None, settings: Mapping[str, Any] | N
 def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
     """`pixels` with `valid` as one more channel."""
     opaque = 1.0 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
-    return np.dstack([pixels, np.where(np.broadcast_to(valid, pixels.shape[:2]), opaque, 0).astype(pixels.dtype)])
+    return np.dstack(
+        [pixels, np.where(np.broadcast_to(valid, pixels.shape[:2]), opaque, 0).astype(pixels.dtype)]
+    )
 
 
 def _page(
@@ -189,7 +215,9 @@ def _page(
     return pixels, describe(getattr(picture, "affine", None), settings)
 
 
-def _write(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool = False) -> None:
+def _write(
+    path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool = False
+) -> None:
     kind = FORMATS[path.suffix.lower()]
     assert kind.picture is not None
     # Folders are moved into place by their writer.

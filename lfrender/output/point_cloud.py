@@ -1,4 +1,6 @@
-"""The scene as points, or as a mesh, in virtual-depth units or metres; their PLY, PCD and glTF files."""
+"""The scene as points, or as a mesh, in virtual-depth units or metres; their PLY, PCD and glTF
+files.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,12 @@ from ..rendering.render import render
 
 __all__ = ["CLOUD_SUFFIXES", "MESH_SUFFIXES", "mesh", "point_cloud", "write_mesh", "write_points"]
 
-CLOUD_SUFFIXES, MESH_SUFFIXES = (".ply", ".pcd"), (".glb", ".ply")
+CLOUD_SUFFIXES = (".ply", ".pcd")
+MESH_SUFFIXES = (".glb", ".ply")
 
-_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
+_POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+)
 # What coordinates are, not in metres and in metres.
 _AXES = (
     "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s",
@@ -39,24 +44,26 @@ def point_cloud(
     *,
     points_per_pitch: float = 7.0,
 ) -> NDArray:
-    """Every resolved place of the scene as a point; CalibrationError if `depth` belongs to another camera.
+    """Every resolved place of the scene as a point; CalibrationError if `depth` belongs to another
+    camera.
 
     Parameters
     ----------
     flat, calibration, depth
         As for `render`.
     optics : Optics, optional
-        Gives positions in metres; where its principal point is not known the axis of the main lens is taken to meet the
-        middle of the flat. By default those of the calibration, if it has any.
+        Gives positions in metres; where its principal point is not known the axis of the main lens
+        is taken to meet the middle of the flat. By default those of the calibration, if it has any.
     points_per_pitch : float
         Density of the points; 7 is as fine as the depth is resolved.
 
     Returns
     -------
     (n,) structured array
-        `x, y` scene coordinates over the pitch `D`, `z` the signed virtual depth `D / s` (positive: in front of the
-        microlenses), all float32; `red, green, blue` 0..255. Those farther than 50 pitches are left out. With `optics`,
-        `x` to the right, `y` down and `z` in front of the main lens [m]; places at infinity are left out.
+        `x, y` scene coordinates over the pitch `D`, `z` the signed virtual depth `D / s` (positive:
+        in front of the microlenses), all float32; `red, green, blue` 0..255. Those farther than 50
+        pitches are left out. With `optics`, `x` to the right, `y` down and `z` in front of the main
+        lens [m]; places at infinity are left out.
 
     Examples
     --------
@@ -82,10 +89,12 @@ def mesh(
     *,
     points_per_pitch: float = 7.0,
 ) -> Any:
-    """The scene as triangles between neighbouring points, with the picture of `render` as their texture.
+    """The scene as triangles between neighbouring points, with the picture of `render` as their
+    texture.
 
-    Arguments, axes, units and errors are those of `point_cloud`. There are no triangles across depth edges, nor where
-    no lens has a depth. LightFieldError if the package `trimesh` is not installed.
+    Arguments, axes, units and errors are those of `point_cloud`. There are no triangles across
+    depth edges, nor where no lens has a depth. LightFieldError if the package `trimesh` is not
+    installed.
 
     Returns
     -------
@@ -104,7 +113,9 @@ def mesh(
         from trimesh.visual import TextureVisuals
         from trimesh.visual.material import PBRMaterial
     except ImportError as error:
-        raise LightFieldError("meshes need the package 'trimesh'; pip install 'lfrender[mesh]'") from error
+        raise LightFieldError(
+            "meshes need the package 'trimesh'; pip install 'lfrender[mesh]'"
+        ) from error
     from PIL import Image
 
     dense, places, metres = _places(calibration, depth, optics, points_per_pitch)
@@ -115,26 +126,38 @@ def mesh(
     known = (picture.valid[v, u] & np.isfinite(places).all(-1)).ravel()
     number = np.arange(known.size).reshape(dense.patch_size.shape)
     corners = number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]
-    triangles = np.vstack([np.stack([corners[k].ravel() for k in order], -1) for order in ((0, 1, 2), (2, 1, 3))])
+    triangles = np.vstack(
+        [np.stack([corners[k].ravel() for k in order], -1) for order in ((0, 1, 2), (2, 1, 3))]
+    )
     same = np.ptp(dense.patch_size.ravel()[triangles], axis=1) < edge_step(depth.pitch)
     used, faces = np.unique(triangles[same & known[triangles].all(1)], return_inverse=True)
     # Textures begin at the bottom left.
     texture = Image.fromarray(to_eight_bits(picture.image, picture.white)).convert("RGB")
     place = (pixels.reshape(-1, 2)[used] + 0.5) / (width, height) * (1, -1) + (0, 1)
-    material = PBRMaterial(baseColorTexture=texture, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True)
+    material = PBRMaterial(
+        baseColorTexture=texture, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
+    )
     return Trimesh(
-        places.reshape(-1, 3)[used], faces.reshape(-1, 3), visual=TextureVisuals(place, material=material),
-        process=False, metadata={"axes": _AXES[metres]},
-    )  # fmt: skip
+        places.reshape(-1, 3)[used],
+        faces.reshape(-1, 3),
+        visual=TextureVisuals(place, material=material),
+        process=False,
+        metadata={"axes": _AXES[metres]},
+    )
 
 
 def _places(
     calibration: Calibration, depth: DepthMap, optics: Optics | None, points_per_pitch: float
 ) -> tuple[DenseDepth, NDArray[np.float64], bool]:
-    """Dense depth, position (h, w, 3) of each of its pixels, NaN where there is none, and whether it is in metres."""
+    """Dense depth, position (h, w, 3) of each of its pixels, NaN where there is none, and whether
+    it is in metres.
+    """
     check_depth(depth, calibration)
-    optics, dense = optics or calibration.optics, dense_depth(depth, min(points_per_pitch, depth.pitch))
-    scene, size, pitch = _scene(dense), dense.patch_size.astype(np.float64), depth.pitch
+    optics = optics or calibration.optics
+    dense = dense_depth(depth, min(points_per_pitch, depth.pitch))
+    scene = _scene(dense)
+    size = dense.patch_size.astype(np.float64)
+    pitch = depth.pitch
     # Virtual depth has a pole at s = 0.
     size[~dense.resolved | (np.abs(size) * 50 < pitch)] = np.nan
     if optics is None:
@@ -152,7 +175,8 @@ def _scene(dense: DenseDepth) -> NDArray[np.float64]:
 
 
 def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = False) -> None:
-    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY or PCD; whole or not at all.
+    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY or PCD; whole
+    or not at all.
 
     Examples
     --------
@@ -172,23 +196,36 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
         place = np.column_stack([points[name] for name in "xyz"]).astype("<f4")
         data = np.column_stack([place.view("<u4"), red << 16 | green << 8 | blue]).tobytes()
         header = [
-            "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z rgb", "SIZE 4 4 4 4",
-            "TYPE F F F U", "COUNT 1 1 1 1", f"WIDTH {len(points)}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0",
-            f"POINTS {len(points)}", "DATA binary\n",
-        ]  # fmt: skip
+            "# .PCD v0.7 - Point Cloud Data file format",
+            "VERSION 0.7",
+            "FIELDS x y z rgb",
+            "SIZE 4 4 4 4",
+            "TYPE F F F U",
+            "COUNT 1 1 1 1",
+            f"WIDTH {len(points)}",
+            "HEIGHT 1",
+            "VIEWPOINT 0 0 0 1 0 0 0",
+            f"POINTS {len(points)}",
+            "DATA binary\n",
+        ]
     else:
         data = points.astype(_POINT).tobytes()
         header = [
-            "ply", "format binary_little_endian 1.0", f"comment {_AXES[metres]}",
-            f"element vertex {len(points)}", *(f"property float {name}" for name in "xyz"),
-            *(f"property uchar {name}" for name in ("red", "green", "blue")), "end_header\n",
-        ]  # fmt: skip
+            "ply",
+            "format binary_little_endian 1.0",
+            f"comment {_AXES[metres]}",
+            f"element vertex {len(points)}",
+            *(f"property float {name}" for name in "xyz"),
+            *(f"property uchar {name}" for name in ("red", "green", "blue")),
+            "end_header\n",
+        ]
     with atomic_write(path) as temporary:
         temporary.write_bytes("\n".join(header).encode() + data)
 
 
 def write_mesh(path: str | os.PathLike[str], surface: Any) -> None:
-    """Write what `mesh` gives as glTF (`.glb`) with its texture, or as PLY with colours; whole or not at all.
+    """Write what `mesh` gives as glTF (`.glb`) with its texture, or as PLY with colours; whole or
+    not at all.
 
     glTF has its own axes: x right, y up, z toward the viewer. PLY keeps those of the points.
 
@@ -208,6 +245,8 @@ def write_mesh(path: str | os.PathLike[str], surface: Any) -> None:
     else:
         shown.visual = shown.visual.to_color()
         comment = f"\ncomment {surface.metadata['axes']}\nelement vertex".encode()
-        data = shown.export(file_type="ply", include_attributes=False).replace(b"\nelement vertex", comment, 1)
+        data = shown.export(file_type="ply", include_attributes=False).replace(
+            b"\nelement vertex", comment, 1
+        )
     with atomic_write(path) as temporary:
         temporary.write_bytes(data)

@@ -1,8 +1,8 @@
 """Views with their cameras, depth and masks, in the forms of programs for many views.
 
-nerfstudio: `transforms.json`; COLMAP: a sparse model as text, with points and the views that see each, and the maps
-that its stereo fusion reads; rvs: the camera file of MPEG's view synthesis (RVS, TMIV) with raw video. Each camera
-stands in the axes that its program has.
+nerfstudio: `transforms.json`; COLMAP: a sparse model as text, with points and the views that see
+each, and the maps that its stereo fusion reads; rvs: the camera file of MPEG's view synthesis (RVS,
+TMIV) with raw video. Each camera stands in the axes that its program has.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ class _Posed(NamedTuple):
 
 
 def check_posed_folder(folder: str | os.PathLike[str], kind: PoseFormat, count: int) -> None:
-    """OutputError if a folder holds posed views of an earlier run, of which `count` new ones would leave some."""
+    """OutputError if a folder holds posed views of an earlier run, of which `count` new ones would
+    leave some.
+    """
     views = [_view_name(number) for number in range(count)]
     mask = _MASK_NAMES.get(kind, "")
     kept = {f"{view}{suffix}" for view in views for suffix in (".png", ".exr", ".tif")}
@@ -73,10 +75,11 @@ def write_posed_views(
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
-    """Write views with intrinsics, extrinsics, depth and masks; OutputError or PictureError if that fails.
+    """Write views with intrinsics, extrinsics, depth and masks; OutputError or PictureError if that
+    fails.
 
-    Views of an earlier run that these do not replace are an OutputError too.
-    The folder is made where it does not exist; `kind` is `"nerfstudio"`, `"colmap"` or `"rvs"`. The views are as
+    Views of an earlier run that these do not replace are an OutputError too. The folder is made
+    where it does not exist; `kind` is `"nerfstudio"`, `"colmap"` or `"rvs"`. The views are as
     `views_with_depth` yields them for `offsets` and `still`; the rest is as for `view_rig`.
 
     Examples
@@ -93,12 +96,17 @@ def write_posed_views(
     2
     """
     if kind not in POSE_FORMATS:
-        raise OutputError(f"{folder}: poses are written for {', '.join(POSE_FORMATS)}, not {kind!r}")
+        raise OutputError(
+            f"{folder}: poses are written for {', '.join(POSE_FORMATS)}, not {kind!r}"
+        )
     check_posed_folder(folder, kind, len(offsets))
     if kind == "rvs":
         check_raw_format(folder, "yuv")
-    target, drawn, posed = make_folder(folder), list(views), []
-    affine, shape = drawn[0][0].affine, drawn[0][1].shape
+    target = make_folder(folder)
+    drawn = list(views)
+    posed = []
+    affine = drawn[0][0].affine
+    shape = drawn[0][1].shape
     rig = view_rig(calibration, depth, offsets, affine, shape[::-1], still, optics)
     v, u = np.indices(shape)
     places = np.stack([u, v, np.ones_like(u)], -1) @ affine.T
@@ -106,7 +114,9 @@ def write_posed_views(
         distance = rig.depth(number, sizes, places + np.array(offset) * (depth.pitch / still))
         known = picture.valid & np.isfinite(distance) & (distance > 0)
         centre = [at + 0.5 for at in rig.cameras[number].principal_point]
-        posed.append(_Posed(_view_name(number), picture, distance, rig.cameras[number], known, centre))
+        posed.append(
+            _Posed(_view_name(number), picture, distance, rig.cameras[number], known, centre)
+        )
     POSE_FORMATS[kind](target, posed, rig)
     return rig
 
@@ -114,17 +124,25 @@ def write_posed_views(
 def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
     """Write pictures, depth and masks; returns the unit of the 16-bit depth files."""
     images, distances, masks = (make_folder(folder / name) for name in ("images", "depth", "masks"))
-    largest = max((float(view.depth[view.known].max()) for view in views if view.known.any()), default=1.0)
+    largest = max(
+        (float(view.depth[view.known].max()) for view in views if view.known.any()), default=1.0
+    )
     # Millimetres where 16 bits hold that.
     step = max(1e-3, largest / 65000)
     exact = ".tif" if find_spec("OpenEXR") is None else ".exr"
     for name, picture, depth, _, known, _ in views:
-        shown = picture.image if picture.image.dtype.kind == "u" else to_eight_bits(picture.image, picture.white)
+        shown = (
+            picture.image
+            if picture.image.dtype.kind == "u"
+            else to_eight_bits(picture.image, picture.white)
+        )
         write_picture(images / f"{name}.png", shown)
         write_picture(masks / mask.format(name), picture.valid.astype(np.uint8) * np.uint8(255))
         whole = np.rint(np.minimum(np.where(known, depth / step, 0), 65535)).astype(np.uint16)
         write_picture(distances / f"{name}.png", whole)
-        write_picture(distances / f"{name}{exact}", np.where(known, depth, np.inf).astype(np.float32))
+        write_picture(
+            distances / f"{name}{exact}", np.where(known, depth, np.inf).astype(np.float32)
+        )
     return step
 
 
@@ -135,41 +153,64 @@ def _write_text(path: Path, text: str) -> None:
 
 def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`transforms.json`: axes x right, y up, z backwards, pixel (0, 0) from 0 to 1."""
-    step, frames = _write_files(folder, views, _MASK_NAMES["nerfstudio"]), []
+    step = _write_files(folder, views, _MASK_NAMES["nerfstudio"])
+    frames = []
     names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
     for name, _, _, camera, _, centre in views:
         x, y, z = camera.position.tolist()
         files = {"file_path": "images", "depth_file_path": "depth", "mask_path": "masks"}
-        lens = dict(zip(names, (*camera.focal, *centre, *camera.size, *camera.distortion), strict=True))
+        lens = dict(
+            zip(names, (*camera.focal, *centre, *camera.size, *camera.distortion), strict=True)
+        )
         pose = [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]]
         frames.append(
-            {kind: f"{place}/{name}.png" for kind, place in files.items()} | lens | {"transform_matrix": pose}
+            {kind: f"{place}/{name}.png" for kind, place in files.items()}
+            | lens
+            | {"transform_matrix": pose}
         )
-    model = {"camera_model": "OPENCV", "unit": rig.unit, "depth_unit_scale_factor": step, "frames": frames}
+    model = {
+        "camera_model": "OPENCV",
+        "unit": rig.unit,
+        "depth_unit_scale_factor": step,
+        "frames": frames,
+    }
     _write_text(folder / "transforms.json", json.dumps(model, indent=1))
 
 
 def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
-    """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as COLMAP names them."""
+    """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as
+    COLMAP names them.
+    """
     step = _write_files(folder, views, _MASK_NAMES["colmap"])
     _write_fusion_maps(folder / "stereo", views)
     points, colours, pixels = _tracks(views)
     seen = np.isfinite(pixels[..., 0])
     # Each picture counts the points that it shows, from 0.
     order = (np.cumsum(seen, axis=1).T - 1).tolist()
-    cameras, images, lines = [], [], []
+    cameras = []
+    images = []
+    lines = []
     for number, view in enumerate(views, 1):
-        camera, bent = view.camera, any(view.camera.distortion)
-        values = " ".join(f"{v:.12g}" for v in (*camera.focal, *view.centre, *(camera.distortion if bent else ())))
-        kind, place = "OPENCV" if bent else "PINHOLE", " ".join(f"{-p:.12g}" for p in camera.position)
+        camera = view.camera
+        bent = any(view.camera.distortion)
+        values = " ".join(
+            f"{v:.12g}" for v in (*camera.focal, *view.centre, *(camera.distortion if bent else ()))
+        )
+        kind = "OPENCV" if bent else "PINHOLE"
+        place = " ".join(f"{-p:.12g}" for p in camera.position)
         cameras.append(f"{number} {kind} {camera.size[0]} {camera.size[1]} {values}")
         shown = np.flatnonzero(seen[number - 1])
         where = zip((pixels[number - 1, shown] + 0.5).tolist(), (shown + 1).tolist(), strict=True)
         images.append(f"{number} 1 0 0 0 {place} {number} {view.name}.png")
         images.append(" ".join(f"{x:.4f} {y:.4f} {point}" for (x, y), point in where))
     for point, (place, colour) in enumerate(zip(points.tolist(), colours.tolist(), strict=True)):
-        track = " ".join(f"{view + 1} {order[point][view]}" for view in np.flatnonzero(seen[:, point]).tolist())
-        lines.append("{} {:.9g} {:.9g} {:.9g} {} {} {} {:.3g} ".format(point + 1, *place, *colour, rig.error) + track)
+        track = " ".join(
+            f"{view + 1} {order[point][view]}" for view in np.flatnonzero(seen[:, point]).tolist()
+        )
+        lines.append(
+            "{} {:.9g} {:.9g} {:.9g} {} {} {} {:.3g} ".format(point + 1, *place, *colour, rig.error)
+            + track
+        )
     # Programs that read models look into the first folder, stereo fusion into the second.
     for sparse in (make_folder(folder / "sparse" / "0", parents=True), folder / "sparse"):
         for name, text in (("cameras", cameras), ("images", images), ("points3D", lines)):
@@ -178,7 +219,8 @@ def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
 
 
 def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
-    """Depth and normals of the views as `colmap stereo_fusion` reads them; OutputError if there are those of others.
+    """Depth and normals of the views as `colmap stereo_fusion` reads them; OutputError if there are
+    those of others.
 
     Stereo fusion knows no distortion: for cameras that have some, nothing is written.
     """
@@ -196,14 +238,20 @@ def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
 
 
 def _write_matrix(path: Path, planes: NDArray[Any]) -> None:
-    """Write (channels, h, w) values as COLMAP writes a `Mat<float>`: sizes as text, then one plane after the other."""
+    """Write (channels, h, w) values as COLMAP writes a `Mat<float>`: sizes as text, then one plane
+    after the other.
+    """
     channels, height, width = planes.shape
     with atomic_write(path) as temporary:
-        temporary.write_bytes(f"{width}&{height}&{channels}&".encode() + planes.astype("<f4").tobytes())
+        temporary.write_bytes(
+            f"{width}&{height}&{channels}&".encode() + planes.astype("<f4").tobytes()
+        )
 
 
 def _normals(view: _Posed) -> Array:
-    """(3, h, w) unit normals of the surface that a view shows, towards its camera, in the axes of the camera."""
+    """(3, h, w) unit normals of the surface that a view shows, towards its camera, in the axes of
+    the camera.
+    """
     rows, columns = np.indices(view.depth.shape)
     slopes = view.camera.slopes(np.column_stack([columns.ravel(), rows.ravel()]))
     rays = np.hstack([slopes, np.ones((len(slopes), 1))]).reshape(*view.depth.shape, 3)
@@ -218,14 +266,18 @@ def _normals(view: _Posed) -> Array:
 
 
 def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8], Array]:
-    """Points (n, 3) of one of `step` x `step` pixels of the middle view, colours (n, 3), and where views see them.
+    """Points (n, 3) of one of `step` x `step` pixels of the middle view, colours (n, 3), and where
+    views see them.
 
-    The last, (views, n, 2) [px], is NaN where the depth of a view tells that something else is seen, or nothing.
+    The last, (views, n, 2) [px], is NaN where the depth of a view tells that something else is
+    seen, or nothing.
     """
     middle = views[len(views) // 2]
     v, u = (step * axis for axis in np.nonzero(middle.known[::step, ::step]))
     z = middle.depth[v, u].astype(float)[:, None]
-    points = np.hstack([middle.camera.slopes(np.column_stack([u, v])) * z, z]) + middle.camera.position
+    points = (
+        np.hstack([middle.camera.slopes(np.column_stack([u, v])) * z, z]) + middle.camera.position
+    )
     places = np.array([view.camera.position for view in views])
     reach = float(np.ptp(places, axis=0).max()) * middle.camera.focal[0]
     pixels = np.full((len(views), len(points), 2), np.nan)
@@ -245,18 +297,24 @@ def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8
 
 
 def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
-    """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the depths of each view."""
+    """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the
+    depths of each view.
+    """
     cameras: list[dict[str, Any]] = []
     written: list[str] = []
     for number, (_, picture, depth, camera, known, centre) in enumerate(views):
         texture = yuv_frame(picture.image, "yuv420p10", picture.white)
         width, height, (x, y, z) = texture.width, texture.height, camera.position.tolist()
         near, far = np.quantile(depth[known], (0, 0.999)).tolist() if known.any() else (1.0, 2.0)
-        near, far = 0.999 * near, 1.001 * far
+        near = 0.999 * near
+        far = 1.001 * far
         disparity = (1 / np.where(known, depth, far) - 1 / far) / (1 / near - 1 / far)
         whole = np.rint(np.clip(disparity, 0, 1) * 65535).astype("<u2")[:height, :width]
         grey = np.full(width * height // 2, 0x8000, "<u2")
-        planes = {"texture": (10, frame_bytes(texture)), "depth": (16, whole.tobytes() + grey.tobytes())}
+        planes = {
+            "texture": (10, frame_bytes(texture)),
+            "depth": (16, whole.tobytes() + grey.tobytes()),
+        }
         for kind, (bits, data) in planes.items():
             path = folder / f"v{number:02d}_{kind}_{width}x{height}_yuv420p{bits}le.yuv"
             written.append(path.name)
@@ -264,17 +322,35 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
                 temporary.write_bytes(data)
         cameras.append(
             {"Name": f"v{number:02d}", "Position": [z, -x, -y], "Rotation": [0.0, 0.0, 0.0]}
-            | {"Depthmap": 1, "Background": 0, "Depth_range": [near, far], "Resolution": [width, height]}
+            | {
+                "Depthmap": 1,
+                "Background": 0,
+                "Depth_range": [near, far],
+                "Resolution": [width, height],
+            }
             | {"Projection": "Perspective", "Focal": list(camera.focal), "Principle_point": centre}
-            | {"BitDepthColor": 10, "BitDepthDepth": 16, "ColorSpace": "YUV420", "DepthColorSpace": "YUV420"}
+            | {
+                "BitDepthColor": 10,
+                "BitDepthDepth": 16,
+                "ColorSpace": "YUV420",
+                "DepthColorSpace": "YUV420",
+            }
         )
     refuse_leftovers(folder, r"v\d{2,}_(texture|depth)_.+\.yuv", written)
     about = {"Converted_by": "lfrender", "Unit": rig.unit}
-    model = {"Version": "2.0", "Content_name": folder.name, "Fps": 1, "Frames_number": 1, "Informative": about}
+    model = {
+        "Version": "2.0",
+        "Content_name": folder.name,
+        "Fps": 1,
+        "Frames_number": 1,
+        "Informative": about,
+    }
     _write_text(folder / "cameras.json", json.dumps(model | {"cameras": cameras}, indent=1))
 
 
 #: Writers by the name of the program.
 POSE_FORMATS: dict[str, Callable[[Path, list[_Posed], ViewRig], None]] = {
-    "nerfstudio": _write_nerfstudio, "colmap": _write_colmap, "rvs": _write_rvs,
-}  # fmt: skip
+    "nerfstudio": _write_nerfstudio,
+    "colmap": _write_colmap,
+    "rvs": _write_rvs,
+}

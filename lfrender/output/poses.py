@@ -1,9 +1,10 @@
-"""Views as pictures of pinhole cameras in the aperture of the main lens: intrinsics, positions, and depth.
+"""Views as pictures of pinhole cameras in the aperture of the main lens: intrinsics, positions, and
+depth.
 
-A view reads the flat at `Y = X + q D / s` (docs/geometry.md), so that its parallax is linear in the virtual depth
-`D / s`, as is that of pinhole cameras in `1 / Z`. With the optics known, positions and depth are metric; without, the
-focal length is chosen, the baseline between neighbouring views is 1, and the scene is right up to a projective
-transformation that leaves all views as they are.
+A view reads the flat at `Y = X + q D / s` (docs/geometry.md), so that its parallax is linear in the
+virtual depth `D / s`, as is that of pinhole cameras in `1 / Z`. With the optics known, positions
+and depth are metric; without, the focal length is chosen, the baseline between neighbouring views
+is 1, and the scene is right up to a projective transformation that leaves all views as they are.
 """
 
 from __future__ import annotations
@@ -42,14 +43,21 @@ class ViewCamera(Frozen):
     focal: tuple[float, float]  # [px]
     principal_point: tuple[float, float]  # [px], pixel centres at integers
     size: tuple[int, int]  # width and height [px]
-    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # k1, k2, p1, p2 as OpenCV has them
+    distortion: tuple[float, float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )  # k1, k2, p1, p2 as OpenCV has them
 
     def project(self, points: ArrayLike) -> Array:
         """(n, 2) pixels `u, v` at which points (n, 3) are seen."""
         import cv2
 
         places = np.asarray(points, dtype=np.float64).reshape(-1, 1, 3) - self.position
-        found = cv2.projectPoints(places, np.zeros(3), np.zeros(3), self._matrix(), np.array(self.distortion))[0]
+        found = cv2.projectPoints(
+            places, np.zeros(3), np.zeros(3), self._matrix(), np.array(self.distortion)
+        )[0]
         return np.asarray(found.reshape(-1, 2))
 
     def slopes(self, pixels: ArrayLike) -> Array:
@@ -57,7 +65,9 @@ class ViewCamera(Frozen):
         import cv2
 
         places = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-        return np.asarray(cv2.undistortPoints(places, self._matrix(), np.array(self.distortion)).reshape(-1, 2))
+        return np.asarray(
+            cv2.undistortPoints(places, self._matrix(), np.array(self.distortion)).reshape(-1, 2)
+        )
 
     def _matrix(self) -> Array:
         matrix = np.diag([*self.focal, 1.0])
@@ -87,10 +97,11 @@ class ViewRig:
     _pitch: float = field(repr=False)
 
     def depth(self, view: int, patch_size: NDArray[Any], places: Array) -> NDArray[np.float32]:
-        """(h, w) float32: distance along the axis, in the unit of the rig, of what view number `view` shows.
+        """(h, w) float32: distance along the axis, in the unit of the rig, of what view number
+        `view` shows.
 
-        `patch_size` (h, w) [px] is drawn at `places` (h, w, 2) [px] on the microlens plane, `Y`. It is inf at infinity,
-        NaN where the optics can image nothing.
+        `patch_size` (h, w) [px] is drawn at `places` (h, w, 2) [px] on the microlens plane, `Y`. It
+        is inf at infinity, NaN where the optics can image nothing.
         """
         virtual = virtual_depth(np.asarray(patch_size, np.float32), self._pitch).astype(np.float64)
         found = self._distance(view, virtual.ravel(), places.reshape(-1, 2))
@@ -106,10 +117,11 @@ def view_rig(
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
-    """The cameras of the views that `lfrender.views` draws for these `offsets` [px] and `still` [px].
+    """The cameras of the views that `lfrender.views` draws for these `offsets` [px] and `still`
+    [px].
 
-    All views have the `affine` from pixel to scene coordinates, and the width and height `size` [px]. The optics are
-    those of the calibration if no others are given.
+    All views have the `affine` from pixel to scene coordinates, and the width and height `size`
+    [px]. The optics are those of the calibration if no others are given.
 
     Examples
     --------
@@ -121,21 +133,31 @@ def view_rig(
     """
     check_depth(depth, calibration)
     optics = optics or calibration.optics
-    middle, pitch = (np.array(calibration.image_size) - 1) / 2, calibration.lattice.pitch
+    middle = (np.array(calibration.image_size) - 1) / 2
+    pitch = calibration.lattice.pitch
     where = np.array(offsets, dtype=float).reshape(-1, 2)
-    step, moved = np.diag(affine), where * (pitch / still)
+    step = np.diag(affine)
+    moved = where * (pitch / still)
     virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
 
     def cameras(aside: Array, focal: float, centres: Array) -> tuple[ViewCamera, ...]:
-        """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the microlens plane."""
-        pairs, (fx, fy) = zip(aside, ((centres - moved - affine[:, 2]) / step).tolist(), strict=True), focal / step
-        return tuple(ViewCamera(np.array([*place, 0.0]), (fx, fy), (x, y), size) for place, (x, y) in pairs)
+        """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the
+        microlens plane.
+        """
+        pairs, (fx, fy) = (
+            zip(aside, ((centres - moved - affine[:, 2]) / step).tolist(), strict=True),
+            focal / step,
+        )
+        return tuple(
+            ViewCamera(np.array([*place, 0.0]), (fx, fy), (x, y), size) for place, (x, y) in pairs
+        )
 
     if optics is None:
-        # In units of the baseline: the focal length is the longer side, infinity a little behind the scene, where
-        # `D / s = beyond` is drawn at X + q beyond.
+        # In units of the baseline: the focal length is the longer side, infinity a little behind
+        # the scene, where `D / s = beyond` is drawn at X + q beyond.
         near, far = (float(v) for v in np.quantile(virtual, (0.01, 0.99)))
-        beyond, focal = far + 0.25 * max(far - near, 0.1), float(max(depth.image_size))
+        beyond = far + 0.25 * max(far - near, 0.1)
+        focal = float(max(depth.image_size))
         gaps = np.linalg.norm(where[:, None] - where, axis=-1)
         unit = float(gaps[gaps > 0].min()) if (gaps > 0).any() else 1.0
 
@@ -143,40 +165,68 @@ def view_rig(
             with np.errstate(divide="ignore"):
                 return np.where(depths < beyond, focal / unit / (beyond - depths), np.inf)
 
-        return ViewRig(cameras(where / unit, focal, middle + where * beyond), "baseline", 0.0, chosen_distance, pitch)
-    lens, axis = optics, middle if optics.principal_point is None else np.array(optics.principal_point)
-    far, spread = lens.mla_distance, 1 + lens.sensor_distance / lens.mla_distance
+        return ViewRig(
+            cameras(where / unit, focal, middle + where * beyond),
+            "baseline",
+            0.0,
+            chosen_distance,
+            pitch,
+        )
+    lens = optics
+    axis = middle if optics.principal_point is None else np.array(optics.principal_point)
+    far = lens.mla_distance
+    spread = 1 + lens.sensor_distance / lens.mla_distance
     # The lens at c is read at c + q: the ray crosses the main lens there.
     aside = where * lens.pixel * far / lens.sensor_distance
     centres = axis - spread / lens.pixel * aside * (1 - far / lens.focal_length)
-    made, error = cameras(aside * 1e-3, spread * far / lens.pixel, centres), 0.0
+    made = cameras(aside * 1e-3, spread * far / lens.pixel, centres)
+    error = 0.0
     if any((*lens.radial, *lens.tangential, *lens.tilt, lens.curvature, lens.pupil)):
         # Optics with distortion, tilt, curvature or a pupil: the cameras that come nearest.
         sides = [np.linspace(0.02, 0.98, 9) * side for side in depth.image_size]
-        x, y, v = (axis.ravel() for axis in np.meshgrid(*sides, np.quantile(virtual, (0.02, 0.5, 0.98))))
+        x, y, v = (
+            axis.ravel() for axis in np.meshgrid(*sides, np.quantile(virtual, (0.02, 0.5, 0.98)))
+        )
         scene = np.column_stack([x, y])
         points = lens.positions(scene, 1 / v.astype(np.float64), middle)
         known = np.isfinite(points).all(1)
-        drawn = [(scene + q * v[:, None] - own - affine[:, 2]) / step for q, own in zip(where, moved, strict=True)]
+        drawn = [
+            (scene + q * v[:, None] - own - affine[:, 2]) / step
+            for q, own in zip(where, moved, strict=True)
+        ]
         fitted = [_fit(one, points[known], at[known]) for one, at in zip(made, drawn, strict=True)]
         error = float(np.sqrt(np.mean([square for _, square in fitted])))
         made = tuple(camera for camera, _ in fitted)
 
     def distance(view: int, depths: Array, places: Array) -> Array:
-        found: Array = lens.positions(places - where[view] * depths[:, None], 1 / depths, middle)[:, 2]
+        found: Array = lens.positions(places - where[view] * depths[:, None], 1 / depths, middle)[
+            :, 2
+        ]
         return found - made[view].position[2]
 
     return ViewRig(made, "m", error, distance, pitch)
 
 
 def _fit(camera: ViewCamera, points: Array, pixels: Array) -> tuple[ViewCamera, float]:
-    """The camera that projects points (n, 3) most nearly to pixels (n, 2), and the mean squared distance."""
+    """The camera that projects points (n, 3) most nearly to pixels (n, 2), and the mean squared
+    distance.
+    """
     from scipy.optimize import least_squares
 
     def changed(step: Array) -> ViewCamera:
-        focal, at = np.array(camera.focal) * (1 + step[3]), np.array(camera.principal_point) + step[4:6]
-        position, bend = camera.position + step[:3], step[6:].tolist()
-        return replace(camera, position=position, focal=tuple(focal), principal_point=tuple(at), distortion=tuple(bend))
+        focal = np.array(camera.focal) * (1 + step[3])
+        at = np.array(camera.principal_point) + step[4:6]
+        position = camera.position + step[:3]
+        bend = step[6:].tolist()
+        return replace(
+            camera,
+            position=position,
+            focal=tuple(focal),
+            principal_point=tuple(at),
+            distortion=tuple(bend),
+        )
 
-    found = least_squares(lambda step: np.ravel(changed(step).project(points) - pixels), np.zeros(10), x_scale="jac")
+    found = least_squares(
+        lambda step: np.ravel(changed(step).project(points) - pixels), np.zeros(10), x_scale="jac"
+    )
     return changed(found.x), float(np.mean(found.fun**2)) * 2

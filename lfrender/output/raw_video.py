@@ -1,7 +1,7 @@
 """Raw planar video (`.yuv`) of pictures: their frames, and a file for each view of a grid.
 
-Files are named and numbered as the converters for lenslet video (TLCT) do: `v000-1920x1080.yuv` is the view at the top
-left, the others follow row by row.
+Files are named and numbered as the converters for lenslet video (TLCT) do: `v000-1920x1080.yuv` is
+the view at the top left, the others follow row by row.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ __all__ = ["check_raw_format", "frame_bytes", "view_name", "write_view_videos", 
 
 
 def check_raw_format(folder: str | os.PathLike[str], pixel_format: str) -> str:
-    """The full name of a pixel format, 4:2:0 of 10 bits for `"yuv"`; PictureError if it cannot be written."""
+    """The full name of a pixel format, 4:2:0 of 10 bits for `"yuv"`; PictureError if it cannot be
+    written.
+    """
     check_package(Path(folder) / "v000.yuv", FORMATS[".yuv"])
     if pixel_format == "yuv":
         return "yuv420p10"
@@ -40,11 +42,15 @@ def view_name(number: int, width: int, height: int) -> str:
     return f"v{number:03d}-{width}x{height}.yuv"
 
 
-def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = None, **colours: Any) -> Any:
-    """A frame of PyAV: BT.601 of limited range, as FFmpeg takes raw video to be, or as `convert_frame` takes `colours`.
+def yuv_frame(
+    pixels: NDArray[Any], pixel_format: str, white: float | None = None, **colours: Any
+) -> Any:
+    """A frame of PyAV: BT.601 of limited range, as FFmpeg takes raw video to be, or as
+    `convert_frame` takes `colours`.
 
-    `pixels` are (h, w) or (h, w, 3), uint8, uint16 or float; `white` is the white level of integers, if it is less than
-    the largest value of the type. A last column or row without a partner is left out where the format shares colours.
+    `pixels` are (h, w) or (h, w, 3), uint8, uint16 or float; `white` is the white level of
+    integers, if it is less than the largest value of the type. A last column or row without a
+    partner is left out where the format shares colours.
     """
     from av import VideoFrame
 
@@ -81,8 +87,8 @@ def write_view_videos(
 ) -> list[Path]:
     """Write each view, row by row, as raw video of one frame, `v000-1920x1080.yuv` and so on.
 
-    OutputError or PictureError if the folder or a file cannot be written, or holds views of an earlier run that these
-    do not replace.
+    OutputError or PictureError if the folder or a file cannot be written, or holds views of an
+    earlier run that these do not replace.
     """
     name = check_raw_format(folder, pixel_format)
     make_folder(folder)

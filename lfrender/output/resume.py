@@ -1,4 +1,6 @@
-"""Intermediate results kept beside the output of a long run, so that a run that was killed can be continued."""
+"""Intermediate results kept beside the output of a long run, so that a run that was killed can be
+continued.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ __all__ = ["Checkpoint", "file_identity", "fingerprint"]
 
 
 class Checkpoint:
-    """A hidden folder beside an output with the finished parts of a run; removed once the output is there."""
+    """A hidden folder beside an output with the finished parts of a run; removed once the output is
+    there.
+    """
 
     def __init__(self, output: Path) -> None:
         self.folder = output.absolute().parent / f".{output.name}.unfinished"
@@ -34,7 +38,9 @@ class Checkpoint:
         try:
             self.folder.mkdir(exist_ok=True)
         except OSError as error:
-            raise OutputError(f"{self._output}: cannot be written ({error.strerror or error})") from error
+            raise OutputError(
+                f"{self._output}: cannot be written ({error.strerror or error})"
+            ) from error
         return self.folder
 
     def find(self, name: str, key: str) -> Any:
@@ -43,7 +49,9 @@ class Checkpoint:
         return found["value"] if isinstance(found, dict) and found.get("key") == key else None
 
     def keep(self, name: str, key: str, value: Any = True) -> None:
-        """Keep a value that JSON can hold; files that belong to it must have been written completely."""
+        """Keep a value that JSON can hold; files that belong to it must have been written
+        completely.
+        """
         self.open()
         self._kept[name] = {"key": key, "value": value}
         with atomic_write(self._state) as temporary:
@@ -51,7 +59,8 @@ class Checkpoint:
 
     def remove(self) -> None:
         """Remove the folder."""
-        # The state goes first: without it, files that an interruption here leaves behind are not used.
+        # The state goes first: without it, files that an interruption here leaves behind are not
+        # used.
         self._kept = {}
         with suppress(OSError):
             self._state.unlink(missing_ok=True)
@@ -59,7 +68,9 @@ class Checkpoint:
 
 
 def file_identity(path: Path | None) -> list[Any]:
-    """Path, size and time of an input file or Zarr folder: they change if another file takes its place."""
+    """Path, size and time of an input file or Zarr folder: they change if another file takes its
+    place.
+    """
     if path is None:
         return []
     names = ("zarr.json", ".zarray", ".zgroup") if path.is_dir() else ()

@@ -30,21 +30,35 @@ def move_into_place(made: Path, output: Path) -> None:
 class TileWriter:
     """Writes a picture of `shape` (rows, columns, channels) in a folder beside its place.
 
-    Zarr arrays have chunks of `side` (columns, rows). A TIFF has plain rows, which `finish` packs into deflated tiles
-    if it is to `compress` them. `text` is the JSON text to store.
+    Zarr arrays have chunks of `side` (columns, rows). A TIFF has plain rows, which `finish` packs
+    into deflated tiles if it is to `compress` them. `text` is the JSON text to store.
     """
 
     def __init__(
-        self, path: Path, folder: Path, shape: tuple[int, ...], dtype: Any, side: tuple[int, int], text: str,
-        icc: bytes = b"", compress: bool = False,
-    ) -> None:  # fmt: skip
-        self._is_zarr, self._shape, self._dtype, self._side = path.suffix.lower() == ".zarr", shape, dtype, side
+        self,
+        path: Path,
+        folder: Path,
+        shape: tuple[int, ...],
+        dtype: Any,
+        side: tuple[int, int],
+        text: str,
+        icc: bytes = b"",
+        compress: bool = False,
+    ) -> None:
+        self._is_zarr, self._shape, self._dtype, self._side = (
+            path.suffix.lower() == ".zarr",
+            shape,
+            dtype,
+            side,
+        )
         self._path = folder / ("picture.zarr" if self._is_zarr else "picture.tif")
         self._text, self._compress, self._start = text, compress, 0
         self._tags = tiff_tags(shape, text, icc)
 
     def open(self, fresh: bool) -> bool:
-        """Start with an empty file, or continue the one in the folder; returns whether there was one to continue."""
+        """Start with an empty file, or continue the one in the folder; returns whether there was
+        one to continue.
+        """
         if fresh and self._path.exists():
             shutil.rmtree(self._path) if self._is_zarr else self._path.unlink()
         found = self._path.exists()
@@ -54,9 +68,12 @@ class TileWriter:
             if not found:
                 chunks = (*np.minimum(self._side[::-1], self._shape[:2]).tolist(), *self._shape[2:])
                 zarr.create_array(
-                    str(self._path), shape=self._shape, dtype=self._dtype, chunks=chunks,
+                    str(self._path),
+                    shape=self._shape,
+                    dtype=self._dtype,
+                    chunks=chunks,
                     attributes={"description": self._text},
-                )  # fmt: skip
+                )
             return found
         import tifffile
 
@@ -67,7 +84,9 @@ class TileWriter:
         return found
 
     def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
-        """Write the pixels of `left, top, right, bottom`, safe on the disk; tiles come in any order."""
+        """Write the pixels of `left, top, right, bottom`, safe on the disk; tiles come in any
+        order.
+        """
         left, top, right, bottom = tile
         if self._is_zarr:
             import zarr
@@ -81,7 +100,9 @@ class TileWriter:
         mapped.flush()
 
     def _map(self) -> np.memmap:
-        """The pixels of the TIFF, mapped anew for each tile: what stays mapped counts as memory of the process."""
+        """The pixels of the TIFF, mapped anew for each tile: what stays mapped counts as memory of
+        the process.
+        """
         return np.memmap(self._path, self._dtype, "r+", self._start, self._shape)
 
     def finish(self, output: Path) -> None:
@@ -89,16 +110,21 @@ class TileWriter:
         made = self._path
         if self._is_zarr and output.exists():
             if not any((output / name).exists() for name in ("zarr.json", ".zarray", ".zgroup")):
-                raise OutputError(f"{output}: is there already and no Zarr array; give another output")
-            # Moved away in one step: a folder that is half removed would still be read as a picture.
+                raise OutputError(
+                    f"{output}: is there already and no Zarr array; give another output"
+                )
+            # Moved away in one step: a folder that is half removed would still be read as a
+            # picture.
             earlier = self._path.with_name("earlier.zarr")
             shutil.rmtree(earlier, ignore_errors=True)
             move_into_place(output, earlier)
         elif self._compress:
             import tifffile
 
-            # If the process is killed here, the next run finds and removes this file in the folder of unfinished work.
-            made, options = self._path.with_name("packed.tif"), tiff_tiles(self._dtype) | self._tags
+            # If the process is killed here, the next run finds and removes this file in the folder
+            # of unfinished work.
+            made = self._path.with_name("packed.tif")
+            options = tiff_tiles(self._dtype) | self._tags
             with atomic_write(made) as temporary:
                 tiles = self._tiles(options["tile"][0])
                 tifffile.imwrite(temporary, tiles, shape=self._shape, dtype=self._dtype, **options)

@@ -1,4 +1,6 @@
-"""Files of several viewpoints: a folder of pictures, a stereo pair in one picture, a quilt, an animation."""
+"""Files of several viewpoints: a folder of pictures, a stereo pair in one picture, a quilt, an
+animation.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,15 @@ from .formats import FORMATS, PictureError, check_format
 from .picture import Brightness, default_exposure, write_picture
 
 __all__ = [
-    "check_grid", "crop_view", "resize_view", "scale_for_size", "stereo_pair", "write_animation",
-    "write_grid", "write_quilt",
-]  # fmt: skip
+    "check_grid",
+    "crop_view",
+    "resize_view",
+    "scale_for_size",
+    "stereo_pair",
+    "write_animation",
+    "write_grid",
+    "write_quilt",
+]
 
 # Names of the files of a grid, as a regular expression.
 _GRID_FILES = r"row\d+_column\d+\.\w+"
@@ -36,7 +44,8 @@ def check_grid(
     inputs: Iterable[Any] = (),
     grid: tuple[int, int] | None = None,
 ) -> None:
-    """Raise an error if a folder of views could not be made, before the views are drawn; as `check_format`.
+    """Raise an error if a folder of views could not be made, before the views are drawn; as
+    `check_format`.
 
     Files of an earlier run that a `grid` of (rows, columns) would not replace are an OutputError.
     """
@@ -45,7 +54,9 @@ def check_grid(
     check_format(inside / f"view{suffix}", "picture", dtype=dtype, inputs=inputs)
     if grid is not None:
         rows, columns = grid
-        refuse_leftovers(target, _GRID_FILES, [_grid_name(k, columns) + suffix for k in range(rows * columns)])
+        refuse_leftovers(
+            target, _GRID_FILES, [_grid_name(k, columns) + suffix for k in range(rows * columns)]
+        )
 
 
 def _grid_name(index: int, columns: int) -> str:
@@ -61,11 +72,12 @@ def write_grid(
     exposure: Exposure | None = None,
     **options: Any,
 ) -> list[Path]:
-    """Write views, `columns` in a row, as `row1_column1.tif` and so on, into a folder that is made if needed.
+    """Write views, `columns` in a row, as `row1_column1.tif` and so on, into a folder that is made
+    if needed.
 
-    One of the `pictures` at a time is held in memory. All have one gain, found on the first; `exposure`, `options` and
-    errors are those of `write_picture`. OutputError if views of an earlier run, which these do not replace, are in the
-    folder.
+    One of the `pictures` at a time is held in memory. All have one gain, found on the first;
+    `exposure`, `options` and errors are those of `write_picture`. OutputError if views of an
+    earlier run, which these do not replace, are in the folder.
 
     Examples
     --------
@@ -77,7 +89,8 @@ def write_grid(
     ['row1_column1.png', 'row1_column2.png']
     """
     check_type(pictures, Iterable, "pictures", "give a list of pictures")
-    target, paths = make_folder(folder), []
+    target = make_folder(folder)
+    paths = []
     brightness = Brightness(default_exposure(f"view{suffix}") if exposure is None else exposure)
     for index, picture in enumerate(pictures):
         paths.append(target / (_grid_name(index, columns) + suffix))
@@ -88,12 +101,17 @@ def write_grid(
 
 
 def write_quilt(
-    path: str | os.PathLike[str], pictures: Iterable[Rendering], columns: int, rows: int, **options: Any
+    path: str | os.PathLike[str],
+    pictures: Iterable[Rendering],
+    columns: int,
+    rows: int,
+    **options: Any,
 ) -> str:
-    """Write views from left to right as a quilt of a Looking Glass display: the first at the bottom left, row by row.
+    """Write views from left to right as a quilt of a Looking Glass display: the first at the bottom
+    left, row by row.
 
-    There must be `columns * rows` of one size; `options` are those of `write_picture`. Players take grid and aspect
-    of a view from the end of the name, such as `_qs8x6a1.33`, which is returned.
+    There must be `columns * rows` of one size; `options` are those of `write_picture`. Players take
+    grid and aspect of a view from the end of the name, such as `_qs8x6a1.33`, which is returned.
 
     Examples
     --------
@@ -106,8 +124,13 @@ def write_quilt(
     """
     images = [picture.image for picture in check_pictures(pictures)]
     if len(images) != columns * rows:
-        raise PictureError(f"{path}: a quilt of {columns} x {rows} needs {columns * rows} views, got {len(images)}")
-    lines = [np.concatenate(images[row * columns : (row + 1) * columns], axis=1) for row in reversed(range(rows))]
+        raise PictureError(
+            f"{path}: a quilt of {columns} x {rows} needs {columns * rows} views, got {len(images)}"
+        )
+    lines = [
+        np.concatenate(images[row * columns : (row + 1) * columns], axis=1)
+        for row in reversed(range(rows))
+    ]
     write_picture(path, np.concatenate(lines, axis=0), **options)
     height, width = images[0].shape[:2]
     return f"_qs{columns}x{rows}a{width / height:.2f}"
@@ -115,11 +138,15 @@ def write_quilt(
 
 def scale_for_size(calibration: Calibration, size: tuple[int, int]) -> float:
     """Output pixels per pitch at which a picture has at least this width and height [px]."""
-    return min(float(np.max(np.divide(size, calibration.image_size))), 4.0) * calibration.lattice.pitch
+    return (
+        min(float(np.max(np.divide(size, calibration.image_size))), 4.0) * calibration.lattice.pitch
+    )
 
 
 def resize_view(picture: Rendering, size: tuple[int, int]) -> Rendering:
-    """A view with exactly this width and height [px]; its affine lays it over the same scene coordinates."""
+    """A view with exactly this width and height [px]; its affine lays it over the same scene
+    coordinates.
+    """
     if picture.valid.shape[::-1] == size:
         return picture
     import cv2
@@ -127,18 +154,32 @@ def resize_view(picture: Rendering, size: tuple[int, int]) -> Rendering:
     across, down = np.divide(picture.valid.shape[::-1], size).tolist()
     method = cv2.INTER_AREA if min(across, down) >= 1 else cv2.INTER_CUBIC
     image = cv2.resize(picture.image, size, interpolation=method)
-    valid = cv2.resize(picture.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
+    valid = cv2.resize(
+        picture.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST
+    ).astype(bool)
     # Pixel u of the result lies at pixel (u + 1/2) across - 1/2 of the picture.
-    matrix = np.array([[across, 0.0, across / 2 - 0.5], [0.0, down, down / 2 - 0.5], [0.0, 0.0, 1.0]])
-    return replace(picture, image=image, valid=valid, affine=picture.affine @ matrix, scale=picture.scale / across)
+    matrix = np.array(
+        [[across, 0.0, across / 2 - 0.5], [0.0, down, down / 2 - 0.5], [0.0, 0.0, 1.0]]
+    )
+    return replace(
+        picture,
+        image=image,
+        valid=valid,
+        affine=picture.affine @ matrix,
+        scale=picture.scale / across,
+    )
 
 
-def crop_view(picture: Rendering, roi: tuple[float, float, float, float], lattice: Lattice) -> Rendering:
-    """The pixels of a picture, at least one, whose scene coordinates lie between two opposite corners x0, y0, x1, y1.
+def crop_view(
+    picture: Rendering, roi: tuple[float, float, float, float], lattice: Lattice
+) -> Rendering:
+    """The pixels of a picture, at least one, whose scene coordinates lie between two opposite
+    corners x0, y0, x1, y1.
 
     ValueError if these lie outside the flat.
     """
-    size, corners = np.array(picture.valid.shape[::-1]), np.array(check_region(roi, lattice)).reshape(2, 2)
+    size = np.array(picture.valid.shape[::-1])
+    corners = np.array(check_region(roi, lattice)).reshape(2, 2)
     low, high = (corners - picture.affine[:, 2]) / np.diag(picture.affine)
     left, top = np.clip(np.ceil(low), 0, size - 1).astype(int)
     right, bottom = np.clip(np.floor(high) + 1, (left + 1, top + 1), size).astype(int)
@@ -148,7 +189,8 @@ def crop_view(picture: Rendering, roi: tuple[float, float, float, float], lattic
 
 
 def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
-    """Two views side by side, for parallel viewing: the left eye's on the left. The affine is that of the left one.
+    """Two views side by side, for parallel viewing: the left eye's on the left. The affine is that
+    of the left one.
 
     Examples
     --------
@@ -163,8 +205,11 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
     return replace(left, image=image, valid=np.concatenate([left.valid, right.valid], axis=1))
 
 
-def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering], *, milliseconds: int = 80) -> None:
-    """Write at least one view as GIF, animated PNG or WebP of 8 bits that repeats without end; whole or not at all.
+def write_animation(
+    path: str | os.PathLike[str], pictures: Iterable[Rendering], *, milliseconds: int = 80
+) -> None:
+    """Write at least one view as GIF, animated PNG or WebP of 8 bits that repeats without end;
+    whole or not at all.
 
     The suffix of `path` chooses the format; each picture is shown so many `milliseconds`.
 
@@ -181,7 +226,10 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     from PIL import Image
 
     check_format(path, "animation")
-    shown = (np.ascontiguousarray(to_eight_bits(picture.image, picture.white)) for picture in check_pictures(pictures))
+    shown = (
+        np.ascontiguousarray(to_eight_bits(picture.image, picture.white))
+        for picture in check_pictures(pictures)
+    )
     frames = [Image.fromarray(pixels) for pixels in shown]
     if not frames:
         raise PictureError(f"{path}: an animation needs at least one picture")

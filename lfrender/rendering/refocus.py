@@ -1,4 +1,6 @@
-"""Pictures in focus at one depth, as a camera with the aperture of the main lens would have taken them."""
+"""Pictures in focus at one depth, as a camera with the aperture of the main lens would have taken
+them.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,9 @@ def refocus(
 ) -> Rendering:
     """Draw the scene in focus at one depth, out of focus in front of it and behind.
 
-    Every scene point is the mean over all lenses that show it, read at one patch size for all places (integral
-    photography: Lumsdaine and Georgiev 2008, section 5). Errors are those of `render`.
+    Every scene point is the mean over all lenses that show it, read at one patch size for all
+    places (integral photography: Lumsdaine and Georgiev 2008, section 5). Errors are those of
+    `render`.
 
     Parameters
     ----------
@@ -47,10 +50,11 @@ def refocus(
     depth : DepthMap, optional
         Of this flat, for `position`; analysed where it is not given.
     aperture : float
-        Part of the radius of the microimages, and so of the main lens' aperture, that takes part: 0.05 to 1. Less
-        gives more depth of field.
+        Part of the radius of the microimages, and so of the main lens' aperture, that takes part:
+        0.05 to 1. Less gives more depth of field.
     scale : float, optional
-        Output pixels per pitch; by default that of `render` for this depth map, `|patch_size|` without one.
+        Output pixels per pitch; by default that of `render` for this depth map, `|patch_size|`
+        without one.
 
     Examples
     --------
@@ -68,9 +72,14 @@ def refocus(
     if position is not None:
         place = np.array(position, dtype=float)
         width, height = lattice.image_size
-        if place.shape != (2,) or not ((place >= -0.5) & (place <= (width - 0.5, height - 0.5))).all():
+        if (
+            place.shape != (2,)
+            or not ((place >= -0.5) & (place <= (width - 0.5, height - 0.5))).all()
+        ):
             given = " ".join(map(str, np.ravel(position)))
-            raise ValueError(f"position must be x, y on the flat of {width} x {height} px, got {given}")
+            raise ValueError(
+                f"position must be x, y on the flat of {width} x {height} px, got {given}"
+            )
         if depth is None:
             from ..depth.analyze import analyze
 
@@ -85,10 +94,16 @@ def refocus(
         scale = abs(patch_size) if depth is None else default_scale(depth)
     # Out of focus, colours differ and are mixed all the same.
     renderer = Renderer(
-        calibration, constant_surface(patch_size), check_scale(scale, lattice.pitch), abs(patch_size), True,
-        reach=REFOCUS_REACH, agreement=1e3, aperture=aperture,
+        calibration,
+        constant_surface(patch_size),
+        check_scale(scale, lattice.pitch),
+        abs(patch_size),
+        True,
+        reach=REFOCUS_REACH,
+        agreement=1e3,
+        aperture=aperture,
         lens_blur=None if depth is None else choose_blur(calibration, depth),
-    )  # fmt: skip
+    )
     image, valid = renderer.draw(pixels, dtype=pixels.dtype)
     return finish_picture(image, valid, renderer.grid.affine(), renderer.scale, flat, calibration)
 
@@ -102,10 +117,11 @@ def focal_stack(
     aperture: float = 1.0,
     scale: float | None = None,
 ) -> list[Rendering]:
-    """Draw the scene in focus at several signed patch sizes [px], at least one, all pictures on one grid.
+    """Draw the scene in focus at several signed patch sizes [px], at least one, all pictures on one
+    grid.
 
-    That is the grid of `render` for a depth map, if one is given; else the scale is the largest `|patch_size|`. The
-    rest is as for `refocus`.
+    That is the grid of `render` for a depth map, if one is given; else the scale is the largest
+    `|patch_size|`. The rest is as for `refocus`.
 
     Examples
     --------
@@ -114,7 +130,9 @@ def focal_stack(
     >>> [picture.image.shape for picture in lfrender.focal_stack(flat, camera, [-7.0, 7.0], scale=6)]
     [(47, 62, 3), (47, 62, 3)]
     """
-    check_type(patch_sizes, Iterable, "patch_sizes", "give signed patch sizes [px], as stack_depths does")
+    check_type(
+        patch_sizes, Iterable, "patch_sizes", "give signed patch sizes [px], as stack_depths does"
+    )
     sizes = [float(s) for s in patch_sizes]
     if not sizes:
         raise ValueError("patch_sizes must hold at least one number")
@@ -124,10 +142,11 @@ def focal_stack(
 
 
 def stack_depths(depth: DepthMap, count: int) -> list[float]:
-    """Patch sizes [px] for a focal stack through a scene, from far to near; one alone is in the middle.
+    """Patch sizes [px] for a focal stack through a scene, from far to near; one alone is in the
+    middle.
 
-    They are evenly spaced in the virtual depth `D / s`, as is the blur between one and the next. ValueError if `count`
-    is below 1, or no lens of the depth map is resolved.
+    They are evenly spaced in the virtual depth `D / s`, as is the blur between one and the next.
+    ValueError if `count` is below 1, or no lens of the depth map is resolved.
 
     Examples
     --------
@@ -140,10 +159,12 @@ def stack_depths(depth: DepthMap, count: int) -> list[float]:
         raise ValueError(f"a stack has at least one picture, got {count}")
     resolved = depth.patch_size[np.isfinite(depth.patch_size)]
     if not resolved.size:
-        raise ValueError("no lens is resolved, so the depths of a stack are unknown; give patch sizes")
+        raise ValueError(
+            "no lens is resolved, so the depths of a stack are unknown; give patch sizes"
+        )
     ratio = virtual_depth(resolved, depth.pitch).astype(float)
-    # From far telescopic places to near binocular ones, without the gap about the microlenses: no depth with |D / s|
-    # below 4 / 3 is resolved, and no picture is in focus there.
+    # From far telescopic places to near binocular ones, without the gap about the microlenses: no
+    # depth with |D / s| below 4 / 3 is resolved, and no picture is in focus there.
     least = 4 / 3
     far, near = -np.quantile(np.sign(ratio) * least - ratio, [0.02, 0.98])
     steps = np.linspace(far, near, count) if count > 1 else np.array([(far + near) / 2])

@@ -1,6 +1,8 @@
-"""Drawing pictures: what the kernels of blending read is prepared once, and any part is drawn from the flat it needs.
+"""Drawing pictures: what the kernels of blending read is prepared once, and any part is drawn from
+the flat it needs.
 
-Kernels work in the coordinates of the whole flat and picture, so that a picture has the same bits in one part or many.
+Kernels work in the coordinates of the whole flat and picture, so that a picture has the same bits
+in one part or many.
 """
 
 from __future__ import annotations
@@ -62,7 +64,9 @@ class Renderer:
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
     lit: LitFlat | None = None  # of the whole flat, if several pictures are drawn from it
     lens_blur: LensBlur | None = None  # of the lens types
-    noise: float | None = None  # [white] of the flat, as `measure_noise`: detail is restored against it
+    noise: float | None = (
+        None  # [white] of the flat, as `measure_noise`: detail is restored against it
+    )
 
     @property
     def grid(self) -> PictureGrid:
@@ -77,19 +81,30 @@ class Renderer:
     def required_part(self, part: Part) -> Part:
         """The part of the flat that a part of the picture is drawn from."""
         lattice = self.calibration.lattice
-        beside = self.reach * lattice.pitch + lattice.radius + 2 * self._aside + float(np.abs(self._moved).max())
+        beside = (
+            self.reach * lattice.pitch
+            + lattice.radius
+            + 2 * self._aside
+            + float(np.abs(self._moved).max())
+        )
         # Four pixels for interpolation and its compensation.
-        return self.grid.flat_part(self.grid.expand(part, self.halo), int(np.ceil(beside + self.grid.spacing)) + 4)
+        return self.grid.flat_part(
+            self.grid.expand(part, self.halo), int(np.ceil(beside + self.grid.spacing)) + 4
+        )
 
     def draw(
-        self, pixels: NDArray[Any], corner: tuple[int, int] = (0, 0), part: Part | None = None,
+        self,
+        pixels: NDArray[Any],
+        corner: tuple[int, int] = (0, 0),
+        part: Part | None = None,
         dtype: DTypeLike = np.float32,
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
-        """Draw a part of the picture, by default all, from the part of the flat that is `required_part`, or more, in
-        colour.
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Draw a part of the picture, by default all, from the part of the flat that is
+        `required_part`, or more, in colour.
 
-        `corner` are flat coordinates x, y of its first pixel, `dtype` is float32 or that of `pixels`. Returns the image
-        (rows, columns, C) in the flat's units, and (rows, columns) bool: pixels that some lens shows.
+        `corner` are flat coordinates x, y of its first pixel, `dtype` is float32 or that of
+        `pixels`. Returns the image (rows, columns, C) in the flat's units, and (rows, columns)
+        bool: pixels that some lens shows.
         """
         part = part or self.grid.whole
         if self.noise is None:
@@ -98,7 +113,8 @@ class Renderer:
         image, valid = self._blend(pixels, corner, wide)
         filters, kinds = self._filters
         places = find_places(kinds, self.surface, self.grid, wide)
-        white, encoded = white_level(pixels, self.calibration), is_encoded(pixels.dtype, self.calibration)
+        white = white_level(pixels, self.calibration)
+        encoded = is_encoded(pixels.dtype, self.calibration)
         image = restore_detail(image, valid, places, filters, white, encoded, dtype)
         inside = slice(part[1] - top, part[3] - top), slice(part[0] - left, part[2] - left)
         return np.ascontiguousarray(image[inside]), np.ascontiguousarray(valid[inside])
@@ -109,41 +125,68 @@ class Renderer:
         assert self.noise is not None
         sizes = self.surface.patch_size
         depths = float(sizes.min()), float(sizes.max())
-        filters = make_filters(self.calibration, self.lens_blur, self.noise, self.scale, self.reach, self.full, depths)
+        filters = make_filters(
+            self.calibration, self.lens_blur, self.noise, self.scale, self.reach, self.full, depths
+        )
         return filters, choose_filters(filters, self.surface, self.grid)
 
     def _draw_plain(
         self, pixels: NDArray[Any], corner: tuple[int, int], part: Part, dtype: np.dtype[Any]
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        if self.blend or not shows_patches(self.calibration, self.surface, self.scale, self.aperture):
+        if self.blend or not shows_patches(
+            self.calibration, self.surface, self.scale, self.aperture
+        ):
             image, valid = self._blend(pixels, corner, part)
             return convert_to_dtype(image, dtype), valid
-        patch, valid = render_patches(pixels, corner, self.calibration, self.surface.patch_size[0, 0], part)
+        patch, valid = render_patches(
+            pixels, corner, self.calibration, self.surface.patch_size[0, 0], part
+        )
         left, top, _, _ = part
         # Within a pitch of the border of the flat, the nearest lens does not show all.
         for strip in self.grid.border(part, int(np.ceil(self.scale)) + 1):
             box = np.s_[strip[1] - top : strip[3] - top, strip[0] - left : strip[2] - left]
             if not valid[box].all():
                 image, seen = self._blend(pixels, corner, strip, ~valid[box])
-                np.copyto(patch[box], convert_to_dtype(image, patch.dtype), where=~valid[box][..., None])
+                np.copyto(
+                    patch[box], convert_to_dtype(image, patch.dtype), where=~valid[box][..., None]
+                )
                 valid[box] |= seen
         return patch.astype(dtype, copy=False), valid
 
     def light(
-        self, pixels: NDArray[Any], corner: tuple[int, int] = (0, 0), viewpoints: Iterable[Viewpoint] = ()
+        self,
+        pixels: NDArray[Any],
+        corner: tuple[int, int] = (0, 0),
+        viewpoints: Iterable[Viewpoint] = (),
     ) -> LitFlat:
         """What a picture reads of a part of the flat, or several pictures from `viewpoints`."""
-        surface, lattice = self.surface, self.calibration.lattice
-        parallax = max(point.max_parallax(surface, lattice) for point in (self.viewpoint, *viewpoints))
-        return light_flat(self.calibration, surface if self.blend else None, pixels, corner, self._reach + parallax)
+        surface = self.surface
+        lattice = self.calibration.lattice
+        parallax = max(
+            point.max_parallax(surface, lattice) for point in (self.viewpoint, *viewpoints)
+        )
+        return light_flat(
+            self.calibration,
+            surface if self.blend else None,
+            pixels,
+            corner,
+            self._reach + parallax,
+        )
 
     def seen_depth(self) -> NDArray[np.float32]:
         """(rows, columns) signed patch size that each pixel of the picture shows [px]."""
-        edge, shape = edge_step(self.calibration.lattice.pitch), self.grid.size[::-1]
-        return sample_surface_at(self._seen_surface, edge, shape, self.grid.first + self._moved, self.grid.spacing)
+        edge = edge_step(self.calibration.lattice.pitch)
+        shape = self.grid.size[::-1]
+        return sample_surface_at(
+            self._seen_surface, edge, shape, self.grid.first + self._moved, self.grid.spacing
+        )
 
     def _blend(
-        self, pixels: NDArray[Any], corner: tuple[int, int], part: Part, wanted: NDArray[np.bool_] = _ALL
+        self,
+        pixels: NDArray[Any],
+        corner: tuple[int, int],
+        part: Part,
+        wanted: NDArray[np.bool_] = _ALL,
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """A part of the picture, or the `wanted` pixels of it alone."""
         lattice = self.calibration.lattice
@@ -157,37 +200,61 @@ class Renderer:
             image.fill(0)
         output = Output(image, np.zeros(shape, bool))
         grid = Grid(
-            self.grid.first + self._moved, self.grid.spacing, np.float32(self.scale), np.array(part[:2]), wanted
-        )  # fmt: skip
-        # Off the middle, rims often show a place alone; their last pixel mixes in light of the next microimage.
+            self.grid.first + self._moved,
+            self.grid.spacing,
+            np.float32(self.scale),
+            np.array(part[:2]),
+            wanted,
+        )
+        # Off the middle, rims often show a place alone; their last pixel mixes in light of the next
+        # microimage.
         radius = self.aperture * lattice.radius - (1 if self._aside else 0)
         weighting = Weighting(
-            np.float32(min(self._reach, VIEW_REACH * lattice.pitch) if self._aside else self._reach),
+            np.float32(
+                min(self._reach, VIEW_REACH * lattice.pitch) if self._aside else self._reach
+            ),
             np.float32(self.aperture * lattice.radius + self._aside),
             np.array([*self.viewpoint.offset, radius * radius], np.float32),
-            np.float32(self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0),
+            np.float32(
+                self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0
+            ),
             self._squares,
         )
         flat = Flat(lit.pixels, lit.shown, np.array(corner), np.array(lattice.image_size))
         if self.blend and self._is_packable(pixels) and not self._is_coarse:
             left = np.empty(shape, bool)
-            blend_rows(flat._replace(pixels=lit.packed), lit.light, lenses, *depth, grid, weighting, output, left)
+            blend_rows(
+                flat._replace(pixels=lit.packed),
+                lit.light,
+                lenses,
+                *depth,
+                grid,
+                weighting,
+                output,
+                left,
+            )
             flat = flat._replace(pixels=lit.packed.view(pixels.dtype).reshape(*lit.packed.shape, 4))
             grid = grid._replace(wanted=left)
         elif self.blend:
-            # Only a mean over many lenses is as sharp as the flat if the blur of the interpolation is compensated.
+            # Only a mean over many lenses is as sharp as the flat if the blur of the interpolation
+            # is compensated.
             flat = flat._replace(pixels=prefilter_flat(lit.pixels))
         if not grid.wanted.size or grid.wanted.any():
             blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
         if self._aside and not output.valid.all():
             # At the border, some places are seen by far lenses alone.
-            grid, weighting = grid._replace(wanted=~output.valid), weighting._replace(reach=np.float32(self._reach))
+            grid = grid._replace(wanted=~output.valid)
+            weighting = weighting._replace(reach=np.float32(self._reach))
             blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
         return output.image, output.valid
 
     def _is_packable(self, pixels: NDArray[Any]) -> bool:
         """Whether `blend_rows` reads such pixels; its places in the flat are integers of 31 bits."""
-        return pixels.dtype.kind == "u" and pixels.shape[2] <= 3 and pixels.shape[0] * pixels.shape[1] < 2**31
+        return (
+            pixels.dtype.kind == "u"
+            and pixels.shape[2] <= 3
+            and pixels.shape[0] * pixels.shape[1] < 2**31
+        )
 
     @property
     def _is_coarse(self) -> bool:
@@ -197,7 +264,9 @@ class Renderer:
 
     @cached_property
     def _squares(self) -> NDArray[np.float32]:
-        left = squares_to_average(self.calibration, self.lens_blur, WEIGHT_RATIOS, self.scale, self.full)
+        left = squares_to_average(
+            self.calibration, self.lens_blur, WEIGHT_RATIOS, self.scale, self.full
+        )
         return left.astype(np.float32)
 
     @cached_property

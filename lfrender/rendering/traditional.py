@@ -17,7 +17,8 @@ from ..flat.validation import check_flat
 
 __all__ = ["TOO_LITTLE", "find_depth_problem", "traditional"]
 
-#: What is said where the traditional picture is drawn instead of one in focus; takes the name of the option.
+#: What is said where the traditional picture is drawn instead of one in focus; takes the name of
+#: the option.
 TOO_LITTLE = (
     "next to no lenses are resolved that form a surface: drawn is the traditional picture, one pixel per microlens; "
     "with {}, the picture in focus"
@@ -26,17 +27,25 @@ TOO_LITTLE = (
 
 @kernel(share=lambda flat, unlit, centres, *_: len(centres), fastmath=FAST)
 def _lens_means(begin, end, flat, unlit, centres, radius, gains, step, out, lit):
-    """Mean of each microimage over the pixels that are not `unlit` ((0, 0): all are lit), and whether there are any."""
+    """Mean of each microimage over the pixels that are not `unlit` ((0, 0): all are lit), and
+    whether there are any.
+    """
     height, width, channels = flat.shape
-    known, last = unlit.size > 0, len(gains) - 1
+    known = unlit.size > 0
+    last = len(gains) - 1
     for lens in range(begin, end):
-        cx, cy = centres[lens, 0], centres[lens, 1]
+        cx = centres[lens, 0]
+        cy = centres[lens, 1]
         count = 0
         for k in range(channels):
             out[lens, k] = 0.0
-        for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
+        for y in range(
+            max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1
+        ):
             half = np.sqrt(max(0.0, radius * radius - square(y - cy)))
-            for x in range(max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1):
+            for x in range(
+                max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1
+            ):
                 if not (known and unlit[y, x]):
                     gain = gains[min(int((square(x - cx) + square(y - cy)) / step), last)]
                     for k in range(channels):
@@ -48,7 +57,9 @@ def _lens_means(begin, end, flat, unlit, centres, radius, gains, step, out, lit)
 
 
 def find_depth_problem(depth: DepthMap) -> str | None:
-    """Why a depth map shows no scene: next to no lens has a depth, or few of those that have form surfaces."""
+    """Why a depth map shows no scene: next to no lens has a depth, or few of those that have form
+    surfaces.
+    """
     analysed = np.asarray(depth.reason) != REASONS.index("not analysed")
     share = float((depth.mode[analysed] != 0).mean()) if analysed.any() else 0.0
     if share > 0.5:
@@ -58,25 +69,30 @@ def find_depth_problem(depth: DepthMap) -> str | None:
     resolved = depth.mode != 0
     on_surface = share if depth.centres is None else 0.0
     if depth.centres is not None and resolved.sum() > 3:
-        sizes, centres = depth.patch_size[resolved], depth.centres[resolved]
+        sizes = depth.patch_size[resolved]
+        centres = depth.centres[resolved]
         # Six neighbours at most, not across the diagonal of a square.
         near = cKDTree(centres).query(centres, 7, distance_upper_bound=1.3 * depth.pitch)[1][:, 1:]
         beside = np.append(sizes, np.nan)[near]
         alike = same_surface(beside, sizes[:, None], TOLERANCE * depth.pitch).sum(1)
         on_surface = float((alike >= 3).sum()) / float(analysed.sum())
-    # Of the resolved lenses, captures have 0.7 to 1 on surfaces, chance 0 to 0.1; of all lenses, a scene that is one
-    # small card has 0.04, an unfocused one 0.001.
-    return None if not on_surface < max(0.02, 0.5 * share) else (
-        f"{1 - share:.0%} of the lenses have no depth, and the others form no surface; is this a capture of a scene, "
-        "and made with this camera?"
-    )  # fmt: skip
+    # Of the resolved lenses, captures have 0.7 to 1 on surfaces, chance 0 to 0.1; of all lenses, a
+    # scene that is one small card has 0.04, an unfocused one 0.001.
+    return (
+        None
+        if not on_surface < max(0.02, 0.5 * share)
+        else (
+            f"{1 - share:.0%} of the lenses have no depth, and the others form no surface; is this a capture of a scene, "
+            "and made with this camera?"
+        )
+    )
 
 
 def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     """One pixel per microlens: the mean of its microimage (Lumsdaine and Georgiev 2008, section 3).
 
-    `flat` is (H, W) or (H, W, C). The picture has one pixel per pitch; on a lattice that is not the pixel grid, each is
-    interpolated between the lenses around it.
+    `flat` is (H, W) or (H, W, C). The picture has one pixel per pitch; on a lattice that is not the
+    pixel grid, each is interpolated between the lenses around it.
 
     Examples
     --------
@@ -89,23 +105,32 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     """
     from scipy.ndimage import map_coordinates
 
-    pixels, lattice = check_flat(flat, calibration), calibration.lattice
+    pixels = check_flat(flat, calibration)
+    lattice = calibration.lattice
     unlit, ((gains, *_), step) = np.zeros((0, 0), bool), correction_tables(calibration)
     if has_uneven_lenses(calibration, types=True):
         pixels, unlit = calibration.region_gain().flatten(pixels)
         gains = np.ones_like(gains)
-    means, lit = np.empty((len(lattice), pixels.shape[2]), np.float32), np.empty(len(lattice), bool)
+    means = np.empty((len(lattice), pixels.shape[2]), np.float32)
+    lit = np.empty(len(lattice), bool)
     _lens_means(pixels, unlit, lattice.centres(), lattice.radius, gains, step, means, lit)
     grid = PictureGrid(lattice.image_size, lattice.pitch, 1.0)
     columns, rows = grid.size
-    points = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2) * grid.spacing + grid.first
+    points = (
+        np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2) * grid.spacing
+        + grid.first
+    )
     # Linear between the lit lenses about a place, and the nearest ones at the border.
     lenses, low = lens_grid(lattice)
     index = (lattice.to_index(points) - low).T[::-1]
     shown = (lenses >= 0) & lit[lenses]
     weight = map_coordinates(shown.astype(np.float32), index, order=1, mode="nearest")
     planes = [np.where(shown, means[lenses, k], 0) for k in range(means.shape[1])]
-    image = np.stack([map_coordinates(plane, index, order=1, mode="nearest") for plane in planes], -1)
+    image = np.stack(
+        [map_coordinates(plane, index, order=1, mode="nearest") for plane in planes], -1
+    )
     image /= np.maximum(weight, np.float32(1e-9))[:, None]
     known = (weight > 1e-6).reshape(rows, columns)
-    return finish_picture(image.reshape(rows, columns, -1), known, grid.affine(), 1.0, flat, calibration)
+    return finish_picture(
+        image.reshape(rows, columns, -1), known, grid.affine(), 1.0, flat, calibration
+    )

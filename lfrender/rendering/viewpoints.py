@@ -34,26 +34,27 @@ def views(
 ) -> Iterator[Rendering]:
     """Draw the scene sharp at every depth, as seen from places in the main lens' aperture.
 
-    All microimages are read about the same offset `q` from their centres, which is a viewpoint in the main lens. With
-    `q` to the right, the view is that of a camera farther to the right: a scene point moves by `q (D / s - D / still)`,
-    near ones to the left of far ones. Places that the middle view hides get the depth of the farther surface beside
-    them.
+    All microimages are read about the same offset `q` from their centres, which is a viewpoint in
+    the main lens. With `q` to the right, the view is that of a camera farther to the right: a scene
+    point moves by `q (D / s - D / still)`, near ones to the left of far ones. Places that the
+    middle view hides get the depth of the farther surface beside them.
 
     Parameters
     ----------
     flat, calibration, depth, scale
         As for `render`.
     offsets : iterable of (float, float) [px]
-        `q` of each view, order `x, y`, within the usable radius of the microimages, `calibration.lattice.radius`.
+        `q` of each view, order `x, y`, within the usable radius of the microimages,
+        `calibration.lattice.radius`.
     still : float, optional [px]
-        Signed patch size of scene points that keep their place in all views; infinity for the microlens plane. By
-        default that of the median of `D / s`.
+        Signed patch size of scene points that keep their place in all views; infinity for the
+        microlens plane. By default that of the median of `D / s`.
 
     Returns
     -------
     iterator of Rendering
-        One per offset, drawn on demand, all of one size. `(0, 0)` is the picture of `render`. The affine holds for
-        scene points that keep their place. Errors are those of `render`.
+        One per offset, drawn on demand, all of one size. `(0, 0)` is the picture of `render`. The
+        affine holds for scene points that keep their place. Errors are those of `render`.
 
     Examples
     --------
@@ -90,16 +91,23 @@ def views_with_depth(
 
 
 def still_depth(depth: DepthMap) -> float:
-    """Signed patch size [px] of the median of `D / s`: of places that keep their place in all views."""
+    """Signed patch size [px] of the median of `D / s`: of places that keep their place in all
+    views.
+    """
     return depth.pitch / float(np.median(virtual_depth(depth.surface.patch_size, depth.pitch)))
 
 
 def _prepare(
-    flat: NDArray, calibration: Calibration, depth: DepthMap | None, offsets: Iterable[tuple[float, float]],
-    scale: float | None, still: float | None,
-) -> Iterator[tuple[Rendering, Renderer]]:  # fmt: skip
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap | None,
+    offsets: Iterable[tuple[float, float]],
+    scale: float | None,
+    still: float | None,
+) -> Iterator[tuple[Rendering, Renderer]]:
     """Check what was given at once, and draw on demand."""
-    pixels, lattice = check_flat(flat, calibration), calibration.lattice
+    pixels = check_flat(flat, calibration)
+    lattice = calibration.lattice
     check_type(offsets, Iterable, "offsets", "give x, y of each view, as grid_offsets does")
     places = [_check_offset(offset, lattice.radius) for offset in offsets]
     if still is not None and not abs(still) > 0:
@@ -110,7 +118,9 @@ def _prepare(
     full = default_scale(depth)
     scale = check_scale(full if scale is None else scale, lattice.pitch)
     middle = lattice.pitch / (still_depth(depth) if still is None else still)
-    renderer = Renderer(calibration, depth.surface, scale, full, True, lens_blur=choose_blur(calibration, depth))
+    renderer = Renderer(
+        calibration, depth.surface, scale, full, True, lens_blur=choose_blur(calibration, depth)
+    )
     return _draw(flat, pixels, renderer, [Viewpoint(place, middle) for place in places])
 
 
@@ -124,18 +134,26 @@ def _draw(
             lit = lit or middle.light(pixels, viewpoints=points)
             renderer = replace(renderer, lit=lit)
         image, valid = renderer.draw(pixels, dtype=pixels.dtype)
-        yield finish_picture(image, valid, renderer.grid.affine(), middle.scale, flat, middle.calibration), renderer
+        yield (
+            finish_picture(
+                image, valid, renderer.grid.affine(), middle.scale, flat, middle.calibration
+            ),
+            renderer,
+        )
 
 
 def _check_offset(offset: tuple[float, float], radius: float) -> tuple[float, float]:
     place = np.array(offset, dtype=float)
     if place.shape != (2,) or not np.hypot(*place) <= radius:
-        raise ValueError(f"offsets must be x, y within the radius {radius:.2f} px of the microimages, got {offset!r}")
+        raise ValueError(
+            f"offsets must be x, y within the radius {radius:.2f} px of the microimages, got {offset!r}"
+        )
     return float(place[0]), float(place[1])
 
 
 def grid_offsets(rows: int, columns: int, radius: float) -> list[tuple[float, float]]:
-    """Viewpoints on a regular grid inscribed in a circle of this radius, row by row from the top left [px].
+    """Viewpoints on a regular grid inscribed in a circle of this radius, row by row from the top
+    left [px].
 
     Examples
     --------

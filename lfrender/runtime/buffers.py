@@ -1,4 +1,6 @@
-"""Reused memory for large arrays: fresh pages from the system take longer than the kernels that fill them."""
+"""Reused memory for large arrays: fresh pages from the system take longer than the kernels that
+fill them.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def _take(size: int) -> NDArray[np.uint8]:
 
 
 def allocate_pooled(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """An array of undefined content, in memory allocated here earlier that no array refers to any more."""
+    """An array of undefined content, in memory allocated here earlier that no array refers to any
+    more.
+    """
     kind = np.dtype(dtype)
     size = prod(shape) * kind.itemsize
     if size == 0 or size > _MOST_POOLED:

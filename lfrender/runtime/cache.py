@@ -1,4 +1,6 @@
-"""Cache of values that depend on a frozen object alone, such as a camera, for as long as the object lives."""
+"""Cache of values that depend on a frozen object alone, such as a camera, for as long as the object
+lives.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,14 @@ __all__ = ["cached", "cached_latest"]
 
 _Value = TypeVar("_Value")
 
-# By the identity of the owner, since cameras hold arrays and are not hashable. An entry is deleted with its owner.
+# By the identity of the owner, since cameras hold arrays and are not hashable. An entry is deleted
+# with its owner.
 _entries: dict[int, dict[Hashable, Any]] = {}
 
 
 def cached(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
-    """The result of `make`, called once for each frozen `owner` and `key`; the owner is not kept alive.
+    """The result of `make`, called once for each frozen `owner` and `key`; the owner is not kept
+    alive.
 
     Values must not be written to, nor refer to their owner, or neither would be freed.
     """

@@ -12,10 +12,13 @@ from .workers import connect
 __all__ = ["connect", "render_frames_on"]
 
 
-def render_frames_on(client: Any, *given: Any, **options: Any) -> Generator[FrameResult, None, None]:
+def render_frames_on(
+    client: Any, *given: Any, **options: Any
+) -> Generator[FrameResult, None, None]:
     """`render_frames(..., client=client)`: on a cluster, with the same pictures bit for bit.
 
-    Workers read image files and write pictures: inputs and `folder` must have the same path for all of them.
+    Workers read image files and write pictures: inputs and `folder` must have the same path for all
+    of them.
 
     Examples
     --------

@@ -1,4 +1,6 @@
-"""Film files: H.264 in MP4, which plays everywhere, ProRes in QuickTime for cutting, lossless FFV1 in Matroska, raw."""
+"""Film files: H.264 in MP4, which plays everywhere, ProRes in QuickTime for cutting, lossless FFV1
+in Matroska, raw.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +28,19 @@ __all__ = ["FilmFile", "film_results", "write_moving"]
 
 # What PyAV calls arrays of so many dimensions and bytes, and how FFV1 stores them.
 _LOSSLESS = {
-    (2, 1): ("gray", "gray"), (3, 1): ("rgb24", "bgr0"), (2, 2): ("gray16le", "gray16le"),
+    (2, 1): ("gray", "gray"),
+    (3, 1): ("rgb24", "bgr0"),
+    (2, 2): ("gray16le", "gray16le"),
     (3, 2): ("rgb48le", "gbrp16le"),
-}  # fmt: skip
+}
 # How the others store pictures.
 _PIXELS = {".mp4": "yuv420p", ".mov": "yuv422p10", ".yuv": "yuv420p10"}
 
 
 def write_moving(path: Path, pictures: Iterable[Rendering]) -> None:
-    """Write pictures as an animation or a film by the suffix, as fast as `write_animation`; whole or not at all."""
+    """Write pictures as an animation or a film by the suffix, as fast as `write_animation`; whole
+    or not at all.
+    """
     if not FORMATS[path.suffix.lower()].film:
         write_animation(path, pictures)
         return
@@ -44,12 +50,22 @@ def write_moving(path: Path, pictures: Iterable[Rendering]) -> None:
 
 
 def film_results(
-    results: Generator[FrameResult, None, None], path: Path, folder: Path, rate: Fraction,
-    picture: Callable[[FrameResult], Path], white: Callable[[], float | None] = lambda: None, **about: str,
-) -> Generator[FrameResult, None, None]:  # fmt: skip
-    """Pass results on, and write their pictures into a film: in a folder, moved to its place after the last one."""
-    partial, shown, times = folder / f"film{path.suffix.lower()}", None, 0
-    # Closed in this order: threads must end before the film that they write into, and not in the garbage collector.
+    results: Generator[FrameResult, None, None],
+    path: Path,
+    folder: Path,
+    rate: Fraction,
+    picture: Callable[[FrameResult], Path],
+    white: Callable[[], float | None] = lambda: None,
+    **about: str,
+) -> Generator[FrameResult, None, None]:
+    """Pass results on, and write their pictures into a film: in a folder, moved to its place after
+    the last one.
+    """
+    partial = folder / f"film{path.suffix.lower()}"
+    shown = None
+    times = 0
+    # Closed in this order: threads must end before the film that they write into, and not in the
+    # garbage collector.
     with closing(results), FilmFile(partial, rate, **about) as film:
         for result in results:
             shown = shown if result.outcome == "failed" else picture(result)
@@ -66,14 +82,17 @@ def film_results(
 
 
 class FilmFile:
-    """A film being written, of `rate` pictures a second, complete once it is closed; use it in a `with` statement."""
+    """A film being written, of `rate` pictures a second, complete once it is closed; use it in a
+    `with` statement.
+    """
 
     def __init__(self, path: Path, rate: Fraction, **about: str) -> None:
         import av
 
         #: Number of pictures.
         self.count = 0
-        # Rates of television have denominators up to 1001; further digits of a decimal number are rounding.
+        # Rates of television have denominators up to 1001; further digits of a decimal number are
+        # rounding.
         self._path, self._rate, self._kind = path, rate.limit_denominator(1001), path.suffix.lower()
         self._stream: Any = None
         self._first = ""  # kind of the first picture
@@ -85,11 +104,15 @@ class FilmFile:
             self._file.metadata["comment"] = json.dumps({"software": "lfrender", **about})
 
     def add(self, pixels: NDArray[Any], white: float | None = None) -> None:
-        """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float; PictureError if it is unlike the first one."""
+        """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float; PictureError if it is unlike
+        the first one.
+        """
         kind = f"{pixels.shape[1]} x {pixels.shape[0]} px of {pixels.dtype}{'' if pixels.ndim == 2 else ' in colour'}"
         self._first = self._first or kind
         if kind != self._first:
-            raise PictureError(f"{self._path}: the pictures of a film are of one kind, not {self._first} and {kind}")
+            raise PictureError(
+                f"{self._path}: the pictures of a film are of one kind, not {self._first} and {kind}"
+            )
         with self._output_errors():
             frame = self._frame(pixels, white)
             if self._stream is None:
@@ -115,10 +138,17 @@ class FilmFile:
         context = self._stream.codec_context
         # A fixed number, so that the film is the same on every machine.
         context.thread_count = 4
-        context.width, context.height, context.pix_fmt = frame.width, frame.height, frame.format.name
+        context.width, context.height, context.pix_fmt = (
+            frame.width,
+            frame.height,
+            frame.format.name,
+        )
         if self._kind in (".mp4", ".mov"):
-            # Codes of ITU-T H.273 for the colours of HD television (BT.709) and their limited range.
-            context.colorspace = context.color_primaries = context.color_trc = context.color_range = 1
+            # Codes of ITU-T H.273 for the colours of HD television (BT.709) and their limited
+            # range.
+            context.colorspace = context.color_primaries = context.color_trc = (
+                context.color_range
+            ) = 1
 
     def _frame(self, pixels: NDArray[Any], white: float | None) -> Any:
         import av
@@ -127,13 +157,17 @@ class FilmFile:
             if pixels.dtype.kind == "f":
                 pixels = np.rint(np.clip(pixels, 0, 1) * 65535).astype(np.uint16)
             given, stored = _LOSSLESS[pixels.ndim, pixels.dtype.itemsize]
-            return av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=given).reformat(format=stored)
+            return av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=given).reformat(
+                format=stored
+            )
         if self._kind == ".yuv":
             return yuv_frame(pixels, _PIXELS[self._kind], white)
         # Colours are stored for 2 x 2 pixels each: odd sizes get one more row or column.
         odd = [(0, n % 2) for n in pixels.shape[:2]]
         pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
-        return yuv_frame(pixels, _PIXELS[self._kind], white, dst_colorspace="ITU709", dst_color_range="MPEG")
+        return yuv_frame(
+            pixels, _PIXELS[self._kind], white, dst_colorspace="ITU709", dst_color_range="MPEG"
+        )
 
     @contextmanager
     def _output_errors(self) -> Iterator[None]:

@@ -1,4 +1,6 @@
-"""The frames of a sequence, found in image files, folders, multi-page TIFFs and videos, and their pixels."""
+"""The frames of a sequence, found in image files, folders, multi-page TIFFs and videos, and their
+pixels.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ class Frame:
 
     name: str  # of its picture, without suffix
     read: Callable[[], NDArray[Any]]
-    source: Path | None = None  # image file whose metadata its picture gets; None for frames of videos
+    source: Path | None = (
+        None  # image file whose metadata its picture gets; None for frames of videos
+    )
 
 
 @dataclass(frozen=True)
@@ -51,19 +55,30 @@ class _Part:
         for page, name in enumerate(self.pages):
             if page in chosen:
                 number = page if len(self.pages) > 1 else None
-                yield Frame(name, partial(read_flat, self.path, number, **dict(self.layout)), source)
+                yield Frame(
+                    name, partial(read_flat, self.path, number, **dict(self.layout)), source
+                )
 
     @cached_property
     def header(self) -> tuple[int, Fraction | None]:
-        """Number of frames, 0 of videos that cannot be read, and frames a second where the file has them."""
+        """Number of frames, 0 of videos that cannot be read, and frames a second where the file has
+        them.
+        """
         if self.pages is not None:
             return len(self.pages), None
         av = import_av(self.path)
-        with suppress(av.error.FFmpegError, FlatError, OSError), _open_video(self.path) as container:
+        with (
+            suppress(av.error.FFmpegError, FlatError, OSError),
+            _open_video(self.path) as container,
+        ):
             stream = container.streams.video[0]
-            rate, count = stream.average_rate, max(stream.frames, _least_length(container))
-            # Streams without a header and Matroska are read through, which takes little beside decoding.
-            count = stream.frames or max(count, sum(packet.size > 0 for packet in container.demux(stream)))
+            rate = stream.average_rate
+            count = max(stream.frames, _least_length(container))
+            # Streams without a header and Matroska are read through, which takes little beside
+            # decoding.
+            count = stream.frames or max(
+                count, sum(packet.size > 0 for packet in container.demux(stream))
+            )
             return count, rate
         return 0, None
 
@@ -93,11 +108,15 @@ class Frames:
     @property
     def count(self) -> int:
         """Number of frames; less than there are where a video is damaged."""
-        return sum(part.header[0] for part in self.parts) if self.chosen is None else len(self.chosen)
+        return (
+            sum(part.header[0] for part in self.parts) if self.chosen is None else len(self.chosen)
+        )
 
     @property
     def rate(self) -> Fraction | None:
-        """Frames a second of the first video that has them, None if there is none; fewer where some are left out."""
+        """Frames a second of the first video that has them, None if there is none; fewer where some
+        are left out.
+        """
         rate = next((rate for _, rate in (part.header for part in self.parts) if rate), None)
         return None if rate is None else Fraction(rate) / (self.chosen.step if self.chosen else 1)
 
@@ -124,9 +143,14 @@ class Frames:
             if self.chosen is not None:
                 end = first + part.header[0]
                 taken = self.chosen[bisect_left(self.chosen, first) : bisect_left(self.chosen, end)]
-                own, first = range(taken.start - first, taken.stop - first, taken.step), end
+                own = range(taken.start - first, taken.stop - first, taken.step)
+                first = end
             for frame in part.frames(own) if own else ():
-                less = frame.read if self.dark is None else partial(_read_less_dark, frame.read, self.dark)
+                less = (
+                    frame.read
+                    if self.dark is None
+                    else partial(_read_less_dark, frame.read, self.dark)
+                )
                 yield replace(frame, read=less)
 
 
@@ -142,22 +166,22 @@ def open_frames(
 ) -> Frames:
     """Find the frames in files and folders without decoding them.
 
-    FlatError if there is no frame, none that is asked for, an input is of no known kind, or two frames would have the
-    same name.
+    FlatError if there is no frame, none that is asked for, an input is of no known kind, or two
+    frames would have the same name.
 
     Parameters
     ----------
     inputs : path-likes
         Image files, TIFF files of several pages, videos, raw or not (these need the package `av`:
-        `pip install 'lfrender[video]'`), and folders, whose image files are taken in the order of the numbers in their
-        names.
+        `pip install 'lfrender[video]'`), and folders, whose image files are taken in the order of
+        the numbers in their names.
     size, pixel_format
         Of raw video (`.yuv`), as for `lfcal.read_flat`.
     dark : path-like or None
         File of a dark frame, which is subtracted from every frame (`lfcal.subtract_dark`).
     frames : int, slice or str, optional
-        Take only these, counted from 0 through all inputs: `slice(10, 60, 2)` or `"10:60:2"`, as Python slices do, or
-        one number.
+        Take only these, counted from 0 through all inputs: `slice(10, 60, 2)` or `"10:60:2"`, as
+        Python slices do, or one number.
     start, end : float, optional [s]
         Take only the frames from `start` to before `end`, of videos of one frame rate.
 
@@ -175,11 +199,15 @@ def open_frames(
     layout = {"size": size, "pixel_format": pixel_format}
     parts = [part for path in inputs for part in _parts(Path(path).absolute(), layout)]
     if not parts:
-        raise FlatError("no frames: give image files, a folder of them, a TIFF of several pages or a video")
+        raise FlatError(
+            "no frames: give image files, a folder of them, a TIFF of several pages or a video"
+        )
     names = Counter(name for part in parts for name in (part.pages or (part.path.stem,)))
     twice = sorted(name for name, count in names.items() if count > 1)
     if twice:
-        raise FlatError(f"{len(twice)} frames would have the same name, such as '{twice[0]}'; give them one by one")
+        raise FlatError(
+            f"{len(twice)} frames would have the same name, such as '{twice[0]}'; give them one by one"
+        )
     if dark is not None:
         # Errors of this file are raised at once, not for every frame.
         _read_dark(dark)
@@ -194,9 +222,13 @@ def open_frames(
 def _slice_of_seconds(parts: list[_Part], start: float | None, end: float | None) -> slice:
     rates = {part.header[1] for part in parts}
     if len(rates) > 1 or None in rates:
-        raise FlatError("seconds are for videos of one frame rate; choose frames by their numbers, such as 10:60")
+        raise FlatError(
+            "seconds are for videos of one frame rate; choose frames by their numbers, such as 10:60"
+        )
     if (start or 0) < 0 or (end is not None and not (start or 0) < end):
-        raise ValueError(f"start must be 0 or more seconds, and less than end, got {start} and {end}")
+        raise ValueError(
+            f"start must be 0 or more seconds, and less than end, got {start} and {end}"
+        )
     # Frames begin at multiples of a period, but for rounding.
     rate = float(rates.pop())  # type: ignore[arg-type]
     return slice(*(None if at is None else ceil(at * rate - 1e-6) for at in (start, end)))
@@ -208,7 +240,9 @@ def _choose(count: int, frames: int | slice | str) -> range:
     if isinstance(frames, str):
         found = re.fullmatch(r"\s*(-?\d+)?(:(-?\d+)?(?::(-?\d+)?)?)?\s*", frames)
         if not found or not frames.strip():
-            raise ValueError(f"frames must be START:STOP:STEP such as 10:60:2, or one number, got {frames!r}")
+            raise ValueError(
+                f"frames must be START:STOP:STEP such as 10:60:2, or one number, got {frames!r}"
+            )
         numbers = [None if text is None else int(text) for text in found.group(1, 3, 4)]
         frames = slice(*numbers) if found[2] else int(found[1])
     if not isinstance(frames, slice):
@@ -217,7 +251,9 @@ def _choose(count: int, frames: int | slice | str) -> range:
         raise ValueError(f"frames must have a step of at least 1, got {frames.step}")
     chosen = range(*frames.indices(count))
     if not chosen:
-        raise FlatError(f"no frames are left: there are {count}, numbered from 0, and {text} has none of them")
+        raise FlatError(
+            f"no frames are left: there are {count}, numbered from 0, and {text} has none of them"
+        )
     return chosen
 
 
@@ -242,13 +278,17 @@ def is_video(path: Path) -> bool:
 def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
     if path.is_dir():
         known = {*IMAGE_SUFFIXES, RAW_SUFFIX}
-        files = [f for f in path.iterdir() if f.suffix.lower() in known and not f.name.startswith(".")]
+        files = [
+            f for f in path.iterdir() if f.suffix.lower() in known and not f.name.startswith(".")
+        ]
         if not files:
             raise FlatError(f"{path}: no image files are in this folder")
         return [part for file in sorted(files, key=_numeric_order) for part in _parts(file, layout)]
     if not path.exists():
         raise FlatError(f"{path}: no such file or folder")
-    suffix, pages, given = path.suffix.lower(), 1, tuple(layout.items()) if is_video(path) else ()
+    suffix = path.suffix.lower()
+    pages = 1
+    given = tuple(layout.items()) if is_video(path) else ()
     if given:
         import_av(path)
         if suffix in VIDEO_FORMATS:
@@ -264,7 +304,10 @@ def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
 
 def _numeric_order(path: Path) -> Any:
     """Sort key that puts frame_2 before frame_10."""
-    return [(not piece.isdigit(), int(piece) if piece.isdigit() else piece) for piece in re.split(r"(\d+)", path.name)]
+    return [
+        (not piece.isdigit(), int(piece) if piece.isdigit() else piece)
+        for piece in re.split(r"(\d+)", path.name)
+    ]
 
 
 def _open_video(path: Path) -> Any:
@@ -280,7 +323,9 @@ def _frame_name(path: Path, number: int) -> str:
 
 
 def _video_frames(path: Path, chosen: range) -> Iterator[Frame]:
-    """Chosen frames of a video in RGB; a damaged one, or the end of a damaged video, is a frame that cannot be read."""
+    """Chosen frames of a video in RGB; a damaged one, or the end of a damaged video, is a frame
+    that cannot be read.
+    """
     number = 0
     try:
         with _open_video(path) as container:
@@ -304,7 +349,11 @@ def _video_frames(path: Path, chosen: range) -> Iterator[Frame]:
 def _least_length(container: Any) -> int:
     """Least number of frames by the header of a video, 0 if it has none."""
     stream = container.streams.video[0]
-    steady = stream.average_rate and stream.average_rate == stream.base_rate and len(container.streams) == 1
+    steady = (
+        stream.average_rate
+        and stream.average_rate == stream.base_rate
+        and len(container.streams) == 1
+    )
     if stream.frames or not (steady and container.duration):
         return int(stream.frames)
     # Durations [us] are rounded, and some reach only to the start of the last frame.
@@ -316,7 +365,8 @@ def _decode(container: Any) -> Iterator[Any]:
     from av import logging
 
     stream = container.streams.video[0]
-    # This decoder reports wrong checksums only in its log; with slice threads, the log is about one frame.
+    # This decoder reports wrong checksums only in its log; with slice threads, the log is about one
+    # frame.
     logged = stream.codec_context.name == "ffv1"
     stream.thread_type = "SLICE" if logged else "AUTO"
     before = logging.get_level()
@@ -330,7 +380,9 @@ def _decode(container: Any) -> Iterator[Any]:
             continue
         finally:
             logging.set_level(before)
-        wrong = [text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR]
+        wrong = [
+            text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR
+        ]
         yield from [FlatError(wrong[0]) for _ in pictures] if wrong else pictures
 
 

@@ -1,9 +1,11 @@
-"""One run over a sequence: its settings, the files in its hidden folder, and the analysis and picture of each frame.
+"""One run over a sequence: its settings, the files in its hidden folder, and the analysis and
+picture of each frame.
 
-The sequence is divided into segments, and these into groups. Depth is updated incrementally, so that static parts keep
-one depth from picture to picture: the first frame of a segment, its key frame, is compared with the key frame of the
-segment before; the first frame of any other group with the key frame of its segment; all others with the first of their
-group. A run that was interrupted, or spread over many machines, therefore makes the same pictures as any other.
+The sequence is divided into segments, and these into groups. Depth is updated incrementally, so
+that static parts keep one depth from picture to picture: the first frame of a segment, its key
+frame, is compared with the key frame of the segment before; the first frame of any other group with
+the key frame of its segment; all others with the first of their group. A run that was interrupted,
+or spread over many machines, therefore makes the same pictures as any other.
 """
 
 from __future__ import annotations
@@ -67,9 +69,15 @@ class FrameResult:
 class Group:
     """Frames that are worked on together."""
 
-    outcomes: list[FrameResult | None] = field(default_factory=list)  # None for frames to be rendered ...
-    missing: list[tuple[int, Frame]] = field(default_factory=list)  # ... which are these, and their places
-    first: Frame | None = None  # the frame that they are compared with, if its picture is there already
+    outcomes: list[FrameResult | None] = field(
+        default_factory=list
+    )  # None for frames to be rendered ...
+    missing: list[tuple[int, Frame]] = field(
+        default_factory=list
+    )  # ... which are these, and their places
+    first: Frame | None = (
+        None  # the frame that they are compared with, if its picture is there already
+    )
     key: Frame | None = None  # of their segment
 
 
@@ -103,12 +111,16 @@ class Job:
     encoded: bool = False  # frames are encoded for display, whatever bits they have
     depth_maps: Path | None = None  # folder of the depth maps of frames, or film of their pictures
     still: float | None = None  # patch size [px] of the places that all views have in common
-    colours: tuple[float, float] | None = None  # magnification at the ends of the colours of depth pictures
+    colours: tuple[float, float] | None = (
+        None  # magnification at the ends of the colours of depth pictures
+    )
     stopped: bool = False  # nobody takes the results of further frames
     output: ViewOutput | None = None  # files of views
     exposure: Exposure | None = None
     gain: float = 1.0  # of all pictures, by `exposure` and the first frame
-    _keys: dict[str, _Reference] = field(default_factory=dict)  # the last two, of neighbouring segments
+    _keys: dict[str, _Reference] = field(
+        default_factory=dict
+    )  # the last two, of neighbouring segments
 
     def __post_init__(self) -> None:
         self.hidden = self.folder / _HIDDEN
@@ -131,7 +143,8 @@ class Job:
         if self.depth_maps is not None:
             make_folder(self.depth_path_of("").parent)
         if overwrite and names and self.output is None and self._settings_file.exists():
-            # Frames of an earlier run that this one leaves would be taken for pictures of this one by the next.
+            # Frames of an earlier run that this one leaves would be taken for pictures of this one
+            # by the next.
             pictures = [self.path_of(name).name for name in names]
             refuse_leftovers(self.folder, rf"[^.].*{re.escape(self.suffix)}", pictures)
         if overwrite:
@@ -141,7 +154,9 @@ class Job:
             self._resume()
 
     def _settings(self) -> dict[str, Any]:
-        """What pictures of one folder have in common, beside their camera and scale; as JSON returns it."""
+        """What pictures of one folder have in common, beside their camera and scale; as JSON
+        returns it.
+        """
         views = None if self.views is None else {**asdict(self.views), "format": self.suffix}
         common: dict[str, Any] = {
             "preset": self.preset,
@@ -160,23 +175,32 @@ class Job:
             scale, self.still, self.colours, self.gain = found
             same = settings == self._settings() and self.scale in (None, scale)
         except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
-            raise OutputError(f"{self.hidden}: damaged ({error}); render everything again (--overwrite)") from error
-        if not same or (self.calibration is not None and self.calibration.to_dict() != camera.to_dict()):
+            raise OutputError(
+                f"{self.hidden}: damaged ({error}); render everything again (--overwrite)"
+            ) from error
+        if not same or (
+            self.calibration is not None and self.calibration.to_dict() != camera.to_dict()
+        ):
             raise OutputError(
                 f"{self.folder}: holds pictures made with another camera, dark frame, preset or scale; "
                 "give another folder, or render everything again (--overwrite)"
             )
         self.calibration, self.scale = camera, scale
 
-    def groups(self, frames: Iterable[Frame], overwrite: bool, segment: int, group: int) -> Iterator[Group]:
-        """The frames in groups, all but the last with some to be rendered; key frames are analysed on the way."""
+    def groups(
+        self, frames: Iterable[Frame], overwrite: bool, segment: int, group: int
+    ) -> Iterator[Group]:
+        """The frames in groups, all but the last with some to be rendered; key frames are analysed
+        on the way.
+        """
         earlier: Frame | None = None
         key: Frame | None = None
         made = Group()
         for number, frame in enumerate(frames):
             check_type(frame, Frame, "frames", "lfrender.open_frames finds them")
             if number % segment == 0:
-                earlier, key = key or earlier, None
+                earlier = key or earlier
+                key = None
             if number % segment % group == 0:
                 if made.missing:
                     yield made
@@ -213,7 +237,9 @@ class Job:
         return missing or (self.depth_maps is not None and not self.depth_path_of(name).exists())
 
     def remove(self, names: list[str]) -> None:
-        """Remove the results for frames that are all rendered again, so that none is kept if this is interrupted."""
+        """Remove the results for frames that are all rendered again, so that none is kept if this
+        is interrupted.
+        """
         for name in names:
             paths = [] if self.output and self.output.raw else [self.path_of(name)]
             paths += [] if self.depth_maps is None else [self.depth_path_of(name)]
@@ -227,7 +253,9 @@ class Job:
             return self.views.size
         if self.calibration is None or self.scale is None:
             return None
-        return PictureGrid(self.calibration.image_size, self.calibration.lattice.pitch, self.scale).size
+        return PictureGrid(
+            self.calibration.image_size, self.calibration.lattice.pitch, self.scale
+        ).size
 
     def failed(self, frame: Frame, error: LightFieldError) -> FrameResult:
         return FrameResult(frame.name, self.path_of(frame.name), "failed", f"{frame.name}: {error}")
@@ -242,7 +270,11 @@ class Job:
         return self.calibration
 
     def _as_stored(self, calibration: Calibration) -> Calibration:
-        return replace(calibration, encoded=True) if self.encoded and calibration.encoded is None else calibration
+        return (
+            replace(calibration, encoded=True)
+            if self.encoded and calibration.encoded is None
+            else calibration
+        )
 
     def read(self, frame: Frame) -> NDArray[Any]:
         """The flat of a frame, in colour if the camera has a colour mosaic."""
@@ -251,7 +283,8 @@ class Job:
 
     def _analyze_key(self, frame: Frame, earlier: Frame | None) -> None:
         """Write the depth map of a key frame, compared with that of an earlier segment, if any."""
-        flat, file = self.read(frame), self._depth_file(frame.name)
+        flat = self.read(frame)
+        file = self._depth_file(frame.name)
         if not file.exists():
             depth = self._analyze(flat, None if earlier is None else self._key(earlier))
             if not self._settings_file.exists():
@@ -266,7 +299,9 @@ class Job:
     def _draw(self, flat: NDArray[Any], depth: DepthMap, before: _Reference | None) -> Rendering:
         if before is None or before.picture is None:
             return render(flat, self.camera(flat), depth, scale=self.scale)
-        return render(flat, self.camera(flat), depth, previous=(before.flat, before.depth, before.picture))
+        return render(
+            flat, self.camera(flat), depth, previous=(before.flat, before.depth, before.picture)
+        )
 
     def _remember(self, key: _Reference) -> _Reference:
         with _LOCK:
@@ -276,13 +311,17 @@ class Job:
     def _key(self, frame: Frame) -> _Reference:
         with _LOCK:
             found = self._keys.get(frame.name)
-            return found or self._remember(_Reference(frame.name, self.read(frame), self._load_depth(frame)))
+            return found or self._remember(
+                _Reference(frame.name, self.read(frame), self._load_depth(frame))
+            )
 
     def _load_depth(self, frame: Frame) -> DepthMap:
         """A depth map from its file: other workers and later runs have no more than what is in it."""
         file = self._depth_file(frame.name)
         if not file.exists():
-            raise OutputError(f"{self.folder}: a file of one worker is not seen by another; give a shared folder")
+            raise OutputError(
+                f"{self.folder}: a file of one worker is not seen by another; give a shared folder"
+            )
         try:
             return DepthMap.load(file)
         except DepthFileError as error:
@@ -295,7 +334,12 @@ class Job:
             self.gain = exposure_gain(flat, camera.white_level, self.exposure)
         self.scale = default_scale(depth) if self.scale is None else self.scale
         self.still, self.colours = still_depth(depth), magnification_limits(depth.magnification)
-        settings = {**self._settings(), "scale": self.scale, "still": self.still, "colours": self.colours}
+        settings = {
+            **self._settings(),
+            "scale": self.scale,
+            "still": self.still,
+            "colours": self.colours,
+        }
         settings["gain"] = self.gain
         camera.save(self.hidden / "camera.json")
         # As a continued run will have it.
@@ -309,7 +353,9 @@ class Job:
         return eight_bits(shown) if self.eight_bits else shown
 
     def first_of_group(self, frame: Frame, flat: NDArray[Any] | None, key: Frame) -> _Reference:
-        """The first frame of a group with flat, depth and picture; it may be the key frame of its segment itself."""
+        """The first frame of a group with flat, depth and picture; it may be the key frame of its
+        segment itself.
+        """
         before = self._key(key)
         with _LOCK:
             if before.picture is None and self.output is None:
@@ -320,14 +366,24 @@ class Job:
         if not self._depth_file(frame.name).exists():
             self._analyze(flat, before).save(self._depth_file(frame.name))
         depth = self._load_depth(frame)
-        return _Reference(frame.name, flat, depth, None if self.output else self._draw(flat, depth, before))
+        return _Reference(
+            frame.name, flat, depth, None if self.output else self._draw(flat, depth, before)
+        )
 
-    def render_frame(self, number: int, frame: Frame, flat: NDArray[Any], first: _Reference) -> FrameResult:
-        """Analyse, draw and write one frame, with its pixels in colour, after the `first` of its group."""
-        start, path, own = perf_counter(), self.path_of(frame.name), first.name == frame.name
+    def render_frame(
+        self, number: int, frame: Frame, flat: NDArray[Any], first: _Reference
+    ) -> FrameResult:
+        """Analyse, draw and write one frame, with its pixels in colour, after the `first` of its
+        group.
+        """
+        start = perf_counter()
+        path = self.path_of(frame.name)
+        own = first.name == frame.name
         depth = first.depth if own else self._analyze(flat, first)
         if self.depth_maps is not None and is_video(self.depth_maps):
-            write_picture(self.depth_path_of(frame.name), depth_picture(depth, self.scale, self.colours))
+            write_picture(
+                self.depth_path_of(frame.name), depth_picture(depth, self.scale, self.colours)
+            )
         elif self.depth_maps is not None:
             depth.save(self.depth_path_of(frame.name))
         if self.output is not None:
@@ -339,13 +395,23 @@ class Job:
             settings: dict[str, Any] = {"rendering": "all in focus", "preset": self.preset}
             embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
             settings |= {} if self.gain == 1 else {"exposure_gain": self.gain}
-            write_picture(path, self._shown(picture), settings=settings, embedded=embedded, exposure=0.0)
-        return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, float(depth.saved.get("still", 0)))
+            write_picture(
+                path, self._shown(picture), settings=settings, embedded=embedded, exposure=0.0
+            )
+        return FrameResult(
+            frame.name,
+            path,
+            "rendered",
+            "",
+            perf_counter() - start,
+            float(depth.saved.get("still", 0)),
+        )
 
 
 def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
     """The outcomes of a group in the order of its frames, the missing ones rendered."""
-    outcomes, first = list(group.outcomes), None
+    outcomes = list(group.outcomes)
+    first = None
     for number, frame in group.missing:
         if job.stopped:
             break
@@ -354,7 +420,9 @@ def render_group(job: Job, group: Group, _loaded: object) -> list[FrameResult]:
             if first is None:
                 assert group.key is not None
                 given = group.first or frame
-                first = job.first_of_group(given, flat if given.name == frame.name else None, group.key)
+                first = job.first_of_group(
+                    given, flat if given.name == frame.name else None, group.key
+                )
             result = job.render_frame(number, frame, flat, first)
         except OutputError:
             raise

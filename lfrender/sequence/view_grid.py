@@ -1,8 +1,10 @@
-"""Views of a grid for each frame, and the files that other converters for lenslet video write them to.
+"""Views of a grid for each frame, and the files that other converters for lenslet video write them
+to.
 
-Raw video (TLCT): a file for each view, `v000-1920x1080.yuv` and so on, into which frames are written at their place, so
-that several of them can be worked on at once and an interrupted run goes on. Pictures (RLC): a folder for each frame,
-`FRAME/image_001.png` and so on. Views are numbered row by row from the top left.
+Raw video (TLCT): a file for each view, `v000-1920x1080.yuv` and so on, into which frames are
+written at their place, so that several of them can be worked on at once and an interrupted run goes
+on. Pictures (RLC): a folder for each frame, `FRAME/image_001.png` and so on. Views are numbered row
+by row from the top left.
 """
 
 from __future__ import annotations
@@ -51,8 +53,12 @@ class ViewGrid:
 
     rows: int = 5
     columns: int = 5
-    aperture: float = 0.7  # distance of its corners from the middle, as a part of the radius of the microimages
-    size: tuple[int, int] | None = None  # width and height of the views [px]; with None the scale of the run
+    aperture: float = (
+        0.7  # distance of its corners from the middle, as a part of the radius of the microimages
+    )
+    size: tuple[int, int] | None = (
+        None  # width and height of the views [px]; with None the scale of the run
+    )
 
     @property
     def count(self) -> int:
@@ -60,7 +66,12 @@ class ViewGrid:
         return self.rows * self.columns
 
     def draw(
-        self, flat: NDArray[Any], calibration: Calibration, depth: DepthMap, scale: float | None, still: float
+        self,
+        flat: NDArray[Any],
+        calibration: Calibration,
+        depth: DepthMap,
+        scale: float | None,
+        still: float,
     ) -> Iterator[Rendering]:
         """The views of a frame, row by row."""
         offsets = grid_offsets(self.rows, self.columns, self.aperture * calibration.lattice.radius)
@@ -89,7 +100,9 @@ class ViewOutput:
         return not (self._mark(name) if self.raw else self.folder / name).exists()
 
     def start(self, overwrite: bool, names: list[str]) -> None:
-        """Make the hidden folder; OutputError if files have others than the frames of these names at their places."""
+        """Make the hidden folder; OutputError if files have others than the frames of these names
+        at their places.
+        """
         if overwrite:
             shutil.rmtree(self._parts, ignore_errors=True)
             for file in self.folder.glob(_VIDEOS) if self.raw else ():
@@ -112,14 +125,17 @@ class ViewOutput:
         unfinished.mkdir()
         for view, picture in enumerate(pictures):
             path = unfinished / f"image_{view + 1:03d}{self.suffix}"
-            write_picture(path, picture, settings={"rendering": "views", "view": view}, exposure=0.0)
+            write_picture(
+                path, picture, settings={"rendering": "views", "view": view}, exposure=0.0
+            )
         shutil.rmtree(self.folder / name, ignore_errors=True)
         os.replace(unfinished, self.folder / name)
 
     def _write_raw(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
         for view, picture in enumerate(pictures):
             frame = yuv_frame(picture.image, self.raw, picture.white)
-            data, path = frame_bytes(frame), self._parts / view_name(view, frame.width, frame.height)
+            data = frame_bytes(frame)
+            path = self._parts / view_name(view, frame.width, frame.height)
             finished = self.folder / path.name
             if not path.exists() and finished.exists():
                 os.replace(finished, path)
@@ -130,7 +146,9 @@ class ViewOutput:
         self._mark(name).write_text(f"{number}\n", encoding="utf-8")
 
     def finish(self, names: list[str]) -> None:
-        """Move the files of raw video into place; a frame that failed shows the one before it, or the first of all."""
+        """Move the files of raw video into place; a frame that failed shows the one before it, or
+        the first of all.
+        """
         unfinished = sorted(self._parts.glob(_VIDEOS)) if self.raw else []
         numbers = {name: number for number, name in enumerate(names)}
         good = [number for name, number in numbers.items() if self._mark(name).exists()]
@@ -148,5 +166,7 @@ class ViewOutput:
             os.replace(path, self.folder / path.name)
 
     def _mark(self, name: str) -> Path:
-        """The file that says that the views of a frame are written; it holds the number of the frame."""
+        """The file that says that the views of a frame are written; it holds the number of the
+        frame.
+        """
         return self._parts / f"{name}.done"

@@ -1,4 +1,6 @@
-"""Work on parts, tiles of a flat or frames of a sequence, in this process or on the workers of a Dask cluster."""
+"""Work on parts, tiles of a flat or frames of a sequence, in this process or on the workers of a
+Dask cluster.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ __all__ = ["Workers", "ahead", "connect"]
 
 
 class Workers:
-    """This process, `at_once` parts at a time, or the workers of the cluster of a `client`, with so many `threads`."""
+    """This process, `at_once` parts at a time, or the workers of the cluster of a `client`, with so
+    many `threads`.
+    """
 
     def __init__(self, client: Any = None, threads: int | None = None, at_once: int = 1) -> None:
         self._client, self._threads, self._at_once = client, threads, at_once
@@ -24,15 +28,22 @@ class Workers:
     @property
     def count(self) -> int:
         """How many parts are worked on at a time."""
-        return self._at_once if self._client is None else max(1, sum(self._client.nthreads().values()))
+        return (
+            self._at_once if self._client is None else max(1, sum(self._client.nthreads().values()))
+        )
 
     def map(
-        self, task: Callable[[Any, Any, Any], Any], shared: Any, items: Iterable[Any],
+        self,
+        task: Callable[[Any, Any, Any], Any],
+        shared: Any,
+        items: Iterable[Any],
         load: Callable[[Any, Any], Any] = lambda *_: None,
-    ) -> Iterator[Any]:  # fmt: skip
-        """The results of `task(shared, item, load(shared, item))` in the order of the items, taken as needed.
+    ) -> Iterator[Any]:
+        """The results of `task(shared, item, load(shared, item))` in the order of the items, taken
+        as needed.
 
-        `shared`, as it is when the first item has been taken, is sent once to each worker of a cluster.
+        `shared`, as it is when the first item has been taken, is sent once to each worker of a
+        cluster.
         """
         if self._client is not None:
             yield from self._map_there(task, shared, items, load)
@@ -41,7 +52,9 @@ class Workers:
                 yield task(shared, item, loaded)
         else:
             try:
-                yield from ahead(lambda item: task(shared, item, load(shared, item)), items, self._at_once)
+                yield from ahead(
+                    lambda item: task(shared, item, load(shared, item)), items, self._at_once
+                )
             finally:
                 # Where not all results are taken, tasks end as soon as they look at this.
                 shared.stopped = True
@@ -52,9 +65,12 @@ class Workers:
         waiting: deque[Any] = deque()
         try:
             for item in items:
-                # As the result of a task, the scheduler makes it again if all workers that hold it are lost.
+                # As the result of a task, the scheduler makes it again if all workers that hold it
+                # are lost.
                 sent = sent or self._client.submit(_identity, shared, **options)
-                waiting.append(self._client.submit(_work, task, load, sent, item, self._threads, **options))
+                waiting.append(
+                    self._client.submit(_work, task, load, sent, item, self._threads, **options)
+                )
                 # One that is worked on, and one that waits, for each thread.
                 while len(waiting) > 2 * self.count:
                     yield _result(waiting.popleft())
@@ -65,15 +81,23 @@ class Workers:
 
 
 def ahead(function: Callable[[Any], Any], items: Iterable[Any], count: int) -> Iterator[Any]:
-    """What the function makes of each item, `count` of them at a time in threads; the first one in this thread."""
+    """What the function makes of each item, `count` of them at a time in threads; the first one in
+    this thread.
+    """
     import numba
 
     waiting: deque[Future[Any]] = deque()
-    with ThreadPoolExecutor(count, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)) as pool:
+    with ThreadPoolExecutor(
+        count, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)
+    ) as pool:
         try:
             for number, item in enumerate(items):
                 # The first one imports what all need.
-                waiting.append(pool.submit(function, item) if number else pool.submit(_identity, function(item)))
+                waiting.append(
+                    pool.submit(function, item)
+                    if number
+                    else pool.submit(_identity, function(item))
+                )
                 if len(waiting) > count:
                     yield waiting.popleft().result()
             while waiting:
@@ -83,7 +107,9 @@ def ahead(function: Callable[[Any], Any], items: Iterable[Any], count: int) -> I
 
 
 class _Worker:
-    """What a worker process keeps from task to task. Tasks run one at a time: each uses several threads itself."""
+    """What a worker process keeps from task to task. Tasks run one at a time: each uses several
+    threads itself.
+    """
 
     lock = Lock()
     received: Any = None
@@ -95,7 +121,9 @@ def _identity(shared: Any) -> Any:
 
 
 def _work(task: Any, load: Any, shared: Any, item: Any, threads: int | None) -> Any:
-    """The result of one part. An error of this toolkit is returned, not raised: Dask would only try it again."""
+    """The result of one part. An error of this toolkit is returned, not raised: Dask would only try
+    it again.
+    """
     with _Worker.lock:
         if threads is not None:
             import cv2
@@ -132,11 +160,15 @@ def _result(future: Any) -> Any:
 
 @contextmanager
 def connect(workers: int | None, scheduler: str | None, timeout: float = 15.0) -> Iterator[Any]:
-    """A client of a scheduler such as `"tcp://host:8786"`, or of so many worker processes on this machine."""
+    """A client of a scheduler such as `"tcp://host:8786"`, or of so many worker processes on this
+    machine.
+    """
     try:
         from distributed import Client, LocalCluster
     except ImportError as error:
-        raise OutputError("clusters need the package 'distributed'; pip install 'lfrender[cluster]'") from error
+        raise OutputError(
+            "clusters need the package 'distributed'; pip install 'lfrender[cluster]'"
+        ) from error
     if scheduler is None:
         options: dict[str, Any] = {"threads_per_worker": 1, "dashboard_address": None}
         with LocalCluster(n_workers=workers, **options) as cluster, Client(cluster) as client:

@@ -54,7 +54,8 @@ def read_volume(path: str | os.PathLike[str]) -> dict[str, Any]:
             import zarr
 
             group: Any = zarr.open_group(str(target), mode="r")
-            data, text = group["0"][:], group.attrs["description"]
+            data = group["0"][:]
+            text = group.attrs["description"]
         else:
             import tifffile
 
@@ -66,7 +67,9 @@ def read_volume(path: str | os.PathLike[str]) -> dict[str, Any]:
         return {"data": data} | {name: known[name] for name in _FIELDS}
     # Readers raise errors of many kinds on other files.
     except Exception as error:
-        raise FlatError(f"{target}: is no volume that 'lfrender volume' has written ({error})") from error
+        raise FlatError(
+            f"{target}: is no volume that 'lfrender volume' has written ({error})"
+        ) from error
 
 
 def _describe(volume: Volume) -> str:

@@ -102,7 +102,9 @@ class Microscope:
         if not self.metric:
             return Scale(1.0, 1.0, flat_radius, np.inf, 0.0, "px")
         assert self.na is not None and self.magnification is not None
-        focal, pixel, pupil = self.microlens_focal_length, self.pixel_size, radius
+        focal = self.microlens_focal_length
+        pixel = self.pixel_size
+        pupil = radius
         diffraction = 0.0
         if pixel is None:
             assert focal is not None

@@ -109,7 +109,9 @@ def reconstruct_volume(
     if start is not None:
         check_type(start, Volume, "start", "reconstruct_volume makes one")
     if start is not None and (start.data.shape != shape or not np.allclose(start.slopes, slopes)):
-        raise ValueError("start must be a volume on the same grid: of the same camera, depth_range, planes and voxels")
+        raise ValueError(
+            "start must be a volume on the same grid: of the same camera, depth_range, planes and voxels"
+        )
     projector = grid.projector(used, lattice, scale)
     before = None if start is None else grid.pad(start.data)
     variance = measure_variance(grey, calibration)
@@ -195,11 +197,15 @@ def _warnings(
             missing += ", and rays are paraxial: at a high NA, depths are bent"
         warnings.append(missing)
     if calibration.gain_map is None and calibration.vignetting is None:
-        warnings.append("the camera does not know the light of its microimages; calibrate it on a white image")
+        warnings.append(
+            "the camera does not know the light of its microimages; calibrate it on a white image"
+        )
     light = data.sum((1, 2), dtype=float)
     much = _MUCH_LIGHT * np.median(light)
     ends = [name for name, at in (("first", 0), ("last", -1)) if light[at] > much]
     if ends:
         where = " and the ".join(ends)
-        warnings.append(f"much light lies on the {where} plane: the specimen may reach beyond the range")
+        warnings.append(
+            f"much light lies on the {where} plane: the specimen may reach beyond the range"
+        )
     return tuple(warnings)

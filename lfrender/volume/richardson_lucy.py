@@ -79,7 +79,8 @@ def deconvolve(
     `variance` is that of pixels with the given values; `start` the volume before the first step, an
     even one by default; `progress` is called after each of at most `steps` steps.
     """
-    values, light = pixels.values, pixels.light
+    values = pixels.values
+    light = pixels.light
     norm = _seen(projector, light)
     mean = float(values.sum(dtype=float) / light.sum(dtype=float))
     volume = np.full(norm.shape, max(mean, 1e-12) / len(norm), np.float32)

@@ -1,4 +1,5 @@
-"""The calibration over its flat: enlarged crops with circles, offsets of regions, light of a microimage, as vectors.
+"""The calibration over its flat: enlarged crops with circles, offsets of regions, light of a
+microimage, as vectors.
 
 Every panel is a figure of its own, so that a page lays them out side by side or below each other.
 """
@@ -27,39 +28,69 @@ def calibration_panels(flat: NDArray, calibration: Calibration, pitches: float =
     FlatError if the flat is not of the size the calibration is for.
     """
     width, height = calibration.image_size
-    places = {"Top left": (0, 0), "Centre": (width / 2, height / 2), "Bottom right": (width, height)}
-    crops = [(name, _crop(flat, calibration, np.array(place, float), pitches)) for name, place in places.items()]
+    places = {
+        "Top left": (0, 0),
+        "Centre": (width / 2, height / 2),
+        "Bottom right": (width, height),
+    }
+    crops = [
+        (name, _crop(flat, calibration, np.array(place, float), pitches))
+        for name, place in places.items()
+    ]
     fit = check_fit(calibration, flat)
     return fill(
-        "calibration.html", crops=crops, radius=calibration.lattice.radius, offsets=_offsets(calibration, fit),
-        verdict=f"{fit.verdict[:1].upper()}{fit.verdict[1:]}.", light=_falloff(calibration), gain=_gain(calibration),
+        "calibration.html",
+        crops=crops,
+        radius=calibration.lattice.radius,
+        offsets=_offsets(calibration, fit),
+        verdict=f"{fit.verdict[:1].upper()}{fit.verdict[1:]}.",
+        light=_falloff(calibration),
+        gain=_gain(calibration),
         defects=calibration.defects,
-    )  # fmt: skip
+    )
 
 
 def flat_part(flat: NDArray, middle: NDArray[np.float64], side: float) -> dict[str, Any]:
-    """The part of a flat about a place, `side` pixels across, with all its contrast, for the macro `crop`."""
+    """The part of a flat about a place, `side` pixels across, with all its contrast, for the macro
+    `crop`.
+    """
     size = np.array(flat.shape[1::-1])
     reach = np.minimum(np.round(side).astype(int), size)
     low = np.clip(np.round(middle - reach / 2).astype(int), 0, size - reach)
-    values = np.nan_to_num(flat[low[1] : low[1] + reach[1], low[0] : low[0] + reach[0]].astype(np.float32))
+    values = np.nan_to_num(
+        flat[low[1] : low[1] + reach[1], low[0] : low[0] + reach[0]].astype(np.float32)
+    )
     dark, bright = np.percentile(values, (1, 99))
-    shown = np.rint(255 * np.clip((values - dark) / max(bright - dark, 1e-6), 0, 1) ** (1 / 1.4)).astype(np.uint8)
+    shown = np.rint(
+        255 * np.clip((values - dark) / max(bright - dark, 1e-6), 0, 1) ** (1 / 1.4)
+    ).astype(np.uint8)
     (x, y), (width, height) = (low - 0.5).tolist(), reach.tolist()
     return {"x": x, "y": y, "width": width, "height": height, "url": picture_url(shown)}
 
 
-def _crop(flat: NDArray, calibration: Calibration, middle: NDArray[np.float64], pitches: float) -> dict[str, Any]:
+def _crop(
+    flat: NDArray, calibration: Calibration, middle: NDArray[np.float64], pitches: float
+) -> dict[str, Any]:
     """A part of the flat with the circles of its lenses, and those that get no light."""
-    lattice, types = calibration.lattice, calibration.lens_types
+    lattice = calibration.lattice
+    types = calibration.lens_types
     part = flat_part(flat, middle, pitches * lattice.pitch)
     low = np.array([part["x"], part["y"]]) - lattice.pitch
     high = low + [part["width"], part["height"]] + 2 * lattice.pitch
-    centres, unlit = lattice.centres(), lattice.points(calibration.defects.lenses)
+    centres = lattice.centres()
+    unlit = lattice.points(calibration.defects.lenses)
     near = ((centres > low) & (centres < high)).all(1)
-    kinds = np.zeros(near.sum(), int) if types is None else types.of(lattice.indices()[near]) % len(_TYPES)
+    kinds = (
+        np.zeros(near.sum(), int)
+        if types is None
+        else types.of(lattice.indices()[near]) % len(_TYPES)
+    )
     circles = [(x, y, _TYPES[kind]) for (x, y), kind in zip(centres[near], kinds, strict=True)]
-    return {**part, "circles": circles, "unlit": unlit[((unlit > low) & (unlit < high)).all(1)].tolist()}
+    return {
+        **part,
+        "circles": circles,
+        "unlit": unlit[((unlit > low) & (unlit < high)).all(1)].tolist(),
+    }
 
 
 def _offsets(calibration: Calibration, fit: Any) -> dict[str, Any]:
@@ -67,12 +98,18 @@ def _offsets(calibration: Calibration, fit: Any) -> dict[str, Any]:
     size = np.array(calibration.image_size)
     scale = (_SIDE - 40) / size.max()
     corner = (_SIDE - scale * size) / 2
-    positions, offsets = fit.positions.reshape(-1, 2), fit.offset.reshape(-1, 2)
+    positions = fit.positions.reshape(-1, 2)
+    offsets = fit.offset.reshape(-1, 2)
     lengths = np.linalg.norm(offsets, axis=-1)
-    drawn = np.nan_to_num(offsets) * 0.11 * _SIDE / max(float(np.nanmax(lengths, initial=0.0)), 1e-3)
+    drawn = (
+        np.nan_to_num(offsets) * 0.11 * _SIDE / max(float(np.nanmax(lengths, initial=0.0)), 1e-3)
+    )
     at = corner + scale * (positions + 0.5)
     told = [length if np.isfinite(length) else None for length in lengths.tolist()]
-    arrows = [(*place, *arrow, length) for place, arrow, length in zip(at.tolist(), drawn.tolist(), told, strict=True)]
+    arrows = [
+        (*place, *arrow, length)
+        for place, arrow, length in zip(at.tolist(), drawn.tolist(), told, strict=True)
+    ]
     return {"left": float(corner[0]), "top": float(corner[1]), "arrows": arrows}
 
 
@@ -83,15 +120,22 @@ def _falloff(calibration: Calibration) -> dict[str, Any] | None:
         return None
     distances = np.arange(len(vignetting.profile)) * float(vignetting.step)
     end = max(float(distances[-1]), 1.05 * calibration.lattice.radius)
-    return {"end": end, "points": list(zip(distances.tolist(), vignetting.profile.tolist(), strict=True))}
+    return {
+        "end": end,
+        "points": list(zip(distances.tolist(), vignetting.profile.tolist(), strict=True)),
+    }
 
 
 def _gain(calibration: Calibration) -> str:
-    """The gain map over a corner of the flat of some microimages, unknown pixels in pink; "" without one."""
+    """The gain map over a corner of the flat of some microimages, unknown pixels in pink; ""
+    without one.
+    """
     if calibration.gain_map is None:
         return ""
     side = int(max(8, 6 * calibration.lattice.pitch))
     gain = calibration.gain()[:side, :side]
-    drawn = np.repeat(np.rint(255 * np.clip(np.nan_to_num(gain), 0, 1)).astype(np.uint8)[..., None], 3, axis=2)
+    drawn = np.repeat(
+        np.rint(255 * np.clip(np.nan_to_num(gain), 0, 1)).astype(np.uint8)[..., None], 3, axis=2
+    )
     drawn[np.isnan(gain)] = (214, 110, 160)
     return picture_url(drawn, ".png")

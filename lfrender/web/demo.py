@@ -1,4 +1,6 @@
-"""The demo: simulate a capture, calibrate, analyse and render it from its pixels alone, and compare with the truth."""
+"""The demo: simulate a capture, calibrate, analyse and render it from its pixels alone, and compare
+with the truth.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth import SCENES, Camera, Capture, simulate
-from data_synth.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, resample
+from data_synth.metrics import (
+    centre_error,
+    compare_pictures,
+    magnification_error,
+    mode_accuracy,
+    resample,
+)
 from lfcal import Calibration, calibrate
 from lfcal.runtime.command_line import Report
 from lfcal.runtime.output_file import make_folder
@@ -36,20 +44,24 @@ def run_demo(
     samples: int = 16,
     seed: int = 1,
 ) -> dict[str, Any]:
-    """Simulate the scene `house`, calibrate, analyse and render it, and write pictures and an HTML page.
+    """Simulate the scene `house`, calibrate, analyse and render it, and write pictures and an HTML
+    page.
 
-    Only the flat is used; the white image is calibrated as well, for comparison. The folder is made if it does not
-    exist, files of the same names in it are replaced; OutputError if it cannot be written. `report` gets the stages and
-    their seconds; `flat_size` is width and height [px], `samples` are rays per pixel and microlens. Returns the figures
-    on the page, as plain numbers.
+    Only the flat is used; the white image is calibrated as well, for comparison. The folder is made
+    if it does not exist, files of the same names in it are replaced; OutputError if it cannot be
+    written. `report` gets the stages and their seconds; `flat_size` is width and height [px],
+    `samples` are rays per pixel and microlens. Returns the figures on the page, as plain numbers.
     """
     target = make_folder(folder, parents=True)
     report = report or Report(quiet=True)
     with report.stage("simulate"):
         camera = Camera.design(flat_size, pitch=23.2, lattice="hex", rotation=0.7)
         # Noise of a pixel: a full well of 9000 electrons, and 5 of them when it is read.
-        capture = simulate(SCENES["house"](camera), camera, samples=samples, seed=seed, noise=(9000.0, 5.0))
-    flat, truth = capture.flat, capture.truth
+        capture = simulate(
+            SCENES["house"](camera), camera, samples=samples, seed=seed, noise=(9000.0, 5.0)
+        )
+    flat = capture.flat
+    truth = capture.truth
     with report.stage("calibrate from the capture"):
         from_scene = calibrate(flat, kind="scene")
     with report.stage("calibrate from the white image"):
@@ -60,69 +72,109 @@ def run_demo(
         pictures = draw_pictures(flat, from_scene, depth)
     with report.stage("compare with the truth"):
         sharp = pictures.sharp
-        reference, _ = resample(truth.reference, truth.reference_affine, sharp.image.shape[:2], sharp.affine)
+        reference, _ = resample(
+            truth.reference, truth.reference_affine, sharp.image.shape[:2], sharp.affine
+        )
         figures = _measure(capture, {"scene": from_scene, "white": from_white}, depth, pictures)
     with report.stage("write"):
         true_picture = np.rint(reference * np.iinfo(flat.dtype).max).astype(flat.dtype)
         crop = _crop_of_both_modes(capture)
         maps = lens_maps(depth, from_scene.lattice, sharp.affine, sharp.image.shape[:2])
         written = {
-            "flat": flat, "flat_crop": crop, "traditional": pictures.traditional, **pictures.fixed,
-            "all_in_focus": sharp, "reference": true_picture,
-            "magnification": maps["magnification"], "modes": maps["modes"],
-        }  # fmt: skip
+            "flat": flat,
+            "flat_crop": crop,
+            "traditional": pictures.traditional,
+            **pictures.fixed,
+            "all_in_focus": sharp,
+            "reference": true_picture,
+            "magnification": maps["magnification"],
+            "modes": maps["modes"],
+        }
         for name, picture in written.items():
             write_picture(target / f"{name}.png", picture)
     figures = {**figures, "seconds": report.seconds}
     urls, _ = data_urls({"reference": true_picture}, 2_000_000)
-    # Those that a user's own capture would take: without the simulation, its truth, and its white image.
+    # Those that a user's own capture would take: without the simulation, its truth, and its white
+    # image.
     stages = {"calibrate": "calibrate from the capture", "analyze": "analyze", "render": "render"}
     write_report(
-        target / "index.html", flat, from_scene, depth, pictures,
+        target / "index.html",
+        flat,
+        from_scene,
+        depth,
+        pictures,
         title="One capture, both modes, sharp everywhere",
-        seconds={name: report.seconds[stage] for name, stage in stages.items()}, compare={"truth": true_picture},
-        further=_truth_section(figures, picture_url(crop, ".png"), urls["reference"]), command="lfrender demo",
-    )  # fmt: skip
+        seconds={name: report.seconds[stage] for name, stage in stages.items()},
+        compare={"truth": true_picture},
+        further=_truth_section(figures, picture_url(crop, ".png"), urls["reference"]),
+        command="lfrender demo",
+    )
     return {"page": str(target / "index.html"), **figures}
 
 
 def _measure(
     capture: Capture, cameras: Mapping[str, Calibration], depth: DepthMap, pictures: ReportPictures
 ) -> dict[str, Any]:
-    """All errors against the truth, but those of the camera from the capture itself in its own depth."""
-    truth, sharp = capture.truth, pictures.sharp
-    true_lattice, resolvable = truth.calibration.lattice, truth.mode != 0
+    """All errors against the truth, but those of the camera from the capture itself in its own
+    depth.
+    """
+    truth = capture.truth
+    sharp = pictures.sharp
+    true_lattice = truth.calibration.lattice
+    resolvable = truth.mode != 0
     selections = {"all": resolvable, "one_depth": resolvable & ~truth.mixed}
     lens = nearest_lens(cameras["scene"].lattice, true_lattice.centres())
-    mode, size = np.asarray(depth.mode)[lens], np.asarray(depth.patch_size)[lens]
+    mode = np.asarray(depth.mode)[lens]
+    size = np.asarray(depth.patch_size)[lens]
     errors = {
         "mode_right": lambda where: mode_accuracy(mode, truth.mode, where),
         "mode_wrong": lambda where: mode_accuracy(-mode, truth.mode, where),
         "magnification_error": lambda where: magnification_error(size, truth.patch_size, where),
     }
     return {
-        "flat_size": list(truth.calibration.image_size), "pitch": true_lattice.pitch, "lenses": len(true_lattice),
+        "flat_size": list(truth.calibration.image_size),
+        "pitch": true_lattice.pitch,
+        "lenses": len(true_lattice),
         "lenses_judged": int(resolvable.sum()),
         "calibration": {
-            kind: {"centre_error": centre_error(c.lattice, true_lattice), "confidence": float(c.confidence)}
+            kind: {
+                "centre_error": centre_error(c.lattice, true_lattice),
+                "confidence": float(c.confidence),
+            }
             for kind, c in cameras.items()
         },
-        **{key: {name: error(where) for name, where in selections.items()} for key, error in errors.items()},
-        "merit": {
-            name: _compare(capture, picture) for name, picture in {"all_in_focus": sharp, **pictures.fixed}.items()
+        **{
+            key: {name: error(where) for name, where in selections.items()}
+            for key, error in errors.items()
         },
-        "fixed_patch_size": dict(pictures.patch_size), "picture_size": list(sharp.image.shape[1::-1]),
-        "scale": sharp.scale, "warnings": list(cameras["scene"].warnings),
-    }  # fmt: skip
+        "merit": {
+            name: _compare(capture, picture)
+            for name, picture in {"all_in_focus": sharp, **pictures.fixed}.items()
+        },
+        "fixed_patch_size": dict(pictures.patch_size),
+        "picture_size": list(sharp.image.shape[1::-1]),
+        "scale": sharp.scale,
+        "warnings": list(cameras["scene"].warnings),
+    }
 
 
 def _compare(capture: Capture, picture: Rendering, resolvable: float = 0.75) -> dict[str, float]:
-    """PSNR and SSIM over pixels with `|s| / D` up to `resolvable`; beyond, microimages have too little in common."""
-    truth, shape = capture.truth, picture.image.shape[:2]
+    """PSNR and SSIM over pixels with `|s| / D` up to `resolvable`; beyond, microimages have too
+    little in common.
+    """
+    truth = capture.truth
+    shape = picture.image.shape[:2]
     reference, inside = resample(truth.reference, truth.reference_affine, shape, picture.affine)
-    ratio = np.nan_to_num(np.abs(truth.reference_patch_size), nan=np.inf) / truth.calibration.lattice.pitch
-    unresolvable, _ = resample((ratio > resolvable).astype(np.float64), truth.reference_affine, shape, picture.affine)
-    quality = compare_pictures(picture.image, reference, inside & np.asarray(picture.valid) & (unresolvable < 1e-6))
+    ratio = (
+        np.nan_to_num(np.abs(truth.reference_patch_size), nan=np.inf)
+        / truth.calibration.lattice.pitch
+    )
+    unresolvable, _ = resample(
+        (ratio > resolvable).astype(np.float64), truth.reference_affine, shape, picture.affine
+    )
+    quality = compare_pictures(
+        picture.image, reference, inside & np.asarray(picture.valid) & (unresolvable < 1e-6)
+    )
     return {"psnr": quality.psnr, "ssim": quality.ssim}
 
 
@@ -130,8 +182,10 @@ def _crop_of_both_modes(capture: Capture) -> NDArray[Any]:
     """The part of the flat, at most 320 x 240 px, that shows both modes most evenly."""
     sign = np.nan_to_num(np.sign(capture.truth.disparity))
     height, width = sign.shape
-    w, h = min(320, width), min(240, height)
-    rows, columns = range(0, height - h + 1, h // 2), range(0, width - w + 1, w // 2)
+    w = min(320, width)
+    h = min(240, height)
+    rows = range(0, height - h + 1, h // 2)
+    columns = range(0, width - w + 1, w // 2)
     windows = [np.s_[y : y + h, x : x + w] for y in rows for x in columns]
     balance = [min(np.mean(sign[window] > 0), np.mean(sign[window] < 0)) for window in windows]
     return np.ascontiguousarray(capture.flat[windows[int(np.argmax(balance))]])
@@ -139,15 +193,17 @@ def _crop_of_both_modes(capture: Capture) -> NDArray[Any]:
 
 def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -> Any:
     """HTML of the comparison with the truth; `flat_crop` and `reference` are data URLs of pictures."""
-    quality, calibrations = figures["merit"], figures["calibration"]
+    quality = figures["merit"]
+    calibrations = figures["calibration"]
     psnr = {name: quality[name]["psnr"] for name in quality}
     best_fixed = max(psnr[name] for name in figures["fixed_patch_size"])
     names = {"all_in_focus": "all in focus"}
     sources = {"scene": "the capture itself", "white": "the white image"}
     depths = {
-        "mode_right": ("mode is right", ".1%"), "mode_wrong": ("mode is the opposite one", ".1%"),
+        "mode_right": ("mode is right", ".1%"),
+        "mode_wrong": ("mode is the opposite one", ".1%"),
         "magnification_error": ("M, median relative error (unresolved: 1)", ".2%"),
-    }  # fmt: skip
+    }
     cards = {
         "all in focus": f"{psnr['all_in_focus']:.1f} dB",
         "better than the best single patch size": f"{psnr['all_in_focus'] - best_fixed:.1f} dB",
@@ -156,16 +212,21 @@ def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -
         "RMS error of centres, from the capture alone": f"{calibrations['scene']['centre_error']:.3f} px",
     }
     return fill(
-        "demo.html", flat_crop=flat_crop, reference=reference, cards=cards, lenses=f"{figures['lenses_judged']:,}",
+        "demo.html",
+        flat_crop=flat_crop,
+        reference=reference,
+        cards=cards,
+        lenses=f"{figures['lenses_judged']:,}",
         pictures=[
             (names.get(name, f"one patch size, {name}"), f"{m['psnr']:.1f} dB", f"{m['ssim']:.3f}")
             for name, m in quality.items()
         ],
         calibrations=[
-            (sources[kind], f"{c['centre_error']:.4f} px", f"{c['confidence']:.2f}") for kind, c in calibrations.items()
+            (sources[kind], f"{c['centre_error']:.4f} px", f"{c['confidence']:.2f}")
+            for kind, c in calibrations.items()
         ],
         depths=[
             (label, *(f"{figures[name][key]:{form}}" for key in ("all", "one_depth")))
             for name, (label, form) in depths.items()
         ],
-    )  # fmt: skip
+    )

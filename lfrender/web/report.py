@@ -24,8 +24,13 @@ from .templates import fill, read_asset
 
 __all__ = ["write_report"]
 
-# Bars between the limits; width and height of the drawing, its left margin and that below, in its own units.
-_BINS, _WIDTH, _HEIGHT, _LEFT, _BELOW = 40, 900, 280, 84, 30
+# Bars between the limits; width and height of the drawing, its left margin and that below, in its
+# own units.
+_BINS = 40
+_WIDTH = 900
+_HEIGHT = 280
+_LEFT = 84
+_BELOW = 30
 _SHORTCUTS = {
     "blank": "lenses without texture, which were not matched",
     "ranges": "shifts that occur in no lens of a sample, which were not tried",
@@ -55,9 +60,10 @@ def write_report(
 ) -> None:
     """Write the report of a flat as one HTML file of at most 15 MB that opens offline.
 
-    `pictures` are drawn if they are not given; `seconds` are those of each stage, `compare` further pictures by their
-    names, on the grid of the all-in-focus one, `further` sections to add, as HTML (`markupsafe.Markup`); `command` made
-    the page, for its footer. OutputError if it cannot be written; FlatError and CalibrationError as `render`.
+    `pictures` are drawn if they are not given; `seconds` are those of each stage, `compare` further
+    pictures by their names, on the grid of the all-in-focus one, `further` sections to add, as HTML
+    (`markupsafe.Markup`); `command` made the page, for its footer. OutputError if it cannot be
+    written; FlatError and CalibrationError as `render`.
 
     Examples
     --------
@@ -90,24 +96,50 @@ def write_report(
     room = 14_500_000 - sum(map(len, [*charts.values(), further, panels, crop["url"]]))
     urls, size = data_urls(shown, room, calibration.white_level, gain)
     names = {"all_in_focus": "all in focus", "traditional": "traditional"}
-    names |= {name: f"one patch size, {name}" for name in pictures.fixed} | {name: name for name in compare or {}}
+    names |= {name: f"one patch size, {name}" for name in pictures.fixed} | {
+        name: name for name in compare or {}
+    }
     height, width = pictures.sharp.image.shape[:2]
     known = depth.magnification[np.isfinite(depth.magnification)]
     limits = magnification_limits(depth.magnification)
-    reasons = {REASONS[code]: float(np.mean(depth.reason == code)) for code in np.unique(depth.reason) if code}
+    reasons = {
+        REASONS[code]: float(np.mean(depth.reason == code))
+        for code in np.unique(depth.reason)
+        if code
+    }
     page = fill(
         "report.html",
-        style=read_asset("report.css"), script=read_asset("report.js"), title=title, command=command,
-        version=version("lfrender"), calibration=calibration,
-        source=_SOURCES.get(calibration.source, calibration.source), known=float(np.mean(~depth.filled)),
-        width=width, height=height, size=size, names=names, urls=urls, sizes=pictures.patch_size,
-        charts=charts, limits=limits, histogram=_histogram(depth),
-        outliers=int(np.sum((known < limits[0]) | (known > limits[1]))), panels=panels, crop=crop, further=further,
-        modes=[(name, MODE_COLOURS[code], float(np.mean(depth.mode == code))) for code, name in MODES.items()],
-        reasons=dict(sorted(reasons.items(), key=lambda item: -item[1])), seconds=seconds or {},
-        cards=_figures(calibration, depth, pictures, seconds or {}), camera=_camera(calibration),
+        style=read_asset("report.css"),
+        script=read_asset("report.js"),
+        title=title,
+        command=command,
+        version=version("lfrender"),
+        calibration=calibration,
+        source=_SOURCES.get(calibration.source, calibration.source),
+        known=float(np.mean(~depth.filled)),
+        width=width,
+        height=height,
+        size=size,
+        names=names,
+        urls=urls,
+        sizes=pictures.patch_size,
+        charts=charts,
+        limits=limits,
+        histogram=_histogram(depth),
+        outliers=int(np.sum((known < limits[0]) | (known > limits[1]))),
+        panels=panels,
+        crop=crop,
+        further=further,
+        modes=[
+            (name, MODE_COLOURS[code], float(np.mean(depth.mode == code)))
+            for code, name in MODES.items()
+        ],
+        reasons=dict(sorted(reasons.items(), key=lambda item: -item[1])),
+        seconds=seconds or {},
+        cards=_figures(calibration, depth, pictures, seconds or {}),
+        camera=_camera(calibration),
         saved={_SHORTCUTS.get(name, name): share for name, share in depth.saved.items()},
-    )  # fmt: skip
+    )
     with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
@@ -126,29 +158,40 @@ def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
 
 
 def _histogram(depth: DepthMap) -> Any:
-    """SVG: number of lenses over magnification on a logarithmic scale, telescopic ones above the axis, binocular below.
+    """SVG: number of lenses over magnification on a logarithmic scale, telescopic ones above the
+    axis, binocular below.
 
-    Heights are square roots: a wall has thousands of lenses of one M, and single branches are seen beside it. What lies
-    beyond the limits of the scale, mostly errors, is in a pale bar at each end.
+    Heights are square roots: a wall has thousands of lenses of one M, and single branches are seen
+    beside it. What lies beyond the limits of the scale, mostly errors, is in a pale bar at each
+    end.
     """
     low, high = magnification_limits(depth.magnification)
     edges = np.array([0.0, *np.geomspace(low, high, _BINS + 1), np.inf])
-    counts = {code: np.histogram(depth.magnification[depth.mode == code], edges)[0] for code in (1, -1)}
+    counts = {
+        code: np.histogram(depth.magnification[depth.mode == code], edges)[0] for code in (1, -1)
+    }
     tall = {code: np.sqrt(max(count.max(), 1)) for code, count in counts.items()}
     # Both modes have one scale; the axis lies where it leaves room for either.
     tall = {code: max(n, 0.12 * max(tall.values())) for code, n in tall.items()}
     unit = (_HEIGHT - _BELOW - 20) / sum(tall.values())
-    axis, step = 10 + unit * tall[1], (_WIDTH - _LEFT - 8) / (_BINS + 2)
+    axis = 10 + unit * tall[1]
+    step = (_WIDTH - _LEFT - 8) / (_BINS + 2)
     spans = [f"below {low:.2f}", *(f"{a:.2f} to {b:.2f}" for a, b in pairwise(edges[1:-1]))]
     spans.append(f"above {high:.2f}")
     bars = [
         {
-            "x": _LEFT + step * n + 0.5, "height": (bar := unit * float(np.sqrt(count[n]))), "count": int(count[n]),
-            "y": axis - bar if code > 0 else axis, "mode": MODES[code], "colour": MODE_COLOURS[code],
-            "span": spans[n], "pale": n in (0, _BINS + 1),
+            "x": _LEFT + step * n + 0.5,
+            "height": (bar := unit * float(np.sqrt(count[n]))),
+            "count": int(count[n]),
+            "y": axis - bar if code > 0 else axis,
+            "mode": MODES[code],
+            "colour": MODE_COLOURS[code],
+            "span": spans[n],
+            "pale": n in (0, _BINS + 1),
         }
-        for code, count in counts.items() for n in np.nonzero(count)[0].tolist()
-    ]  # fmt: skip
+        for code, count in counts.items()
+        for n in np.nonzero(count)[0].tolist()
+    ]
     # Round numbers, if enough of them lie on the scale.
     powers = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
     ticks = np.unique(np.outer(10.0**powers, (1, 1.5, 2, 3, 4, 5, 7)).round(6))
@@ -156,14 +199,24 @@ def _histogram(depth: DepthMap) -> Any:
     ticks = ticks if len(ticks) >= 3 else np.geomspace(low, high, 5)
     places = _LEFT + step * (1 + _BINS * np.log(ticks / low) / np.log(high / low))
     return fill(
-        "histogram.svg", width=_WIDTH, height=_HEIGHT, left=_LEFT, axis=axis, bars=bars, step=step,
+        "histogram.svg",
+        width=_WIDTH,
+        height=_HEIGHT,
+        left=_LEFT,
+        axis=axis,
+        bars=bars,
+        step=step,
         ticks=list(zip(places.tolist(), ticks.tolist(), strict=True)),
-        most=[int(counts[1].max()), int(counts[-1].max())], lenses=int(sum(count.sum() for count in counts.values())),
-    )  # fmt: skip
+        most=[int(counts[1].max()), int(counts[-1].max())],
+        lenses=int(sum(count.sum() for count in counts.values())),
+    )
 
 
 def _figures(
-    calibration: Calibration, depth: DepthMap, pictures: ReportPictures, seconds: Mapping[str, float]
+    calibration: Calibration,
+    depth: DepthMap,
+    pictures: ReportPictures,
+    seconds: Mapping[str, float],
 ) -> dict[str, str]:
     """Names and figures of the cards at the top."""
     known = depth.magnification[np.isfinite(depth.magnification)]
@@ -176,10 +229,14 @@ def _figures(
         "pixels per microlens pitch": f"{pictures.sharp.scale:.1f}",
     }
     if calibration.optics is not None:
-        away, errors = depth.distance(calibration), depth.distance_error(calibration)
-        seen, sure = away[np.isfinite(away)], errors[np.isfinite(errors)]
+        away = depth.distance(calibration)
+        errors = depth.distance_error(calibration)
+        seen = away[np.isfinite(away)]
+        sure = errors[np.isfinite(errors)]
         if seen.size and sure.size:
-            figures["distance, median"] = f"{np.median(seen):.3g} m, each to {np.median(sure):.2g} m"
+            figures["distance, median"] = (
+                f"{np.median(seen):.3g} m, each to {np.median(sure):.2g} m"
+            )
     if seconds:
         figures["time"] = f"{sum(seconds.values()):.1f} s"
     return figures
@@ -198,7 +255,9 @@ def _camera(calibration: Calibration) -> dict[str, str]:
         "Usable radius": f"{lattice.radius:.2f} px",
         "Residual of single lenses": "" if np.isnan(residual) else f"{residual:.4f} px RMS",
         "Distortion": "none found" if lattice.distortion is None else "corrected",
-        "Lens types": "one" if calibration.lens_types is None else str(calibration.lens_types.count),
+        "Lens types": "one"
+        if calibration.lens_types is None
+        else str(calibration.lens_types.count),
         "Confidence": f"{calibration.confidence:.2f}",
         "Colour mosaic": calibration.mosaic or "",
     }

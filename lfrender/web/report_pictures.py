@@ -17,7 +17,14 @@ from ..data.rendering import Rendering
 from ..rendering.render import render
 from ..rendering.traditional import traditional
 
-__all__ = ["ReportPictures", "data_urls", "draw_pictures", "encode_picture", "picture_url", "reduce_picture"]
+__all__ = [
+    "ReportPictures",
+    "data_urls",
+    "draw_pictures",
+    "encode_picture",
+    "picture_url",
+    "reduce_picture",
+]
 
 
 @dataclass(frozen=True)
@@ -26,12 +33,15 @@ class ReportPictures:
 
     sharp: Rendering  # all in focus
     traditional: Rendering
-    fixed: Mapping[str, Rendering]  # with the median patch size of each mode, by its name, on the grid of `sharp`
+    fixed: Mapping[
+        str, Rendering
+    ]  # with the median patch size of each mode, by its name, on the grid of `sharp`
     patch_size: Mapping[str, float]  # [px] of `fixed`
 
 
 def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> ReportPictures:
-    """Draw a flat all in focus, traditionally, and with the median patch size of each mode that it shows.
+    """Draw a flat all in focus, traditionally, and with the median patch size of each mode that it
+    shows.
 
     A mode that fewer than one lens of a hundred has is taken for errors.
     """
@@ -42,22 +52,29 @@ def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> R
         found = depth.patch_size[depth.mode == mode]
         if found.size > 0.01 * len(depth):
             sizes[MODES[mode]] = float(np.median(found))
-    fixed = {name: render(flat, calibration, patch_size=size, scale=sharp.scale) for name, size in sizes.items()}
+    fixed = {
+        name: render(flat, calibration, patch_size=size, scale=sharp.scale)
+        for name, size in sizes.items()
+    }
     return ReportPictures(sharp, traditional(flat, calibration), fixed, sizes)
 
 
 def data_urls(
     pictures: Mapping[str, ArrayLike], most: int, white: float | None = None, gain: float = 1.0
 ) -> tuple[dict[str, str], float]:
-    """Pictures (h, w) or (h, w, 3) as WebP in data URLs of at most `most` characters in all, and their scale.
+    """Pictures (h, w) or (h, w, 3) as WebP in data URLs of at most `most` characters in all, and
+    their scale.
 
-    All have the same quality, the best that fits, and below that the same reduction of width and height. `white` is the
-    white level of integer pictures of more than 8 bits, by default the largest value of their type, which `gain`
-    brightens.
+    All have the same quality, the best that fits, and below that the same reduction of width and
+    height. `white` is the white level of integer pictures of more than 8 bits, by default the
+    largest value of their type, which `gain` brightens.
     """
     arrays = {name: np.asarray(picture) for name, picture in pictures.items()}
     # Those of 8 bits are as they are to be shown.
-    shown = {name: to_eight_bits(one, white, 1.0 if one.dtype == np.uint8 else gain) for name, one in arrays.items()}
+    shown = {
+        name: to_eight_bits(one, white, 1.0 if one.dtype == np.uint8 else gain)
+        for name, one in arrays.items()
+    }
     urls: dict[str, str] = {}
     for size, quality in ((1.0, 92), (1.0, 78), (0.5, 85), (0.25, 85), (0.125, 80)):
         # WebP holds at most so many pixels in a row.
@@ -82,16 +99,21 @@ def picture_url(picture: NDArray[np.uint8], suffix: str = ".webp", quality: int 
 def encode_picture(picture: NDArray[np.uint8], suffix: str, quality: int) -> bytes:
     """A picture (h, w) or (h, w, C), of which one or three channels are shown, as WebP or PNG.
 
-    `quality` is that of WebP, 0 to 100, or the compression of PNG, 0 to 9 for more. LightFieldError if it is too large.
+    `quality` is that of WebP, 0 to 100, or the compression of PNG, 0 to 9 for more. LightFieldError
+    if it is too large.
     """
     import cv2
 
     parameter = {".webp": cv2.IMWRITE_WEBP_QUALITY, ".png": cv2.IMWRITE_PNG_COMPRESSION}[suffix]
     channels = picture.reshape(*picture.shape[:2], -1)
-    shown = np.ascontiguousarray(channels[..., 2::-1] if channels.shape[2] >= 3 else channels[..., :1])
+    shown = np.ascontiguousarray(
+        channels[..., 2::-1] if channels.shape[2] >= 3 else channels[..., :1]
+    )
     done, data = cv2.imencode(suffix, shown, [parameter, quality])
     if not done:
-        raise LightFieldError(f"{picture.shape[1]} x {picture.shape[0]} px cannot be written as {suffix[1:].upper()}")
+        raise LightFieldError(
+            f"{picture.shape[1]} x {picture.shape[0]} px cannot be written as {suffix[1:].upper()}"
+        )
     return data.tobytes()
 
 

@@ -32,7 +32,8 @@ QUIET = 30.0
 #: Of the first line and the headers of a request [bytes].
 LARGEST_HEAD = 1 << 14
 MOST_CONNECTIONS = 500
-#: A page sends this header with its commands. Browsers ask first before pages of others may, and get no leave.
+#: A page sends this header with its commands. Browsers ask first before pages of others may, and
+#: get no leave.
 OWN_PAGE = "X-Lfrender"
 _HEADERS = {
     # Nothing is loaded from other hosts: scripts are inline, in data URLs, or among the files.
@@ -70,11 +71,13 @@ def page_routes(files: Any) -> dict[tuple[str, str], Answer]:
 class WebServer:
     """Answers requests from a thread of its own, until it is closed.
 
-    `routes` are answers by method and path. Port 0 takes any that is free. Beyond the loopback, requests need the token
-    that is in `url`. ServerError if address or port cannot be used.
+    `routes` are answers by method and path. Port 0 takes any that is free. Beyond the loopback,
+    requests need the token that is in `url`. ServerError if address or port cannot be used.
     """
 
-    def __init__(self, routes: Mapping[tuple[str, str], Answer], host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(
+        self, routes: Mapping[tuple[str, str], Answer], host: str = "127.0.0.1", port: int = 0
+    ) -> None:
         self.host = host
         #: Nothing on the loopback.
         self.token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
@@ -82,7 +85,9 @@ class WebServer:
         try:
             listening = socket.create_server((host, port), family=family, backlog=128)
         except OSError as error:
-            raise ServerError(f"{host} port {port}: cannot be used ({error.strerror or error})") from error
+            raise ServerError(
+                f"{host} port {port}: cannot be used ({error.strerror or error})"
+            ) from error
         self.port: int = listening.getsockname()[1]
         app = Starlette(routes=[_route(*key, answer) for key, answer in routes.items()])
         self._server = Server(
@@ -127,10 +132,14 @@ class WebServer:
         host = f"[{host}]" if ":" in host else host
         return f"http://{host}:{self.port}/{f'?token={self.token}' if self.token else ''}"
 
-    def reason_to_refuse(self, method: str, headers: Headers, query: Mapping[str, str]) -> tuple[int, str] | None:
+    def reason_to_refuse(
+        self, method: str, headers: Headers, query: Mapping[str, str]
+    ) -> tuple[int, str] | None:
         """Status and text for a request that is not answered."""
         host = headers.get("host", "")
-        if self.token and not secrets.compare_digest(query.get("token", "").encode(), self.token.encode()):
+        if self.token and not secrets.compare_digest(
+            query.get("token", "").encode(), self.token.encode()
+        ):
             return 403, "open the address with its token, as 'lfrender live' prints it"
         # Against DNS rebinding: a page of another host could let its name point to this machine.
         if not self.token and host not in {
@@ -159,7 +168,9 @@ class _Guard:
             await send(message)
 
         request = Request(scope)
-        refused = self._server.reason_to_refuse(request.method, request.headers, request.query_params)
+        refused = self._server.reason_to_refuse(
+            request.method, request.headers, request.query_params
+        )
         # Uvicorn limits requests that arrive in parts.
         if len(str(request.url)) + sum(map(len, chain(*scope["headers"]))) > LARGEST_HEAD:
             refused = 400, "the request is too long"
@@ -238,10 +249,15 @@ def _is_loopback(host: str) -> bool:
 
 
 def _own_address(host: str) -> str:
-    """The address of this machine towards others, of the kind of `host`; that of the loopback if there is none."""
+    """The address of this machine towards others, of the kind of `host`; that of the loopback if
+    there is none.
+    """
     v6 = ":" in host
     outside = "2001:db8::1" if v6 else "192.0.2.1"  # of documentation: nothing is sent
-    with socket.socket(socket.AF_INET6 if v6 else socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+    with (
+        socket.socket(socket.AF_INET6 if v6 else socket.AF_INET, socket.SOCK_DGRAM) as probe,
+        suppress(OSError),
+    ):
         probe.connect((outside, 9))
         return str(probe.getsockname()[0])
     return "::1" if v6 else "127.0.0.1"

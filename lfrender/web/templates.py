@@ -1,4 +1,6 @@
-"""The templates of pages, in the folder `assets`: values are escaped, and what is returned may be put into pages."""
+"""The templates of pages, in the folder `assets`: values are escaped, and what is returned may be
+put into pages.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,13 @@ def _environment() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("lfrender.web", "assets")
-    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return Environment(
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
 
 
 def fill(template: str, **values: Any) -> Any:

@@ -24,11 +24,22 @@ __all__ = ["FlatPages", "viewer_page", "write_viewer"]
 
 # Scripts of the page, each a module that imports only those before it.
 _MODULES = (
-    "geometry", "scene", "renderer", "composition", "files", "readout", "address", "controls", "pointer", "viewer",
-)  # fmt: skip
+    "geometry",
+    "scene",
+    "renderer",
+    "composition",
+    "files",
+    "readout",
+    "address",
+    "controls",
+    "pointer",
+    "viewer",
+)
 
 
-def viewer_page(flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field") -> str:
+def viewer_page(
+    flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field"
+) -> str:
     """The viewer as one HTML page that holds everything; errors as of `render`.
 
     Examples
@@ -42,29 +53,46 @@ def viewer_page(flat: NDArray, calibration: Calibration, depth: DepthMap, title:
 
 
 def _page(title: str, data: dict[str, str] | None = None, **place: Any) -> str:
-    """The page, with the data files in it, or loading them from a folder; `place` is that among several flats."""
+    """The page, with the data files in it, or loading them from a folder; `place` is that among
+    several flats.
+    """
     # Modules are data URLs: browsers do not fetch files for a page that was opened from a disk.
     urls = {}
     for name in _MODULES:
         script = base64.b64encode(read_asset(f"{name}.js").encode()).decode()
         urls[f"lfrender/{name}"] = f"data:text/javascript;base64,{script}"
-    inside = f"<script>globalThis.lightFieldFiles = {json.dumps(data)};</script>" if data is not None else ""
+    inside = (
+        f"<script>globalThis.lightFieldFiles = {json.dumps(data)};</script>"
+        if data is not None
+        else ""
+    )
     page = fill(
-        "viewer.html", title=title, style=read_asset("viewer.css"), shader=read_asset("light_field.frag"),
-        prefilter=read_asset("prefilter.frag"), modules=Markup(json.dumps({"imports": urls})), data=Markup(inside),
+        "viewer.html",
+        title=title,
+        style=read_asset("viewer.css"),
+        shader=read_asset("light_field.frag"),
+        prefilter=read_asset("prefilter.frag"),
+        modules=Markup(json.dumps({"imports": urls})),
+        data=Markup(inside),
         **{"folder": "data", "flats": 1, "status": "Loading", **place},
-    )  # fmt: skip
+    )
     return str(page)
 
 
 def write_viewer(
-    folder: str | os.PathLike[str], flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field"
+    folder: str | os.PathLike[str],
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap,
+    title: str = "Light field",
 ) -> Path:
-    """Write the viewer as one page that holds everything, or as static files; returns the path of its page.
+    """Write the viewer as one page that holds everything, or as static files; returns the path of
+    its page.
 
-    The page works where it is served, and from a disk; to put it on a web page, use an `iframe`. `folder` is one page,
-    if it ends with `.html` or `.htm`; else the folder of the files, made if it does not exist, where files of the same
-    names are replaced. OutputError if it cannot be written; FlatError and CalibrationError as `render`.
+    The page works where it is served, and from a disk; to put it on a web page, use an `iframe`.
+    `folder` is one page, if it ends with `.html` or `.htm`; else the folder of the files, made if
+    it does not exist, where files of the same names are replaced. OutputError if it cannot be
+    written; FlatError and CalibrationError as `render`.
 
     Examples
     --------
@@ -83,10 +111,11 @@ def write_viewer(
 
 
 class FlatPages:
-    """Viewers of several flats, each of which leads to the one before and the next: for `page_routes`, or a folder.
+    """Viewers of several flats, each of which leads to the one before and the next: for
+    `page_routes`, or a folder.
 
-    The pages are there at once. A flat is loaded when its page asks for its data, then the next one, one at a time. The
-    page of one of several flats that cannot be loaded says why.
+    The pages are there at once. A flat is loaded when its page asks for its data, then the next
+    one, one at a time. The page of one of several flats that cannot be loaded says why.
 
     Parameters
     ----------
@@ -99,7 +128,10 @@ class FlatPages:
     """
 
     def __init__(
-        self, names: Sequence[str], load: Callable[[int], tuple[NDArray, Calibration, DepthMap]], **options: Any
+        self,
+        names: Sequence[str],
+        load: Callable[[int], tuple[NDArray, Calibration, DepthMap]],
+        **options: Any,
     ) -> None:
         self.names, self._load, self._options = names, load, options
         self._pages = ["index.html", *(f"{number}.html" for number in range(2, len(names) + 1))]
@@ -116,7 +148,9 @@ class FlatPages:
             return None
         self._wanted = int(found[1]) - 1
         files = self._data(self._wanted, self._wanted)
-        threading.Thread(target=self._data, args=(self._wanted, self._wanted + 1), daemon=True).start()
+        threading.Thread(
+            target=self._data, args=(self._wanted, self._wanted + 1), daemon=True
+        ).start()
         return None if files is None else files.get(path)
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
@@ -139,18 +173,36 @@ class FlatPages:
         folder = f"data/{number + 1}"
         try:
             scene = viewer_scene(*self._load(number), self.names[number], **self._options)
-            texts = {name: json.dumps([name, base64.b64encode(content).decode()]) for name, content in scene}
+            texts = {
+                name: json.dumps([name, base64.b64encode(content).decode()])
+                for name, content in scene
+            }
         except (LightFieldError, OSError) as error:
             if len(self.names) == 1:
                 raise
             texts = {"scene.json": json.dumps(["scene.json", "", str(error)])}
-        return {f"{folder}/{name}.js": f"lightFieldData(...{text});\n".encode() for name, text in texts.items()}
+        return {
+            f"{folder}/{name}.js": f"lightFieldData(...{text});\n".encode()
+            for name, text in texts.items()
+        }
 
     def _page(self, number: int) -> bytes:
-        beside = {"previous": [None, *self._pages][number], "next": [*self._pages, None][number + 1]}
+        beside = {
+            "previous": [None, *self._pages][number],
+            "next": [*self._pages, None][number + 1],
+        }
         title = self.names[number]
-        status = "Loading" if len(self.names) == 1 else f"Loading {title}; a flat is analysed once, for some seconds"
-        place = {"folder": f"data/{number + 1}", "flats": len(self.names), "number": number, "status": status}
+        status = (
+            "Loading"
+            if len(self.names) == 1
+            else f"Loading {title}; a flat is analysed once, for some seconds"
+        )
+        place = {
+            "folder": f"data/{number + 1}",
+            "flats": len(self.names),
+            "number": number,
+            "status": status,
+        }
         return _page(title, None, **place, **beside).encode()
 
     def _data(self, wanted: int, number: int) -> dict[str, bytes] | None:

@@ -1,4 +1,6 @@
-"""The data of the viewer's shader: the flat in tiles, depths of its pixels, and the tables of the blending kernel."""
+"""The data of the viewer's shader: the flat in tiles, depths of its pixels, and the tables of the
+blending kernel.
+"""
 
 from __future__ import annotations
 
@@ -30,19 +32,28 @@ from .report_pictures import encode_picture
 
 __all__ = ["viewer_scene"]
 
-# Codes of the patch sizes of flat pixels, of 16 bits: 0 is unknown, the last one infinitely far, the others -D to D.
+# Codes of the patch sizes of flat pixels, of 16 bits: 0 is unknown, the last one infinitely far,
+# the others -D to D.
 _CODES = 65535
 
 
 def viewer_scene(
-    flat: NDArray, calibration: Calibration, depth: DepthMap, title: str, *, tile: int = 2048, compression: int = 1
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap,
+    title: str,
+    *,
+    tile: int = 2048,
+    compression: int = 1,
 ) -> Iterator[tuple[str, bytes]]:
-    """The data of the viewer: names and contents of one JSON object, and of pictures and arrays beside it.
+    """The data of the viewer: names and contents of one JSON object, and of pictures and arrays
+    beside it.
 
-    These are `scene.json`, `surface.f32`, `confidence.u8`, `flat-COLUMN-ROW.png` (8 bits per channel), `occlusion-
-    COLUMN-ROW.png`, `traditional.png` and, where the optics of the camera are known, `positions.f32`. `tile` is the
-    largest side of a texture [px], `compression` of the PNG files is 0 to 9. Errors as of `render`, and LightFieldError
-    if the flat needs more tiles than browsers take.
+    These are `scene.json`, `surface.f32`, `confidence.u8`, `flat-COLUMN-ROW.png` (8 bits per
+    channel), `occlusion- COLUMN-ROW.png`, `traditional.png` and, where the optics of the camera are
+    known, `positions.f32`. `tile` is the largest side of a texture [px], `compression` of the PNG
+    files is 0 to 9. Errors as of `render`, and LightFieldError if the flat needs more tiles than
+    browsers take.
     """
     pixels = check_flat(flat, calibration)
     check_depth(depth, calibration)
@@ -56,7 +67,8 @@ def viewer_scene(
         )
     edge = edge_step(calibration.lattice.pitch)
     (gains, *_), step = correction_tables(calibration)
-    rings, even = [gains, 1 / gains], pixels
+    rings = [gains, 1 / gains]
+    even = pixels
     if has_uneven_lenses(calibration, types=True):
         # The flat is corrected if its lenses differ.
         even, rings[0] = calibration.flatten(pixels), np.ones_like(gains)
@@ -65,26 +77,39 @@ def viewer_scene(
     scene |= {"title": title, "size": [width, height], "metric": calibration.optics is not None}
     scene["rings"] = {"step": step, "values": _base64(np.column_stack(rings), np.float32)}
     white = calibration.white_level
-    with_occlusion, gain = [], exposure_gain(pixels, white)
+    with_occlusion = []
+    gain = exposure_gain(pixels, white)
     for name, (x, y) in places.items():
         part = _cut(codes, x, y, side)
         if part.any():
             with_occlusion.append(name)
-            coded = np.dstack([part >> 8, part & 255, _cut(central_codes, x, y, side)]).astype(np.uint8)
+            coded = np.dstack([part >> 8, part & 255, _cut(central_codes, x, y, side)]).astype(
+                np.uint8
+            )
             yield f"occlusion-{name}.png", encode_picture(coded, ".png", compression)
         shown = to_eight_bits(_cut(even, x, y, side), white, gain)
         yield f"flat-{name}.png", encode_picture(shown, ".png", compression)
     plain = traditional(flat, calibration)
-    yield "traditional.png", encode_picture(to_eight_bits(plain.image, white, gain), ".png", compression)
+    yield (
+        "traditional.png",
+        encode_picture(to_eight_bits(plain.image, white, gain), ".png", compression),
+    )
     scene["traditional"] = {"first": plain.affine[:, 2].tolist(), "shape": plain.image.shape[:2]}
     columns, rows = (int(n) + 1 for n in list(places)[-1].split("-"))
     scene["tiles"] = {"side": side, "columns": columns, "rows": rows, "occlusion": with_occlusion}
     surface = depth.surface
     yield "surface.f32", np.ascontiguousarray(surface.patch_size, "<f4").tobytes()
     v, u = np.indices(surface.patch_size.shape)
-    points = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64) * surface.spacing + surface.first
-    known = np.where(depth.filled, 0, np.rint(1 + 254 * np.clip(np.nan_to_num(depth.confidence), 0, 1)))
-    yield "confidence.u8", known.astype(np.uint8)[nearest_lens(calibration.lattice, points)].tobytes()
+    points = (
+        np.column_stack([u.ravel(), v.ravel()]).astype(np.float64) * surface.spacing + surface.first
+    )
+    known = np.where(
+        depth.filled, 0, np.rint(1 + 254 * np.clip(np.nan_to_num(depth.confidence), 0, 1))
+    )
+    yield (
+        "confidence.u8",
+        known.astype(np.uint8)[nearest_lens(calibration.lattice, points)].tobytes(),
+    )
     if calibration.optics is not None:
         # Where scene points lie in front of the main lens [m]; NaN at infinity.
         ratio = surface.patch_size.ravel().astype(np.float64) / depth.pitch
@@ -97,17 +122,22 @@ def viewer_scene(
 def _tiles(size: tuple[int, int], largest: int) -> tuple[int, dict[str, tuple[int, int]]]:
     """Side of the tiles [px], and left and top of each by its name `COLUMN-ROW`.
 
-    Neighbours share three rows or columns, one of them before their own part: each is interpolated and sharpened alone.
+    Neighbours share three rows or columns, one of them before their own part: each is interpolated
+    and sharpened alone.
     """
     side = min(largest, max(*size, 2) + 2)
     step = side - 3
     columns, rows = (max(1, -(-(n - 1) // step)) for n in size)
-    return side, {f"{i}-{j}": (i * step - 1, j * step - 1) for j in range(rows) for i in range(columns)}
+    return side, {
+        f"{i}-{j}": (i * step - 1, j * step - 1) for j in range(rows) for i in range(columns)
+    }
 
 
 def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
     """A tile cut off one pixel beyond the border of the flat, whose last pixels are repeated there."""
-    ends = [(k, min(k + side, n + 1), n) for k, n in ((top, pixels.shape[0]), (left, pixels.shape[1]))]
+    ends = [
+        (k, min(k + side, n + 1), n) for k, n in ((top, pixels.shape[0]), (left, pixels.shape[1]))
+    ]
     part = pixels[tuple(slice(max(low, 0), high) for low, high, _ in ends)]
     beyond = [(max(-low, 0), max(high - n, 0)) for low, high, n in ends]
     return np.pad(part, [*beyond, (0, 0)][: pixels.ndim], "edge") if np.any(beyond) else part
@@ -116,10 +146,11 @@ def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
 def _occlusion_codes(
     calibration: Calibration, depth: DepthMap, edge: float
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """(H, W) codes of the patch size of the surface that each flat pixel shows, for any viewpoint and the central one.
+    """(H, W) codes of the patch size of the surface that each flat pixel shows, for any viewpoint
+    and the central one.
 
-    For other viewpoints, lenses are read at places farther from them. The second code is 0 for unknown, 255 for the
-    same as the first, else -D to D.
+    For other viewpoints, lenses are read at places farther from them. The second code is 0 for
+    unknown, 255 for the same as the first, else -D to D.
     """
     lattice = calibration.lattice
     farthest = Viewpoint((lattice.radius, 0.0)).max_parallax(depth.surface, lattice)
@@ -140,63 +171,98 @@ def _encode(patch_size: NDArray[np.float32], pitch: float, last: int) -> NDArray
     return np.where(np.isnan(patch_size), 0, np.rint(1 + share * (last - 2))).astype(np.float32)
 
 
-def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
+def _tables(
+    calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray
+) -> dict[str, Any]:
     """The tables in the JSON object."""
-    lattice, surface = calibration.lattice, depth.surface
+    lattice = calibration.lattice
+    surface = depth.surface
     offsets, _ = lens_offsets(lattice, REFOCUS_REACH * lattice.pitch)
     displacements, low = lens_displacements(lattice)
     cell, shares = focus_weights(calibration.lens_types)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
     ends, middle = _planes(depth)
-    moved = {"shape": list(displacements.shape[:2]), "low": low.tolist(), "values": _base64(displacements, np.float32)}
+    moved = {
+        "shape": list(displacements.shape[:2]),
+        "low": low.tolist(),
+        "values": _base64(displacements, np.float32),
+    }
     return {
-        "pitch": lattice.pitch, "radius": lattice.radius, "origin": lattice.origin.tolist(),
-        "basis": lattice.basis.tolist(), "inverse": np.linalg.inv(lattice.basis).tolist(),
-        "offsets": _base64(offsets, np.float32), "displacements": moved,
-        "types": {"side": len(cell), "cell": cell.ravel().tolist(), "shares": _base64(shares, np.float32)},
-        "surface": {
-            "shape": list(surface.patch_size.shape), "first": list(surface.first), "spacing": surface.spacing,
-            "edge": edge, "virtual": [float(virtual.min()), float(virtual.max())],
+        "pitch": lattice.pitch,
+        "radius": lattice.radius,
+        "origin": lattice.origin.tolist(),
+        "basis": lattice.basis.tolist(),
+        "inverse": np.linalg.inv(lattice.basis).tolist(),
+        "offsets": _base64(offsets, np.float32),
+        "displacements": moved,
+        "types": {
+            "side": len(cell),
+            "cell": cell.ravel().tolist(),
+            "shares": _base64(shares, np.float32),
         },
-        "blur": _blur_line(calibration, depth), "scale": default_scale(depth),
-        "agreement": AGREEMENT, "planes": ends, "plane": middle,
+        "surface": {
+            "shape": list(surface.patch_size.shape),
+            "first": list(surface.first),
+            "spacing": surface.spacing,
+            "edge": edge,
+            "virtual": [float(virtual.min()), float(virtual.max())],
+        },
+        "blur": _blur_line(calibration, depth),
+        "scale": default_scale(depth),
+        "agreement": AGREEMENT,
+        "planes": ends,
+        "plane": middle,
         "reach": {"sharp": REACH, "aside": VIEW_REACH, "wide": REFOCUS_REACH},
         "overlay": {
-            "limits": list(magnification_limits(depth.magnification)), "ramp": _base64(colour_scale("turbo"), np.uint8)
+            "limits": list(magnification_limits(depth.magnification)),
+            "ramp": _base64(colour_scale("turbo"), np.uint8),
         },
-    }  # fmt: skip
+    }
 
 
 def _blur_line(calibration: Calibration, depth: DepthMap) -> dict[str, Any]:
-    """Slope and offset [px] of the disc over the patch size, as a mean of the lens types; `None` if it is not known."""
-    known, line = choose_blur(calibration, depth), None
+    """Slope and offset [px] of the disc over the patch size, as a mean of the lens types; `None` if
+    it is not known.
+    """
+    known = choose_blur(calibration, depth)
+    line = None
     if known is not None and known.tells_aperture:
-        line = [known.aperture / calibration.lattice.pitch, -known.aperture * float(known.focus.mean())]
+        line = [
+            known.aperture / calibration.lattice.pitch,
+            -known.aperture * float(known.focus.mean()),
+        ]
     return {"line": line, "typical": TYPICAL_DISC, "reading": READING}
 
 
 def _planes(depth: DepthMap) -> tuple[list[float], float]:
     """Ends of the slider of depth, and the patch size that the page opens with.
 
-    In focus is the largest thing with texture: the depth at which most lenses lie within 0.03 pitches, each as much as
-    it is sure. Depths are `s` of telescopic and `s + 2 D` of binocular lenses, which grows toward the camera.
+    In focus is the largest thing with texture: the depth at which most lenses lie within 0.03
+    pitches, each as much as it is sure. Depths are `s` of telescopic and `s + 2 D` of binocular
+    lenses, which grows toward the camera.
     """
     resolved = np.isfinite(depth.patch_size)
     resolved = resolved if resolved.any() else np.ones(len(depth), bool)
-    known, pitch = depth.filled_patch_size[resolved].astype(float), depth.pitch
+    known = depth.filled_patch_size[resolved].astype(float)
+    pitch = depth.pitch
     near = np.where(known > 0, known, known + 2 * pitch)
     low, high = np.quantile(near, (0.01, 0.99), method="nearest")
     order = np.argsort(near)
     near = near[order]
-    sure = np.concatenate([[0.0], np.cumsum(np.maximum(np.nan_to_num(depth.confidence[resolved][order]), 1e-3))])
+    sure = np.concatenate(
+        [[0.0], np.cumsum(np.maximum(np.nan_to_num(depth.confidence[resolved][order]), 1e-3))]
+    )
     inside = [np.searchsorted(near, near + side * 0.03 * pitch) for side in (-1, 1)]
     middle = float(near[np.argmax(sure[inside[1]] - sure[inside[0]])])
     # Room at both sides; but no patches smaller than 0.04 pitches.
-    more, least = 0.15 * max(high - low, 0.2 * pitch), 0.04 * pitch
+    more = 0.15 * max(high - low, 0.2 * pitch)
+    least = 0.04 * pitch
     limits = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]
     middle = min(max(middle, limits[0]), limits[1])
     return limits, middle if middle < pitch else middle - 2 * pitch
 
 
 def _base64(values: ArrayLike, dtype: Any) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, np.dtype(dtype).newbyteorder("<")).tobytes()).decode()
+    return base64.b64encode(
+        np.ascontiguousarray(values, np.dtype(dtype).newbyteorder("<")).tobytes()
+    ).decode()

@@ -1,4 +1,6 @@
-"""The viewer of `lfrender view` as a widget of notebooks (anywidget): the same page, with its settings as traits."""
+"""The viewer of `lfrender view` as a widget of notebooks (anywidget): the same page, with its
+settings as traits.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +18,22 @@ __all__ = ["light_field_widget"]
 
 
 def light_field_widget(
-    flat: NDArray, calibration: Calibration, depth: DepthMap, *, title: str = "Light field", height: int = 520
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap,
+    *,
+    title: str = "Light field",
+    height: int = 520,
 ) -> Any:
     """A light field in a notebook: click to focus, drag to look from aside.
 
-    Its traits are those of the picture and can be read, set, observed and linked: `mode` (`"focus"`, `"range"`,
-    `"sharp"`, `"tiles"` or `"traditional"`), `plane` (patch size in focus [px]), `range` (ends of the sharp range, `s`,
-    or `s + 2 D` of binocular ones [px]), `brightness` (-3 to 3 [EV]), `aperture` (0.05 to 1), `viewpoint` (x, y [px]),
-    `overlay` (0 to 1).
+    Its traits are those of the picture and can be read, set, observed and linked: `mode`
+    (`"focus"`, `"range"`, `"sharp"`, `"tiles"` or `"traditional"`), `plane` (patch size in focus
+    [px]), `range` (ends of the sharp range, `s`, or `s + 2 D` of binocular ones [px]), `brightness`
+    (-3 to 3 [EV]), `aperture` (0.05 to 1), `viewpoint` (x, y [px]), `overlay` (0 to 1).
 
-    `height` is that of the widget [CSS px]. LightFieldError if the package `anywidget` is not installed; other errors
-    as of `viewer_page`.
+    `height` is that of the widget [CSS px]. LightFieldError if the package `anywidget` is not
+    installed; other errors as of `viewer_page`.
 
     Examples
     --------
@@ -39,7 +46,9 @@ def light_field_widget(
         import anywidget
         import traitlets
     except ImportError as error:
-        raise LightFieldError("the widget needs the package 'anywidget'; pip install 'lfrender[notebook]'") from error
+        raise LightFieldError(
+            "the widget needs the package 'anywidget'; pip install 'lfrender[notebook]'"
+        ) from error
 
     class LightField(anywidget.AnyWidget):  # type: ignore[misc, name-defined]
         """The viewer of a light field."""
@@ -47,9 +56,13 @@ def light_field_widget(
         _esm = str(read_asset("widget.js"))
         page = traitlets.Unicode().tag(sync=True)
         height = traitlets.Int(520).tag(sync=True)
-        mode = traitlets.Enum(["focus", "range", "sharp", "tiles", "traditional"], "focus").tag(sync=True)
+        mode = traitlets.Enum(["focus", "range", "sharp", "tiles", "traditional"], "focus").tag(
+            sync=True
+        )
         plane = traitlets.Float(None, allow_none=True).tag(sync=True)
-        range = traitlets.List(traitlets.Float(), None, allow_none=True, minlen=2, maxlen=2).tag(sync=True)
+        range = traitlets.List(traitlets.Float(), None, allow_none=True, minlen=2, maxlen=2).tag(
+            sync=True
+        )
         brightness = traitlets.Float(0.0, min=-3.0, max=3.0).tag(sync=True)
         aperture = traitlets.Float(1.0, min=0.05, max=1.0).tag(sync=True)
         overlay = traitlets.Float(0.0, min=0.0, max=1.0).tag(sync=True)

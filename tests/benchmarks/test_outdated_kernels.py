@@ -9,7 +9,11 @@ import pytest
 from benchmarks import outdated_kernels
 from benchmarks.outdated_kernels import discard_outdated
 
-SOURCES = {"lfcal/inner.py": "", "lfcal/room/kernel.py": "from ..inner import part", "lfcal/room/other.py": ""}
+SOURCES = {
+    "lfcal/inner.py": "",
+    "lfcal/room/kernel.py": "from ..inner import part",
+    "lfcal/room/other.py": "",
+}
 
 
 @pytest.fixture

@@ -1,4 +1,6 @@
-"""Run time against error: what each preset promises, that it beats the textbook, and that regressions are shown."""
+"""Run time against error: what each preset promises, that it beats the textbook, and that
+regressions are shown.
+"""
 
 import copy
 import json
@@ -17,7 +19,8 @@ from benchmarks.pareto.measure import measure
 @pytest.fixture(scope="module")
 def rows():
     """All methods on the small house."""
-    threads, of_opencv = numba.get_num_threads(), cv2.getNumThreads()
+    threads = numba.get_num_threads()
+    of_opencv = cv2.getNumThreads()
     numba.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
@@ -28,8 +31,11 @@ def rows():
     return {(row.stage, row.method): row for row in found}
 
 
-# Measured: 0.034 and 0.012 px at 27 and 60 times cv2.remap of the flat; with slack for other machines.
-@pytest.mark.parametrize(("preset", "error", "remaps"), [("fast", 0.05, 110), ("balanced", 0.02, 240)])
+# Measured: 0.034 and 0.012 px at 27 and 60 times cv2.remap of the flat; with slack for other
+# machines.
+@pytest.mark.parametrize(
+    ("preset", "error", "remaps"), [("fast", 0.05, 110), ("balanced", 0.02, 240)]
+)
 def test_presets_keep_their_promise_of_error_and_time(rows, preset, error, remaps):
     row = rows["analysis", preset]
     assert row.errors["s median px"] < error

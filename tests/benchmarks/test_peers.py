@@ -26,7 +26,9 @@ print("tells what it does\\n1.5")
 
 @pytest.fixture
 def tools(tmp_path, monkeypatch):
-    """Four tools: one that is off by half a pixel, one whose centres are all gaps, one that hangs, one that fails."""
+    """Four tools: one that is off by half a pixel, one whose centres are all gaps, one that hangs,
+    one that fails.
+    """
     case = WhiteImage(pitch=14.3, degrees=0.3, size=(300, 240))
     monkeypatch.setattr(peers, "white_cases", lambda: {"flat discs": case})
     i, j = np.meshgrid(np.arange(-60, 60), np.arange(-60, 60))

@@ -1,4 +1,6 @@
-"""Photographs of boards: rays through tilted arrays and distorting lenses, and the files of a shoot."""
+"""Photographs of boards: rays through tilted arrays and distorting lenses, and the files of a
+shoot.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from data_synth import SCENES, Camera, shoot_board, simulate
 from data_synth.tracing import _bent, _camera_vector
 from lfcal.metric.camera_model import project, to_internal
 
-BENT = Camera.design(size=(400, 320), pitch=24.0, rotation=1.0).replace(k1=-0.3, tilt=(0.003, -0.002))
+BENT = Camera.design(size=(400, 320), pitch=24.0, rotation=1.0).replace(
+    k1=-0.3, tilt=(0.003, -0.002)
+)
 
 
 def test_rays_through_a_tilted_array_meet_the_points_that_the_model_of_the_calibration_projects():
@@ -32,15 +36,31 @@ def test_rays_through_a_tilted_array_meet_the_points_that_the_model_of_the_calib
     for point, centre, position in zip(points, centres, seen, strict=True):
         x, y = (centre - BENT.principal_point) * BENT.pixel / BENT.spread
         u, v = (position - BENT.principal_point) * BENT.pixel - BENT.sensor_distance * vector[25:27]
-        _, _, ax, ay, sx, sy = _bent(vector, x, y, (x - u) / BENT.sensor_distance, (y - v) / BENT.sensor_distance)
+        _, _, ax, ay, sx, sy = _bent(
+            vector, x, y, (x - u) / BENT.sensor_distance, (y - v) / BENT.sensor_distance
+        )
         met = -np.array([ax + sx * point[2], ay + sy * point[2]])
         # A tenth of a pixel of the scene: each takes distortion to be linear, about another ray.
         np.testing.assert_allclose(met, point[:2], atol=0.1 * point[2] / values[0])
 
 
 def test_a_shoot_of_boards_is_written_with_its_truth(tmp_path):
-    words = ["board", "-o", str(tmp_path), "--size", "560x440", "--pitch", "22", "--poses", "1", "--samples", "4"]
-    done = CliRunner().invoke(data_synth.cli.main, [*words, "--range", "0.25,0.3", "--tilt", "0.1,0", "--json"])
+    words = [
+        "board",
+        "-o",
+        str(tmp_path),
+        "--size",
+        "560x440",
+        "--pitch",
+        "22",
+        "--poses",
+        "1",
+        "--samples",
+        "4",
+    ]
+    done = CliRunner().invoke(
+        data_synth.cli.main, [*words, "--range", "0.25,0.3", "--tilt", "0.1,0", "--json"]
+    )
     assert done.exit_code == 0, done.output
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
     assert truth["board"]["square_mm"] == json.loads(done.output)["square_mm"]

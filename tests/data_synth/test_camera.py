@@ -19,14 +19,16 @@ TRUTH = Path(__file__).resolve().parents[2].parent / "shared" / "truth"
 
 
 def trace_to_sensor(camera: Camera, point: np.ndarray, microlens: np.ndarray) -> np.ndarray:
-    """Where the image of an object point through the middle of a microlens falls on the sensor [mm].
+    """Where the image of an object point through the middle of a microlens falls on the sensor
+    [mm].
 
-    By Newton's construction, not by slopes: the main lens images the point, the line from that image through the
-    microlens centre continues to the sensor.
+    By Newton's construction, not by slopes: the main lens images the point, the line from that
+    image through the microlens centre continues to the sensor.
     """
     image_distance = camera.focal_length * point[2] / (point[2] - camera.focal_length)
     image = point[:2] / point[2] * image_distance
-    # Object space is turned by 180 degrees, so the image keeps the sign of x and y; axial distance from the main lens.
+    # Object space is turned by 180 degrees, so the image keeps the sign of x and y; axial distance
+    # from the main lens.
     step = camera.sensor_distance / (camera.mla_distance - image_distance)
     return microlens + (microlens - image) * step
 
@@ -38,7 +40,10 @@ def test_patch_size_is_the_shift_of_a_traced_feature_from_lens_to_lens(ratio: fl
     point = np.array([1.0, -2.0, float(depth)])
     centres = np.array([camera.origin, np.add(camera.origin, camera.basis[0])])
     lenses = (centres - camera.principal_point) * camera.pixel / camera.spread
-    seen = [trace_to_sensor(camera, point, lens) / camera.pixel + camera.principal_point for lens in lenses]
+    seen = [
+        trace_to_sensor(camera, point, lens) / camera.pixel + camera.principal_point
+        for lens in lenses
+    ]
     shift = (seen[1] - centres[1]) - (seen[0] - centres[0])
     expected = camera.patch_size(depth) * (centres[1] - centres[0]) / camera.pitch
     assert shift == pytest.approx(expected, abs=1e-9)
@@ -48,7 +53,9 @@ def test_patch_size_is_the_shift_of_a_traced_feature_from_lens_to_lens(ratio: fl
 @given(st.one_of(st.floats(0.17, 0.7), st.floats(-0.7, -0.1)), st.floats(8, 70))
 def test_depth_and_patch_size_are_inverse(ratio: float, pitch: float) -> None:
     camera = Camera.design((100, 100), pitch)
-    assert float(camera.patch_size(camera.depth_at(ratio))) == pytest.approx(ratio * pitch, rel=1e-8)
+    assert float(camera.patch_size(camera.depth_at(ratio))) == pytest.approx(
+        ratio * pitch, rel=1e-8
+    )
 
 
 def test_depths_with_no_object_are_refused() -> None:
@@ -56,7 +63,10 @@ def test_depths_with_no_object_are_refused() -> None:
         Camera.design().depth_at(0.02)
 
 
-@given(st.sampled_from(["hex", "hex-vertical", "square", "rectangular", "sheared"]), st.floats(-180, 180))
+@given(
+    st.sampled_from(["hex", "hex-vertical", "square", "rectangular", "sheared"]),
+    st.floats(-180, 180),
+)
 def test_every_lattice_has_the_wanted_pitch_at_any_rotation(lattice: str, rotation: float) -> None:
     camera = Camera.design((200, 150), 21.0, lattice, rotation)
     assert camera.pitch == pytest.approx(21.0, rel=1e-9)
@@ -72,7 +82,9 @@ def test_rotation_is_clockwise_on_the_screen() -> None:
 
 
 def test_three_lens_types_differ_between_all_neighbours() -> None:
-    lattice = Camera.design((300, 300), 23.2, "hex-vertical", 11.0, focus=(-0.4, -0.3, -0.2)).lattice
+    lattice = Camera.design(
+        (300, 300), 23.2, "hex-vertical", 11.0, focus=(-0.4, -0.3, -0.2)
+    ).lattice
     assert len(lattice.steps) == 6
     assert ((lattice.steps[:, 0] - lattice.steps[:, 1]) % 3 != 0).all()
 
@@ -125,11 +137,14 @@ def test_white_image_is_that_of_an_independent_ray_tracer(name: str) -> None:
     _, camera = truth_camera(name)
     corner = camera.replace(width=300, height=300)
     mine = from_srgb(simulate(SCENES["blank"](corner), corner, samples=64).white / 255)
-    theirs = from_srgb(cv2.imread(str(TRUTH / name / "white.png"), cv2.IMREAD_GRAYSCALE)[:300, :300] / 255)
+    theirs = from_srgb(
+        cv2.imread(str(TRUTH / name / "white.png"), cv2.IMREAD_GRAYSCALE)[:300, :300] / 255
+    )
     y, x = np.mgrid[0:300, 0:300]
     radius = np.min([np.hypot(x - u, y - v) for u, v in corner.lattice.centres()], axis=0)
     rings = np.rint((radius - camera.microimage_radius) * 4).astype(int)
-    # Single rim pixels differ by sampling noise; over all pixels at one distance from the centres nothing is left.
+    # Single rim pixels differ by sampling noise; over all pixels at one distance from the centres
+    # nothing is left.
     for ring in range(-8, 9):
         at = (rings == ring)[20:-20, 20:-20]
         difference = (mine - theirs)[20:-20, 20:-20][at]

@@ -21,8 +21,12 @@ def test_save_and_load_keep_everything(house: Capture, tmp_path: Path) -> None:
     assert loaded.recipe == house.recipe
     for name in vars(house.truth):
         if name != "calibration":
-            assert np.array_equal(getattr(loaded.truth, name), getattr(house.truth, name), equal_nan=name != "mixed")
-    assert np.array_equal(loaded.truth.calibration.lattice.centres(), house.truth.calibration.lattice.centres())
+            assert np.array_equal(
+                getattr(loaded.truth, name), getattr(house.truth, name), equal_nan=name != "mixed"
+            )
+    assert np.array_equal(
+        loaded.truth.calibration.lattice.centres(), house.truth.calibration.lattice.centres()
+    )
     assert sorted(p.name for p in (tmp_path / "capture").iterdir()) == [
         "camera.json",
         "flat.png",
@@ -58,11 +62,15 @@ def test_true_vignetting_is_that_of_the_stored_flat() -> None:
             )
             for away in (0, 10)
         ]
-        assert vignetting.at(10.0) / vignetting.at(0.0) == pytest.approx(light[1] / light[0], abs=0.002)
+        assert vignetting.at(10.0) / vignetting.at(0.0) == pytest.approx(
+            light[1] / light[0], abs=0.002
+        )
 
 
 @pytest.mark.parametrize("damage", ["missing", "not json", "other json", "no arrays", "no picture"])
-def test_damaged_folders_are_refused_with_the_place(house: Capture, tmp_path: Path, damage: str) -> None:
+def test_damaged_folders_are_refused_with_the_place(
+    house: Capture, tmp_path: Path, damage: str
+) -> None:
     house.save(tmp_path)
     if damage == "missing":
         (tmp_path / "truth.json").unlink()

@@ -18,8 +18,30 @@ def run(*args: str):
 
 def test_simulates_with_all_options(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    options = ["--size", "120x100", "--pitch", "20", "--lattice", "square", "--rotation", "3", "--samples", "2"]
-    options += ["--noise", "9000,5", "--bits", "16", "--linear", "--seed", "4", "--types", "3", "--json"]
+    options = [
+        "--size",
+        "120x100",
+        "--pitch",
+        "20",
+        "--lattice",
+        "square",
+        "--rotation",
+        "3",
+        "--samples",
+        "2",
+    ]
+    options += [
+        "--noise",
+        "9000,5",
+        "--bits",
+        "16",
+        "--linear",
+        "--seed",
+        "4",
+        "--types",
+        "3",
+        "--json",
+    ]
     result = run("plane", "-o", str(folder), *options)
     assert result.exit_code == 0, result.output
     report = json.loads(result.stdout)

@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_synth.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, resample
+from data_synth.metrics import (
+    centre_error,
+    compare_pictures,
+    magnification_error,
+    mode_accuracy,
+    resample,
+)
 from lfcal import Lattice
 
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
@@ -77,7 +83,8 @@ def test_resampling_onto_the_same_grid_changes_nothing(picture):
 def test_coarser_grid_gets_the_mean_of_its_footprint(picture, factor):
     # Pixel (u, v) of the coarse grid covers factor x factor reference pixels exactly.
     affine = [[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2]]
-    h, w = 40 // factor, 50 // factor
+    h = 40 // factor
+    w = 50 // factor
     coarse, inside = resample(picture, IDENTITY, (h, w), affine)
     blocks = picture[: h * factor, : w * factor].reshape(h, factor, w, factor, 3).mean((1, 3)) / 255
     assert inside.all()
@@ -86,7 +93,11 @@ def test_coarser_grid_gets_the_mean_of_its_footprint(picture, factor):
 
 @settings(max_examples=25, deadline=None)
 @given(
-    scale=st.floats(0.4, 4), dx=st.floats(-5, 5), dy=st.floats(-5, 5), ref_scale=st.floats(0.5, 2), off=st.floats(-9, 9)
+    scale=st.floats(0.4, 4),
+    dx=st.floats(-5, 5),
+    dy=st.floats(-5, 5),
+    ref_scale=st.floats(0.5, 2),
+    off=st.floats(-9, 9),
 )
 def test_a_ramp_in_scene_coordinates_stays_that_ramp(scale, dx, dy, ref_scale, off):
     reference_affine = np.array([[ref_scale, 0, off], [0, ref_scale, -off]])
@@ -98,7 +109,8 @@ def test_a_ramp_in_scene_coordinates_stays_that_ramp(scale, dx, dy, ref_scale, o
     expected = 0.01 * (scale * x + 10 + dx) + 0.003 * (scale * y + 5 + dy)
     # In the outer half of a border pixel there is nothing to interpolate with.
     np.testing.assert_allclose(out[inside], expected[inside], atol=0.5 * 0.013 * ref_scale)
-    i, j = (scale * x + 10 + dx - off) / ref_scale, (scale * y + 5 + dy + off) / ref_scale
+    i = (scale * x + 10 + dx - off) / ref_scale
+    j = (scale * y + 5 + dy + off) / ref_scale
     margin = 1 + scale / ref_scale / 2
     deep = (i > margin) & (j > margin) & (i < 79 - margin) & (j < 59 - margin)
     assert inside[deep].all()

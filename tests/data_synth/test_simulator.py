@@ -1,4 +1,6 @@
-"""The rendered flats against brute force: shifts between microimages, centres, occlusion, noise, seeds."""
+"""The rendered flats against brute force: shifts between microimages, centres, occlusion, noise,
+seeds.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ from data_synth import SCENES, Camera, Capture, Patch, Scene, Sphere, simulate
 
 
 def measured_patch_size(capture: Capture, n: int, step: tuple[int, int]) -> float:
-    """Shift along the step between lens `n` and its neighbour that makes their pictures most alike, brute force."""
+    """Shift along the step between lens `n` and its neighbour that makes their pictures most alike,
+    brute force.
+    """
     camera = capture.camera
     picture = capture.flat.astype(float)[..., 1]
     centre = capture.truth.calibration.lattice.centres()[n]
@@ -36,14 +40,23 @@ def measured_patch_size(capture: Capture, n: int, step: tuple[int, int]) -> floa
     return float(shifts[int(np.argmax(likeness))])
 
 
-@pytest.mark.parametrize(("lattice", "ratio"), [("hex", 0.353), ("hex", -0.204), ("square", 0.248), ("square", -0.397)])
+@pytest.mark.parametrize(
+    ("lattice", "ratio"), [("hex", 0.353), ("hex", -0.204), ("square", 0.248), ("square", -0.397)]
+)
 def test_microimages_of_a_plane_shift_by_the_true_patch_size(lattice: str, ratio: float) -> None:
     camera = Camera.design((220, 220), 30.0, lattice, 5.0)
-    capture = simulate(SCENES["plane"](camera, ratio=ratio), camera, samples=32, bits=16, gamma=False)
-    truth, centres = capture.truth, capture.truth.calibration.lattice.centres()
+    capture = simulate(
+        SCENES["plane"](camera, ratio=ratio), camera, samples=32, bits=16, gamma=False
+    )
+    truth = capture.truth
+    centres = capture.truth.calibration.lattice.centres()
     assert truth.patch_size == pytest.approx(ratio * camera.pitch, abs=1e-9)
     inner = np.flatnonzero((np.abs(centres - 110) < 50).all(1))
-    errors = [measured_patch_size(capture, n, step) - truth.patch_size[n] for n in inner for step in ((1, 0), (0, 1))]
+    errors = [
+        measured_patch_size(capture, n, step) - truth.patch_size[n]
+        for n in inner
+        for step in ((1, 0), (0, 1))
+    ]
     assert abs(np.median(errors)) < 0.2
     assert np.median(np.abs(errors)) < 0.3
     assert (truth.mode[inner] == np.sign(ratio)).all()
@@ -54,8 +67,13 @@ def test_light_that_falls_off_within_microlenses_moves_no_feature() -> None:
     shown = {}
     for falling in (True, False):
         camera = Camera.design((300, 300), 30.0, natural_vignetting=falling)
-        capture = simulate(SCENES["plane"](camera, ratio=-0.55), camera, samples=32, bits=16, gamma=False)
-        shown[falling] = capture.flat[..., 1].astype(float), capture.truth.calibration.lattice.centres()
+        capture = simulate(
+            SCENES["plane"](camera, ratio=-0.55), camera, samples=32, bits=16, gamma=False
+        )
+        shown[falling] = (
+            capture.flat[..., 1].astype(float),
+            capture.truth.calibration.lattice.centres(),
+        )
     (dim, centres), (even, _) = shown[True], shown[False]
     moved = steep = 0.0
     for x, y in centres[(np.abs(centres - 150) < 120).all(1)]:
@@ -129,8 +147,11 @@ def test_dense_truth_holds_the_lens_truth_at_the_centres(house: Capture) -> None
 
 
 def colours_at_true_places(capture: Capture, sign: float) -> tuple[np.ndarray, np.ndarray]:
-    """Green of flat pixels and of the reference at `X = c - delta * D / s`, where both see the same depth."""
-    truth, camera = capture.truth, capture.camera
+    """Green of flat pixels and of the reference at `X = c - delta * D / s`, where both see the same
+    depth.
+    """
+    truth = capture.truth
+    camera = capture.camera
     lattice = truth.calibration.lattice
     y, x = np.nonzero(np.isfinite(truth.disparity))
     pixels = np.column_stack([x, y]).astype(float)
@@ -142,7 +163,8 @@ def colours_at_true_places(capture: Capture, sign: float) -> tuple[np.ndarray, n
     at = uv[:, ::-1].T
     there = map_coordinates(truth.reference_patch_size, at, order=0, cval=np.nan)
     same = np.abs(there - s) < 0.05
-    found, expected = capture.flat[y, x, 1] / 65535, map_coordinates(truth.reference[..., 1] / 65535, at, order=1)
+    found = capture.flat[y, x, 1] / 65535
+    expected = map_coordinates(truth.reference[..., 1] / 65535, at, order=1)
     return found[same], expected[same]
 
 
@@ -156,15 +178,23 @@ def test_flat_pixels_show_the_reference_at_their_true_place(house: Capture) -> N
 
 def test_a_nearer_surface_hides_the_farther(small_camera: Camera) -> None:
     camera = small_camera
-    red, green = np.full((2, 2, 3), (0.8, 0, 0)), np.full((2, 2, 3), (0, 0.8, 0))
+    red = np.full((2, 2, 3), (0.8, 0, 0))
+    green = np.full((2, 2, 3), (0, 0.8, 0))
 
     def sheet(ratio: float, left: float, colour: np.ndarray) -> Patch:
-        corner, a, b = camera.place([(left, -300), (700, -300), (left, 700)], camera.depth_at(ratio))
+        corner, a, b = camera.place(
+            [(left, -300), (700, -300), (left, 700)], camera.depth_at(ratio)
+        )
         return Patch(corner, a - corner, b - corner, colour)
 
-    far, near = sheet(0.3, -500, red), sheet(-0.3, 130, green)
-    pictures = [simulate(Scene("two", pair), camera, samples=4) for pair in ((far, near), (near, far))]
-    assert np.array_equal(pictures[0].flat, pictures[1].flat), "the order in the list does not matter"
+    far = sheet(0.3, -500, red)
+    near = sheet(-0.3, 130, green)
+    pictures = [
+        simulate(Scene("two", pair), camera, samples=4) for pair in ((far, near), (near, far))
+    ]
+    assert np.array_equal(pictures[0].flat, pictures[1].flat), (
+        "the order in the list does not matter"
+    )
     assert near.bounds[0, 2] < far.bounds[0, 2]
     truth = pictures[0].truth
     x = truth.calibration.lattice.centres()[:, 0]
@@ -194,16 +224,27 @@ def test_the_front_of_a_sphere_is_where_it_should_be(small_camera: Camera) -> No
     x, y, _ = camera.place((130, 120), front + 8)
     ball = Sphere(np.array([x, y, front + 8.0]), 8.0, np.full((4, 4, 3), 0.5))
     truth = simulate(Scene("ball", (ball,)), camera, samples=1).truth
-    row, column = 60, 65
+    row = 60
+    column = 65
     assert truth.reference_patch_size[row, column] == pytest.approx(-0.3 * camera.pitch, abs=0.05)
-    assert np.nanmax(truth.reference_patch_size) == pytest.approx(-0.3 * camera.pitch, abs=0.05), "the front is nearest"
+    assert np.nanmax(truth.reference_patch_size) == pytest.approx(-0.3 * camera.pitch, abs=0.05), (
+        "the front is nearest"
+    )
 
 
 def test_seeds_reproduce_bit_for_bit_and_differ_from_each_other(small_camera: Camera) -> None:
     def run(seed: int) -> Capture:
-        return simulate(SCENES["clutter"](small_camera, seed=3), small_camera, samples=3, seed=seed, noise=(9000, 4))
+        return simulate(
+            SCENES["clutter"](small_camera, seed=3),
+            small_camera,
+            samples=3,
+            seed=seed,
+            noise=(9000, 4),
+        )
 
-    first, again, other = run(5), run(5), run(6)
+    first = run(5)
+    again = run(5)
+    other = run(6)
     assert np.array_equal(first.flat, again.flat)
     assert np.array_equal(first.white, again.white)
     assert np.array_equal(first.truth.reference, again.truth.reference)
@@ -212,10 +253,12 @@ def test_seeds_reproduce_bit_for_bit_and_differ_from_each_other(small_camera: Ca
 
 def test_noise_has_the_stated_variance() -> None:
     camera = Camera.design((200, 200), 24.0, natural_vignetting=False)
-    full_well, read = 4000.0, 12.0
+    full_well = 4000.0
+    read = 12.0
     scene = SCENES["blank"](camera)
     clean, noisy = (
-        simulate(scene, camera, samples=4, bits=16, gamma=False, noise=noise) for noise in (None, (full_well, read))
+        simulate(scene, camera, samples=4, bits=16, gamma=False, noise=noise)
+        for noise in (None, (full_well, read))
     )
     lit = (clean.flat == clean.flat.max()).all(-1)
     level = clean.flat[lit] / 65535
@@ -239,7 +282,11 @@ def test_more_samples_bring_the_flat_nearer_to_its_limit(small_camera: Camera) -
 def test_microlenses_are_sharpest_where_they_are_focused(focus: float) -> None:
     def contrast(wanted: float) -> float:
         camera = Camera.design((200, 200), 30.0, focus=wanted, fill=0.5)
-        return float(np.median(simulate(SCENES["plane"](camera, ratio=focus), camera, samples=16).truth.contrast))
+        return float(
+            np.median(
+                simulate(SCENES["plane"](camera, ratio=focus), camera, samples=16).truth.contrast
+            )
+        )
 
     assert contrast(focus) > 1.15 * contrast(-focus)
 
@@ -269,7 +316,14 @@ def test_textureless_lenses_have_no_mode(small_camera: Camera) -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", [{"samples": 0}, {"bits": 12}, {"seed": -1}, {"noise": (0.0, 1.0)}, {"noise": (100.0, float("nan"))}]
+    "bad",
+    [
+        {"samples": 0},
+        {"bits": 12},
+        {"seed": -1},
+        {"noise": (0.0, 1.0)},
+        {"noise": (100.0, float("nan"))},
+    ],
 )
 def test_bad_arguments_are_named(small_camera: Camera, bad: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
@@ -277,10 +331,15 @@ def test_bad_arguments_are_named(small_camera: Camera, bad: dict[str, object]) -
 
 
 def test_square_apertures_leave_dark_gaps_along_the_lattice() -> None:
-    camera = Camera.design((200, 200), 24.0, "square", 7.0, microimage_fill=0.8).replace(square_aperture=True)
+    camera = Camera.design((200, 200), 24.0, "square", 7.0, microimage_fill=0.8).replace(
+        square_aperture=True
+    )
     capture = simulate(SCENES["blank"](camera), camera, samples=32, bits=16, gamma=False)
     index = camera.lattice.to_index(np.indices((200, 200))[::-1].reshape(2, -1).T)
-    outside = np.abs(index - np.rint(index)).max(1).reshape(200, 200) * camera.pitch - camera.microimage_radius
+    outside = (
+        np.abs(index - np.rint(index)).max(1).reshape(200, 200) * camera.pitch
+        - camera.microimage_radius
+    )
     light = capture.white / 65535 / 0.9
     assert camera.microimage_radius == pytest.approx(0.4 * 24, rel=0.01)
     assert light[outside < -1.5].min() > 0.9
@@ -290,26 +349,35 @@ def test_square_apertures_leave_dark_gaps_along_the_lattice() -> None:
 
 
 @pytest.mark.parametrize(("lattice", "shares"), [("hex", (1.0, 0.9, 0.8)), ("square", (1.0, 0.85))])
-def test_lens_types_have_radii_of_their_own_and_stray_light_fills_gaps(lattice: str, shares: tuple[float, ...]) -> None:
+def test_lens_types_have_radii_of_their_own_and_stray_light_fills_gaps(
+    lattice: str, shares: tuple[float, ...]
+) -> None:
     camera = Camera.design((240, 240), 24.0, lattice, focus=(-0.45, -0.3, -0.2)[: len(shares)])
     camera = camera.replace(type_apertures=shares, stray=0.3, natural_vignetting=False)
     capture = simulate(SCENES["blank"](camera), camera, samples=32, bits=16, gamma=False)
-    white, truth = capture.white / 65535 / 0.9, capture.truth
+    white = capture.white / 65535 / 0.9
+    truth = capture.truth
     y, x = np.mgrid[:240, :240]
     centres = truth.calibration.lattice.centres()
     inner = (np.abs(centres - 119.5) < 80).all(1)
     assert white[40:-40, 40:-40].min() > 0.15
     for k, share in enumerate(shares):
-        rims = [white[np.abs(np.hypot(x - u, y - v) - share * camera.microimage_radius) < 0.3]
-                for u, v in centres[inner & (truth.lens_type == k)]]  # fmt: skip
-        assert np.concatenate(rims).mean() == pytest.approx(0.35 + 0.3 * white[40:-40, 40:-40].mean(), abs=0.05)
+        rims = [
+            white[np.abs(np.hypot(x - u, y - v) - share * camera.microimage_radius) < 0.3]
+            for u, v in centres[inner & (truth.lens_type == k)]
+        ]
+        assert np.concatenate(rims).mean() == pytest.approx(
+            0.35 + 0.3 * white[40:-40, 40:-40].mean(), abs=0.05
+        )
 
 
 @pytest.mark.parametrize("mosaic", ["RGGB", "GBRG"])
 def test_each_pixel_of_a_mosaic_sees_its_own_colour(small_camera: Camera, mosaic: str) -> None:
     scene = SCENES["clutter"](small_camera, seed=3)
     camera = small_camera.replace(filters=(0.8, 1.0, 0.6))
-    whole, seen = (simulate(scene, one, samples=2) for one in (camera, camera.replace(mosaic=mosaic)))
+    whole, seen = (
+        simulate(scene, one, samples=2) for one in (camera, camera.replace(mosaic=mosaic))
+    )
     assert seen.truth.calibration.mosaic == mosaic
     assert np.array_equal(seen.truth.reference, whole.truth.reference)
     for place, colour in enumerate(mosaic):

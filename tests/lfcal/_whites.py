@@ -1,4 +1,6 @@
-"""White images of known lattices: antialiased discs, drawn by a formula that shares nothing with the calibration."""
+"""White images of known lattices: antialiased discs, drawn by a formula that shares nothing with
+the calibration.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ HEXAGON = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
 
 def turned(shape: NDArray[np.float64], pitch: float, degrees: float) -> NDArray[np.float64]:
     """Basis rows of a lattice `shape` at `pitch` px, turned clockwise on the screen."""
-    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    cos = np.cos(np.radians(degrees))
+    sin = np.sin(np.radians(degrees))
     return pitch * shape @ np.array([[cos, sin], [-sin, cos]])
 
 
@@ -55,7 +58,8 @@ def white_image(
     nearest = np.full((height, width), np.inf)
     for i in (-1, 0, 1):
         for j in (-1, 0, 1):
-            du, dv = u - (np.rint(u) + i), v - (np.rint(v) + j)
+            du = u - (np.rint(u) + i)
+            dv = v - (np.rint(v) + j)
             dx = du * basis[0, 0] + dv * basis[1, 0]
             dy = du * basis[0, 1] + dv * basis[1, 1]
             nearest = np.minimum(nearest, np.hypot(dx, dy))
@@ -69,12 +73,17 @@ def white_image(
 
 
 def centre_errors(lattice: Lattice, origin: ArrayLike, basis: ArrayLike) -> NDArray[np.float64]:
-    """(n, 2) offset of each found centre from the nearest true one [px]; the cells must be of one size."""
-    origin, basis = np.asarray(origin), np.asarray(basis)
+    """(n, 2) offset of each found centre from the nearest true one [px]; the cells must be of one
+    size.
+    """
+    origin = np.asarray(origin)
+    basis = np.asarray(basis)
     centres = lattice.centres()
     index = np.rint((centres - origin) @ np.linalg.inv(basis))
     assert len(np.unique(index, axis=0)) == len(centres), "two found centres share a true one"
-    assert abs(abs(np.linalg.det(lattice.basis)) / abs(np.linalg.det(basis)) - 1) < 0.05, "cells differ in size"
+    assert abs(abs(np.linalg.det(lattice.basis)) / abs(np.linalg.det(basis)) - 1) < 0.05, (
+        "cells differ in size"
+    )
     return centres - (origin + index @ basis)
 
 

@@ -1,4 +1,6 @@
-"""The calibration as a whole: right on known lattices of all kinds, a clear refusal on everything else."""
+"""The calibration as a whole: right on known lattices of all kinds, a clear refusal on everything
+else.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from lfcal.detection import downscale
 
 
 @pytest.mark.parametrize(
-    ("shape", "pitch", "degrees", "size"), [("HEXAGON", 6.4, 11, (400, 300)), ("SQUARE", 40, 30, (700, 600))]
+    ("shape", "pitch", "degrees", "size"),
+    [("HEXAGON", 6.4, 11, (400, 300)), ("SQUARE", 40, 30, (700, 600))],
 )
 def test_white_image_places_centres_within_a_hundredth_pixel(whites, shape, pitch, degrees, size):
     basis = whites.turned(getattr(whites, shape), pitch, degrees)
@@ -76,7 +79,9 @@ def test_any_pixel_type_gives_the_same_lattice(whites):
     reference = lfcal.calibrate(image).lattice
     rgb = np.repeat(image[..., None], 3, axis=2)
     for same in (image.astype(np.float64) / 65535, rgb, rgb.astype(np.float32)):
-        np.testing.assert_allclose(lfcal.calibrate(same).lattice.origin, reference.origin, atol=1e-3)
+        np.testing.assert_allclose(
+            lfcal.calibrate(same).lattice.origin, reference.origin, atol=1e-3
+        )
 
 
 def test_scene_alone_places_centres_of_a_simulated_camera(house, whites):
@@ -115,7 +120,10 @@ def _patterns():
     rng = np.random.default_rng(1)
     x = np.arange(600)
     yield "noise", rng.integers(0, 255, (500, 600)).astype(np.uint8)
-    yield "noisy grating", np.clip(127 + 100 * np.sin(x / 4.0) + 20 * rng.standard_normal((500, 600)), 0, 255)
+    yield (
+        "noisy grating",
+        np.clip(127 + 100 * np.sin(x / 4.0) + 20 * rng.standard_normal((500, 600)), 0, 255),
+    )
     yield "even grey", np.full((300, 300), 90, np.uint8)
     yield "black", np.zeros((300, 300), np.uint16)
 
@@ -145,7 +153,10 @@ def test_ray_traced_camera_is_calibrated(shared, whites, folder, picture, limit)
     truth = json.loads(shared("truth", folder, "truth.json").read_text())["camera"]
     camera = lfcal.calibrate(lfcal.read_flat(shared("truth", folder, picture)))
     assert camera.source == picture.split(".")[0].replace("flat", "scene")
-    assert whites.rms(whites.centre_errors(camera.lattice, truth["origin_px"], truth["basis_px"])) < limit
+    assert (
+        whites.rms(whites.centre_errors(camera.lattice, truth["origin_px"], truth["basis_px"]))
+        < limit
+    )
 
 
 def test_raytrix_scene_agrees_with_its_published_calibration(shared, whites):
@@ -157,34 +168,54 @@ def test_raytrix_scene_agrees_with_its_published_calibration(shared, whites):
 
 def test_lattice_of_a_flattened_capture_is_found_by_its_edges_alone(shared, whites):
     flat = lfcal.read_flat(shared("captures", "TempleBoatGiantR32.webp"))
-    published = lfcal.load(shared("captures", "TempleBoatGiantR32.published.xml"), (6464, 4852)).lattice
+    published = lfcal.load(
+        shared("captures", "TempleBoatGiantR32.published.xml"), (6464, 4852)
+    ).lattice
     camera = lfcal.calibrate(flat)
     assert camera.lattice.pitch == pytest.approx(published.pitch, rel=1e-3)
-    # The angle in the published file contradicts the pixels toward the corners: compared in the middle only.
+    # The angle in the published file contradicts the pixels toward the corners: compared in the
+    # middle only.
     offset = whites.centre_errors(camera.lattice, published.origin, published.basis)
     middle = np.abs(camera.lattice.centres() - [3232, 2426]).max(1) < 300
     assert np.abs(offset[middle]).max() < 1.0
-    assert camera.vignetting.profile[: int(0.95 * camera.lattice.radius / camera.vignetting.step)].min() > 0.9
+    assert (
+        camera.vignetting.profile[
+            : int(0.95 * camera.lattice.radius / camera.vignetting.step)
+        ].min()
+        > 0.9
+    )
 
 
 def test_repeating_detail_of_a_plane_is_not_taken_for_the_lattice():
-    """Its detail comes back every (1 + s / D) pitches, and stands out more than rims that are only half as bright."""
-    size, pitch, patch_size = (900, 700), 30.0, 4.5
+    """Its detail comes back every (1 + s / D) pitches, and stands out more than rims that are only
+    half as bright.
+    """
+    size = (900, 700)
+    pitch = 30.0
+    patch_size = 4.5
     angles = np.radians(2.5) + np.array([0, np.pi / 3])
-    lattice = lfcal.Lattice((450.3, 349.8), pitch * np.stack([np.cos(angles), np.sin(angles)], 1), size, 11.0)
+    lattice = lfcal.Lattice(
+        (450.3, 349.8), pitch * np.stack([np.cos(angles), np.sin(angles)], 1), size, 11.0
+    )
     y, x = np.mgrid[: size[1], : size[0]]
-    places, centres = np.column_stack([x.ravel(), y.ravel()]), lattice.centres()
+    places = np.column_stack([x.ravel(), y.ravel()])
+    centres = lattice.centres()
     distance, lens = cKDTree(centres).query(places)
     scene = centres[lens] - (places - centres[lens]) * pitch / patch_size
     rng = np.random.default_rng(5)
     picture = np.zeros(len(places))
     for _ in range(120):
-        angle, detail = rng.uniform(0, 2 * np.pi), 0.6 * patch_size / pitch * np.sqrt(rng.random())
-        picture += np.cos(scene @ [detail * np.cos(angle), detail * np.sin(angle)] + rng.uniform(0, 2 * np.pi))
+        angle = rng.uniform(0, 2 * np.pi)
+        detail = 0.6 * patch_size / pitch * np.sqrt(rng.random())
+        picture += np.cos(
+            scene @ [detail * np.cos(angle), detail * np.sin(angle)] + rng.uniform(0, 2 * np.pi)
+        )
     rims = 1 - 0.33 * np.minimum(2 * distance / pitch, 1.2) ** 6
     light = np.maximum(0.45 + 0.15 * picture / picture.std(), 0.02) * rims
     light = cv2.GaussianBlur(light.reshape(size[::-1]), (0, 0), 1.0)
-    camera = lfcal.calibrate(np.clip(255 * light + rng.normal(0, 2, light.shape), 0, 255).astype(np.uint8))
+    camera = lfcal.calibrate(
+        np.clip(255 * light + rng.normal(0, 2, light.shape), 0, 255).astype(np.uint8)
+    )
     assert camera.lattice.pitch == pytest.approx(pitch, rel=2e-3)
     inner = ((centres > pitch) & (centres < np.array(size) - pitch)).all(1)
     assert cKDTree(camera.lattice.centres()).query(centres[inner])[0].max() < 0.05 * pitch
@@ -194,11 +225,16 @@ def test_quarter_of_a_capture_has_the_lattice_of_all_of_it(shared):
     flat = lfcal.read_flat(shared("captures", "Boys2.webp"))
     whole = lfcal.calibrate(flat).lattice
     found = lfcal.calibrate(flat[739:2217, 994:2982].copy()).lattice
-    assert cKDTree(whole.centres()).query(found.centres() + np.array([994, 739]))[0].max() < 0.1 * whole.pitch
+    assert (
+        cKDTree(whole.centres()).query(found.centres() + np.array([994, 739]))[0].max()
+        < 0.1 * whole.pitch
+    )
 
 
 def _blas_threads():
-    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+    return {
+        library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }
 
 
 def test_calibrate_works_with_one_blas_thread_and_leaves_two(monkeypatch):

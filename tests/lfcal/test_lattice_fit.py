@@ -28,7 +28,9 @@ def test_fit_that_leaves_the_first_lattice_is_discarded(whites, monkeypatch):
 @pytest.mark.parametrize("pitch", [75.0, 16.0])
 def test_masks_of_hard_discs_are_placed_without_a_doubt(pitch):
     y, x = np.mgrid[:600, :800]
-    far = np.hypot((x - 51.3 + pitch / 2) % pitch - pitch / 2, (y - 54.2 + pitch / 2) % pitch - pitch / 2)
+    far = np.hypot(
+        (x - 51.3 + pitch / 2) % pitch - pitch / 2, (y - 54.2 + pitch / 2) % pitch - pitch / 2
+    )
     found = lfcal.calibrate(np.where(far < 0.453 * pitch, 255, 0).astype(np.uint8))
     apart = found.lattice.points(np.rint(found.lattice.to_index([[51.3, 54.2]]))) - [51.3, 54.2]
     assert found.confidence > 0.85 and found.warnings == ()

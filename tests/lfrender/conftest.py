@@ -13,7 +13,9 @@ SIZE = (420, 380)
 
 @pytest.fixture(scope="session")
 def drawn_flat():
-    """Draws a flat of waves on a plane: the flat, its lattice, the true `s` of all lenses, which are off the border."""
+    """Draws a flat of waves on a plane: the flat, its lattice, the true `s` of all lenses, which
+    are off the border.
+    """
     return _draw
 
 
@@ -26,10 +28,14 @@ def _nearest(lattice, points):
     return centres[np.arange(len(points)), nearest]
 
 
-def _draw(patch_size, slant=(0.0, 0.0), noise=0.0, detail=1.3, basis=((23.2, 0.4), (11.25, 20.3)), seed=5):
-    """A flat drawn from waves in scene coordinates: exact at every pixel, with `s` and its slant at the middle lens.
+def _draw(
+    patch_size, slant=(0.0, 0.0), noise=0.0, detail=1.3, basis=((23.2, 0.4), (11.25, 20.3)), seed=5
+):
+    """A flat drawn from waves in scene coordinates: exact at every pixel, with `s` and its slant at
+    the middle lens.
 
-    Waves reach `detail` radians per flat pixel. A plane has 1 / s linear in X (M is the virtual depth).
+    Waves reach `detail` radians per flat pixel. A plane has 1 / s linear in X (M is the virtual
+    depth).
     """
     rng = np.random.default_rng(seed)
     lattice = Lattice((200.3, 180.7), basis, SIZE, 11.2)
@@ -51,6 +57,8 @@ def _draw(patch_size, slant=(0.0, 0.0), noise=0.0, detail=1.3, basis=((23.2, 0.4
     image = 0.5 + 0.02 * image + noise * rng.standard_normal(len(points))
     centres = lattice.centres()
     truth = 1 / (1 / patch_size + (centres - middle) @ tilt)
-    gray = GrayFlat(image.reshape(y.shape).astype(np.float32), centres.astype(np.float32), 10.2, pitch)
+    gray = GrayFlat(
+        image.reshape(y.shape).astype(np.float32), centres.astype(np.float32), 10.2, pitch
+    )
     inner = np.all((centres > 2 * pitch) & (centres < np.array(SIZE) - 2 * pitch), axis=1)
     return gray, lattice, truth, inner

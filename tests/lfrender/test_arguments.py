@@ -62,7 +62,11 @@ CASES = [
     (stereo_pair, {}, "left right"),
     (point_cloud, {}, "flat calibration depth"),
     (write_points, {"path": "p.ply"}, "points"),
-    (view_rig, {"offsets": [(0, 0)], "affine": np.eye(2, 3), "size": (3, 2), "still": 5.0}, "calibration depth"),
+    (
+        view_rig,
+        {"offsets": [(0, 0)], "affine": np.eye(2, 3), "size": (3, 2), "still": 5.0},
+        "calibration depth",
+    ),
     (write_report, {"path": "r.html"}, "flat calibration depth"),
     (viewer_page, {}, "flat calibration depth"),
 ]
@@ -81,7 +85,11 @@ ITERABLES = ("patch_sizes", "offsets", "inputs", "frames", "pictures")
 )
 def test_an_object_of_another_kind_is_named(function, more, name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    known = {key: value for key, value in right().items() if key in inspect.signature(function).parameters}
+    known = {
+        key: value
+        for key, value in right().items()
+        if key in inspect.signature(function).parameters
+    }
     optional = inspect.signature(function).parameters[name].default is None
     for wrong in ["words", 7 if name in ITERABLES else [1, "x"], *([] if optional else [None])]:
         with pytest.raises((TypeError, lfcal.LightFieldError)) as found:
@@ -100,6 +108,10 @@ def test_results_compare_by_value():
         with pytest.raises(TypeError, match="unhashable"):
             hash(one)
     assert np.isnan(depth.patch_size).any(), "NaN equals NaN"
-    assert rig == view_rig(camera, depth, [(-4.0, 0.0), (4.0, 0.0)], picture.affine, (30, 20), still=-7.0)
-    assert depth != replace(depth, pitch=9.0) and depth.surface != replace(depth.surface, spacing=9.0)
+    assert rig == view_rig(
+        camera, depth, [(-4.0, 0.0), (4.0, 0.0)], picture.affine, (30, 20), still=-7.0
+    )
+    assert depth != replace(depth, pitch=9.0) and depth.surface != replace(
+        depth.surface, spacing=9.0
+    )
     assert picture != lfrender.traditional(flat, camera)

@@ -1,4 +1,6 @@
-"""Damaged and hostile Zarr arrays: refused in words, in bounded time and memory, and nothing in them is run."""
+"""Damaged and hostile Zarr arrays: refused in words, in bounded time and memory, and nothing in
+them is run.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ def readers(path):
         ({"shape": "many"}, "damaged"),
     ],
 )
-def test_descriptions_that_lie_about_the_shape_are_refused_in_little_memory(tmp_path, name, entries, message):
+def test_descriptions_that_lie_about_the_shape_are_refused_in_little_memory(
+    tmp_path, name, entries, message
+):
     path = whole_arrays(tmp_path)[name]
     described_otherwise(path, **entries)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -106,8 +110,13 @@ def test_codecs_that_make_objects_are_refused_where_zarr_lets_them_pass(tmp_path
     numcodecs = pytest.importorskip("numcodecs")
     array = zarr.open(str(whole_arrays(tmp_path)["v2"]), mode="r")
     codec = numcodecs.Pickle()
-    lied = {"chunk_grid": array.metadata.chunk_grid, place: (codec,) if place == "filters" else codec}
-    stub = SimpleNamespace(shape=array.shape, dtype=array.dtype, metadata=SimpleNamespace(**lied), store=array.store)
+    lied = {
+        "chunk_grid": array.metadata.chunk_grid,
+        place: (codec,) if place == "filters" else codec,
+    }
+    stub = SimpleNamespace(
+        shape=array.shape, dtype=array.dtype, metadata=SimpleNamespace(**lied), store=array.store
+    )
     with pytest.raises(lfcal.FlatError, match="codec 'pickle'"):
         check_zarr(stub)
 
@@ -119,12 +128,16 @@ def test_black_chunks_of_our_own_pictures_are_there(tmp_path):
     picture = np.zeros((40, 50, 3), np.uint8)
     picture[:20] = PICTURE[:20, :50]
     (tmp_path / "work").mkdir()
-    writer = TileWriter(tmp_path / "p.zarr", tmp_path / "work", picture.shape, "uint8", (25, 20), "{}")
+    writer = TileWriter(
+        tmp_path / "p.zarr", tmp_path / "work", picture.shape, "uint8", (25, 20), "{}"
+    )
     writer.open(fresh=True)
     for top in (0, 20):
         # As after a run that was killed.
         writer.open(fresh=False)
         for left in (0, 25):
-            writer.write((left, top, left + 25, top + 20), picture[top : top + 20, left : left + 25])
+            writer.write(
+                (left, top, left + 25, top + 20), picture[top : top + 20, left : left + 25]
+            )
     writer.finish(tmp_path / "p.zarr")
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "p.zarr"), picture)

@@ -1,4 +1,6 @@
-"""Damaged, hostile and half-written files: refused in words, in bounded time, and never left behind."""
+"""Damaged, hostile and half-written files: refused in words, in bounded time, and never left
+behind.
+"""
 
 import json
 import subprocess
@@ -27,7 +29,8 @@ def test_archives_with_damaged_entries_are_no_depth_files(tmp_path):
     whole = tmp_path / "whole.npz"
     np.savez(whole, version=np.int64(2))
     data = bytearray(whole.read_bytes())
-    # Compression method and flags of the entry, in both of its headers: no method has number 77, bit 5 is patched data.
+    # Compression method and flags of the entry, in both of its headers: no method has number 77,
+    # bit 5 is patched data.
     for offset, start in ((8, data.find(b"PK\3\4")), (10, data.find(b"PK\1\2"))):
         for flags, method in ((0, 77), (32, 0)):
             bad = data.copy()

@@ -34,7 +34,9 @@ def write(folder, fields):
 def test_light_beyond_any_measured_is_refused_with_the_name_of_its_field(fields, tmp_path):
     lfcal.load(write(tmp_path, fields))
     vignetting = {**fields["vignetting"], "profile": [1e30] * len(fields["vignetting"]["profile"])}
-    with pytest.raises(lfcal.CameraFileError, match=r"field vignetting\.profile: 1e\+30 is not between -10 and 10"):
+    with pytest.raises(
+        lfcal.CameraFileError, match=r"field vignetting\.profile: 1e\+30 is not between -10 and 10"
+    ):
         lfcal.load(write(tmp_path, {**fields, "vignetting": vignetting}))
     for name, value in (
         ("profile", encode_array(np.full(20, 1e30, "<f4"))),
@@ -57,20 +59,29 @@ def test_a_corner_that_does_not_fit_the_others_is_refused(tmp_path, corner):
     convert(camera, path)
     assert lfcal.load(path).lattice.pitch == pytest.approx(70, abs=0.1)
     lines = path.read_text().splitlines()
-    path.write_text("\n".join(f"{line.split(':')[0]}: 0" if line.startswith(corner) else line for line in lines))
-    with pytest.raises(lfcal.CameraFileError, match="the corner centres do not fit a diameter of 70 px"):
+    path.write_text(
+        "\n".join(f"{line.split(':')[0]}: 0" if line.startswith(corner) else line for line in lines)
+    )
+    with pytest.raises(
+        lfcal.CameraFileError, match="the corner centres do not fit a diameter of 70 px"
+    ):
         lfcal.load(path)
 
 
 def test_elements_that_are_nested_too_deeply_are_refused(tmp_path):
     (tmp_path / "camera.xml").write_text("<a>" * 50_000 + "</a>" * 50_000)
-    with pytest.raises(lfcal.CameraFileError, match=r"camera\.xml: not a camera file: its elements are nested"):
+    with pytest.raises(
+        lfcal.CameraFileError, match=r"camera\.xml: not a camera file: its elements are nested"
+    ):
         lfcal.load(tmp_path / "camera.xml", (100, 100))
 
 
 def test_depth_files_that_unpack_to_gigabytes_are_refused_by_their_header(tmp_path):
     path = tmp_path / "depth.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("surface.npy", "w") as stream:
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("surface.npy", "w") as stream,
+    ):
         for _ in range(200):
             stream.write(bytes(1 << 20))
     with pytest.raises(DepthFileError, match="would unpack to 210 MB"):
@@ -83,7 +94,9 @@ def test_packed_blocks_of_camera_files_do_not_unpack_to_gigabytes(fields, tmp_pa
         lfcal.load(write(tmp_path, {**fields, "gain_map": {**fields["gain_map"], "own": block}}))
     short = fields["gain_map"]["profile"][:40]
     with pytest.raises(lfcal.CameraFileError, match="a packed block is cut off"):
-        lfcal.load(write(tmp_path, {**fields, "gain_map": {**fields["gain_map"], "profile": short}}))
+        lfcal.load(
+            write(tmp_path, {**fields, "gain_map": {**fields["gain_map"], "profile": short}})
+        )
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
@@ -98,7 +111,9 @@ def test_devices_and_pipes_are_no_camera_depth_or_optics_files(tmp_path, kind):
         with pytest.raises(lfcal.LightFieldError, match="is no regular file"):
             load(path)
     run = CliRunner().invoke(main, ["info", str(path)])
-    assert run.exit_code == 2 and "is a device or a pipe; give a file, or - for a pipe" in run.stderr
+    assert (
+        run.exit_code == 2 and "is a device or a pipe; give a file, or - for a pipe" in run.stderr
+    )
 
 
 def test_camera_files_larger_than_any_are_refused_before_they_are_read(tmp_path):

@@ -12,6 +12,8 @@ def test_differences_are_measured_against_the_largest_value_of_their_kind():
     found = differences(ours, near)
     assert found["centres"] == pytest.approx(5e-6)
     assert found["picture"] == 0
-    assert differences(ours, near | {"picture": np.array([1.0, 1 + 2 * LIMIT, 1])})["picture"] > LIMIT
+    assert (
+        differences(ours, near | {"picture": np.array([1.0, 1 + 2 * LIMIT, 1])})["picture"] > LIMIT
+    )
     assert differences(ours, near | {"picture": np.ones(4)})["picture"] == np.inf
     assert not differences(ours, near | {"picture": np.array([1.0, np.nan, 1])})["picture"] <= LIMIT

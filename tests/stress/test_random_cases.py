@@ -34,7 +34,9 @@ def test_a_run_that_was_ended_is_taken_up_where_it_was(counted, tmp_path, capsys
     broken = run_all(file, 2 * BATCH, ("numbers",))
     assert len(counted) < 2.2 * once
     assert file.read_text().startswith(whole)
-    batches = [json.loads(line)["batch"] for line in file.read_text().splitlines() if line.endswith("}")]
+    batches = [
+        json.loads(line)["batch"] for line in file.read_text().splitlines() if line.endswith("}")
+    ]
     assert batches == [0, 1]
     # About one in ten is wrong, and one in a thousand may be.
     assert broken and "confident and wrong" in capsys.readouterr().out
@@ -61,6 +63,6 @@ def test_every_stage_is_driven_by_what_hypothesis_draws(stage):
     found = outcomes(stage, 4, 4)
     assert len(found) >= 3
     assert len({case for case, _ in found}) >= 2
-    # Which cases a seed gives depends on the modules that hypothesis has seen: how rare wrong answers are is told by
-    # thousands of them, not by these.
+    # Which cases a seed gives depends on the modules that hypothesis has seen: how rare wrong
+    # answers are is told by thousands of them, not by these.
     assert all(0 <= one.off <= one.answered <= 1 for _, one in found)

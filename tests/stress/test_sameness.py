@@ -47,7 +47,9 @@ def test_depth_and_picture_are_the_same_on_any_number_of_threads(clutter, preset
 @pytest.mark.parametrize("kind", ["white", "scene"])
 def test_cameras_are_the_same_on_any_number_of_threads(kind):
     if kind == "white":
-        flat = WhiteImage(pitch=14.3, degrees=3.0, decibels=26, bits=8, strength=0.3, size=(260, 200)).image()
+        flat = WhiteImage(
+            pitch=14.3, degrees=3.0, decibels=26, bits=8, strength=0.3, size=(260, 200)
+        ).image()
     else:
         flat = PlaneFlat(pitch=16.0, size=(300, 260), fill=0.92, noise=0.01, kind="u1").flat()
     first, *others = _on_threads(lambda: lfcal.calibrate(flat, kind).to_dict())

@@ -1,4 +1,6 @@
-"""The depths that the pixels of a microimage may show: those that the surface has about the places they would be at."""
+"""The depths that the pixels of a microimage may show: those that the surface has about the places
+they would be at.
+"""
 
 from __future__ import annotations
 
@@ -20,34 +22,46 @@ def _level_of(s, pitch):
 
 
 def mark_levels(surface: NDArray[np.float32], pitch: float, reach: int) -> NDArray[np.uint64]:
-    """(rows, columns): a bit for each level of patch sizes that the surface has within `reach` values each way."""
+    """(rows, columns): a bit for each level of patch sizes that the surface has within `reach`
+    values each way.
+    """
     one = np.uint64(1)
     level = np.clip(((surface / pitch + 0.8) * (_LEVELS / 1.6)).astype(int), 0, _LEVELS - 1)
     bits = np.zeros(surface.shape, np.uint64)
     for beside in (-1, 0, 1):
         bits |= one << np.clip(level + beside, 0, _LEVELS - 1).astype(np.uint64)
     for axis in (0, 1):
-        bits, wide = np.moveaxis(bits, axis, 0), 1
+        bits = np.moveaxis(bits, axis, 0)
+        wide = 1
         # The window doubles until it is as wide as it has to be.
         bits = np.pad(bits, ((reach, reach), (0, 0)))
         while wide < 2 * reach + 1:
             step = min(wide, 2 * reach + 1 - wide)
-            bits, wide = bits[step:] | bits[:-step], wide + step
+            bits = bits[step:] | bits[:-step]
+            wide = wide + step
         bits = np.moveaxis(bits, 0, axis)
     return np.ascontiguousarray(bits)
 
 
 @njit(error_model="numpy")
 def list_depths(surface, grid, x, y, lenses, work):
-    """Patch sizes of the surface that the lens at (x, y) may show, in `work.depths`; returns how many there are."""
+    """Patch sizes of the surface that the lens at (x, y) may show, in `work.depths`; returns how
+    many there are.
+    """
     rows, columns = surface.shape
-    first, spacing, pitch, radius = grid.first, grid.spacing, lenses.pitch, lenses.radius
-    bins, depths = work.bins, work.depths
+    first = grid.first
+    spacing = grid.spacing
+    pitch = lenses.pitch
+    radius = lenses.radius
+    bins = work.bins
+    depths = work.depths
     bins[:] = 0
     width = 0.25 * lenses.gap
-    # Lenses nearest to a scene point are within two pitches of it, and depths within one are tried there.
+    # Lenses nearest to a scene point are within two pitches of it, and depths within one are tried
+    # there.
     span = int(3 * pitch / spacing) + 1
-    at_u, at_v = int((x - first) / spacing + 0.5), int((y - first) / spacing + 0.5)
+    at_u = int((x - first) / spacing + 0.5)
+    at_v = int((y - first) / spacing + 0.5)
     # Every other value each way: no surface is narrower than these are apart.
     for v in range(max(0, at_v - span), min(rows, at_v + span + 1), 2):
         for u in range(max(0, at_u - span), min(columns, at_u + span + 1), 2):
@@ -60,9 +74,13 @@ def list_depths(surface, grid, x, y, lenses, work):
                 bins[1, place] += s
     found = place = 0
     while place < BINS and found < DEPTHS:
-        end, number, amount = place, 0.0, 0.0
+        end = place
+        number = 0.0
+        amount = 0.0
         while end < BINS and bins[0, end] > 0 and end - place < 6:
-            number, amount, end = number + bins[0, end], amount + bins[1, end], end + 1
+            number = number + bins[0, end]
+            amount = amount + bins[1, end]
+            end = end + 1
         if number > 0:
             depths[found] = amount / number
             found += 1
@@ -79,13 +97,17 @@ def _outline(x, y, left, top, size, radius, shape, work):
         if half2 >= 0 and 1 <= top + row < shape[0] - 1:
             half = np.sqrt(half2)
             work.left[row] = max(int(np.ceil(x - half)), 1) - left
-            work.right[row] = max(min(int(np.floor(x + half)), shape[1] - 2) + 1 - left, work.left[row])
+            work.right[row] = max(
+                min(int(np.floor(x + half)), shape[1] - 2) + 1 - left, work.left[row]
+            )
 
 
 @njit(error_model="numpy", forceinline=True)
 def _is_settled(before, px, py, gap):
     """Whether the first round found one surface on all pixels within two of this one."""
-    s, height, width = before[py, px], before.shape[0], before.shape[1]
+    s = before[py, px]
+    height = before.shape[0]
+    width = before.shape[1]
     for v in range(max(0, py - 2), min(height, py + 3)):
         for u in range(max(0, px - 2), min(width, px + 3)):
             if abs(before[v, u] - s) > gap:
@@ -95,20 +117,29 @@ def _is_settled(before, px, py, gap):
 
 @njit(error_model="numpy")
 def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lenses, work):
-    first, spacing, pitch, gap = grid.first, grid.spacing, lenses.pitch, lenses.gap
+    first = grid.first
+    spacing = grid.spacing
+    pitch = lenses.pitch
+    gap = lenses.gap
     rows, columns = surface.shape
-    expected, value, present, among = work.depths[k], work.value, work.present, work.among
+    expected = work.depths[k]
+    value = work.value
+    present = work.present
+    among = work.among
     # Near zero a microimage would span all of the scene.
     steep = max(abs(expected), 0.02 * pitch)
     steep = pitch / (steep if expected > 0 else -steep)
-    bit, one, step = np.uint64(_level_of(expected, pitch)), np.uint64(1), steep / spacing
+    bit = np.uint64(_level_of(expected, pitch))
+    one = np.uint64(1)
+    step = steep / spacing
     middle = (x - first) / spacing + 0.5 + (x - left) * step
     for row in range(size):
         v = int((y - first - (top + row - y) * steep) / spacing + 0.5)
         v = min(max(v, 0), rows - 1)
         for column in range(work.left[row], work.right[row]):
             u = min(max(int(middle - column * step), 0), columns - 1)
-            p, s = row * stride + column, surface[v, u]
+            p = row * stride + column
+            s = surface[v, u]
             if abs(s - expected) < gap:
                 value[k, p], present[k, p] = s, OWN
                 among[p] += 1
@@ -120,9 +151,12 @@ def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lense
 
 @njit(error_model="numpy", forceinline=True)
 def _keep_distinct(p, number, apart, work):
-    """Drop the depths of a pixel that differ by less than `apart` from one that the surface has there; whether it has
-    any."""
-    value, present, among = work.value, work.present, work.among
+    """Drop the depths of a pixel that differ by less than `apart` from one that the surface has
+    there; whether it has any.
+    """
+    value = work.value
+    present = work.present
+    among = work.among
     own = -1
     for k in range(number):
         if own < 0 and present[k, p] == OWN:
@@ -137,8 +171,11 @@ def _keep_distinct(p, number, apart, work):
 
 
 @njit(error_model="numpy")
-def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, apart, shape, work):
-    """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere.
+def list_candidates(
+    x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, apart, shape, work
+):
+    """Fill `work` with the depths that each pixel may show; returns whether there is a choice
+    anywhere.
 
     Depths must be `apart` [px] from that of the surface; another depth than that costs 0.03 more.
     """
@@ -147,7 +184,9 @@ def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels
         widest = max(widest, abs(work.depths[k]))
     # Lenses nearest to a scene point show it within two patches of their centre.
     _outline(x, y, left, top, size, min(lenses.radius, 2 * widest), shape, work)
-    among, present, cost = work.among, work.present, work.cost
+    among = work.among
+    present = work.present
+    cost = work.cost
     among[:] = 0
     present[:number] = 0
     for k in range(number):
@@ -157,7 +196,8 @@ def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels
     for row in range(size):
         for column in range(work.left[row], work.right[row]):
             p = row * stride + column
-            px, py = left + column, top + row
+            px = left + column
+            py = top + row
             if before.size > 1 and among[p] > 1 and _is_settled(before, px, py, lenses.gap):
                 among[p] = 0
                 for k in range(number):
@@ -166,6 +206,8 @@ def list_candidates(x, y, left, top, size, stride, number, surface, grid, levels
                     among[p] += present[k, p] > 0
             own = _keep_distinct(p, number, apart, work)
             for k in range(number):
-                cost[k, p] = 1.0 if present[k, p] == 0 else (0.03 if own and present[k, p] != OWN else 0.0)
+                cost[k, p] = (
+                    1.0 if present[k, p] == 0 else (0.03 if own and present[k, p] != OWN else 0.0)
+                )
             choice = choice or among[p] > 1
     return choice

@@ -21,31 +21,59 @@ _VIEWS = 5
 
 @njit(error_model="numpy", fastmath=FAST)
 def allow_mismatch(light, stride, number, noise2, allowed):
-    """Fill `allowed` with the mismatch of each pixel with the four beside it that noise, blur and resampling
-    explain."""
-    down, one, fifth, share = np.uint64(stride), np.uint64(1), np.float32(0.2), np.float32(0.4)
+    """Fill `allowed` with the mismatch of each pixel with the four beside it that noise, blur and
+    resampling explain.
+    """
+    down = np.uint64(stride)
+    one = np.uint64(1)
+    fifth = np.float32(0.2)
+    share = np.float32(0.4)
     for n in range(np.uint64(number - 2 * stride)):
         p = n + down
-        a, b, d, e, f = light[p - down], light[p - one], light[p], light[p + one], light[p + down]
+        a = light[p - down]
+        b = light[p - one]
+        d = light[p]
+        e = light[p + one]
+        f = light[p + down]
         mean = fifth * (a + b + d + e + f)
-        a, b, d, e, f = a - mean, b - mean, d - mean, e - mean, f - mean
+        a = a - mean
+        b = b - mean
+        d = d - mean
+        e = e - mean
+        f = f - mean
         allowed[p] = share * (a * a + b * b + d * d + e * e + f * f) + noise2
 
 
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
-def _square_differences(light, pixels, there, width, x, y, shift_x, fx, fy, radius, at, count, apart, seen):
-    """Squared differences of `count` pixels from place `at` on from those `there`, a fraction of a pixel on, and which
-    of them lie in the microimage, `y` below its middle and `shift_x` more than `x` beside it; none 2 px beyond its
-    `radius`."""
+def _square_differences(
+    light, pixels, there, width, x, y, shift_x, fx, fy, radius, at, count, apart, seen
+):
+    """Squared differences of `count` pixels from place `at` on from those `there`, a fraction of a
+    pixel on, and which of them lie in the microimage, `y` below its middle and `shift_x` more than
+    `x` beside it; none 2 px beyond its `radius`.
+    """
     w11 = fx * fy
-    w01, w10 = fx - w11, fy - w11
+    w01 = fx - w11
+    w10 = fy - w11
     w00 = np.float32(1.0) - fx - w10
-    inner, outer = np.float32(radius * radius - y * y), np.float32((radius + 2) * (radius + 2) - y * y)
-    one, down, beside = np.uint64(1), np.uint64(width), np.uint64(width + 1)
-    none, some, first = np.float32(0), np.float32(1), np.uint64(there)
+    inner = np.float32(radius * radius - y * y)
+    outer = np.float32((radius + 2) * (radius + 2) - y * y)
+    one = np.uint64(1)
+    down = np.uint64(width)
+    beside = np.uint64(width + 1)
+    none = np.float32(0)
+    some = np.float32(1)
+    first = np.uint64(there)
     for n in range(np.uint64(count)):
-        p, q = at + n, first + n
-        e = w00 * pixels[q] + w01 * pixels[q + one] + w10 * pixels[q + down] + w11 * pixels[q + beside] - light[p]
+        p = at + n
+        q = first + n
+        e = (
+            w00 * pixels[q]
+            + w01 * pixels[q + one]
+            + w10 * pixels[q + down]
+            + w11 * pixels[q + beside]
+            - light[p]
+        )
         dx = x[n] + shift_x
         away = dx * dx
         apart[p] = e * e if away <= outer else none
@@ -55,7 +83,9 @@ def _square_differences(light, pixels, there, width, x, y, shift_x, fx, fy, radi
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _leave_out_occluded(before, there, nearest, pitch, at, count, seen):
     """Unset `seen` where pixels `there` showed something beyond `nearest` in the order of depths."""
-    none, two, first = np.float32(0), np.float32(2 * pitch), np.uint64(there)
+    none = np.float32(0)
+    two = np.float32(2 * pitch)
+    first = np.uint64(there)
     for n in range(np.uint64(count)):
         s = before[first + n]
         order = s if s > none else s + two
@@ -63,10 +93,16 @@ def _leave_out_occluded(before, there, nearest, pitch, at, count, seen):
 
 
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
-def _add_lens(apart, seen, allowed, begin, number, stride, leave_out, total, count, worst, second, mismatch):
-    """Add the mismatch of patches with another lens for those of `number` pixels from place `begin` on that have been
-    compared with fewer than `_VIEWS`, and keep the two largest."""
-    one, down, fifth, none = np.uint64(1), np.uint64(stride), np.float32(0.2), np.float32(0)
+def _add_lens(
+    apart, seen, allowed, begin, number, stride, leave_out, total, count, worst, second, mismatch
+):
+    """Add the mismatch of patches with another lens for those of `number` pixels from place `begin`
+    on that have been compared with fewer than `_VIEWS`, and keep the two largest.
+    """
+    one = np.uint64(1)
+    down = np.uint64(stride)
+    fifth = np.float32(0.2)
+    none = np.float32(0)
     enough = np.float32(_VIEWS)
     for n in range(number):
         p = begin + n
@@ -86,7 +122,8 @@ def _add_lens(apart, seen, allowed, begin, number, stride, leave_out, total, cou
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _is_complete(count, row, stride):
     """Whether all pixels of a row have been compared with enough lenses."""
-    first, least = np.uint64(row * stride), np.float32(_VIEWS)
+    first = np.uint64(row * stride)
+    least = np.float32(_VIEWS)
     for n in range(np.uint64(stride)):
         least = min(least, count[first + n])
     return least >= np.float32(_VIEWS)
@@ -94,21 +131,36 @@ def _is_complete(count, row, stride):
 
 @njit(error_model="numpy")
 def _start_depth(k, size, stride, pitch, work):
-    """Find the pixels that may show depth k, which have a `count` of 0, and their mean patch size [pitch] in each row,
-    of all rows where there are none; returns the first row and the end of them, and the mean [pitch]."""
-    among, present, count, value, slopes = work.among, work.present, work.count, work.value, work.slopes
-    left, right = work.left, work.right
-    first, last, every, amount = size, 0, 0, 0.0
+    """Find the pixels that may show depth k, which have a `count` of 0, and their mean patch size
+    [pitch] in each row, of all rows where there are none; returns the first row and the end of
+    them, and the mean [pitch].
+    """
+    among = work.among
+    present = work.present
+    count = work.count
+    value = work.value
+    slopes = work.slopes
+    left = work.left
+    right = work.right
+    first = size
+    last = 0
+    every = 0
+    amount = 0.0
     count[:] = _VIEWS
     for row in range(size):
-        number, total = 0, 0.0
+        number = 0
+        total = 0.0
         for p in range(row * stride + left[row], row * stride + right[row]):
             if among[p] > 1 and present[k, p] > 0:
                 count[p] = 0
-                number, total = number + 1, total + value[k, p]
+                number = number + 1
+                total = total + value[k, p]
         slopes[row] = total / (number * pitch) if number else np.nan
         if number:
-            every, amount, first, last = every + number, amount + total, min(first, row), row + 1
+            every = every + number
+            amount = amount + total
+            first = min(first, row)
+            last = row + 1
     mean = amount / (max(every, 1) * pitch)
     for row in range(size):
         slopes[row] = mean if np.isnan(slopes[row]) else slopes[row]
@@ -117,16 +169,26 @@ def _start_depth(k, size, stride, pitch, work):
 
 @njit(error_model="numpy")
 def _finish_depth(k, first, last, stride, leave_out, work):
-    """Add the mean mismatch of each pixel, but for up to `leave_out` lenses, to its cost; half of the largest if
-    unseen."""
-    among, present, cost, number, total = work.among, work.present, work.cost, work.count, work.sum
-    left, right, worst, second = work.left, work.right, work.worst, work.second
+    """Add the mean mismatch of each pixel, but for up to `leave_out` lenses, to its cost; half of
+    the largest if unseen.
+    """
+    among = work.among
+    present = work.present
+    cost = work.cost
+    number = work.count
+    total = work.sum
+    left = work.left
+    right = work.right
+    worst = work.worst
+    second = work.second
     for row in range(first, last):
         for p in range(row * stride + left[row], row * stride + right[row]):
             if among[p] > 1 and present[k, p] > 0:
-                count, mismatch = int(number[p]), np.float32(0.5)
+                count = int(number[p])
+                mismatch = np.float32(0.5)
                 if count > 0:
-                    left_out, mismatch = min(leave_out, count // 2), total[p]
+                    left_out = min(leave_out, count // 2)
+                    mismatch = total[p]
                     if left_out > 0:
                         mismatch -= worst[p]
                     if left_out > 1:
@@ -139,52 +201,89 @@ def _finish_depth(k, first, last, stride, leave_out, work):
 def compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, before, work):
     """Add the mismatch with other lenses to the costs of depth k, for the pixels that may show it.
 
-    In the first round lenses that differ most may be occluded; later those that it, `before`, finds occluded are.
+    In the first round lenses that differ most may be occluded; later those that it, `before`, finds
+    occluded are.
     """
     first, last, slope = _start_depth(k, size, stride, lenses.pitch, work)
     if last == 0:
         return
     # Arrays are taken out of tuples once: each access counts references.
-    rows, low, ring, centres = lenses.rows, lenses.low, lenses.ring, lenses.centres
-    light, x, apart, seen, slopes = work.light, work.x, work.apart, work.seen, work.slopes
-    allowed, total, count, worst, second, mismatch = (
-        work.allowed, work.sum, work.count, work.worst, work.second, work.mismatch
-    )  # fmt: skip
+    rows = lenses.rows
+    low = lenses.low
+    ring = lenses.ring
+    centres = lenses.centres
+    light = work.light
+    x = work.x
+    apart = work.apart
+    seen = work.seen
+    slopes = work.slopes
+    allowed = work.allowed
+    total = work.sum
+    count = work.count
+    worst = work.worst
+    second = work.second
+    mismatch = work.mismatch
     total[:], worst[:], second[:] = 0, 0, 0
     height, width = shape
-    pitch, radius, gap, own_x, own_y = lenses.pitch, lenses.radius, lenses.gap, centres[lens, 0], centres[lens, 1]
-    at_i, at_j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
+    pitch = lenses.pitch
+    radius = lenses.radius
+    gap = lenses.gap
+    own_x = centres[lens, 0]
+    own_y = centres[lens, 1]
+    at_i = lenses.indices[lens, 0] - low[0]
+    at_j = lenses.indices[lens, 1] - low[1]
     leave_out = 0 if before.size > 1 else LEFT_OUT
-    first, last = max(first, 1), min(last, size - 1)
-    upper, lower = first, last
+    first = max(first, 1)
+    last = min(last, size - 1)
+    upper = first
+    lower = last
     for r in range(1, len(ring)):
-        ci, cj = at_i + ring[r, 0], at_j + ring[r, 1]
+        ci = at_i + ring[r, 0]
+        cj = at_j + ring[r, 1]
         if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1] or rows[cj, ci] < 0:
             continue
         other = rows[cj, ci]
-        to_x, to_y = centres[other, 0] - own_x, centres[other, 1] - own_y
+        to_x = centres[other, 0] - own_x
+        to_y = centres[other, 1] - own_y
         if (to_x * to_x + to_y * to_y) * slope * slope > 4 * radius * radius:
             continue
         # Rows that both microimages show, and that want further lenses.
         middle = own_y - to_y * slope - top
-        begin, end = max(upper, int(middle - radius)), min(lower, int(middle + radius) + 2)
+        begin = max(upper, int(middle - radius))
+        end = min(lower, int(middle + radius) + 2)
         if begin >= end:
             continue
         # Patches reach a row further.
         for row in range(begin - 1, end + 1):
             # All pixels of a row are shifted alike.
-            at, shift_x, shift_y = row * stride, to_x * slopes[row], to_y * slopes[row]
-            at_x, at_y = left + to_x + shift_x, top + row + to_y + shift_y
-            i, j = int(np.floor(at_x)), int(np.floor(at_y))
+            at = row * stride
+            shift_x = to_x * slopes[row]
+            shift_y = to_y * slopes[row]
+            at_x = left + to_x + shift_x
+            at_y = top + row + to_y + shift_y
+            i = int(np.floor(at_x))
+            j = int(np.floor(at_y))
             there = j * width + i
             if j < 2 or j >= height - 3 or there < 0 or there + stride + width + 1 >= len(pixels):
                 for n in range(at, at + stride):
                     apart[n] = seen[n] = 0
                 continue
             _square_differences(
-                light, pixels, there, width, x, np.float32(top + row - own_y) + shift_y, np.float32(shift_x),
-                np.float32(at_x - i), np.float32(at_y - j), radius, np.uint64(at), stride, apart, seen,
-            )  # fmt: skip
+                light,
+                pixels,
+                there,
+                width,
+                x,
+                np.float32(top + row - own_y) + shift_y,
+                np.float32(shift_x),
+                np.float32(at_x - i),
+                np.float32(at_y - j),
+                radius,
+                np.uint64(at),
+                stride,
+                apart,
+                seen,
+            )
             if i < 2 or i + stride >= width - 3:
                 for n in range(stride):
                     if i + n < 2 or i + n >= width - 3:
@@ -193,8 +292,20 @@ def compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, befor
                 there = int(at_y + 0.5) * width + int(np.floor(at_x + 0.5))
                 nearest = np.float32(depth_order(slopes[row] * pitch, pitch) + gap)
                 _leave_out_occluded(before, there, nearest, pitch, np.uint64(at), stride, seen)
-        _add_lens(apart, seen, allowed, np.uint64(begin * stride), np.uint64((end - begin) * stride), stride,
-                  leave_out, total, count, worst, second, mismatch)  # fmt: skip
+        _add_lens(
+            apart,
+            seen,
+            allowed,
+            np.uint64(begin * stride),
+            np.uint64((end - begin) * stride),
+            stride,
+            leave_out,
+            total,
+            count,
+            worst,
+            second,
+            mismatch,
+        )
         while upper < lower and _is_complete(count, upper, stride):
             upper += 1
         while upper < lower and _is_complete(count, lower - 1, stride):

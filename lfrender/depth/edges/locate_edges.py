@@ -26,33 +26,46 @@ __all__ = ["FINER", "locate_edges", "places_of_lenses", "refine_grid"]
 FINER = 2
 
 
-def locate_edges(gray: GrayFlat, lattice: Lattice, depth: DepthMap, where: NDArray[np.bool_] | None = None) -> DepthMap:
-    """The depth map with the edges of its surface where the pixels have them, about the lenses `where` (n,), or all."""
-    surface, pitch = depth.surface, lattice.pitch
-    values, spacing = surface.patch_size, surface.spacing
+def locate_edges(
+    gray: GrayFlat, lattice: Lattice, depth: DepthMap, where: NDArray[np.bool_] | None = None
+) -> DepthMap:
+    """The depth map with the edges of its surface where the pixels have them, about the lenses
+    `where` (n,), or all.
+    """
+    surface = depth.surface
+    pitch = lattice.pitch
+    values = surface.patch_size
+    spacing = surface.spacing
     # A pixel may show a depth that the surface has within a pitch of the place it would be at.
-    gap, reach, apart = TOLERANCE * pitch, int(pitch / spacing), 0.1 * pitch
+    gap = TOLERANCE * pitch
+    reach = int(pitch / spacing)
+    apart = 0.1 * pitch
     several = spread(values, reach) > apart
-    # Depths that hardly another lens shows cannot be proven wrong: two lenses must show a place in the mean.
-    cell, shown = abs(np.linalg.det(lattice.basis)), np.pi * (lattice.radius * pitch) ** 2
+    # Depths that hardly another lens shows cannot be proven wrong: two lenses must show a place in
+    # the mean.
+    cell = abs(np.linalg.det(lattice.basis))
+    shown = np.pi * (lattice.radius * pitch) ** 2
     several &= 2 * cell * values * values < shown
     if where is not None:
         several &= places_of_lenses(where, lattice, surface)
     if not several.any():
         return depth
-    # Compression and uneven light add to the noise: up to four times that is no mismatch of two lenses.
+    # Compression and uneven light add to the noise: up to four times that is no mismatch of two
+    # lenses.
     noise2 = np.float32(16 * estimate_noise(sample_statistics(gray).roughness) ** 2)
     lenses = lens_array(lattice, gap, float(lattice.radius) - 1.0)
     grid = PointGrid(float(surface.first[0]), float(spacing))
     # The nine lenses nearest to a scene point lie within 1.3 pitches of it.
     wanted = _at_lenses(_spread_out(several, int(1.3 * pitch / spacing)), lenses.centres, surface)
     levels = mark_levels(values, pitch, reach)
-    first, moved = np.full(gray.image.shape, np.nan, np.float32), np.zeros(len(wanted), np.float32)
+    first = np.full(gray.image.shape, np.nan, np.float32)
+    moved = np.zeros(len(wanted), np.float32)
     nothing = np.zeros((1, 1), np.float32)
     shared = lenses, values, grid, levels
     measure_pixel_depths(gray.image, *shared, wanted, nothing, noise2, apart, first, moved)
     # Lenses some of whose pixels leave the surface are looked at again.
-    pixels, again = first.copy(), moved > 0.02
+    pixels = first.copy()
+    again = moved > 0.02
     # Elsewhere the pixels show the surface as it is.
     several &= places_of_lenses(moved > 0, lattice, surface)
     measure_pixel_depths(gray.image, *shared, again, first, noise2, apart, pixels, moved)
@@ -61,15 +74,21 @@ def locate_edges(gray: GrayFlat, lattice: Lattice, depth: DepthMap, where: NDArr
     np.copyto(fused, cv2.medianBlur(fused, 5), where=_repeat(several, FINER))
     corner = surface.first[0] - 0.5 * (1 - 1 / FINER) * spacing
     sure = np.minimum(depth.confidence, _share_of_pixels(pixels, lenses, depth.filled_patch_size))
-    return replace(depth, surface=Surface(fused, (corner, corner), spacing / FINER), confidence=sure)
+    return replace(
+        depth, surface=Surface(fused, (corner, corner), spacing / FINER), confidence=sure
+    )
 
 
-def _share_of_pixels(shown: NDArray[np.float32], lenses: LensArray, sizes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n,) share of the pixels of each lens, of patch sizes `shown` (H, W), that show the one it has; 1 where none is
-    known."""
+def _share_of_pixels(
+    shown: NDArray[np.float32], lenses: LensArray, sizes: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """(n,) share of the pixels of each lens, of patch sizes `shown` (H, W), that show the one it
+    has; 1 where none is known.
+    """
     along = np.linspace(-0.6, 0.6, 9) * lenses.radius
     x, y = (np.rint(lenses.centres[:, k, None] + along).astype(int) for k in (0, 1))
-    x, y = np.clip(x, 0, shown.shape[1] - 1), np.clip(y, 0, shown.shape[0] - 1)
+    x = np.clip(x, 0, shown.shape[1] - 1)
+    y = np.clip(y, 0, shown.shape[0] - 1)
     some = shown[y[:, :, None], x[:, None]].reshape(len(sizes), -1)
     known = np.isfinite(some).sum(1)
     same = (np.abs(some - sizes[:, None]) < lenses.gap).sum(1)
@@ -87,14 +106,20 @@ def _repeat(values: NDArray, times: int) -> NDArray:
 
 
 def refine_grid(values: NDArray[np.float32], finer: int, gap: float) -> NDArray[np.float32]:
-    """A grid that is `finer` by a whole factor; between values that differ by more than a `gap` the nearest one."""
+    """A grid that is `finer` by a whole factor; between values that differ by more than a `gap` the
+    nearest one.
+    """
     fine = np.asarray(cv2.resize(values, None, None, finer, finer, cv2.INTER_LINEAR), np.float32)
     np.copyto(fine, _repeat(values, finer), where=_repeat(spread(values, 1) > gap, finer))
     return fine
 
 
-def places_of_lenses(lenses: NDArray[np.bool_], lattice: Lattice, surface: Surface) -> NDArray[np.bool_]:
-    """(rows, columns) bool: grid values of a `surface` within 1.6 pitches, each way, of some of the `lenses` (n,)."""
+def places_of_lenses(
+    lenses: NDArray[np.bool_], lattice: Lattice, surface: Surface
+) -> NDArray[np.bool_]:
+    """(rows, columns) bool: grid values of a `surface` within 1.6 pitches, each way, of some of the
+    `lenses` (n,).
+    """
     rows, columns = surface.patch_size.shape
     marks = np.zeros((rows, columns), bool)
     u, v = np.rint((lattice.centres()[lenses] - surface.first) / surface.spacing).astype(int).T
@@ -103,10 +128,14 @@ def places_of_lenses(lenses: NDArray[np.bool_], lattice: Lattice, surface: Surfa
 
 
 def _spread_out(marks: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
-    return np.asarray(cv2.dilate(marks.view(np.uint8), np.ones((2 * side + 1, 2 * side + 1), np.uint8)) > 0)
+    return np.asarray(
+        cv2.dilate(marks.view(np.uint8), np.ones((2 * side + 1, 2 * side + 1), np.uint8)) > 0
+    )
 
 
-def _at_lenses(marks: NDArray[np.bool_], centres: NDArray[np.float64], surface: Surface) -> NDArray[np.bool_]:
+def _at_lenses(
+    marks: NDArray[np.bool_], centres: NDArray[np.float64], surface: Surface
+) -> NDArray[np.bool_]:
     """(n,) bool: the grid values nearest to lens `centres` (n, 2)."""
     u, v = np.rint((centres - surface.first) / surface.spacing).astype(int).T
     return marks[np.clip(v, 0, len(marks) - 1), np.clip(u, 0, marks.shape[1] - 1)]

@@ -7,7 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-__all__ = ["BINS", "DEPTHS", "LEFT_OUT", "NEARBY", "OWN", "Microimage", "box_stride", "make_microimage"]
+__all__ = [
+    "BINS",
+    "DEPTHS",
+    "LEFT_OUT",
+    "NEARBY",
+    "OWN",
+    "Microimage",
+    "box_stride",
+    "make_microimage",
+]
 
 #: Patch sizes of a lens, at most.
 DEPTHS = 16
@@ -16,11 +25,14 @@ LEFT_OUT = 2
 #: Bins of patch sizes that the surface has near a lens.
 BINS = 512
 #: A depth that the surface has near the place that a pixel shows at it; one that it has there.
-NEARBY, OWN = 1, 2
+NEARBY = 1
+OWN = 2
 
 
 class Microimage(NamedTuple):
-    """Work space for the pixels of one lens in a box; k counts its depths, p is `row * stride + column`."""
+    """Work space for the pixels of one lens in a box; k counts its depths, p is `row * stride +
+    column`.
+    """
 
     left: Any  # (size,) first column of each row of the microimage
     right: Any  # (size,) end of its columns
@@ -49,7 +61,9 @@ class Microimage(NamedTuple):
 
 @njit(inline="always")
 def box_stride(size):
-    """Pixels from row to row of a box that is `size` pixels wide: whole vectors, and one pixel more at least."""
+    """Pixels from row to row of a box that is `size` pixels wide: whole vectors, and one pixel more
+    at least.
+    """
     return (size + 8) // 8 * 8
 
 
@@ -59,11 +73,31 @@ def make_microimage(size):
     stride = box_stride(size)
     # Bilinear interpolation reads a row and a pixel further.
     n = (size + 2) * stride
-    line, box = np.zeros(stride, np.int64), np.zeros(n, np.float32)
+    line = np.zeros(stride, np.int64)
+    box = np.zeros(n, np.float32)
     boxes = np.zeros((DEPTHS, n), np.float32)
     return Microimage(
-        np.zeros(size, np.int64), np.zeros(size, np.int64), line, line.copy(), np.zeros(DEPTHS), np.zeros(size),
-        np.zeros((2, BINS)), np.zeros(stride, np.float32), box, np.zeros(n, np.uint8), box + np.float32(1),
-        box.copy(), box.copy(), box.copy(), box.copy(), box.copy(), box.copy(), box.copy(),
-        boxes, boxes.copy(), boxes.copy(), np.zeros((DEPTHS, n), np.uint8), np.zeros((2, DEPTHS), np.float32),
-    )  # fmt: skip
+        np.zeros(size, np.int64),
+        np.zeros(size, np.int64),
+        line,
+        line.copy(),
+        np.zeros(DEPTHS),
+        np.zeros(size),
+        np.zeros((2, BINS)),
+        np.zeros(stride, np.float32),
+        box,
+        np.zeros(n, np.uint8),
+        box + np.float32(1),
+        box.copy(),
+        box.copy(),
+        box.copy(),
+        box.copy(),
+        box.copy(),
+        box.copy(),
+        box.copy(),
+        boxes,
+        boxes.copy(),
+        boxes.copy(),
+        np.zeros((DEPTHS, n), np.uint8),
+        np.zeros((2, DEPTHS), np.float32),
+    )

@@ -1,9 +1,10 @@
 """The patch size that every pixel of a microimage shows, among those that the surface has nearby.
 
-Each pixel is compared with the pixels that other lenses would show it at (multi-view stereo with the microimage as the
-reference view), and semi-global matching (Hirschmueller 2008) inside the microimage regularises the choice. In the
-first round the better part of the views counts, since some are occluded; in the second round, those views that
-the first one finds occluded are left out (view selection, Schoenberger et al. 2016).
+Each pixel is compared with the pixels that other lenses would show it at (multi-view stereo with
+the microimage as the reference view), and semi-global matching (Hirschmueller 2008) inside the
+microimage regularises the choice. In the first round the better part of the views counts, since
+some are occluded; in the second round, those views that the first one finds occluded are left out
+(view selection, Schoenberger et al. 2016).
 """
 
 from __future__ import annotations
@@ -24,13 +25,26 @@ __all__ = ["measure_pixel_depths"]
 
 @njit(error_model="numpy")
 def _is_blank(light, size, stride, pitch, noise2):
-    """Whether no patch within 0.3 pitches of the middle of a microimage, which no other lens shows, has contrast."""
-    half, reach, fifth, seen2 = size // 2, int(0.3 * pitch), np.float32(0.2), np.float32(0.25) * noise2
+    """Whether no patch within 0.3 pitches of the middle of a microimage, which no other lens shows,
+    has contrast.
+    """
+    half = size // 2
+    reach = int(0.3 * pitch)
+    fifth = np.float32(0.2)
+    seen2 = np.float32(0.25) * noise2
     for row in range(half - reach, half + reach + 1):
         for p in range(row * stride + half - reach, row * stride + half + reach + 1):
-            a, b, d, e, f = light[p - stride], light[p - 1], light[p], light[p + 1], light[p + stride]
+            a = light[p - stride]
+            b = light[p - 1]
+            d = light[p]
+            e = light[p + 1]
+            f = light[p + stride]
             mean = fifth * (a + b + d + e + f)
-            a, b, d, e, f = a - mean, b - mean, d - mean, e - mean, f - mean
+            a = a - mean
+            b = b - mean
+            d = d - mean
+            e = e - mean
+            f = f - mean
             if fifth * (a * a + b * b + d * d + e * e + f * f) > seen2:
                 return False
     return True
@@ -39,9 +53,13 @@ def _is_blank(light, size, stride, pitch, noise2):
 @njit(error_model="numpy", forceinline=True)
 def _aggregate_line(number, gap, p, step, steps, work):
     """Add one path of semi-global matching to the total: `steps` pixels `step` apart, from p on."""
-    previous, current, value, cost, total, among, light = (
-        work.path[0], work.path[1], work.value, work.cost, work.total, work.among, work.light
-    )  # fmt: skip
+    previous = work.path[0]
+    current = work.path[1]
+    value = work.value
+    cost = work.cost
+    total = work.total
+    among = work.among
+    light = work.light
     lowest = np.float32(0.0)
     for n in range(steps):
         if among[p] == 1 or n == 0:
@@ -49,11 +67,13 @@ def _aggregate_line(number, gap, p, step, steps, work):
             for k in range(number):
                 current[k] = cost[k, p]
         else:
-            # A depth edge costs 0.3 between pixels of one brightness, and less where it changes: half at 0.06.
+            # A depth edge costs 0.3 between pixels of one brightness, and less where it changes:
+            # half at 0.06.
             edge = (light[p] - light[p - step]) / np.float32(0.06)
             jump = np.float32(0.3) / (1 + edge * edge)
             for k in range(number):
-                best, s = jump, value[k, p]
+                best = jump
+                s = value[k, p]
                 for q in range(max(0, k - 1), min(number, k + 2)):
                     # Depths ascend: others than those beside it are a jump away.
                     if abs(s - value[q, p - step]) < gap:
@@ -69,24 +89,37 @@ def _aggregate_line(number, gap, p, step, steps, work):
 
 @njit(error_model="numpy")
 def _aggregate(size, stride, number, gap, work):
-    """Semi-global matching along four directions inside a microimage, about the pixels that are not settled."""
-    among, upper, lower = work.among, work.upper, work.lower
+    """Semi-global matching along four directions inside a microimage, about the pixels that are not
+    settled.
+    """
+    among = work.among
+    upper = work.upper
+    lower = work.lower
     work.total[:number] = 0
     upper[:], lower[:] = size, 0
     for line in range(2 * size):
-        begin, end, first, step = size, 0, 0, 1
+        begin = size
+        end = 0
+        first = 0
+        step = 1
         if line < size:
-            row, first = line, line * stride
+            row = line
+            first = line * stride
             for column in range(work.left[row], work.right[row]):
                 if among[row * stride + column] != 1:
-                    begin, end = min(begin, column), column + 1
+                    begin = min(begin, column)
+                    end = column + 1
                     upper[column], lower[column] = min(upper[column], row), row + 1
             if end:
                 # With the settled pixel at either end.
-                begin, end = max(begin - 1, work.left[row]), min(end + 1, work.right[row])
+                begin = max(begin - 1, work.left[row])
+                end = min(end + 1, work.right[row])
         else:
-            column, step = line - size, stride
-            first, begin, end = column, upper[column], lower[column]
+            column = line - size
+            step = stride
+            first = column
+            begin = upper[column]
+            end = lower[column]
             if end:
                 if begin > 0 and work.left[begin - 1] <= column < work.right[begin - 1]:
                     begin -= 1
@@ -99,11 +132,18 @@ def _aggregate(size, stride, number, gap, work):
 
 
 @njit(error_model="numpy")
-def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, noise2, apart, size, work, out):
-    """Fill `out` with the patch sizes of the pixels of one lens; returns the share of them that leave the surface."""
-    x, y = lenses.centres[lens, 0], lenses.centres[lens, 1]
-    half, stride = size // 2, box_stride(size)
-    left, top = int(x + 0.5) - half, int(y + 0.5) - half
+def _measure_lens(
+    lens, pixels, shape, lenses, surface, grid, levels, before, noise2, apart, size, work, out
+):
+    """Fill `out` with the patch sizes of the pixels of one lens; returns the share of them that
+    leave the surface.
+    """
+    x = lenses.centres[lens, 0]
+    y = lenses.centres[lens, 1]
+    half = size // 2
+    stride = box_stride(size)
+    left = int(x + 0.5) - half
+    top = int(y + 0.5) - half
     copy_box(pixels, shape[1], left, top, size, stride, work.light)
     for column in range(stride):
         work.x[column] = left + column - x
@@ -112,21 +152,41 @@ def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, no
         number = list_depths(surface, grid, x, y, lenses, work)
     if number == 0:
         return 0.0
-    choice = list_candidates(x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, apart, shape,
-                             work)  # fmt: skip
+    choice = list_candidates(
+        x,
+        y,
+        left,
+        top,
+        size,
+        stride,
+        number,
+        surface,
+        grid,
+        levels,
+        lenses,
+        before,
+        apart,
+        shape,
+        work,
+    )
     if choice:
         allow_mismatch(work.light, stride, size * stride, noise2, work.allowed)
         known = before.reshape(-1)
         for k in range(number):
             compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, known, work)
         _aggregate(size, stride, number, lenses.gap, work)
-    among, present, total, value, begins, ends = (
-        work.among, work.present, work.total, work.value, work.left, work.right
-    )  # fmt: skip
-    every, moved = 0, 0
+    among = work.among
+    present = work.present
+    total = work.total
+    value = work.value
+    begins = work.left
+    ends = work.right
+    every = 0
+    moved = 0
     for row in range(size):
         for column in range(begins[row], ends[row]):
-            p, best = row * stride + column, 0
+            p = row * stride + column
+            best = 0
             if among[p] > 1:
                 for k in range(1, number):
                     best = k if total[k, p] < total[best, p] else best
@@ -135,24 +195,52 @@ def _measure_lens(lens, pixels, shape, lenses, surface, grid, levels, before, no
                 for k in range(1, number):
                     best = k if present[k, p] > 0 else best
             out[top + row, left + column] = value[best, p]
-            every, moved = every + 1, moved + (present[best, p] != OWN)
+            every = every + 1
+            moved = moved + (present[best, p] != OWN)
     return moved / max(every, 1)
 
 
 @kernel(error_model="numpy", share=lambda image, lenses, *_: len(lenses.centres))
-def measure_pixel_depths(begin, end, image, lenses: LensArray, surface, grid: PointGrid, levels, wanted, before,
-                         noise2, apart, out, moved):  # fmt: skip
-    """Fill `out` (H, W) with the patch size [px] that each pixel of the microimages shows, and `moved` (n,) with the
-    share of the pixels of each lens that leave the surface.
+def measure_pixel_depths(
+    begin,
+    end,
+    image,
+    lenses: LensArray,
+    surface,
+    grid: PointGrid,
+    levels,
+    wanted,
+    before,
+    noise2,
+    apart,
+    out,
+    moved,
+):
+    """Fill `out` (H, W) with the patch size [px] that each pixel of the microimages shows, and
+    `moved` (n,) with the share of the pixels of each lens that leave the surface.
 
-    Of lenses that are not `wanted` (n,), and where the middle of a microimage is blank, `out` is left alone. `before`
-    (H, W) is the result of the first round, (1, 1) in that; `levels` are those of `mark_levels`; a squared difference
-    of `noise2` is no mismatch. Edges between patch sizes that are not `apart` [px] are left alone.
+    Of lenses that are not `wanted` (n,), and where the middle of a microimage is blank, `out` is
+    left alone. `before` (H, W) is the result of the first round, (1, 1) in that; `levels` are those
+    of `mark_levels`; a squared difference of `noise2` is no mismatch. Edges between patch sizes
+    that are not `apart` [px] are left alone.
     """
     size = 2 * (int(lenses.radius) + 2) + 1
     work = make_microimage(size)
     pixels = image.reshape(-1)
     for lens in range(begin, end):
         if wanted[lens]:
-            moved[lens] = _measure_lens(lens, pixels, image.shape, lenses, surface, grid, levels, before, noise2,
-                                        apart, size, work, out)  # fmt: skip
+            moved[lens] = _measure_lens(
+                lens,
+                pixels,
+                image.shape,
+                lenses,
+                surface,
+                grid,
+                levels,
+                before,
+                noise2,
+                apart,
+                size,
+                work,
+                out,
+            )

@@ -1,8 +1,9 @@
 """Ambiguity of a match: other shifts at which a lens correlates as well as at the chosen one.
 
-Semi-global matching prefers shifts with a large overlap, since a match of few pixels is more often chance. In a
-periodic texture that preference would hide that several shifts fit equally well. Here shifts are therefore compared by
-correlation alone, averaged over the neighbours on the same surface.
+Semi-global matching prefers shifts with a large overlap, since a match of few pixels is more often
+chance. In a periodic texture that preference would hide that several shifts fit equally well. Here
+shifts are therefore compared by correlation alone, averaged over the neighbours on the same
+surface.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ def _measure_ambiguity(begin, end, cost, weight, rows, best, wanted, tolerance, 
         for k in range(max(0, own - 1), min(shifts, own + 2)):
             top = max(top, mean[k])
         mass = np.float32(0.0)
-        # A difference of correlation that makes one shift e times as likely as another: poor matches differ less
-        # clearly.
+        # A difference of correlation that makes one shift e times as likely as another: poor
+        # matches differ less clearly.
         temperature = max(np.float32(0.05), np.float32(0.5) * (1 - top))
         for side in (-1, 1):
             low = top
@@ -53,7 +54,8 @@ def _measure_ambiguity(begin, end, cost, weight, rows, best, wanted, tolerance, 
             while 0 <= k < shifts and count[k] > 0:
                 low = min(low, mean[k])
                 last = k + side < 0 or k + side >= shifts or count[k + side] == 0
-                # A correlation that still rises at the last shift with enough overlap counts as a peak.
+                # A correlation that still rises at the last shift with enough overlap counts as a
+                # peak.
                 peak = mean[k] > mean[k - side] and (last or mean[k] >= mean[k + side])
                 if abs(k - own) > tolerance:
                     # Between two separate peaks it falls.
@@ -67,14 +69,19 @@ def _measure_ambiguity(begin, end, cost, weight, rows, best, wanted, tolerance, 
 
 
 def measure_ambiguity(
-    cost: NDArray[np.float32], weight: NDArray[np.float32], rows: NDArray[np.int32], best: NDArray[np.int64],
-    wanted: NDArray[np.bool_], tolerance: int,
-) -> NDArray[np.float32]:  # fmt: skip
-    """Uniqueness (n,): the probability of the shift `best` (n,) among all peaks of the correlation, 1 for lenses not
-    matched.
+    cost: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    best: NDArray[np.int64],
+    wanted: NDArray[np.bool_],
+    tolerance: int,
+) -> NDArray[np.float32]:
+    """Uniqueness (n,): the probability of the shift `best` (n,) among all peaks of the correlation,
+    1 for lenses not matched.
 
-    `cost` (n, k) is that before aggregation, `weight` (k,) that of the overlap, `rows` (n, m) the neighbours, and
-    `tolerance` the number of steps that belong to one peak; lenses that are not `wanted` (n,) were not matched.
+    `cost` (n, k) is that before aggregation, `weight` (k,) that of the overlap, `rows` (n, m) the
+    neighbours, and `tolerance` the number of steps that belong to one peak; lenses that are not
+    `wanted` (n,) were not matched.
     """
     uniqueness = np.empty(len(best), np.float32)
     _measure_ambiguity(cost, weight, rows, best, wanted, tolerance, uniqueness)

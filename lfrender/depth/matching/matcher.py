@@ -1,6 +1,8 @@
-"""Search of the signed shift of every lens: matching costs on a reduced flat, and semi-global matching.
+"""Search of the signed shift of every lens: matching costs on a reduced flat, and semi-global
+matching.
 
-Either all shifts are tried, or only those near depths that occur: in a sparse sample of lenses, or as found elsewhere.
+Either all shifts are tried, or only those near depths that occur: in a sparse sample of lenses, or
+as found elsewhere.
 """
 
 from __future__ import annotations
@@ -44,10 +46,16 @@ class MatchResult:
 
 
 class Matcher:
-    """A flat reduced as the preset asks, and the shifts to try on it, for some of the `lenses` (n,)."""
+    """A flat reduced as the preset asks, and the shifts to try on it, for some of the `lenses`
+    (n,).
+    """
 
     def __init__(
-        self, texture: Texture, neighbours: Neighbours, preset: Preset, lenses: NDArray[np.bool_] | None = None
+        self,
+        texture: Texture,
+        neighbours: Neighbours,
+        preset: Preset,
+        lenses: NDArray[np.bool_] | None = None,
     ) -> None:
         self.neighbours = neighbours
         self.factor = max(1, round(texture.flat.pitch / preset.search_pitch))
@@ -59,18 +67,22 @@ class Matcher:
         # Small microimages are matched in every row.
         self._row_step = 1 if self.gray.radius < 7 else preset.row_step
         self.step = preset.step if self.factor > 1 else max(preset.step, preset.full_step)
-        # A little beyond the largest patch size that can be resolved, so that its minimum has two flanks.
+        # A little beyond the largest patch size that can be resolved, so that its minimum has two
+        # flanks.
         side = int(np.ceil(0.82 * self.gray.pitch / self.step))
         self.shifts = (np.arange(-side, side + 1) * self.step).astype(np.float32)
         self._noise = texture.noise / self.factor
         #: Steps that belong to one minimum.
         self.tolerance = max(1, round(1.5 / self.step))
-        #: Price of semi-global matching for a step between neighbours; at twice the price depth edges suffer.
+        #: Price of semi-global matching for a step between neighbours; at twice the price depth
+        #: edges suffer.
         self.slope_price = 0.07 * self.step
 
     @cached_property
     def overlap_weight(self) -> NDArray[np.float32]:
-        """(k,) float32: weight of a correlation at each shift for the overlap there, mean over the directions."""
+        """(k,) float32: weight of a correlation at each shift for the overlap there, mean over the
+        directions.
+        """
         area = overlap_area(self.gray, self.neighbours.steps, self.shifts)
         return np.asarray((area / (area + half_weight_area(self.gray))).mean(0), np.float32)
 
@@ -81,74 +93,118 @@ class Matcher:
 
     @cached_property
     def _masks(self) -> OverlapMasks:
-        strips = extract_strips(self.gray, self.statistics.mean, self._row_step, np.zeros(len(self.gray.centres), bool))
+        strips = extract_strips(
+            self.gray, self.statistics.mean, self._row_step, np.zeros(len(self.gray.centres), bool)
+        )
         return overlap_masks(strips, self.gray, self.neighbours.steps, self.shifts)
 
     def pair_costs(
-        self, active: NDArray[np.bool_], which: NDArray[np.int64] | None = None, done: NDArray[np.bool_] | None = None,
+        self,
+        active: NDArray[np.bool_],
+        which: NDArray[np.int64] | None = None,
+        done: NDArray[np.bool_] | None = None,
         out: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:  # fmt: skip
+    ) -> NDArray[np.float32]:
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `compute_pair_costs`."""
         return compute_pair_costs(
-            self.gray, self.neighbours.forward, self.statistics, active, self.shifts, self._noise,
-            self._strips(active), self._masks, which=which, done=done, out=out,
-        )  # fmt: skip
+            self.gray,
+            self.neighbours.forward,
+            self.statistics,
+            active,
+            self.shifts,
+            self._noise,
+            self._strips(active),
+            self._masks,
+            which=which,
+            done=done,
+            out=out,
+        )
 
-    def lens_costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+    def lens_costs(
+        self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float32]:
         """(m, k) float32: mean over the pairs of each lens, or of each of the `wanted` (n,)."""
         return average_pair_costs(pair, self.neighbours, wanted)
 
     def match_locally(
         self, active: NDArray[np.bool_], expected: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Match the `active` lenses at `expected` patch sizes (n,) [px of the flat], and half a pixel to both sides.
+        """Match the `active` lenses at `expected` patch sizes (n,) [px of the flat], and half a
+        pixel to both sides.
 
-        Returns the cost (n,) there, the offset (n,) [px of the search] from there to the minimum of a parabola, 0.75 at
-        most, and its standard error (n,), infinite where it has none.
+        Returns the cost (n,) there, the offset (n,) [px of the search] from there to the minimum of
+        a parabola, 0.75 at most, and its standard error (n,), infinite where it has none.
         """
-        at, strips = (expected / np.float32(self.factor)).astype(np.float32), self._strips(active)
+        at = (expected / np.float32(self.factor)).astype(np.float32)
+        strips = self._strips(active)
         tried = np.arange(at.min() - 1, at.max() + 2, dtype=np.float32)
         masks = overlap_masks(strips, self.gray, self.neighbours.steps[:2], tried)
         shifts = np.array([-0.5, 0, 0.5], np.float32)
         pairs = compute_pair_costs(
-            self.gray, self.neighbours.two_directions, self.statistics, active, shifts, self._noise, strips, masks,
+            self.gray,
+            self.neighbours.two_directions,
+            self.statistics,
+            active,
+            shifts,
+            self._noise,
+            strips,
+            masks,
             expected=at,
-        )  # fmt: skip
+        )
         left, cost, right = average_pair_costs(pairs, self.neighbours).T
         bend = np.maximum(left - (cost + cost) + right, np.float32(1e-12))
-        # The cost bends by the mean square of the slopes over the variance of a lens, times the weight of the overlap;
-        # a pair errs by the noise of both its microimages over the root of the sum of these squares.
-        area = overlap_area(self.gray, self.neighbours.steps[:2], at).mean(0) + half_weight_area(self.gray)
+        # The cost bends by the mean square of the slopes over the variance of a lens, times the
+        # weight of the overlap; a pair errs by the noise of both its microimages over the root of
+        # the sum of these squares.
+        area = overlap_area(self.gray, self.neighbours.steps[:2], at).mean(0) + half_weight_area(
+            self.gray
+        )
         energy = area / self._row_step * self.statistics.contrast**2 * bend / 0.5**2
         error = (np.sqrt(2) * self._noise / np.sqrt(np.maximum(energy, 1e-12))).astype(np.float32)
         return np.ascontiguousarray(cost), np.clip((left - right) / (4 * bend), -0.75, 0.75), error
 
     def shifts_near(self, best: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """(k,) bool: shifts near some (m,); beyond sampled depths there are others between two samples."""
+        """(k,) bool: shifts near some (m,); beyond sampled depths there are others between two
+        samples.
+        """
         margin = max(self.tolerance, int(np.ceil(2 * TOLERANCE * self.gray.pitch / self.step)))
         found = np.bincount(best, minlength=len(self.shifts)) > 0
         return np.convolve(found, np.ones(2 * margin + 1, int), "same") > 0
 
     def is_periodic(self, cost: NDArray[np.float32]) -> bool:
-        """Whether more than a fifth of the lenses, of these costs (m, k), match as well at another shift."""
-        best, alone = cost.argmin(1), np.empty((len(cost), 0), np.int32)
-        unique = measure_ambiguity(cost, self.overlap_weight, alone, best, np.ones(len(cost), bool), self.tolerance)
+        """Whether more than a fifth of the lenses, of these costs (m, k), match as well at another
+        shift.
+        """
+        best = cost.argmin(1)
+        alone = np.empty((len(cost), 0), np.int32)
+        unique = measure_ambiguity(
+            cost, self.overlap_weight, alone, best, np.ones(len(cost), bool), self.tolerance
+        )
         return bool(len(cost) and (unique < 0.5).mean() > 0.2)
 
 
 def fit_parabola(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray[np.float32]:
-    """(n,) float32: offset of the minimum from `best`, in steps, of the parabola through three costs."""
-    lens, last = np.arange(len(best)), total.shape[1] - 1
+    """(n,) float32: offset of the minimum from `best`, in steps, of the parabola through three
+    costs.
+    """
+    lens = np.arange(len(best))
+    last = total.shape[1] - 1
     left, middle, right = (total[lens, np.clip(best + k, 0, last)] for k in (-1, 0, 1))
     bend = left - (middle + middle) + right
     fitted = (best > 0) & (best < last) & (bend > 1e-9)
-    return np.where(fitted, np.clip((left - right) / (2 * np.where(fitted, bend, 1)), -0.5, 0.5), 0).astype(np.float32)
+    return np.where(
+        fitted, np.clip((left - right) / (2 * np.where(fitted, bend, 1)), -0.5, 0.5), 0
+    ).astype(np.float32)
 
 
-def _confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, tolerance: int) -> NDArray[np.float32]:
-    """(n,) posterior probability that the true shift lies within `tolerance` steps of the `best` (n,).
+def _confidence(
+    total: NDArray[np.float32], best: NDArray[np.int64], paths: int, tolerance: int
+) -> NDArray[np.float32]:
+    """(n,) posterior probability that the true shift lies within `tolerance` steps of the `best`
+    (n,).
 
-    A difference of 0.05 per path in the cost `total` (n, k) makes one shift e times as likely as another.
+    A difference of 0.05 per path in the cost `total` (n, k) makes one shift e times as likely as
+    another.
     """
     mass = np.exp((total.min(1, keepdims=True) - total) / np.float32(0.05 * paths))
     inside = np.abs(np.arange(total.shape[1]) - best[:, None]) <= tolerance
@@ -158,8 +214,8 @@ def _confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int,
 def _find_second_minimum(
     cost: NDArray[np.float32], best: NDArray[np.int64], distance: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The lowest other local minimum of the `cost` (n, k) of each lens, `distance` steps away, and the cost there, or
-    inf.
+    """The lowest other local minimum of the `cost` (n, k) of each lens, `distance` steps away, and
+    the cost there, or inf.
 
     A lens across a depth edge matches at both depths; aggregation would hide the second.
     """
@@ -173,16 +229,23 @@ def _find_second_minimum(
 
 
 def match_lenses(
-    matcher: Matcher, active: NDArray[np.bool_], clear: NDArray[np.bool_], sample: NDArray[np.bool_] | None,
-    known: NDArray[np.float32] | None = None, sizes: NDArray[np.float32] | None = None,
-) -> MatchResult:  # fmt: skip
+    matcher: Matcher,
+    active: NDArray[np.bool_],
+    clear: NDArray[np.bool_],
+    sample: NDArray[np.bool_] | None,
+    known: NDArray[np.float32] | None = None,
+    sizes: NDArray[np.float32] | None = None,
+) -> MatchResult:
     """Find the signed shift of every `active` lens (n,), by semi-global matching on the lattice.
 
-    A `sample` (n,) is matched at all shifts first, the others then only near the depths of these, or `sizes` (m,) [px]
-    found elsewhere, unless `clear` ones do not match there; without either all shifts are tried. `known` (n,) [px]
-    patch sizes only take part in the aggregation; NaN elsewhere.
+    A `sample` (n,) is matched at all shifts first, the others then only near the depths of these,
+    or `sizes` (m,) [px] found elsewhere, unless `clear` ones do not match there; without either all
+    shifts are tried. `known` (n,) [px] patch sizes only take part in the aggregation; NaN
+    elsewhere.
     """
-    step, factor, neighbours = matcher.step, matcher.factor, matcher.neighbours
+    step = matcher.step
+    factor = matcher.factor
+    neighbours = matcher.neighbours
     pair, skipped = _match_pairs(matcher, active, clear, sample, sizes)
     cost = matcher.lens_costs(pair)
     wanted = None
@@ -198,9 +261,13 @@ def match_lenses(
     other, other_cost = _find_second_minimum(cost, best, max(2, round(2 / step)))
     second = (matcher.shifts[other] + fit_parabola(cost, other) * step) * factor
     weight = np.maximum(matcher.overlap_weight, LEAST_WEIGHT)
-    unique = measure_ambiguity(cost, matcher.overlap_weight, neighbours.all, best, active, matcher.tolerance)
+    unique = measure_ambiguity(
+        cost, matcher.overlap_weight, neighbours.all, best, active, matcher.tolerance
+    )
     return MatchResult(
-        patch_size=((matcher.shifts[best] + fit_parabola(total, best) * step) * factor).astype(np.float32),
+        patch_size=((matcher.shifts[best] + fit_parabola(total, best) * step) * factor).astype(
+            np.float32
+        ),
         confidence=_confidence(total, best, neighbours.all.shape[1], matcher.tolerance),
         correlation=1 - own,
         normalised_correlation=((1 - own) / weight[best]).astype(np.float32),
@@ -211,17 +278,24 @@ def match_lenses(
 
 
 def _match_pairs(
-    matcher: Matcher, active: NDArray[np.bool_], clear: NDArray[np.bool_], sample: NDArray[np.bool_] | None,
+    matcher: Matcher,
+    active: NDArray[np.bool_],
+    clear: NDArray[np.bool_],
+    sample: NDArray[np.bool_] | None,
     sizes: NDArray[np.float32] | None,
-) -> tuple[NDArray[np.float32], float]:  # fmt: skip
-    """Pair costs of all active lenses at the shifts that may matter, and the share of them that was not tried."""
+) -> tuple[NDArray[np.float32], float]:
+    """Pair costs of all active lenses at the shifts that may matter, and the share of them that was
+    not tried.
+    """
     if sizes is not None:
         sample = np.zeros_like(active)
     if sample is None:
         return matcher.pair_costs(active), 0.0
     pair = matcher.pair_costs(sample)
     if sizes is not None:
-        best = np.rint(sizes / (matcher.factor * matcher.step)).astype(int) + len(matcher.shifts) // 2
+        best = (
+            np.rint(sizes / (matcher.factor * matcher.step)).astype(int) + len(matcher.shifts) // 2
+        )
         tried = matcher.shifts_near(np.clip(best, 0, len(matcher.shifts) - 1))
     else:
         cost = matcher.lens_costs(pair, sample)
@@ -232,7 +306,8 @@ def _match_pairs(
         return matcher.pair_costs(active, done=sample, out=pair), 0.0
     matcher.pair_costs(active, which=np.flatnonzero(tried), done=sample, out=pair)
     cost = np.where(tried, matcher.lens_costs(pair), np.float32(np.inf))
-    best, lowest = cost.argmin(1), cost.min(1)
+    best = cost.argmin(1)
+    lowest = cost.min(1)
     # A minimum at the end of a range may continue beyond it.
     end = tried & ~(np.roll(tried, 1) & np.roll(tried, -1))
     end[[0, -1]] = False
@@ -242,8 +317,12 @@ def _match_pairs(
     return pair, float(skipped / max(1, active.sum() * len(tried)))
 
 
-def sample_lenses(indices: NDArray[np.int64], candidates: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
-    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where they are few."""
+def sample_lenses(
+    indices: NDArray[np.int64], candidates: NDArray[np.bool_], count: int
+) -> NDArray[np.bool_]:
+    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where
+    they are few.
+    """
     spacing = candidates.sum() / count
     if spacing < 2:
         return candidates

@@ -18,9 +18,12 @@ _LANES = 16
 
 @kernel(error_model="numpy", fastmath=FAST, share=lambda *given: len(given[3]))
 def _lens_costs(begin, end, pair, forward, backward, lenses, out):
-    """Mean pair cost of each of the `lenses` over all neighbours that it has, in the directions of `pair`."""
+    """Mean pair cost of each of the `lenses` over all neighbours that it has, in the directions of
+    `pair`.
+    """
     for n in range(begin, end):
-        lens, count = lenses[n], 0
+        lens = lenses[n]
+        count = 0
         for k in range(out.shape[1]):
             out[n, k] = 0.0
         for d in range(pair.shape[1]):
@@ -40,8 +43,10 @@ def _lens_costs(begin, end, pair, forward, backward, lenses, out):
 def average_pair_costs(
     pair: NDArray[np.float32], neighbours: Neighbours, wanted: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float32]:
-    """(m, k) float32 mean cost with all neighbours, of each of the `wanted` (n,) lenses, all by default, from the costs
-    `pair` (n, d, k) with the neighbours forward, in all directions or the first ones."""
+    """(m, k) float32 mean cost with all neighbours, of each of the `wanted` (n,) lenses, all by
+    default, from the costs `pair` (n, d, k) with the neighbours forward, in all directions or the
+    first ones.
+    """
     lenses = np.arange(len(pair)) if wanted is None else np.flatnonzero(wanted)
     out = np.empty((len(lenses), pair.shape[2]), np.float32)
     _lens_costs(pair, neighbours.forward, neighbours.backward, lenses, out)
@@ -50,16 +55,20 @@ def average_pair_costs(
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _walk(cost, chain, slope, jump, total):
-    """One path along the lenses of `chain`, added to `total`; the lower envelope of all messages by steps of 1, 2, 4
+    """One path along the lenses of `chain`, added to `total`; the lower envelope of all messages by
+    steps of 1, 2, 4
     ..."""
-    labels, first = cost.shape[1], np.uint64(_LANES)
+    labels = cost.shape[1]
+    first = np.uint64(_LANES)
     message = np.full(labels + 2 * _LANES, np.inf, np.float32)
     other = message.copy()
     for k in range(np.uint64(labels)):
         message[first + k] = 0.0
     reach = min(labels - 1, int(jump / slope) + 1)
     for step in range(len(chain)):
-        own, summed, low = cost[chain[step]], total[chain[step]], np.float32(np.inf)
+        own = cost[chain[step]]
+        summed = total[chain[step]]
+        low = np.float32(np.inf)
         for k in range(np.uint64(labels)):
             message[first + k] += own[k]
             summed[k] += message[first + k]
@@ -67,13 +76,19 @@ def _walk(cost, chain, slope, jump, total):
             low = min(low, message[first + k])
         for k in range(np.uint64(labels)):
             message[first + k] = min(message[first + k] - low, jump)
-        covered, shift = 0, 1
+        covered = 0
+        shift = 1
         while covered < reach:
-            left, right, price = np.uint64(_LANES - shift), np.uint64(_LANES + shift), np.float32(shift) * slope
+            left = np.uint64(_LANES - shift)
+            right = np.uint64(_LANES + shift)
+            price = np.float32(shift) * slope
             for k in range(np.uint64(labels)):
-                other[first + k] = min(message[first + k], min(message[left + k], message[right + k]) + price)
+                other[first + k] = min(
+                    message[first + k], min(message[left + k], message[right + k]) + price
+                )
             message, other = other, message
-            covered, shift = covered + shift, min(2 * shift, _LANES)
+            covered = covered + shift
+            shift = min(2 * shift, _LANES)
 
 
 @kernel(error_model="numpy", share=lambda cost, chains, starts, *_: len(starts) - 1)
@@ -87,12 +102,17 @@ def _walk_all(begin, end, cost, chains, starts, slope, jump, wanted, total):
 
 
 def aggregate_costs(
-    cost: NDArray[np.float32], neighbours: Neighbours, slope: float, jump: float,
+    cost: NDArray[np.float32],
+    neighbours: Neighbours,
+    slope: float,
+    jump: float,
     wanted: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float32]:  # fmt: skip
-    """(n, k) sum of the path costs from all lattice directions, for a `cost` (n, k) at evenly spaced shifts.
+) -> NDArray[np.float32]:
+    """(n, k) sum of the path costs from all lattice directions, for a `cost` (n, k) at evenly
+    spaced shifts.
 
-    A step of one shift costs `slope`, a depth edge at most `jump`; lenses that are not `wanted` (n,) may lack paths.
+    A step of one shift costs `slope`, a depth edge at most `jump`; lenses that are not `wanted`
+    (n,) may lack paths.
     """
     wanted = np.ones(len(cost), bool) if wanted is None else wanted
     total = np.zeros_like(cost)

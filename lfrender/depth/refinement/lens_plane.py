@@ -1,6 +1,8 @@
-"""Patch size and slant of each lens: a robust plane through what the pairs with its neighbours measure.
+"""Patch size and slant of each lens: a robust plane through what the pairs with its neighbours
+measure.
 
-The patch size over a plane of the scene is linear in microimage coordinates, like any inverse depth.
+The patch size over a plane of the scene is linear in microimage coordinates, like any inverse
+depth.
 """
 
 from __future__ import annotations
@@ -26,10 +28,16 @@ __all__ = ["LensFits", "fit_lens_planes"]
 class LensFits:
     """Patch size and slant of each lens."""
 
-    patch_size: NDArray[np.float32]  # (n,) [px] at the centre of the lens; NaN where nothing was measured
+    patch_size: NDArray[
+        np.float32
+    ]  # (n,) [px] at the centre of the lens; NaN where nothing was measured
     standard_error: NDArray[np.float32]  # (n,) [px] of it; inf where unknown
-    slant: NDArray[np.float32]  # (n, 2) change of it per px in the microimage, order `x, y`: constant over a plane
-    slant_error: NDArray[np.float32]  # (n,) standard error of either component of `slant`; inf where unknown
+    slant: NDArray[
+        np.float32
+    ]  # (n, 2) change of it per px in the microimage, order `x, y`: constant over a plane
+    slant_error: NDArray[
+        np.float32
+    ]  # (n,) standard error of either component of `slant`; inf where unknown
 
     def better_of(self, other: LensFits) -> LensFits:
         """For each lens the fit with the smaller error, the first of equals."""
@@ -41,14 +49,16 @@ class LensFits:
         return LensFits(size, error, slant, slant_error)
 
 
-# Results of `_fit_planes`: heights (n,), slants (n, 2), and in `spreads` (n, 4) the variances of both, chi square and
-# its degrees of freedom.
+# Results of `_fit_planes`: heights (n,), slants (n, 2), and in `spreads` (n, 4) the variances of
+# both, chi square and its degrees of freedom.
 _Planes = namedtuple("_Planes", "sizes slants spreads")
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
-    """Fill `s, v, x, y` with the patch sizes, variances and places of the pairs of a lens; returns their number."""
+    """Fill `s, v, x, y` with the patch sizes, variances and places of the pairs of a lens; returns
+    their number.
+    """
     half = neighbours.shape[1] // 2
     count = 0
     for k in range(2 * half):
@@ -60,7 +70,8 @@ def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
         size = pairs.patch_size[row, d, side]
         if np.isnan(size):
             continue
-        # From the middle between both microimages to this one: half a patch, away from the neighbour.
+        # From the middle between both microimages to this one: half a patch, away from the
+        # neighbour.
         step = np.float32(0.5) * size / pitch
         s[count] = size
         v[count] = pairs.variance[row, d, side]
@@ -72,14 +83,16 @@ def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _fit_plane(count, s, v, x, y, z, gx, gy, known, rounds):
-    """Plane through the pairs by IRLS with the weights of Geman and McClure, with a prior slant (gx, gy).
+    """Plane through the pairs by IRLS with the weights of Geman and McClure, with a prior slant
+    (gx, gy).
 
-    `known` is the inverse variance of that slant, which the last two `rounds` know. Returns the plane, the variances of
-    its height and its slant, chi square, and the sum of the weights.
+    `known` is the inverse variance of that slant, which the last two `rounds` know. Returns the
+    plane, the variances of its height and its slant, chi square, and the sum of the weights.
     """
     # Three standard deviations; what is twice as far off is another surface.
     outlier2 = np.float32(9.0)
-    px, py = gx, gy
+    px = gx
+    py = gy
     zero = np.float32(0.0)
     height = slope = chi2 = weights = zero
     for turn in range(rounds):
@@ -106,24 +119,42 @@ def _fit_plane(count, s, v, x, y, z, gx, gy, known, rounds):
             r += w * size * y[k]
         d += known
         f += known
-        i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
-        i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
+        i00 = d * f - e * e
+        i01 = c * e - b * f
+        i02 = b * e - c * d
+        i11 = a * f - c * c
+        i12 = b * c - a * e
+        i22 = a * d - b * b
         inverse = np.float32(1.0) / (a * i00 + b * i01 + c * i02)
         z = (i00 * p + i01 * q + i02 * r) * inverse
         gx = px + (i01 * p + i11 * q + i12 * r) * inverse
         gy = py + (i02 * p + i12 * q + i22 * r) * inverse
-        height, slope = i00 * inverse, np.float32(0.5) * (i11 + i22) * inverse
+        height = i00 * inverse
+        slope = np.float32(0.5) * (i11 + i22) * inverse
     return z, gx, gy, height, slope, chi2, weights
 
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda centres, *_: len(centres))
-def _fit_planes(begin, end, centres, pitch, neighbours, pairs: PairFits, start, prior, rounds, out: _Planes):
-    """Fit a plane to the pairs of each lens, from `start` (n,) and with the `prior` (n, 3): slant, inverse variance."""
-    most, sizes, slants, spreads = neighbours.shape[1], out.sizes, out.slants, out.spreads
-    s, v = np.empty(most, np.float32), np.empty(most, np.float32)
-    x, y = np.empty(most, np.float32), np.empty(most, np.float32)
+def _fit_planes(
+    begin, end, centres, pitch, neighbours, pairs: PairFits, start, prior, rounds, out: _Planes
+):
+    """Fit a plane to the pairs of each lens, from `start` (n,) and with the `prior` (n, 3): slant,
+    inverse variance.
+    """
+    most = neighbours.shape[1]
+    sizes = out.sizes
+    slants = out.slants
+    spreads = out.spreads
+    s = np.empty(most, np.float32)
+    v = np.empty(most, np.float32)
+    x = np.empty(most, np.float32)
+    y = np.empty(most, np.float32)
     for lens in range(begin, end):
-        count = _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y) if np.isfinite(start[lens]) else 0
+        count = (
+            _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y)
+            if np.isfinite(start[lens])
+            else 0
+        )
         if count == 0:
             sizes[lens] = np.nan
             slants[lens, 0] = slants[lens, 1] = 0.0
@@ -135,7 +166,8 @@ def _fit_planes(begin, end, centres, pitch, neighbours, pairs: PairFits, start, 
         )
         sizes[lens] = z
         slants[lens, 0], slants[lens, 1] = gx, gy
-        # Each parameter takes a degree of freedom as far as the pairs, and not the prior, determine it.
+        # Each parameter takes a degree of freedom as far as the pairs, and not the prior, determine
+        # it.
         own = 1 - min(np.float32(1.0), slope * prior[lens, 2])
         spreads[lens, 0], spreads[lens, 1], spreads[lens, 2] = height, slope, chi2
         spreads[lens, 3] = max(weights - 1 - 2 * own, np.float32(0.0))
@@ -143,14 +175,19 @@ def _fit_planes(begin, end, centres, pitch, neighbours, pairs: PairFits, start, 
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
 def _predict_slants(begin, end, neighbours, gap, planes: _Planes, prior):
-    """Fill `prior` with the mean slant of each lens and its neighbours on one surface, and its inverse variance."""
-    sizes, slants, spreads = planes.sizes, planes.slants, planes.spreads
+    """Fill `prior` with the mean slant of each lens and its neighbours on one surface, and its
+    inverse variance.
+    """
+    sizes = planes.sizes
+    slants = planes.slants
+    spreads = planes.spreads
     for lens in range(begin, end):
         if not np.isfinite(spreads[lens, 0]):
             continue
         weight = np.float32(1.0) / spreads[lens, 1]
         total = weight
-        x, y = weight * slants[lens, 0], weight * slants[lens, 1]
+        x = weight * slants[lens, 0]
+        y = weight * slants[lens, 1]
         squares = weight * (square(slants[lens, 0]) + square(slants[lens, 1]))
         count = np.float32(1.0)
         for k in range(neighbours.shape[1]):
@@ -176,38 +213,52 @@ def _predict_slants(begin, end, neighbours, gap, planes: _Planes, prior):
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
 def _standard_errors(begin, end, neighbours, pitch, gap, planes: _Planes, out, slant_errors):
-    """Errors of lenses, scaled by the scatter of their pairs and of their neighbours' on one surface, and for what all
-    pairs of a lens share by one and |s| over the pitch."""
-    sizes, spreads = planes.sizes, planes.spreads
+    """Errors of lenses, scaled by the scatter of their pairs and of their neighbours' on one
+    surface, and for what all pairs of a lens share by one and |s| over the pitch.
+    """
+    sizes = planes.sizes
+    spreads = planes.spreads
     for lens in range(begin, end):
         out[lens] = slant_errors[lens] = np.inf
         if not np.isfinite(spreads[lens, 0]):
             continue
-        chi2, freedom = spreads[lens, 2], spreads[lens, 3]
+        chi2 = spreads[lens, 2]
+        freedom = spreads[lens, 3]
         for k in range(neighbours.shape[1]):
             other = neighbours[lens, k]
             if other >= 0 and same_surface(sizes[other], sizes[lens], gap):
                 chi2 += np.float32(0.5) * spreads[other, 2]
                 freedom += np.float32(0.5) * spreads[other, 3]
         factor = (1 + abs(sizes[lens]) / pitch) * np.sqrt((chi2 + 1) / (freedom + 1))
-        out[lens], slant_errors[lens] = factor * np.sqrt(spreads[lens, 0]), factor * np.sqrt(spreads[lens, 1])
+        out[lens], slant_errors[lens] = (
+            factor * np.sqrt(spreads[lens, 0]),
+            factor * np.sqrt(spreads[lens, 1]),
+        )
 
 
-def fit_lens_planes(gray: GrayFlat, neighbours: Neighbours, pairs: PairFits, start: NDArray[np.float32]) -> LensFits:
-    """Patch size at the centre of each lens by a robust fit of a plane to what its pairs have measured.
+def fit_lens_planes(
+    gray: GrayFlat, neighbours: Neighbours, pairs: PairFits, start: NDArray[np.float32]
+) -> LensFits:
+    """Patch size at the centre of each lens by a robust fit of a plane to what its pairs have
+    measured.
 
-    A first fit yields the slants, a second has the mean slant of the neighbours on one surface as its prior. The
-    scatter of the pairs about the plane gives the standard error. `start` (n,) [px] is NaN for lenses to leave out.
+    A first fit yields the slants, a second has the mean slant of the neighbours on one surface as
+    its prior. The scatter of the pairs about the plane gives the standard error. `start` (n,) [px]
+    is NaN for lenses to leave out.
     """
-    n, pitch, float32 = len(start), np.float32(gray.pitch), np.float32
+    n = len(start)
+    pitch = np.float32(gray.pitch)
+    float32 = np.float32
     planes = _Planes(np.empty(n, float32), np.empty((n, 2), float32), np.empty((n, 4), float32))
     prior = np.zeros((n, 3), float32)
     # Slants are rarely steeper than 0.04 px per px.
     prior[:, 2] = 1 / 0.04**2
-    gap, measured = float32(TOLERANCE * gray.pitch), (gray.centres, pitch, neighbours.all, pairs)
+    gap = float32(TOLERANCE * gray.pitch)
+    measured = (gray.centres, pitch, neighbours.all, pairs)
     _fit_planes(*measured, start.astype(float32), prior, 4, planes)
     _predict_slants(neighbours.all, gap, planes, prior)
     _fit_planes(*measured, planes.sizes.copy(), prior, 2, planes)
-    errors, slant_errors = np.empty(n, float32), np.empty(n, float32)
+    errors = np.empty(n, float32)
+    slant_errors = np.empty(n, float32)
     _standard_errors(neighbours.all, pitch, gap, planes, errors, slant_errors)
     return LensFits(planes.sizes, errors, planes.slants, slant_errors)

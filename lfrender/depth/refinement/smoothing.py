@@ -1,8 +1,8 @@
 """Patch sizes smoothed over the lenses of one surface: robust local planes, weighted by errors.
 
-Each lens is combined with what a weighted plane through its neighbours predicts. The scatter of the neighbours about
-the plane beyond their errors is taken for unevenness of the surface (DerSimonian and Laird, Meta-analysis in clinical
-trials, 1986).
+Each lens is combined with what a weighted plane through its neighbours predicts. The scatter of the
+neighbours about the plane beyond their errors is taken for unevenness of the surface (DerSimonian
+and Laird, Meta-analysis in clinical trials, 1986).
 """
 
 from __future__ import annotations
@@ -20,21 +20,34 @@ from .lens_plane import LensFits
 __all__ = ["smooth_fits"]
 
 
-# Exact sums: with fast math they would have other bits where Numba compiles than where it loads them. Divisions are in
-# loops without sums: these become vector loops, except with Python's error model, which checks them.
+# Exact sums: with fast math they would have other bits where Numba compiles than where it loads
+# them. Divisions are in loops without sums: these become vector loops, except with Python's error
+# model, which checks them.
 @njit(error_model="numpy")
 def _predict(count, near, slant_known):
-    """What `count` neighbours predict of a lens by a weighted plane: difference from its size, its variance, mean
-    variance; difference of slant, and its variance. Rows of `near` are as `_smooth` fills them."""
-    away, variance, share, along_x, along_y, weights = near[0], near[1], near[2], near[3], near[4], near[5]
+    """What `count` neighbours predict of a lens by a weighted plane: difference from its size, its
+    variance, mean variance; difference of slant, and its variance. Rows of `near` are as `_smooth`
+    fills them.
+    """
+    away = near[0]
+    variance = near[1]
+    share = near[2]
+    along_x = near[3]
+    along_y = near[4]
+    weights = near[5]
     uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
     for turn in range(4):
         for k in range(np.uint64(count)):
             weights[k] = share[k] / (variance[k] + uneven)
         squares = a = b = c = d = e = f = p = q = r = 0.0
         for k in range(np.uint64(count)):
-            w, x, y, rest = weights[k], along_x[k], along_y[k], away[k]
-            wx, wy, wr = w * x, w * y, w * rest
+            w = weights[k]
+            x = along_x[k]
+            y = along_y[k]
+            rest = away[k]
+            wx = w * x
+            wy = w * y
+            wr = w * rest
             squares += w * w
             a += w
             b += wx
@@ -48,11 +61,17 @@ def _predict(count, near, slant_known):
         total = a
         d += slant_known
         f += slant_known
-        i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
-        i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
+        i00 = d * f - e * e
+        i01 = c * e - b * f
+        i02 = b * e - c * d
+        i11 = a * f - c * c
+        i12 = b * c - a * e
+        i22 = a * d - b * b
         over = 1 / (a * i00 + b * i01 + c * i02)
-        height, inverse = (i00 * p + i01 * q + i02 * r) * over, i00 * over
-        x_slant, y_slant = (i01 * p + i11 * q + i12 * r) * over, (i02 * p + i12 * q + i22 * r) * over
+        height = (i00 * p + i01 * q + i02 * r) * over
+        inverse = i00 * over
+        x_slant = (i01 * p + i11 * q + i12 * r) * over
+        y_slant = (i02 * p + i12 * q + i22 * r) * over
         slanted = 0.5 * (i11 + i22) * over
         if turn == 3:
             break
@@ -67,17 +86,26 @@ def _predict(count, near, slant_known):
 
 
 @kernel(error_model="numpy", share=lambda centres, *_: len(centres))
-def _smooth(begin, end, centres, pitch, rows, sizes, errors, slants, slant_errors, wanted, trust, out):
-    """Combine the `wanted` lenses in `out` (n, 6), which holds the fits of all: sizes, errors, slants x and y, their
-    errors, and shares of inliers."""
-    # Three standard deviations are an outlier. No surface is even, and no slant better known, than to 0.002 px per px.
-    near, outlier2, least, per_pitch = np.empty((6, rows.shape[1])), 9.0, 0.002**2, 1 / np.float64(pitch)
+def _smooth(
+    begin, end, centres, pitch, rows, sizes, errors, slants, slant_errors, wanted, trust, out
+):
+    """Combine the `wanted` lenses in `out` (n, 6), which holds the fits of all: sizes, errors,
+    slants x and y, their errors, and shares of inliers.
+    """
+    # Three standard deviations are an outlier. No surface is even, and no slant better known, than
+    # to 0.002 px per px.
+    near = np.empty((6, rows.shape[1]))
+    outlier2 = 9.0
+    least = 0.002**2
+    per_pitch = 1 / np.float64(pitch)
     for lens in range(begin, end):
-        own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
+        own = np.float64(sizes[lens])
+        own_variance = np.float64(errors[lens]) ** 2
         if not (wanted[lens] and np.isfinite(own_variance)):
             continue
         # An integer that is not known to be 0, which would be another type.
-        count, weight = np.int64(0), np.float64(0)
+        count = np.int64(0)
+        weight = np.float64(0)
         slant_variance = np.float64(slant_errors[lens]) ** 2 + least
         for k in range(rows.shape[1]):
             other = rows[lens, k]
@@ -91,10 +119,16 @@ def _smooth(begin, end, centres, pitch, rows, sizes, errors, slants, slant_error
             y = (np.float64(centres[other, 1]) - centres[lens, 1]) * per_pitch
             # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
             rest = size * (1 + slants[lens, 0] * x + slants[lens, 1] * y) - own
-            apart = rest * rest / (own_variance + noise + slant_variance * size * size * (x * x + y * y))
+            apart = (
+                rest
+                * rest
+                / (own_variance + noise + slant_variance * size * size * (x * x + y * y))
+            )
             doubt = 1 / (1 + apart / outlier2)
             # Lenses twice as far off belong to another surface.
-            counts = doubt * doubt * max(1 - apart / (4 * outlier2), 0.0) * trust[lens] * trust[other]
+            counts = (
+                doubt * doubt * max(1 - apart / (4 * outlier2), 0.0) * trust[lens] * trust[other]
+            )
             near[0, count], near[1, count], near[2, count] = rest, noise, counts
             near[3, count], near[4, count] = size * x, size * y
             weight += counts
@@ -102,7 +136,9 @@ def _smooth(begin, end, centres, pitch, rows, sizes, errors, slants, slant_error
         out[lens, 5] = weight / max(np.float64(count), 1.0)
         if weight <= 0:
             continue
-        predicted, spread, shared, x_slant, y_slant, slanted = _predict(count, near, 1 / slant_variance)
+        predicted, spread, shared, x_slant, y_slant, slanted = _predict(
+            count, near, 1 / slant_variance
+        )
         if predicted * predicted > outlier2 * (spread + own_variance):
             continue
         out[lens, 0] = own + own_variance / (own_variance + spread) * predicted
@@ -110,16 +146,21 @@ def _smooth(begin, end, centres, pitch, rows, sizes, errors, slants, slant_error
         out[lens, 3] += y_slant
         out[lens, 4] = np.sqrt(slanted)
         joint = own_variance * spread / (own_variance + spread)
-        # Neighbours share pixels and pairs, and all lenses of a surface err by 0.0022 px together (ray-traced scenes).
+        # Neighbours share pixels and pairs, and all lenses of a surface err by 0.0022 px together
+        # (ray-traced scenes).
         out[lens, 1] = np.sqrt(joint + 0.03 * min(shared, own_variance) + 0.0022**2)
 
 
-def smooth_fits(gray: GrayFlat, neighbours: NDArray[np.int32], fits: LensFits, wanted: NDArray[np.bool_]) -> LensFits:
-    """Patch sizes, slants and their errors of lenses combined with others, near and far, so that planes become planes.
+def smooth_fits(
+    gray: GrayFlat, neighbours: NDArray[np.int32], fits: LensFits, wanted: NDArray[np.bool_]
+) -> LensFits:
+    """Patch sizes, slants and their errors of lenses combined with others, near and far, so that
+    planes become planes.
 
-    First with the lenses in two rings around each, then with those three and six times as far. Far off, lenses count
-    less if few of their own neighbours are inliers: beside depth edges all err towards the other side. Lenses that are
-    not `wanted` (n,) keep their fits; `neighbours` (n, k) are rows, -1 where there is none.
+    First with the lenses in two rings around each, then with those three and six times as far. Far
+    off, lenses count less if few of their own neighbours are inliers: beside depth edges all err
+    towards the other side. Lenses that are not `wanted` (n,) keep their fits; `neighbours` (n, k)
+    are rows, -1 where there is none.
     """
     trust = np.ones(len(wanted), np.float32)
     fits, inliers = _smoothed(gray, two_rings(neighbours), fits, wanted, trust)
@@ -131,11 +172,18 @@ def smooth_fits(gray: GrayFlat, neighbours: NDArray[np.int32], fits: LensFits, w
 
 
 def _smoothed(
-    gray: GrayFlat, rows: NDArray[np.int32], fits: LensFits, wanted: NDArray[np.bool_], trust: NDArray[np.float32],
-) -> tuple[LensFits, NDArray[np.float32]]:  # fmt: skip
-    """Fits combined with the lenses `rows` (n, m) of each, weighted by `trust` (n,), and the mean weight (n,) of
-    these."""
-    sizes, errors, slants, slant_errors = (np.asarray(values, np.float32) for values in vars(fits).values())
+    gray: GrayFlat,
+    rows: NDArray[np.int32],
+    fits: LensFits,
+    wanted: NDArray[np.bool_],
+    trust: NDArray[np.float32],
+) -> tuple[LensFits, NDArray[np.float32]]:
+    """Fits combined with the lenses `rows` (n, m) of each, weighted by `trust` (n,), and the mean
+    weight (n,) of these.
+    """
+    sizes, errors, slants, slant_errors = (
+        np.asarray(values, np.float32) for values in vars(fits).values()
+    )
     out = np.column_stack([sizes, errors, slants, slant_errors, np.ones_like(sizes)])
     _smooth(gray.centres, gray.pitch, rows, sizes, errors, slants, slant_errors, wanted, trust, out)
     size, error, slant_error, inliers = (out[:, k].copy() for k in (0, 1, 4, 5))

@@ -1,4 +1,6 @@
-"""Depth hypotheses of each scene point, from the lenses around it, and the mismatch of each on the pixels."""
+"""Depth hypotheses of each scene point, from the lenses around it, and the mismatch of each on the
+pixels.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,27 @@ _UNKNOWN = 0.5
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _sample(pixels, width, px, py, out):
     """Fill `out` with 3 x 3 samples about (px, py), a pixel apart, their mean and their variance."""
-    i, j = int(px), int(py)
-    fx, fy = px - np.float32(i), py - np.float32(j)
+    i = int(px)
+    j = int(py)
+    fx = px - np.float32(i)
+    fy = py - np.float32(j)
     mean = squares = p = q = r = np.float32(0)
     for v in range(4):
-        at, above, between, below = np.uint64((j - 1 + v) * width + i - 1), p, q, r
-        a, b = pixels[at], pixels[at + np.uint64(1)]
-        c, d = pixels[at + np.uint64(2)], pixels[at + np.uint64(3)]
-        p, q, r = a + fx * (b - a), b + fx * (c - b), c + fx * (d - c)
+        at = np.uint64((j - 1 + v) * width + i - 1)
+        above = p
+        between = q
+        below = r
+        a = pixels[at]
+        b = pixels[at + np.uint64(1)]
+        c = pixels[at + np.uint64(2)]
+        d = pixels[at + np.uint64(3)]
+        p = a + fx * (b - a)
+        q = b + fx * (c - b)
+        r = c + fx * (d - c)
         if v > 0:
-            left, middle, right = above + fy * (p - above), between + fy * (q - between), below + fy * (r - below)
+            left = above + fy * (p - above)
+            middle = between + fy * (q - between)
+            right = below + fy * (r - below)
             out[3 * v - 3], out[3 * v - 2], out[3 * v - 1] = left, middle, right
             mean += left + middle + right
             squares += left * left + middle * middle + right * right
@@ -42,7 +55,8 @@ def _sample(pixels, width, px, py, out):
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _compare(own, other, half, floor):
     """Mismatch of two views."""
-    squares, apart = np.float32(0), own[9] - other[9]
+    squares = np.float32(0)
+    apart = own[9] - other[9]
     for k in range(9):
         squares += (own[k] - other[k]) * (own[k] - other[k])
     return (squares / 9 + half) / (own[10] + other[10] + floor + apart * apart)
@@ -50,35 +64,43 @@ def _compare(own, other, half, floor):
 
 @njit(error_model="numpy", forceinline=True)
 def view_mismatch(image, near_x, near_y, count, x, y, slope, radius, floor, samples, costs):
-    """Mean mismatch of the better part of the views of scene point (x, y) with one of the most central, and their
-    number.
+    """Mean mismatch of the better part of the views of scene point (x, y) with one of the most
+    central, and their number.
 
-    0 for equal views, about 1 for unrelated ones, `_UNKNOWN` where there is one. The first `count` lenses have their
-    centres at `near_x`, `near_y`, the nearest first; the depth is `slope` = s / D; a mismatch of `floor` is noise.
+    0 for equal views, about 1 for unrelated ones, `_UNKNOWN` where there is one. The first `count`
+    lenses have their centres at `near_x`, `near_y`, the nearest first; the depth is `slope` = s /
+    D; a mismatch of `floor` is noise.
     """
     height, width = image.shape
-    pixels, one, unknown = image.reshape(-1), np.float32(1.0), np.float32(_UNKNOWN)
-    right, bottom = np.float32(width) - np.float32(2.001), np.float32(height) - np.float32(2.001)
+    pixels = image.reshape(-1)
+    one = np.float32(1.0)
+    unknown = np.float32(_UNKNOWN)
+    right = np.float32(width) - np.float32(2.001)
+    bottom = np.float32(height) - np.float32(2.001)
     seen = 0
     for m in range(count):
-        dx, dy = -(x - near_x[m]) * slope, -(y - near_y[m]) * slope
+        dx = -(x - near_x[m]) * slope
+        dy = -(y - near_y[m]) * slope
         # Those after it are farther. The first counts in any case.
         if m > 0 and dx * dx + dy * dy > radius * radius:
             break
-        px, py = min(max(near_x[m] + dx, one), right), min(max(near_y[m] + dy, one), bottom)
+        px = min(max(near_x[m] + dx, one), right)
+        py = min(max(near_y[m] + dy, one), bottom)
         _sample(pixels, width, px, py, samples[m])
         seen += 1
     if seen < 2:
         return unknown, seen
     # Half of the others: an occluder may hide the rest.
-    better, least = seen // 2, np.float32(np.inf)
+    better = seen // 2
+    least = np.float32(np.inf)
     # The first view may be occluded.
     for r in range(2):
         found = 0
         for m in range(seen):
             if m == r:
                 continue
-            cost, at = _compare(samples[r], samples[m], unknown * floor, floor), found
+            cost = _compare(samples[r], samples[m], unknown * floor, floor)
+            at = found
             while at > 0 and costs[at - 1] > cost:
                 costs[at] = costs[at - 1]
                 at -= 1
@@ -97,7 +119,9 @@ _X, _Y, _TRUST, _SIZE = range(4)
 
 @njit(error_model="numpy")
 def _gather_table(table, lookup, low, ring, i, j, out):
-    """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there are."""
+    """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there
+    are.
+    """
     count = 0
     for r in range(len(ring)):
         other = lens_at(lookup, low, i + ring[r, 0], j + ring[r, 1])
@@ -111,12 +135,18 @@ def _gather_table(table, lookup, low, ring, i, j, out):
 # Python's error model checks every division for zero, which prevents vector loops.
 @njit(fastmath=FAST, error_model="numpy")
 def _mean_around(table, count, x, y, vote2):
-    """Weighted mean of the first depths of the `count` lenses around a scene point; NaN if there are none."""
+    """Weighted mean of the first depths of the `count` lenses around a scene point; NaN if there
+    are none.
+    """
     weight = total = np.float32(0.0)
     per_vote2 = np.float32(1.0) / vote2
-    xs, ys, trusts, sizes = table[_X], table[_Y], table[_TRUST], table[_SIZE]
+    xs = table[_X]
+    ys = table[_Y]
+    trusts = table[_TRUST]
+    sizes = table[_SIZE]
     for m in range(np.uint64(count)):
-        dx, dy = x - xs[m], y - ys[m]
+        dx = x - xs[m]
+        dy = y - ys[m]
         # Beyond the border of the lattice all are far.
         share = max(np.float32(1.0) - (dx * dx + dy * dy) * per_vote2, np.float32(1e-6))
         w = trusts[m] * share * share
@@ -127,15 +157,18 @@ def _mean_around(table, count, x, y, vote2):
 
 @njit(error_model="numpy")
 def _find_voters(table, count, x, y, vote2, distance, voters, shares):
-    """Squared distances of the `count` lenses around a scene point, those that vote for its depth, and their weights;
-    how many, and the range of their depths."""
+    """Squared distances of the `count` lenses around a scene point, those that vote for its depth,
+    and their weights; how many, and the range of their depths.
+    """
     for m in range(np.uint64(count)):
-        dx, dy = x - table[_X, m], y - table[_Y, m]
+        dx = x - table[_X, m]
+        dy = y - table[_Y, m]
         distance[m] = dx * dx + dy * dy
     nearest = found = 0
     for m in range(1, count):
         nearest = m if distance[m] < distance[nearest] else nearest
-    low, high = np.float32(np.inf), np.float32(-np.inf)
+    low = np.float32(np.inf)
+    high = np.float32(-np.inf)
     for m in range(count):
         if m != nearest and distance[m] > vote2:
             continue
@@ -145,13 +178,16 @@ def _find_voters(table, count, x, y, vote2, distance, voters, shares):
         for k in range(_SIZE, len(table)):
             s = table[k, m]
             # Comparisons with NaN are false.
-            low, high = s if s < low else low, s if s > high else high
+            low = s if s < low else low
+            high = s if s > high else high
     return found, high - low
 
 
 @njit(error_model="numpy")
 def _find_central(table, count, distance, near, near_x, near_y):
-    """Centres of the nearest of the `count` lenses around a scene point, in order; returns how many."""
+    """Centres of the nearest of the `count` lenses around a scene point, in order; returns how
+    many.
+    """
     most = len(near)
     found = 0
     for m in range(count):
@@ -171,7 +207,9 @@ def _find_central(table, count, distance, near, near_x, near_y):
 
 @njit(error_model="numpy")
 def _sort_votes(table, count, voters, shares, sizes, weights):
-    """Depths of `count` voters sorted by patch size, and their weights; the second-best match has a tenth of a vote."""
+    """Depths of `count` voters sorted by patch size, and their weights; the second-best match has a
+    tenth of a vote.
+    """
     number = 0
     for n in range(count):
         for k in range(_SIZE, len(table)):
@@ -182,14 +220,19 @@ def _sort_votes(table, count, voters, shares, sizes, weights):
             while at > 0 and sizes[at - 1] > s:
                 sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
                 at -= 1
-            sizes[at], weights[at] = s, shares[n] * (np.float32(0.1) if k == _SIZE + 1 else np.float32(1.0))
+            sizes[at], weights[at] = (
+                s,
+                shares[n] * (np.float32(0.1) if k == _SIZE + 1 else np.float32(1.0)),
+            )
             number += 1
     return number
 
 
 @njit(error_model="numpy")
 def _cluster_votes(number, sizes, weights, gap, depths, shares):
-    """Means and weights of clusters of sorted votes, within one `gap`, the weightiest first; their number."""
+    """Means and weights of clusters of sorted votes, within one `gap`, the weightiest first; their
+    number.
+    """
     most = len(depths)
     found = start = 0
     while start < number:
@@ -213,7 +256,9 @@ def _cluster_votes(number, sizes, weights, gap, depths, shares):
 
 @njit(error_model="numpy")
 def _keep_coarse(coarse, v, u, gap, depths, weights, count):
-    """Keep those of `count` hypotheses that a value of twice the spacing about point (v, u) has; all if none has."""
+    """Keep those of `count` hypotheses that a value of twice the spacing about point (v, u) has;
+    all if none has.
+    """
     kept = 0
     for k in range(count):
         near = False
@@ -227,10 +272,29 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
 
 
 @njit(error_model="numpy", forceinline=True)
-def _measure_mismatch(image, near_x, near_y, central, x, y, pitch, radius, floor, everyone, depths, costs, samples,
-                      views):  # fmt: skip
-    """Turn the weights of hypotheses in `costs`, out of `everyone`, into their mismatch plus the price of few votes."""
-    nearest, count, unknown, none = 0, len(depths), np.float32(_UNKNOWN), np.float32(0.0)
+def _measure_mismatch(
+    image,
+    near_x,
+    near_y,
+    central,
+    x,
+    y,
+    pitch,
+    radius,
+    floor,
+    everyone,
+    depths,
+    costs,
+    samples,
+    views,
+):
+    """Turn the weights of hypotheses in `costs`, out of `everyone`, into their mismatch plus the
+    price of few votes.
+    """
+    nearest = 0
+    count = len(depths)
+    unknown = np.float32(_UNKNOWN)
+    none = np.float32(0.0)
     for k in range(count):
         if depth_order(depths[k], pitch) > depth_order(depths[nearest], pitch):
             nearest = k
@@ -256,45 +320,79 @@ def _measure_mismatch(image, near_x, near_y, central, x, y, pitch, radius, floor
 
 @kernel(error_model="numpy", share=lambda *given: given[6].shape[1])
 def propose_hypotheses(
-    begin, end, image, table, agreeing, lenses: LensArray, grid: PointGrid, floor, depths, costs, wanted, coarse
+    begin,
+    end,
+    image,
+    table,
+    agreeing,
+    lenses: LensArray,
+    grid: PointGrid,
+    floor,
+    depths,
+    costs,
+    wanted,
+    coarse,
 ):
-    """Depth hypotheses of each `wanted` scene point in `depths`, their cost in `costs`, both (most, rows, columns).
+    """Depth hypotheses of each `wanted` scene point in `depths`, their cost in `costs`, both (most,
+    rows, columns).
 
-    Where all lenses around agree there is one; the place after the last one stays NaN. Of the `coarse` surface of twice
-    the spacing, (0, 0) if there is none, only hypotheses that one of its values about a point has are kept. `table` (n,
-    6) float32 holds the centre of each lens, its weight, its patch size, second-best one and that of the second layer;
-    around the `agreeing` ones (n,) all have one depth. A squared difference of views up to `floor` is noise.
+    Where all lenses around agree there is one; the place after the last one stays NaN. Of the
+    `coarse` surface of twice the spacing, (0, 0) if there is none, only hypotheses that one of its
+    values about a point has are kept. `table` (n, 6) float32 holds the centre of each lens, its
+    weight, its patch size, second-best one and that of the second layer; around the `agreeing` ones
+    (n,) all have one depth. A squared difference of views up to `floor` is noise.
     """
     most, _, columns = depths.shape
     # Arrays are taken out of the tuple once: each access counts references.
-    ring, lookup, low, origin, inverse = lenses.ring, lenses.rows, lenses.low, lenses.origin, lenses.inverse
-    bend, bend_low, first, spacing = lenses.bend, lenses.bend_low, grid.first, grid.spacing
-    gap, pitch, radius = np.float32(lenses.gap), np.float32(lenses.pitch), np.float32(lenses.radius)
+    ring = lenses.ring
+    lookup = lenses.rows
+    low = lenses.low
+    origin = lenses.origin
+    inverse = lenses.inverse
+    bend = lenses.bend
+    bend_low = lenses.bend_low
+    first = grid.first
+    spacing = grid.spacing
+    gap = np.float32(lenses.gap)
+    pitch = np.float32(lenses.pitch)
+    radius = np.float32(lenses.radius)
     # Lenses within 1.45 pitches vote for the depth of a point.
     vote2 = np.float32(2.1) * pitch * pitch
-    most_near, known = len(ring), table.shape[1]
+    most_near = len(ring)
+    known = table.shape[1]
     for v in range(begin, end):
-        nearby, distance = np.empty((known, most_near), np.float32), np.empty(most_near, np.float32)
-        voters, shares = np.empty(most_near, np.int64), np.empty(most_near, np.float32)
-        sizes, weights = np.empty(known * most_near, np.float32), np.empty(known * most_near, np.float32)
-        near_x, near_y = np.empty(_MAX_VIEWS, np.float32), np.empty(_MAX_VIEWS, np.float32)
-        own, prices = np.empty(most, np.float32), np.empty(most, np.float32)
-        central, views = np.empty(_MAX_VIEWS, np.int64), np.empty(_MAX_VIEWS, np.float32)
+        nearby = np.empty((known, most_near), np.float32)
+        distance = np.empty(most_near, np.float32)
+        voters = np.empty(most_near, np.int64)
+        shares = np.empty(most_near, np.float32)
+        sizes = np.empty(known * most_near, np.float32)
+        weights = np.empty(known * most_near, np.float32)
+        near_x = np.empty(_MAX_VIEWS, np.float32)
+        near_y = np.empty(_MAX_VIEWS, np.float32)
+        own = np.empty(most, np.float32)
+        prices = np.empty(most, np.float32)
+        central = np.empty(_MAX_VIEWS, np.int64)
+        views = np.empty(_MAX_VIEWS, np.float32)
         samples = np.empty((_MAX_VIEWS, 11), np.float32)
         count = 0
-        around_i, around_j = 2**62, 0
+        around_i = 2**62
+        around_j = 0
         for u in range(columns):
             if not wanted[v, u]:
                 continue
-            x, y = first + u * spacing, first + v * spacing
+            x = first + u * spacing
+            y = first + v * spacing
             at_i, at_j = nearest_index(x, y, origin, inverse, bend, bend_low)
-            i, j = int(at_i), int(at_j)
+            i = int(at_i)
+            j = int(at_j)
             lens = lens_at(lookup, low, i, j)
             # Consecutive points mostly lie in the cell of one lens.
             if i != around_i or j != around_j:
                 count = _gather_table(table, lookup, low, ring, i, j, nearby)
-                around_i, around_j = i, j
-            px, py = np.float32(x), np.float32(y)
+                around_i = i
+                around_j = j
+            px = np.float32(x)
+            py = np.float32(y)
             if lens >= 0 and agreeing[lens]:
                 depths[0, v, u] = _mean_around(nearby, count, px, py, vote2)
                 continue
@@ -310,9 +408,21 @@ def propose_hypotheses(
             if found > 1:
                 shown = _find_central(nearby, count, distance, central, near_x, near_y)
                 _measure_mismatch(
-                    image, near_x, near_y, shown, px, py, pitch, radius, floor, everyone, own[:found], prices[:found],
-                    samples, views,
-                )  # fmt: skip
+                    image,
+                    near_x,
+                    near_y,
+                    shown,
+                    px,
+                    py,
+                    pitch,
+                    radius,
+                    floor,
+                    everyone,
+                    own[:found],
+                    prices[:found],
+                    samples,
+                    views,
+                )
                 for k in range(1, found):
                     depths[k, v, u], costs[k, v, u] = own[k], prices[k]
                 if found < most:

@@ -1,4 +1,6 @@
-"""Lenses as kernels look them up by their place, and the grid of scene points on which a surface is computed."""
+"""Lenses as kernels look them up by their place, and the grid of scene points on which a surface is
+computed.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ class LensArray(NamedTuple):
     indices: Any  # (n, 2) int64
     rows: Any  # (nj, ni) int32, this and the next as `lens_grid`
     low: Any  # (2,) int64
-    # (k, 2) int64 steps to the lenses within 2.2 pitches of one, the nearest first, itself included: they see a point
+    # (k, 2) int64 steps to the lenses within 2.2 pitches of one, the nearest first, itself
+    # included: they see a point
     ring: Any
     origin: Any  # (2,) float64 of the lattice, and the inverse of its basis
     inverse: Any  # (2, 2) float64
@@ -48,23 +51,38 @@ def lens_array(lattice: Lattice, gap: float, radius: float) -> LensArray:
     ring = np.ascontiguousarray(steps[order][distance[order] < 2.2 * lattice.pitch])
     rows, low = lens_grid(lattice)
     return LensArray(
-        lattice.centres(), lattice.indices().astype(np.int64), rows, np.asarray(low, np.int64), ring,
-        np.asarray(lattice.origin, float), np.linalg.inv(lattice.basis).astype(float), *lens_displacements(lattice),
-        float(lattice.pitch), float(radius), float(gap),
-    )  # fmt: skip
+        lattice.centres(),
+        lattice.indices().astype(np.int64),
+        rows,
+        np.asarray(low, np.int64),
+        ring,
+        np.asarray(lattice.origin, float),
+        np.linalg.inv(lattice.basis).astype(float),
+        *lens_displacements(lattice),
+        float(lattice.pitch),
+        float(radius),
+        float(gap),
+    )
 
 
 def grid_shape(lattice: Lattice, cells: int) -> tuple[tuple[int, int], tuple[float, float], float]:
-    """Rows and columns of the grid of scene points, `cells` per pitch, the first of them, and their spacing [px]."""
+    """Rows and columns of the grid of scene points, `cells` per pitch, the first of them, and their
+    spacing [px].
+    """
     width, height = lattice.image_size
     spacing = lattice.pitch / cells
-    return (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1), (-0.5, -0.5), spacing
+    return (
+        (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1),
+        (-0.5, -0.5),
+        spacing,
+    )
 
 
 @njit(inline="always")
 def lens_at(rows, low, i, j):
     """Row of lens (i, j) by `rows` and `low` of a `LensArray`, -1 where there is none."""
-    ci, cj = i - low[0], j - low[1]
+    ci = i - low[0]
+    cj = j - low[1]
     if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1]:
         return -1
     return rows[cj, ci]

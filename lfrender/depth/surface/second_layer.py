@@ -1,7 +1,9 @@
-"""A second depth inside a microimage: pixels that the first depth does not explain are matched again on their own.
+"""A second depth inside a microimage: pixels that the first depth does not explain are matched
+again on their own.
 
-A thin branch fills too little of a microimage to show in the correlation of the whole. But its pixels are those that
-no neighbour confirms at the first depth, and they correlate with the neighbours at another one.
+A thin branch fills too little of a microimage to show in the correlation of the whole. But its
+pixels are those that no neighbour confirms at the first depth, and they correlate with the
+neighbours at another one.
 """
 
 from __future__ import annotations
@@ -26,39 +28,57 @@ from ..same_surface import TOLERANCE, same_surface
 
 __all__ = ["find_second_layer"]
 
-# A second depth costs less than the first one by this much, for the pixels that the first one does not explain.
+# A second depth costs less than the first one by this much, for the pixels that the first one does
+# not explain.
 _LOWER = 0.1
 
-# A microimage with what lies about it, `stride` rows and columns; work memory of (stride^2,) float32 for this and
-# another one, their squared differences, the differences that are none, and how many views show and confirm each pixel.
+# A microimage with what lies about it, `stride` rows and columns; work memory of (stride^2,)
+# float32 for this and another one, their squared differences, the differences that are none, and
+# how many views show and confirm each pixel.
 _Box = namedtuple("_Box", "stride light other squares limits showing confirming")
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _sum_window(values, p, stride):
     """Sum over 3 x 3 pixels about place `p`."""
-    one, down = np.uint64(1), np.uint64(stride)
-    a, b = p - down, p + down
-    return ((values[a - one] + values[a] + values[a + one]) + (values[p - one] + values[p] + values[p + one])) + (
-        values[b - one] + values[b] + values[b + one]
-    )
+    one = np.uint64(1)
+    down = np.uint64(stride)
+    a = p - down
+    b = p + down
+    return (
+        (values[a - one] + values[a] + values[a + one])
+        + (values[p - one] + values[p] + values[p + one])
+    ) + (values[b - one] + values[b] + values[b + one])
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _square_differences(own, there, stride, fx, fy, out):
-    """Squared difference of a microimage, `stride` pixels a row, from the bilinear interpolation of another."""
-    one, down, below = np.uint64(1), np.uint64(stride), np.uint64(stride + 1)
-    w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
+    """Squared difference of a microimage, `stride` pixels a row, from the bilinear interpolation of
+    another.
+    """
+    one = np.uint64(1)
+    down = np.uint64(stride)
+    below = np.uint64(stride + 1)
+    w00 = (1 - fx) * (1 - fy)
+    w01 = fx * (1 - fy)
+    w10 = (1 - fx) * fy
+    w11 = fx * fy
     # The last row and column have no pixel beyond them to interpolate with.
     for k in range(np.uint64(len(own) - stride - 1)):
-        e = own[k] - (w00 * there[k] + w01 * there[k + one] + w10 * there[k + down] + w11 * there[k + below])
+        e = own[k] - (
+            w00 * there[k] + w01 * there[k + one] + w10 * there[k + down] + w11 * there[k + below]
+        )
         out[k] = e * e
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _count_views(squares, limits, start, count, stride, showing, confirming):
-    """Count a view of `count` windows from place `start` on, and those that differ by no more than their limit."""
-    first, one, none = np.uint64(start), np.float32(1), np.float32(0)
+    """Count a view of `count` windows from place `start` on, and those that differ by no more than
+    their limit.
+    """
+    first = np.uint64(start)
+    one = np.float32(1)
+    none = np.float32(0)
     for k in range(np.uint64(count)):
         p = first + k
         showing[p] += one
@@ -66,15 +86,22 @@ def _count_views(squares, limits, start, count, stride, showing, confirming):
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step, floor, xs, ys, places):
-    """Gather columns, rows and places in the flat of those pixels of a lens that fewer than half of the neighbours that
-    show them confirm at patch size `s`, by windows of 3 x 3 pixels that differ by less than their variance and a
-    `floor`; their number."""
+def _find_unexplained(
+    flat, box, centres, lens, radius, s, pitch, rows, row_step, floor, xs, ys, places
+):
+    """Gather columns, rows and places in the flat of those pixels of a lens that fewer than half of
+    the neighbours that show them confirm at patch size `s`, by windows of 3 x 3 pixels that differ
+    by less than their variance and a `floor`; their number.
+    """
     pixels, (height, width) = flat.reshape(-1), flat.shape
     stride, light, other, squares, limits, showing, confirming = box
-    ax, ay, size, ninth = centres[lens, 0], centres[lens, 1], stride * stride, np.float32(1 / 9)
+    ax = centres[lens, 0]
+    ay = centres[lens, 1]
+    size = stride * stride
+    ninth = np.float32(1 / 9)
     half = (stride - 2) // 2
-    left, top = int(ax) - half, int(ay) - half
+    left = int(ax) - half
+    top = int(ay) - half
     copy_box(pixels, width, left, top, stride, stride, light)
     # Relative to one of them, squares of similar values keep their digits.
     middle = light[size // 2]
@@ -91,19 +118,25 @@ def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step
     for d in range(rows.shape[1]):
         if rows[lens, d] < 0:
             continue
-        bx, by = centres[rows[lens, d], 0], centres[rows[lens, d], 1]
-        tx, ty = (bx - ax) * (1 + s / pitch), (by - ay) * (1 + s / pitch)
-        x0, y0 = int(np.floor(tx)), int(np.floor(ty))
+        bx = centres[rows[lens, d], 0]
+        by = centres[rows[lens, d], 1]
+        tx = (bx - ax) * (1 + s / pitch)
+        ty = (by - ay) * (1 + s / pitch)
+        x0 = int(np.floor(tx))
+        y0 = int(np.floor(ty))
         copy_box(pixels, width, left + x0, top + y0, stride, stride, other)
         _square_differences(light, other, stride, np.float32(tx - x0), np.float32(ty - y0), squares)
-        low, high = max(1, 1 - x0, left + 1), min(width - 2, width - 3 - x0, left + stride - 3)
+        low = max(1, 1 - x0, left + 1)
+        high = min(width - 2, width - 3 - x0, left + stride - 3)
         for v in range(begin, stride - 2, row_step):
             y = top + v
             if y < max(1, 1 - y0) or y > min(height - 2, height - 3 - y0):
                 continue
             first, count = row_of_disc(y - by + ty, bx - tx, radius, low, high)
             if count > 0:
-                _count_views(squares, limits, v * stride + first - left, count, stride, showing, confirming)
+                _count_views(
+                    squares, limits, v * stride + first - left, count, stride, showing, confirming
+                )
     found = 0
     for v in range(begin, stride - 2, row_step):
         y = top + v
@@ -120,22 +153,40 @@ def _find_unexplained(flat, box, centres, lens, radius, s, pitch, rows, row_step
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _moments(flat, xs, ys, places, number, bx, by, radius, tx, ty, mean):
-    """Number of those of some pixels of one lens whose partner, `(tx, ty)` away, lies in the other lens, and sums of
-    their brightness less the `mean`, of its squares, and of squares of differences."""
+    """Number of those of some pixels of one lens whose partner, `(tx, ty)` away, lies in the other
+    lens, and sums of their brightness less the `mean`, of its squares, and of squares of
+    differences.
+    """
     pixels, (height, width) = flat.reshape(-1), flat.shape
-    x0, y0 = int(np.floor(tx)), int(np.floor(ty))
-    fx, fy = np.float32(tx - x0), np.float32(ty - y0)
-    w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
-    w10, w11 = (1 - fx) * fy, fx * fy
+    x0 = int(np.floor(tx))
+    y0 = int(np.floor(ty))
+    fx = np.float32(tx - x0)
+    fy = np.float32(ty - y0)
+    w00 = (1 - fx) * (1 - fy)
+    w01 = fx * (1 - fy)
+    w10 = (1 - fx) * fy
+    w11 = fx * fy
     sa = sb = squares = srr = count = np.float32(0.0)
     r2 = radius * radius
-    qx, qy = bx - tx, by - ty
-    first, last = np.float32(-x0), np.float32(width - 2 - x0)
-    above, below = np.float32(-y0), np.float32(height - 2 - y0)
-    away, down, right = y0 * width + x0, np.uint64(width), np.uint64(1)
+    qx = bx - tx
+    qy = by - ty
+    first = np.float32(-x0)
+    last = np.float32(width - 2 - x0)
+    above = np.float32(-y0)
+    below = np.float32(height - 2 - y0)
+    away = y0 * width + x0
+    down = np.uint64(width)
+    right = np.uint64(1)
     for k in range(np.uint64(number)):
-        x, y = xs[k], ys[k]
-        if (x - qx) * (x - qx) + (y - qy) * (y - qy) > r2 or x < first or x > last or y < above or y > below:
+        x = xs[k]
+        y = ys[k]
+        if (
+            (x - qx) * (x - qx) + (y - qy) * (y - qy) > r2
+            or x < first
+            or x > last
+            or y < above
+            or y > below
+        ):
             continue
         at = np.uint64(places[k] + away)
         a = pixels[np.uint64(places[k])] - mean
@@ -151,40 +202,89 @@ def _moments(flat, xs, ys, places, number, bx, by, radius, tx, ty, mean):
 
 @kernel(error_model="numpy", fastmath=FAST, share=lambda image, centres, *_: len(centres))
 def _match_unexplained(
-    begin, end, image, centres, radius, pitch, rows, first, means, floors, wanted, shifts, floor, half, row_step, out
+    begin,
+    end,
+    image,
+    centres,
+    radius,
+    pitch,
+    rows,
+    first,
+    means,
+    floors,
+    wanted,
+    shifts,
+    floor,
+    half,
+    row_step,
+    out,
 ):
-    """Mismatch of the unexplained pixels of each `wanted` lens with the better half of its neighbours, at every shift;
-    left alone where there are too few. A match over `half` pixels counts half."""
+    """Mismatch of the unexplained pixels of each `wanted` lens with the better half of its
+    neighbours, at every shift; left alone where there are too few. A match over `half` pixels
+    counts half.
+    """
     # Windows reach a pixel beyond their middle.
-    inner, none, most = radius - np.float32(1.0), np.float32(0.0), square(2 * int(radius) + 3)
+    inner = radius - np.float32(1.0)
+    none = np.float32(0.0)
+    most = square(2 * int(radius) + 3)
     stride = 2 * (int(np.ceil(inner)) + 1) + 2
     work = np.zeros((6, stride * stride), np.float32)
     box = _Box(stride, work[0], work[1], work[2], work[3], work[4], work[5])
-    flat, costs = image, np.empty(rows.shape[1], np.float32)
-    xs, ys, places = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.int64)
+    flat = image
+    costs = np.empty(rows.shape[1], np.float32)
+    xs = np.empty(most, np.float32)
+    ys = np.empty(most, np.float32)
+    places = np.empty(most, np.int64)
     for lens in range(begin, end):
         if not wanted[lens]:
             continue
         number = _find_unexplained(
-            flat, box, centres, lens, inner, first[lens], pitch, rows, row_step, floors[lens], xs, ys, places
+            flat,
+            box,
+            centres,
+            lens,
+            inner,
+            first[lens],
+            pitch,
+            rows,
+            row_step,
+            floors[lens],
+            xs,
+            ys,
+            places,
         )
         # Fewer pixels hardly tell a depth.
         if number < 4:
             continue
-        ax, ay = centres[lens, 0], centres[lens, 1]
+        ax = centres[lens, 0]
+        ay = centres[lens, 1]
         for k in range(len(shifts)):
-            grow, shown = 1 + shifts[k] / pitch, 0
+            grow = 1 + shifts[k] / pitch
+            shown = 0
             for d in range(rows.shape[1]):
                 other = rows[lens, d]
                 if other < 0:
                     continue
-                bx, by = centres[other, 0], centres[other, 1]
+                bx = centres[other, 0]
+                by = centres[other, 1]
                 count, sa, sb, squares, srr = _moments(
-                    flat, xs, ys, places, number, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, means[lens]
+                    flat,
+                    xs,
+                    ys,
+                    places,
+                    number,
+                    bx,
+                    by,
+                    radius,
+                    (bx - ax) * grow,
+                    (by - ay) * grow,
+                    means[lens],
                 )
                 if count < 4:
                     continue
-                cost = match_cost(count, sa, sb, squares, srr, none, count * row_step, floor, half, none)
+                cost = match_cost(
+                    count, sa, sb, squares, srr, none, count * row_step, floor, half, none
+                )
                 at = shown
                 while at > 0 and costs[at - 1] > cost:
                     costs[at] = costs[at - 1]
@@ -197,14 +297,19 @@ def _match_unexplained(
 
 
 def find_second_layer(
-    texture: Texture, neighbours: Neighbours, first: NDArray[np.float32], correlation: NDArray[np.float32],
-    preset: Preset, occurring: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:  # fmt: skip
-    """(n,) [px] patch size of the pixels of each lens that its first one does not explain; NaN if there are none.
+    texture: Texture,
+    neighbours: Neighbours,
+    first: NDArray[np.float32],
+    correlation: NDArray[np.float32],
+    preset: Preset,
+    occurring: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
+    """(n,) [px] patch size of the pixels of each lens that its first one does not explain; NaN if
+    there are none.
 
-    They are correlated over all shifts between the patch sizes `occurring` (m,) [px], if given, and semi-global
-    matching smooths the result: a branch runs through one lens after the other. `correlation` (n,) is that of each lens
-    at its `first` patch size (n,) [px].
+    They are correlated over all shifts between the patch sizes `occurring` (m,) [px], if given, and
+    semi-global matching smooths the result: a branch runs through one lens after the other.
+    `correlation` (n,) is that of each lens at its `first` patch size (n,) [px].
     """
     second = np.full(len(first), np.nan, np.float32)
     # A lens that correlates more is explained by its first depth.
@@ -212,40 +317,61 @@ def find_second_layer(
     if not wanted.any():
         return second
     # A rod of a tenth of a pitch of 50 px is five pixels wide.
-    matcher = Matcher(texture, neighbours, replace(preset, search_pitch=max(preset.search_pitch, 50.0)))
-    shifts, factor = matcher.shifts, matcher.factor
+    matcher = Matcher(
+        texture, neighbours, replace(preset, search_pitch=max(preset.search_pitch, 50.0))
+    )
+    shifts = matcher.shifts
+    factor = matcher.factor
     if occurring is not None and len(occurring):
         margin = TOLERANCE * matcher.gray.pitch
-        inside = (shifts >= occurring.min() / factor - margin) & (shifts <= occurring.max() / factor + margin)
+        inside = (shifts >= occurring.min() / factor - margin) & (
+            shifts <= occurring.max() / factor + margin
+        )
         shifts = shifts[inside]
     if len(shifts) < 3:
         # A minimum has a shift on either side.
         return second
-    gray, noise2 = matcher.gray, np.float32(texture.noise / factor) ** 2
+    gray = matcher.gray
+    noise2 = np.float32(texture.noise / factor) ** 2
     cost = np.ones((len(first), len(shifts)), np.float32)
-    # A pixel is unexplained if it differs by more than the variance of its window, four times that of the noise and a
-    # fifth of that of its lens. A neighbour that shows 1.5 % of a microimage counts half.
+    # A pixel is unexplained if it differs by more than the variance of its window, four times that
+    # of the noise and a fifth of that of its lens. A neighbour that shows 1.5 % of a microimage
+    # counts half.
     floors = 4 * noise2 + np.float32(0.2) * matcher.statistics.contrast**2
     half = np.float32(0.015 * np.pi * gray.radius**2)
     small = (first / factor).astype(np.float32)
     lens = np.arange(len(first))
     at_first = np.abs(shifts - small[:, None]).argmin(1)
 
-    # A branch runs through one lens after the other: the lenses beside those of a sample that show one are matched too.
+    # A branch runs through one lens after the other: the lenses beside those of a sample that show
+    # one are matched too.
     sample = wanted & (neighbours.indices % 2 == 0).all(1)
     lenses = sample
     for _ in range(2):
         _match_unexplained(
-            gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), neighbours.all, small,
-            matcher.statistics.mean, floors, lenses, shifts, 2 * noise2, half, preset.row_step, cost,
-        )  # fmt: skip
+            gray.image,
+            gray.centres,
+            np.float32(gray.radius),
+            np.float32(gray.pitch),
+            neighbours.all,
+            small,
+            matcher.statistics.mean,
+            floors,
+            lenses,
+            shifts,
+            2 * noise2,
+            half,
+            preset.row_step,
+            cost,
+        )
         matched = cost.min(1) < cost[lens, at_first] - _LOWER
         lenses = wanted & ~sample & dilate_mask(sample & matched, neighbours.all)
     total = aggregate_costs(cost, neighbours, matcher.slope_price, 0.35)
     best = total.argmin(1)
     matched = cost[lens, best] < cost[lens, at_first] - _LOWER
     found = ((shifts[best] + fit_parabola(total, best) * matcher.step) * factor).astype(np.float32)
-    gap, rows = TOLERANCE * texture.flat.pitch, neighbours.all
+    gap = TOLERANCE * texture.flat.pitch
+    rows = neighbours.all
     new = matched & ~same_surface(found, first, gap)
     # A neighbour must have the same depth, in either layer.
     beside = same_surface(np.where(new[rows], found[rows], np.nan), found[:, None], gap)

@@ -1,4 +1,6 @@
-"""Lenses that show nothing but noise, which need not be matched: found where fine texture cannot hide in the noise."""
+"""Lenses that show nothing but noise, which need not be matched: found where fine texture cannot
+hide in the noise.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +20,18 @@ __all__ = ["find_textureless"]
 
 
 def find_textureless(
-    gray: GrayFlat, lattice: Lattice, plain: LensStatistics, preset: Preset, noise: float | None = None,
+    gray: GrayFlat,
+    lattice: Lattice,
+    plain: LensStatistics,
+    preset: Preset,
+    noise: float | None = None,
     asked: NDArray[np.bool_] | None = None,
-) -> NDArray[np.bool_] | None:  # fmt: skip
-    """(n,) bool: lenses whose pixels are explained by noise; None if some of them match, so that all must be matched.
+) -> NDArray[np.bool_] | None:
+    """(n,) bool: lenses whose pixels are explained by noise; None if some of them match, so that
+    all must be matched.
 
-    A sample of those lenses is matched, since faint texture all over passes for noise. If none of the lenses that are
-    `asked` (n,) is textureless, the others are not matched.
+    A sample of those lenses is matched, since faint texture all over passes for noise. If none of
+    the lenses that are `asked` (n,) is textureless, the others are not matched.
     """
     noise = estimate_noise(plain.roughness) if noise is None else noise
     blank = find_noise_only(plain, noise)
@@ -39,9 +46,12 @@ def find_textureless(
         return blank
     matcher = Matcher(texture, neighbours_of(lattice), preset, sample)
     correlation = 1 - matcher.lens_costs(matcher.pair_costs(sample), sample)
-    best, last_shift = correlation.argmax(1), len(matcher.shifts) - 1
-    shift, highest = matcher.shifts[best], correlation.max(1)
-    # Texture as fine as noise correlates with itself by less than half of that three pixels of the flat farther out.
+    best = correlation.argmax(1)
+    last_shift = len(matcher.shifts) - 1
+    shift = matcher.shifts[best]
+    highest = correlation.max(1)
+    # Texture as fine as noise correlates with itself by less than half of that three pixels of the
+    # flat farther out.
     outward = np.where(shift < 0, -1, 1) * round(3 / (matcher.factor * matcher.step))
     farther = correlation[np.arange(len(best)), np.clip(best + outward, 0, last_shift)]
     like_shading = (np.abs(shift) < SHADING_REACH * matcher.gray.pitch) & (farther > 0.5 * highest)

@@ -1,7 +1,9 @@
-"""Blending pixel by pixel: each output pixel is the robust mean over the lenses that show its scene point.
+"""Blending pixel by pixel: each output pixel is the robust mean over the lenses that show its scene
+point.
 
-The general kernel: any type of values, up to four channels, several samples per output pixel, or the nearest lens
-alone. `blend_rows` computes the same mean several times as fast where one sample per output pixel is enough.
+The general kernel: any type of values, up to four channels, several samples per output pixel, or
+the nearest lens alone. `blend_rows` computes the same mean several times as fast where one sample
+per output pixel is enough.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ _MOST = 37
 
 @njit(inline="always")
 def _crosses_edge(surface, depth, x, y, s, half):
-    """Whether a corner of the output pixel at (x, y), `half` its side away, belongs to another surface than `s`."""
+    """Whether a corner of the output pixel at (x, y), `half` its side away, belongs to another
+    surface than `s`.
+    """
     for corner in range(4):
         corner_x = np.float32(x + (half if corner % 2 else -half))
         corner_y = np.float32(y + (half if corner // 2 else -half))
@@ -36,8 +40,8 @@ def _crosses_edge(surface, depth, x, y, s, half):
 def count_samples(surface, depth, x, y, s, grid, pitch, squares):
     """Samples along a side of an output pixel, and how far they are apart [px of the scene].
 
-    Their variance about the middle is that of the square that is left to average (`Weighting.squares`), whatever their
-    number; of the whole pixel at depth edges.
+    Their variance about the middle is that of the square that is left to average
+    (`Weighting.squares`), whatever their number; of the whole pixel at depth edges.
     """
     side = abs(s) / grid.scale
     if side <= 1:
@@ -53,37 +57,70 @@ def count_samples(surface, depth, x, y, s, grid, pitch, squares):
     return samples, apart * grid.spacing / side
 
 
-# Numba counts references each time that an array is taken out of a tuple or handed on: the loop over samples and lenses
-# is one long function.
+# Numba counts references each time that an array is taken out of a tuple or handed on: the loop
+# over samples and lenses is one long function.
 @kernel(error_model="numpy", share=lambda *given: len(given[7].image))
 def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weighting, output):
-    """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a `DepthGrid`.
+    """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a
+    `DepthGrid`.
 
     The bits do not depend on the part that is drawn.
     """
-    line, shown, corner, stride = flat.pixels.reshape(-1), flat.depth, flat.corner, flat.pixels.shape[1]
-    width, height, across, down = flat.size[0], flat.size[1], flat.pixels.shape[2], stride * flat.pixels.shape[2]
-    gains, last_entry, per_step, applied = light.gains, light.gains.shape[1] - 1, 1 / light.step, light.applied
-    centres, types, tables, rows, low = lenses.centres, lenses.types, lenses.tables, lenses.rows, lenses.low
-    origin, inverse, bend, lowest = lenses.origin, lenses.inverse, lenses.displacements, lenses.lowest
-    offsets, steps, shares, pitch = lenses.offsets, lenses.steps, lenses.shares, lenses.pitch
-    first, start, spacing, wanted, image, valid = (
-        grid.first, grid.start, grid.spacing, grid.wanted, output.image, output.valid
-    )  # fmt: skip
-    view_x, view_y, radius2 = weighting.viewpoint[0], weighting.viewpoint[1], weighting.viewpoint[2]
-    channels, last_ratio, edged = image.shape[2], shares.shape[1] - 1, lenses.edged
-    t2, per_channel, zero, one = weighting.tolerance * weighting.tolerance, 1 / channels, np.float32(0), np.float32(1)
-    values, weights = np.empty((_MOST, 4), np.float32), np.empty(_MOST, np.float32)
-    mean, total = np.zeros(4, np.float32), np.zeros(4, np.float32)
+    line = flat.pixels.reshape(-1)
+    shown = flat.depth
+    corner = flat.corner
+    stride = flat.pixels.shape[1]
+    width = flat.size[0]
+    height = flat.size[1]
+    across = flat.pixels.shape[2]
+    down = stride * flat.pixels.shape[2]
+    gains = light.gains
+    last_entry = light.gains.shape[1] - 1
+    per_step = 1 / light.step
+    applied = light.applied
+    centres = lenses.centres
+    types = lenses.types
+    tables = lenses.tables
+    rows = lenses.rows
+    low = lenses.low
+    origin = lenses.origin
+    inverse = lenses.inverse
+    bend = lenses.displacements
+    lowest = lenses.lowest
+    offsets = lenses.offsets
+    steps = lenses.steps
+    shares = lenses.shares
+    pitch = lenses.pitch
+    first = grid.first
+    start = grid.start
+    spacing = grid.spacing
+    wanted = grid.wanted
+    image = output.image
+    valid = output.valid
+    view_x = weighting.viewpoint[0]
+    view_y = weighting.viewpoint[1]
+    radius2 = weighting.viewpoint[2]
+    channels = image.shape[2]
+    last_ratio = shares.shape[1] - 1
+    edged = lenses.edged
+    t2 = weighting.tolerance * weighting.tolerance
+    per_channel = 1 / channels
+    zero = np.float32(0)
+    one = np.float32(1)
+    values = np.empty((_MOST, 4), np.float32)
+    weights = np.empty(_MOST, np.float32)
+    mean = np.zeros(4, np.float32)
+    total = np.zeros(4, np.float32)
     for v in range(begin, end):
         for u in range(image.shape[1]):
             if wanted.size > 0 and not wanted[v, u]:
                 continue
-            centre_x, centre_y = first[0] + (start[0] + u) * spacing, first[1] + (start[1] + v) * spacing
+            centre_x = first[0] + (start[0] + u) * spacing
+            centre_y = first[1] + (start[1] + v) * spacing
             s = patch_size_at(surface, depth, np.float32(centre_x), np.float32(centre_y))
             samples, apart = count_samples(
                 surface, depth, centre_x, centre_y, s, grid, pitch, weighting.squares
-            )  # fmt: skip
+            )
             total[:] = 0
             seen = 0
             for sample in range(samples * samples):
@@ -94,51 +131,74 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                 slope = s / pitch
                 limit = min(weighting.widest / max(abs(slope), np.float32(1e-6)), weighting.reach)
                 limit2 = limit * limit
-                ratio = min(max(int((slope + one) * np.float32(0.5 * last_ratio) + np.float32(0.5)), 0), last_ratio)
+                ratio = min(
+                    max(int((slope + one) * np.float32(0.5 * last_ratio) + np.float32(0.5)), 0),
+                    last_ratio,
+                )
                 i, j = nearest_index(x, y, origin, inverse, bend, lowest)
-                i, j = int(i) - low[0], int(j) - low[1]
+                i = int(i) - low[0]
+                j = int(j) - low[1]
                 # A point is nearer than three quarters of a pitch to its nearest lens.
                 farthest = limit + np.float32(0.75) * pitch
-                found, best, best_at, norm = 0, np.float32(np.inf), 0, zero
+                found = 0
+                best = np.float32(np.inf)
+                best_at = 0
+                norm = zero
                 mean[:] = 0
                 for o in range(len(offsets)):
                     if offsets[o] > farthest or found == _MOST:
                         break
-                    column, row = i + steps[o, 0], j + steps[o, 1]
+                    column = i + steps[o, 0]
+                    row = j + steps[o, 1]
                     if column < 0 or row < 0 or column >= rows.shape[1] or row >= rows.shape[0]:
                         continue
                     lens = rows[row, column]
                     if lens < 0:
                         continue
-                    ex, ey = np.float32(x - centres[lens, 0]), np.float32(y - centres[lens, 1])
+                    ex = np.float32(x - centres[lens, 0])
+                    ey = np.float32(y - centres[lens, 1])
                     d2 = ex * ex + ey * ey
-                    dx, dy = view_x - ex * slope, view_y - ey * slope
+                    dx = view_x - ex * slope
+                    dy = view_y - ey * slope
                     delta2 = dx * dx + dy * dy
                     if d2 > limit2 or delta2 > radius2 or (t2 <= 0 and d2 >= best):
                         continue
-                    px, py = centres[lens, 0] + dx, centres[lens, 1] + dy
+                    px = centres[lens, 0] + dx
+                    py = centres[lens, 1] + dy
                     if not (px >= 0 and py >= 0 and px <= width - 1 and py <= height - 1):
                         continue
-                    ix, iy = min(int(px), width - 2), min(int(py), height - 2)
-                    fx, fy = np.float32(px - ix), np.float32(py - iy)
-                    ix, iy = ix - corner[0], iy - corner[1]
+                    ix = min(int(px), width - 2)
+                    iy = min(int(py), height - 2)
+                    fx = np.float32(px - ix)
+                    fy = np.float32(py - iy)
+                    ix = ix - corner[0]
+                    iy = iy - corner[1]
                     gain = gains[tables[lens], min(int(delta2 * per_step), last_entry)]
                     weight = (RIM - max(d2 / limit2, delta2 / radius2)) / (gain * gain)
                     gain = one + applied * (gain - one)
                     weight *= shares[types[lens], ratio]
-                    if edged[lens] and abs(shown[iy + (fy >= 0.5), ix + (fx >= 0.5)] - s) > 2 * depth.edge:
+                    if (
+                        edged[lens]
+                        and abs(shown[iy + (fy >= 0.5), ix + (fx >= 0.5)] - s) > 2 * depth.edge
+                    ):
                         weight *= OCCLUDED
                         d2 += limit2
                     if d2 < best:
-                        best, best_at = d2, found
+                        best = d2
+                        best_at = found
                         if t2 <= 0:
                             farthest = min(farthest, np.sqrt(best) + np.float32(0.75) * pitch)
-                    w01, w11 = gain * fx * (one - fy), gain * fx * fy
-                    w00, w10 = gain * (one - fy) - w01, gain * fy - w11
+                    w01 = gain * fx * (one - fy)
+                    w11 = gain * fx * fy
+                    w00 = gain * (one - fy) - w01
+                    w10 = gain * fy - w11
                     at = iy * down + ix * across
                     for c in range(channels):
-                        value = (w00 * np.float32(line[at + c]) + w01 * np.float32(line[at + across + c])) + (
-                            w10 * np.float32(line[at + down + c]) + w11 * np.float32(line[at + down + across + c])
+                        value = (
+                            w00 * np.float32(line[at + c]) + w01 * np.float32(line[at + across + c])
+                        ) + (
+                            w10 * np.float32(line[at + down + c])
+                            + w11 * np.float32(line[at + down + across + c])
                         )
                         values[found, c] = value
                         mean[c] += weight * value
@@ -151,7 +211,8 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                 if t2 <= 0:
                     total += values[best_at]
                     continue
-                # Reweighted once by how far the colour of a lens is from the plain mean (Geman-McClure).
+                # Reweighted once by how far the colour of a lens is from the plain mean
+                # (Geman-McClure).
                 mean /= norm
                 norm = zero
                 for n in range(found):

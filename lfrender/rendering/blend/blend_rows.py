@@ -1,7 +1,8 @@
-"""Blending row by row: each lens is read along the run of pixels that it shows, with vector instructions.
+"""Blending row by row: each lens is read along the run of pixels that it shows, with vector
+instructions.
 
-Computes the robust mean of `blend_pixels` for the usual picture: integers of up to three channels and one sample per
-output pixel. Pixels that need several samples are left to that kernel.
+Computes the robust mean of `blend_pixels` for the usual picture: integers of up to three channels
+and one sample per output pixel. Pixels that need several samples are left to that kernel.
 """
 
 from __future__ import annotations
@@ -18,18 +19,27 @@ from .records import OCCLUDED, RIM
 
 __all__ = ["blend_rows"]
 
-# Columns that are blended together, and pixels of a run, in groups of a vector register; fewer than two groups no
-# compiler turns into vectors. Values of one kind follow each other at known distances in one array: for arrays that
-# may overlap there would be no vector instructions. Places are unsigned: signed ones are checked for being counted
-# from the end.
-_SECTION, _RUN, _GROUP = 1024, 64, 8
+# Columns that are blended together, and pixels of a run, in groups of a vector register; fewer than
+# two groups no compiler turns into vectors. Values of one kind follow each other at known distances
+# in one array: for arrays that may overlap there would be no vector instructions. Places are
+# unsigned: signed ones are checked for being counted from the end.
+_SECTION = 1024
+_RUN = 64
+_GROUP = 8
 _LINE = _SECTION + _RUN
-_L1, _L2, _L3 = np.uint64(_LINE), np.uint64(2 * _LINE), np.uint64(3 * _LINE)
-_R1, _R2, _R3, _R4 = np.uint64(_RUN), np.uint64(2 * _RUN), np.uint64(3 * _RUN), np.uint64(4 * _RUN)
+_L1 = np.uint64(_LINE)
+_L2 = np.uint64(2 * _LINE)
+_L3 = np.uint64(3 * _LINE)
+_R1 = np.uint64(_RUN)
+_R2 = np.uint64(2 * _RUN)
+_R3 = np.uint64(3 * _RUN)
+_R4 = np.uint64(4 * _RUN)
 
 
 class _Memory(NamedTuple):
-    """Working memory of one thread. Numba counts references when arrays are taken out of it: not in loops over runs."""
+    """Working memory of one thread. Numba counts references when arrays are taken out of it: not in
+    loops over runs.
+    """
 
     band: Any  # (3 + types, LINE) float32: slope s / D, squared reach, patch size, weight of each type, by column
     grid: Any  # (2, m) float32: grid values of the surface between two rows of it, and of the nearer row
@@ -48,45 +58,75 @@ class _Memory(NamedTuple):
 def _allocate(types, cells, runs, packed):
     single = np.float32
     return _Memory(
-        np.ones((3 + types) * _LINE, single), np.empty((2, cells), single), np.empty(cells, np.bool_),
-        np.empty(_SECTION, np.int32), np.empty(4 * _RUN, single), np.empty(2 * _RUN, np.int32),
-        np.empty(4 * _RUN, packed.dtype), np.empty(runs * 4 * _RUN, single), np.empty((runs, 2), np.int64),
-        np.empty(4 * _LINE, single), np.empty(4 * _LINE, single),
-    )  # fmt: skip
+        np.ones((3 + types) * _LINE, single),
+        np.empty((2, cells), single),
+        np.empty(cells, np.bool_),
+        np.empty(_SECTION, np.int32),
+        np.empty(4 * _RUN, single),
+        np.empty(2 * _RUN, np.int32),
+        np.empty(4 * _RUN, packed.dtype),
+        np.empty(runs * 4 * _RUN, single),
+        np.empty((runs, 2), np.int64),
+        np.empty(4 * _LINE, single),
+        np.empty(4 * _LINE, single),
+    )
 
 
 @njit(fastmath=FAST, error_model="numpy")
 def _sample_surface(surface, depth, x, y, spacing, count, memory):
     """Fill the sizes of `count` columns from scene point (x, y) on, as `patch_size_at`."""
-    sizes, places, edge = memory.band[2 * _LINE : 3 * _LINE], memory.place, memory.edge
-    level, near = memory.grid[0], memory.grid[1]
+    sizes = memory.band[2 * _LINE : 3 * _LINE]
+    places = memory.place
+    edge = memory.edge
+    level = memory.grid[0]
+    near = memory.grid[1]
     rows, columns = surface.shape
-    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
-    last_x, last = np.float32(columns - 1), np.int32(max(columns - 2, 0))
+    zero = np.float32(0)
+    half = np.float32(0.5)
+    one = np.float32(1)
+    last_x = np.float32(columns - 1)
+    last = np.int32(max(columns - 2, 0))
     for k in range(count):
         across = min(max((np.float32(x + k * spacing) - depth.x) / depth.spacing, zero), last_x)
         places[k] = min(np.int32(across), last)
         sizes[k] = across - np.float32(places[k])
     down = min(max((np.float32(y) - depth.y) / depth.spacing, zero), np.float32(rows - 1))
     j = min(int(down), max(rows - 2, 0))
-    above, below, fy, start = surface[j], surface[min(j + 1, rows - 1)], down - np.float32(j), places[0]
+    above = surface[j]
+    below = surface[min(j + 1, rows - 1)]
+    fy = down - np.float32(j)
+    start = places[0]
     for k in range(places[count - 1] + 2 - start):
-        i, right = min(start + k, columns - 1), min(start + k + 1, columns - 1)
-        a, b, c, d = above[i], above[right], below[i], below[right]
+        i = min(start + k, columns - 1)
+        right = min(start + k + 1, columns - 1)
+        a = above[i]
+        b = above[right]
+        c = below[i]
+        d = below[right]
         level[k], near[k] = (one - fy) * a + fy * c, c if fy > half else a
         edge[k] = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= depth.edge
     for k in range(count):
-        at, beyond, fx = np.uint64(np.uint32(places[k] - start)), np.uint64(np.uint32(places[k] - start + 1)), sizes[k]
+        at = np.uint64(np.uint32(places[k] - start))
+        beyond = np.uint64(np.uint32(places[k] - start + 1))
+        fx = sizes[k]
         flat = (one - fx) * level[at] + fx * level[beyond]
         sizes[k] = (near[beyond] if fx > half else near[at]) if edge[at] else flat
 
 
 @njit(fastmath=FAST, error_model="numpy")
 def _fill_band(memory, count, pitch, shares, weighting):
-    """Slopes, reach and weights of the lens types for the sizes of `count` columns; returns the largest reach."""
-    band, places = memory.band, memory.place
-    slopes, limits, sizes = band[:_LINE], band[_LINE : 2 * _LINE], band[2 * _LINE : 3 * _LINE]
-    per_pitch, widest, reach, least = np.float32(1) / pitch, weighting.widest, weighting.reach, np.float32(1e-6)
+    """Slopes, reach and weights of the lens types for the sizes of `count` columns; returns the
+    largest reach.
+    """
+    band = memory.band
+    places = memory.place
+    slopes = band[:_LINE]
+    limits = band[_LINE : 2 * _LINE]
+    sizes = band[2 * _LINE : 3 * _LINE]
+    per_pitch = np.float32(1) / pitch
+    widest = weighting.widest
+    reach = weighting.reach
+    least = np.float32(1e-6)
     for k in range(count):
         slopes[k] = sizes[k] * per_pitch
         limit = min(widest / max(abs(slopes[k]), least), reach)
@@ -102,7 +142,8 @@ def _fill_band(memory, count, pitch, shares, weighting):
             ratio = (slopes[k] + np.float32(1)) * (np.float32(0.5) * last) + np.float32(0.5)
             places[k] = np.int32(min(max(ratio, np.float32(0)), last))
         for t in range(len(shares)):
-            share, own = shares[t], band[(3 + t) * _LINE : (4 + t) * _LINE]
+            share = shares[t]
+            own = band[(3 + t) * _LINE : (4 + t) * _LINE]
             for k in range(count):
                 own[k] = share[np.uint64(np.uint32(places[k]))]
     return np.float64(np.sqrt(farthest))
@@ -117,63 +158,119 @@ def _interpolate(a, b, c, d, lowest, w00, w01, w10, w11):
 
 @njit(fastmath=FAST, error_model="numpy")
 def _read_lenses(memory, flat, light, lenses, edge, weighting, grid, column, count, y, reach):
-    """Add up the readings of all lenses within `reach` of a row of `count` columns; returns the number of runs."""
-    band, work, whole, corners = memory.band, memory.work, memory.whole, memory.corners
-    values, sums, runs = memory.values, memory.sums, memory.runs
-    line, shown, table = flat.pixels.reshape(-1), flat.depth.reshape(-1), light.gains.reshape(-1)
-    width, height, entries = np.int32(flat.size[0]), np.int32(flat.size[1]), light.gains.shape[1]
-    corner_x, corner_y, stride = np.int32(flat.corner[0]), np.int32(flat.corner[1]), np.int32(flat.pixels.shape[1])
-    down, apart = np.uint64(flat.pixels.shape[1]), np.float32(2) * edge
-    last_x, last_y = np.int32(width - 2), np.int32(height - 2)
-    end_x, end_y = np.float32(width - 1), np.float32(height - 1)
-    view_x, view_y, radius2 = weighting.viewpoint[0], weighting.viewpoint[1], weighting.viewpoint[2]
-    per_radius2, per_entry, last_entry = np.float32(1) / radius2, np.float32(1) / light.step, np.float32(entries - 1)
-    first, spacing, step, per_spacing = grid.first[0], grid.spacing, np.float32(grid.spacing), 1 / grid.spacing
-    zero, half, one, next_one = np.float32(0), np.float32(0.5), np.float32(1), np.uint64(1)
+    """Add up the readings of all lenses within `reach` of a row of `count` columns; returns the
+    number of runs.
+    """
+    band = memory.band
+    work = memory.work
+    whole = memory.whole
+    corners = memory.corners
+    values = memory.values
+    sums = memory.sums
+    runs = memory.runs
+    line = flat.pixels.reshape(-1)
+    shown = flat.depth.reshape(-1)
+    table = light.gains.reshape(-1)
+    width = np.int32(flat.size[0])
+    height = np.int32(flat.size[1])
+    entries = light.gains.shape[1]
+    corner_x = np.int32(flat.corner[0])
+    corner_y = np.int32(flat.corner[1])
+    stride = np.int32(flat.pixels.shape[1])
+    down = np.uint64(flat.pixels.shape[1])
+    apart = np.float32(2) * edge
+    last_x = np.int32(width - 2)
+    last_y = np.int32(height - 2)
+    end_x = np.float32(width - 1)
+    end_y = np.float32(height - 1)
+    view_x = weighting.viewpoint[0]
+    view_y = weighting.viewpoint[1]
+    radius2 = weighting.viewpoint[2]
+    per_radius2 = np.float32(1) / radius2
+    per_entry = np.float32(1) / light.step
+    last_entry = np.float32(entries - 1)
+    first = grid.first[0]
+    spacing = grid.spacing
+    step = np.float32(grid.spacing)
+    per_spacing = 1 / grid.spacing
+    zero = np.float32(0)
+    half = np.float32(0.5)
+    one = np.float32(1)
+    next_one = np.uint64(1)
     applied = light.applied
     bits = line.dtype.type(2 * line.itemsize)
     lowest = (line.dtype.type(1) << bits) - line.dtype.type(1)
     inner = np.sqrt(radius2) + np.sqrt(view_x * view_x + view_y * view_y) + 2
-    centres, tables, types, edged = lenses.centres, lenses.tables, lenses.types, lenses.edged
+    centres = lenses.centres
+    tables = lenses.tables
+    types = lenses.types
+    edged = lenses.edged
     number = np.uint64(0)
-    for lens in range(np.searchsorted(centres[:, 1], y - reach), np.searchsorted(centres[:, 1], y + reach)):
-        cx, cy = centres[lens, 0], centres[lens, 1]
+    for lens in range(
+        np.searchsorted(centres[:, 1], y - reach), np.searchsorted(centres[:, 1], y + reach)
+    ):
+        cx = centres[lens, 0]
+        cy = centres[lens, 1]
         wide = np.sqrt(max(reach * reach - (y - cy) * (y - cy), 0.0))
         first_u = max(int(np.ceil((cx - wide - first) * per_spacing)) - column, 0)
         end_u = min(int(np.floor((cx + wide - first) * per_spacing)) + 1 - column, count)
         # Counted from the pixel nearest to the centre, whatever part of the picture is drawn.
         anchor = int(np.rint((cx - first) * per_spacing))
-        e_x, ey = np.float32(first + anchor * spacing - cx), np.float32(y - cy)
-        at_x, at_y = np.int32(np.floor(cx)), np.int32(np.floor(cy))
-        inner_x, inner_y = np.float32(cx - at_x), np.float32(cy - at_y)
+        e_x = np.float32(first + anchor * spacing - cx)
+        ey = np.float32(y - cy)
+        at_x = np.int32(np.floor(cx))
+        at_y = np.int32(np.floor(cy))
+        inner_x = np.float32(cx - at_x)
+        inner_y = np.float32(cy - at_y)
         border = not (inner <= cx <= width - 1 - inner and inner <= cy <= height - 1 - inner)
-        own_table, own_share = np.int32(tables[lens] * entries), np.uint64(3 + types[lens]) * _L1
+        own_table = np.int32(tables[lens] * entries)
+        own_share = np.uint64(3 + types[lens]) * _L1
         for begin in range(first_u, end_u, _RUN):
-            n_x, u, to = np.int32(column + begin - anchor), np.uint64(begin), number * _R4
+            n_x = np.int32(column + begin - anchor)
+            u = np.uint64(begin)
+            to = number * _R4
             groups = max((min(end_u - begin, _RUN) + _GROUP - 1) // _GROUP, 2)
             size = np.uint64(groups) * np.uint64(_GROUP)
-            # Where the lens is read, and with which weight: all numbers have 32 bits, of which a register holds most.
+            # Where the lens is read, and with which weight: all numbers have 32 bits, of which a
+            # register holds most.
             for k in range(size):
                 ex = np.float32(np.int32(np.int32(k) + n_x)) * step + e_x
-                d2, tilt, limit = ex * ex + ey * ey, band[u + k], band[_L1 + u + k]
-                dx, dy = view_x - ex * tilt, view_y - ey * tilt
+                d2 = ex * ex + ey * ey
+                tilt = band[u + k]
+                limit = band[_L1 + u + k]
+                dx = view_x - ex * tilt
+                dy = view_y - ey * tilt
                 delta2 = dx * dx + dy * dy
-                rx, ry = inner_x + dx, inner_y + dy
-                step_x, step_y = np.floor(rx), np.floor(ry)
-                fx, fy = rx - step_x, ry - step_y
-                ix, iy = np.int32(at_x + np.int32(step_x)), np.int32(at_y + np.int32(step_y))
+                rx = inner_x + dx
+                ry = inner_y + dy
+                step_x = np.floor(rx)
+                step_y = np.floor(ry)
+                fx = rx - step_x
+                fy = ry - step_y
+                ix = np.int32(at_x + np.int32(step_x))
+                iy = np.int32(at_y + np.int32(step_y))
                 ok = (d2 <= limit) & (delta2 <= radius2)
                 if border:
-                    ok &= (ix >= 0) & (iy >= 0) & (np.float32(ix) + fx <= end_x) & (np.float32(iy) + fy <= end_y)
-                    fx, fy = one if ix > last_x else fx, one if iy > last_y else fy
-                    ix, iy = min(max(ix, np.int32(0)), last_x), min(max(iy, np.int32(0)), last_y)
+                    ok &= (
+                        (ix >= 0)
+                        & (iy >= 0)
+                        & (np.float32(ix) + fx <= end_x)
+                        & (np.float32(iy) + fy <= end_y)
+                    )
+                    fx = one if ix > last_x else fx
+                    fy = one if iy > last_y else fy
+                    ix = min(max(ix, np.int32(0)), last_x)
+                    iy = min(max(iy, np.int32(0)), last_y)
                 weight = (RIM - max(d2 / limit, delta2 * per_radius2)) * band[own_share + u + k]
                 work[k], work[_R1 + k], work[_R2 + k] = fx, fy, weight if ok else zero
-                place = np.int32(np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x))
+                place = np.int32(
+                    np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x)
+                )
                 whole[k] = place if ok else np.int32(0)
                 whole[_R1 + k] = np.int32(np.int32(min(delta2 * per_entry, last_entry)) + own_table)
             for k in range(size):
-                at, entry = np.uint64(np.uint32(whole[k])), np.uint64(np.uint32(whole[_R1 + k]))
+                at = np.uint64(np.uint32(whole[k]))
+                entry = np.uint64(np.uint32(whole[_R1 + k]))
                 corners[k], corners[_R1 + k] = line[at], line[at + next_one]
                 corners[_R2 + k], corners[_R3 + k] = line[at + down], line[at + down + next_one]
                 work[_R3 + k] = table[entry]
@@ -183,17 +280,31 @@ def _read_lenses(memory, flat, light, lenses, edge, weighting, grid, column, cou
                     at += np.uint64(work[_R1 + k] >= half) * down
                     work[_R2 + k] *= OCCLUDED if abs(shown[at] - band[_L2 + u + k]) > apart else one
             for k in range(size):
-                fx, fy, gain = work[k], work[_R1 + k], work[_R3 + k]
+                fx = work[k]
+                fy = work[_R1 + k]
+                gain = work[_R3 + k]
                 weight = work[_R2 + k] / (gain * gain)
                 gain = one + applied * (gain - one)
-                gx, gy = gain * fx, one - fy
-                w01, w11 = gx * gy, gx * fy
-                w00, w10 = gain * gy - w01, gain * fy - w11
-                a, b, c, d = corners[k], corners[_R1 + k], corners[_R2 + k], corners[_R3 + k]
+                gx = gain * fx
+                gy = one - fy
+                w01 = gx * gy
+                w11 = gx * fy
+                w00 = gain * gy - w01
+                w10 = gain * fy - w11
+                a = corners[k]
+                b = corners[_R1 + k]
+                c = corners[_R2 + k]
+                d = corners[_R3 + k]
                 v0 = _interpolate(a, b, c, d, lowest, w00, w01, w10, w11)
-                a, b, c, d = a >> bits, b >> bits, c >> bits, d >> bits
+                a = a >> bits
+                b = b >> bits
+                c = c >> bits
+                d = d >> bits
                 v1 = _interpolate(a, b, c, d, lowest, w00, w01, w10, w11)
-                a, b, c, d = a >> bits, b >> bits, c >> bits, d >> bits
+                a = a >> bits
+                b = b >> bits
+                c = c >> bits
+                d = d >> bits
                 v2 = _interpolate(a, b, c, d, lowest, w00, w01, w10, w11)
                 values[to + k], values[to + _R1 + k] = weight, v0
                 values[to + _R2 + k], values[to + _R3 + k] = v1, v2
@@ -218,13 +329,24 @@ def _normalise(sums, count):
 
 @njit(fastmath=FAST, error_model="numpy")
 def _add_agreeing(memory, number, t2, per_channel):
-    """Add readings to the totals, weighted by how close they are to the mean of their pixel (Geman-McClure)."""
-    values, means, totals, runs = memory.values, memory.sums, memory.totals, memory.runs
+    """Add readings to the totals, weighted by how close they are to the mean of their pixel
+    (Geman-McClure).
+    """
+    values = memory.values
+    means = memory.sums
+    totals = memory.totals
+    runs = memory.runs
     for n in range(number):
-        u, size, at = np.uint64(runs[n, 0]), np.uint64(runs[n, 1]) * np.uint64(_GROUP), n * _R4
+        u = np.uint64(runs[n, 0])
+        size = np.uint64(runs[n, 1]) * np.uint64(_GROUP)
+        at = n * _R4
         for k in range(size):
-            v0, v1, v2 = values[at + _R1 + k], values[at + _R2 + k], values[at + _R3 + k]
-            e0, e1, e2 = v0 - means[_L1 + u + k], v1 - means[_L2 + u + k], v2 - means[_L3 + u + k]
+            v0 = values[at + _R1 + k]
+            v1 = values[at + _R2 + k]
+            v2 = values[at + _R3 + k]
+            e0 = v0 - means[_L1 + u + k]
+            e1 = v1 - means[_L2 + u + k]
+            e2 = v2 - means[_L3 + u + k]
             agree = t2 / (t2 + (e0 * e0 + e1 * e1 + e2 * e2) * per_channel)
             weight = values[at + k] * agree * agree
             totals[u + k] += weight
@@ -235,40 +357,51 @@ def _add_agreeing(memory, number, t2, per_channel):
 
 @kernel(error_model="numpy", share=lambda *given: len(given[7].image))
 def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting, output, left):
-    """Draw as `blend_pixels`, from packed pixels (`prefilter_packed`); those that need several samples are marked in
-    `left`."""
-    image, valid, spacing, start = output.image, output.valid, grid.spacing, grid.start
-    columns, channels = image.shape[1], image.shape[2]
-    # A lens is read in pieces along a row; as many lie beside it as twice the reach, and a pitch, hold.
+    """Draw as `blend_pixels`, from packed pixels (`prefilter_packed`); those that need several
+    samples are marked in `left`.
+    """
+    image = output.image
+    valid = output.valid
+    spacing = grid.spacing
+    start = grid.start
+    columns = image.shape[1]
+    channels = image.shape[2]
+    # A lens is read in pieces along a row; as many lie beside it as twice the reach, and a pitch,
+    # hold.
     across = int(_SECTION * spacing / lenses.pitch) + 2 * int(weighting.reach / lenses.pitch) + 4
     beside = 4 * (2 * int(weighting.reach / lenses.pitch) + 3)
     pieces = int(2 * weighting.reach / spacing) // _RUN + 2
     cells = int(_SECTION * spacing / depth.spacing) + 4
     memory = _allocate(len(lenses.shares), cells, across * beside * pieces, flat.pixels)
-    t2, per_channel = weighting.tolerance * weighting.tolerance, np.float32(1 / channels)
+    t2 = weighting.tolerance * weighting.tolerance
+    per_channel = np.float32(1 / channels)
     largest = grid.scale
     for v in range(begin, end):
         y = grid.first[1] + (start[1] + v) * spacing
         for section in range(0, columns, _SECTION):
-            count, column = min(_SECTION, columns - section), start[0] + section
-            _sample_surface(surface, depth, grid.first[0] + column * spacing, y, spacing, count, memory)
+            count = min(_SECTION, columns - section)
+            column = start[0] + section
+            _sample_surface(
+                surface, depth, grid.first[0] + column * spacing, y, spacing, count, memory
+            )
             reach = _fill_band(memory, count, lenses.pitch, lenses.shares, weighting)
             memory.sums[:] = 0
             memory.totals[:] = 0
             number = _read_lenses(
                 memory, flat, light, lenses, depth.edge, weighting, grid, column, count, y, reach
-            )  # fmt: skip
+            )
             _normalise(memory.sums, count)
             _add_agreeing(memory, number, t2, per_channel)
             _normalise(memory.totals, count)
-            sizes, totals = memory.band[2 * _LINE :], memory.totals
+            sizes = memory.band[2 * _LINE :]
+            totals = memory.totals
             for k in range(count):
                 left[v, section + k] = False
                 if abs(sizes[k]) > largest:
                     x = grid.first[0] + (column + k) * spacing
                     samples, _ = count_samples(
                         surface, depth, x, y, sizes[k], grid, lenses.pitch, weighting.squares
-                    )  # fmt: skip
+                    )
                     left[v, section + k] = samples > 1
                 valid[v, section + k] = totals[k] > 0
                 for c in range(channels):

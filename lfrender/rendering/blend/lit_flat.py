@@ -1,4 +1,6 @@
-"""What a picture reads of a flat: its pixels without the gain of the lenses, and the patch size that each shows."""
+"""What a picture reads of a flat: its pixels without the gain of the lenses, and the patch size
+that each shows.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ class LitFlat:
 
     pixels: NDArray[Any]  # (h, w, C), divided by the gain if that differs from lens to lens
     edged: NDArray[np.bool_]  # (n,) lenses with a depth edge in reach, or unlit pixels
-    shown: NDArray[np.float32]  # (h, w) patch size [px] that pixels of these lenses show, inf where unlit
+    shown: NDArray[
+        np.float32
+    ]  # (h, w) patch size [px] that pixels of these lenses show, inf where unlit
     light: Light
 
     @cached_property
@@ -36,19 +40,28 @@ class LitFlat:
 
 
 def light_flat(
-    calibration: Calibration, surface: Surface | None, pixels: NDArray[Any], corner: tuple[int, int], reach: float
+    calibration: Calibration,
+    surface: Surface | None,
+    pixels: NDArray[Any],
+    corner: tuple[int, int],
+    reach: float,
 ) -> LitFlat:
-    """The pixels (h, w, C) of a part of the flat from `corner` on, the patch size that each shows, and the light of the
-    lenses.
+    """The pixels (h, w, C) of a part of the flat from `corner` on, the patch size that each shows,
+    and the light of the lenses.
 
-    If the gain differs from lens to lens, pixels are divided by it, and those that are unlit are infinitely far.
-    Without a surface nothing occludes anything. `reach` [px] is from lenses to scene points that are read from them.
+    If the gain differs from lens to lens, pixels are divided by it, and those that are unlit are
+    infinitely far. Without a surface nothing occludes anything. `reach` [px] is from lenses to
+    scene points that are read from them.
     """
     lattice = calibration.lattice
-    shown, edged, uneven = np.empty((0, 0), np.float32), np.zeros(len(lattice), bool), has_uneven_lenses(calibration)
+    shown = np.empty((0, 0), np.float32)
+    edged = np.zeros(len(lattice), bool)
+    uneven = has_uneven_lenses(calibration)
     if surface is not None and surface.patch_size.size > 1:
         part = (*corner, corner[0] + pixels.shape[1], corner[1] + pixels.shape[0])
-        shown, edged = project_surface(surface, lattice, reach, edge_step(lattice.pitch), part, uneven)
+        shown, edged = project_surface(
+            surface, lattice, reach, edge_step(lattice.pitch), part, uneven
+        )
     gains, step = correction_tables(calibration)
     if uneven:
         pixels, unknown = calibration.region_gain().flatten(pixels, *corner)
@@ -56,7 +69,9 @@ def light_flat(
             shown = np.full(pixels.shape[:2], np.nan, np.float32)
         shown[dilate_mask(unknown)] = np.inf
         edged[:] = True
-    return LitFlat(pixels, edged, shown, Light(gains, np.float32(step), np.float32(0 if uneven else 1)))
+    return LitFlat(
+        pixels, edged, shown, Light(gains, np.float32(step), np.float32(0 if uneven else 1))
+    )
 
 
 def dilate_mask(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -13,17 +13,28 @@ from ...flat.lens_graph import lens_displacements, lens_offsets
 from ...flat.lens_type_weights import focus_weights
 
 __all__ = [
-    "FARTHEST_SAMPLE", "OCCLUDED", "ONE_SAMPLE", "RIM", "Flat", "Grid", "Lenses", "Light", "Output", "Weighting",
+    "FARTHEST_SAMPLE",
+    "OCCLUDED",
+    "ONE_SAMPLE",
+    "RIM",
+    "Flat",
+    "Grid",
+    "Lenses",
+    "Light",
+    "Output",
+    "Weighting",
     "tabulate_lenses",
-]  # fmt: skip
+]
 
-#: The weight of a lens falls from this at its centre with the squared distance, and is still above 0 at the rim.
+#: The weight of a lens falls from this at its centre with the squared distance, and is still above
+#: 0 at the rim.
 RIM = np.float32(1.02)
 #: Factor for a pixel that shows another depth than the surface has: it counts only if all do.
 OCCLUDED = np.float32(1e-4)
 #: [px^2 of the flat] Output pixels are sampled once if a smaller square is left to average.
 ONE_SAMPLE = np.float32(0.25)
-#: [px^2 of the flat] Square of the largest distance between samples: pixels and interpolation leave little to alias.
+#: [px^2 of the flat] Square of the largest distance between samples: pixels and interpolation leave
+#: little to alias.
 FARTHEST_SAMPLE = np.float32(1.5)
 
 
@@ -31,7 +42,9 @@ class Flat(NamedTuple):
     """A part of a flat."""
 
     pixels: Any  # (h, w, C) array; (h, w) of C values each in one integer for `blend_rows`
-    depth: Any  # (h, w) float32 [px]: patch size that pixels of `edged` lenses show, inf where unlit
+    depth: (
+        Any  # (h, w) float32 [px]: patch size that pixels of `edged` lenses show, inf where unlit
+    )
     corner: Any  # (2,) int [px]: flat coordinates x, y of the first pixel
     size: Any  # (2,) int [px]: width and height of the whole flat
 
@@ -47,17 +60,22 @@ class Lenses(NamedTuple):
     low: Any  # (2,) int64
     origin: Any  # (2,) float64 [px]
     inverse: Any  # (2, 2) float64: of the basis
-    displacements: Any  # (m, n, 2) of a distorted lattice, from its straight one; (0, 0, 2) if straight
+    displacements: (
+        Any  # (m, n, 2) of a distorted lattice, from its straight one; (0, 0, 2) if straight
+    )
     lowest: Any  # (2,) int64: lattice index of the first displacement
-    offsets: Any  # (k,) float32 [px]: least distance of lenses so many steps apart, the nearest first
+    offsets: (
+        Any  # (k,) float32 [px]: least distance of lenses so many steps apart, the nearest first
+    )
     steps: Any  # (k, 2) int32: those steps, in lattice indices
     shares: Any  # (types, r) float32: weight of a type over s / D from -1 to 1
     pitch: Any  # float32 [px]
 
 
 class Light(NamedTuple):
-    """Gain that undoes the vignetting over the squared distance from the centre of a lens; its inverse square is a
-    weight."""
+    """Gain that undoes the vignetting over the squared distance from the centre of a lens; its
+    inverse square is a weight.
+    """
 
     gains: Any  # (t, k) float32
     step: Any  # float32 [px^2]: distance between entries
@@ -78,10 +96,14 @@ class Weighting(NamedTuple):
     """Which lenses count, and how much."""
 
     reach: Any  # float32 [px]: lenses farther from a scene point are not read
-    widest: Any  # float32 [px]: lenses are read up to so far from their centres, the viewpoint included
+    widest: (
+        Any  # float32 [px]: lenses are read up to so far from their centres, the viewpoint included
+    )
     viewpoint: Any  # (3,) float32: x, y [px] and squared radius [px^2] up to which lenses are read about it
     tolerance: Any  # float32: difference from the mean colour at which a lens counts a quarter; 0: nearest lens alone
-    squares: Any  # (r,) float32 [px^2]: area of the flat that is left to average over s / D from -1 to 1
+    squares: (
+        Any  # (r,) float32 [px^2]: area of the flat that is left to average over s / D from -1 to 1
+    )
 
 
 class Output(NamedTuple):
@@ -97,21 +119,35 @@ def tabulate_lenses(calibration: Calibration, reach: float) -> tuple[Lenses, np.
     `reach` [px] is that of lenses about a scene point.
     """
     lattice = calibration.lattice
-    centres, index = lattice.centres(), lattice.indices()
+    centres = lattice.centres()
+    index = lattice.indices()
     order = np.argsort(centres[:, 1], kind="stable")
     low = index.min(0)
     rows = np.full((index.max(0) - low + 1)[::-1], -1, np.int32)
     rows[tuple((index[order] - low).T[::-1])] = np.arange(len(order))
     cell, shares = focus_weights(calibration.lens_types)
     types, tables = (
-        one[tuple((index[order] % len(one)).T)].astype(np.int64) if one.size else np.zeros(len(order), np.int64)
+        one[tuple((index[order] % len(one)).T)].astype(np.int64)
+        if one.size
+        else np.zeros(len(order), np.int64)
         for one in (cell, correction_cell(calibration))
     )
     displacements, lowest = lens_displacements(lattice)
     offsets, steps = lens_offsets(lattice, reach)
     lenses = Lenses(
-        centres[order], types, tables, np.zeros(len(order), bool), rows, low, lattice.origin,
-        np.linalg.inv(lattice.basis), displacements, lowest, np.ascontiguousarray(offsets[:, 2]), steps, shares,
+        centres[order],
+        types,
+        tables,
+        np.zeros(len(order), bool),
+        rows,
+        low,
+        lattice.origin,
+        np.linalg.inv(lattice.basis),
+        displacements,
+        lowest,
+        np.ascontiguousarray(offsets[:, 2]),
+        steps,
+        shares,
         np.float32(lattice.pitch),
-    )  # fmt: skip
+    )
     return lenses, order

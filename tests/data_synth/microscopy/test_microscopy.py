@@ -60,7 +60,9 @@ def test_white_images_are_even_within_the_aperture_and_dark_beyond_it():
     y, x = np.mgrid[: white.shape[0], : white.shape[1]]
     lattice = MICROSCOPE.lattice
     points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
-    away = np.hypot(*(points - lattice.points(np.rint(lattice.to_index(points)))).T).reshape(white.shape)
+    away = np.hypot(*(points - lattice.points(np.rint(lattice.to_index(points)))).T).reshape(
+        white.shape
+    )
 
     inside = white[away < MICROSCOPE.pupil_radius - 1]
     outside = white[away > MICROSCOPE.pupil_radius + 1]

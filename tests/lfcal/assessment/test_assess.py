@@ -1,4 +1,6 @@
-"""Assessing an array: simulated mounts are recovered within twice the stated errors, and nothing unsure is advised."""
+"""Assessing an array: simulated mounts are recovered within twice the stated errors, and nothing
+unsure is advised.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,16 @@ from lfcal.cli.main import main
 
 @pytest.fixture(scope="module")
 def tilted():
-    """A ray-traced camera turned by 0.7 degrees, with a gap of 12 %, whose sensor is farther away to the right."""
-    camera = Camera.design((380, 280), 15.3, rotation=0.7, focus=0.15, fill=0.8, microimage_fill=0.88, focal_length=20)
+    """A ray-traced camera turned by 0.7 degrees, with a gap of 12 %, whose sensor is farther away
+    to the right.
+    """
+    camera = Camera.design(
+        (380, 280), 15.3, rotation=0.7, focus=0.15, fill=0.8, microimage_fill=0.88, focal_length=20
+    )
     camera = camera.replace(sensor_tilt=(np.radians(0.5), 0.0))
-    light = tracing.sensor(np.zeros((0, 23)), np.zeros((1, 4), np.float32), (1.0,) * 3, camera, 8, 1)[..., 3]
+    light = tracing.sensor(
+        np.zeros((0, 23)), np.zeros((1, 4), np.float32), (1.0,) * 3, camera, 8, 1
+    )[..., 3]
     return camera, np.rint(50_000 * light / light.max()).astype(np.uint16)
 
 
@@ -49,13 +57,19 @@ def test_rotation_tilt_gap_and_focus_are_recovered_within_twice_their_errors(til
 def test_advice_tells_which_way_to_turn(assessed):
     assert "degrees counter-clockwise as it looks on the flat" in assessed.rotation.advice
     assert "open the main lens to 0.8" in assessed.apertures.advice
-    assert not any(one.advice for one in (assessed.vignetting, assessed.exposure, assessed.evenness, assessed.dirt))
+    assert not any(
+        one.advice
+        for one in (assessed.vignetting, assessed.exposure, assessed.evenness, assessed.dirt)
+    )
 
 
 def test_a_tilt_is_advised_on_only_where_pitches_or_rims_confirm_it(assessed):
-    camera, alignment = assessed.calibration, measure_alignment(assessed.calibration)
+    camera = assessed.calibration
+    alignment = measure_alignment(assessed.calibration)
     for error, advised in ((0.01, True), (1.0, False)):
-        seen = Seen(None, camera, alignment._replace(gradient_error=error), assessed.microimages, f_number=4)
+        seen = Seen(
+            None, camera, alignment._replace(gradient_error=error), assessed.microimages, f_number=4
+        )
         found = find_tilt(seen)
         assert "farther from the array at the right of the flat" in found.verdict
         assert bool(found.advice) == advised
@@ -65,7 +79,9 @@ def test_a_tilt_is_advised_on_only_where_pitches_or_rims_confirm_it(assessed):
 def overlapping():
     """A white image whose microimages overlap by 6 %, and its calibration."""
     camera = Camera.design(size=(240, 200), pitch=16, microimage_fill=1.06, fill=0.4)
-    light = tracing.sensor(np.zeros((0, 23)), np.zeros((1, 4), np.float32), (1.0,) * 3, camera, 8, 1)[..., 3]
+    light = tracing.sensor(
+        np.zeros((0, 23)), np.zeros((1, 4), np.float32), (1.0,) * 3, camera, 8, 1
+    )[..., 3]
     white = np.rint(20_000 * light / light.max()).astype(np.uint16)
     return white, replace(camera.calibration(), source="white", encoded=False)
 
@@ -113,23 +129,32 @@ def dim(brightest):
 
 
 def test_the_exposure_of_a_dim_scene_refers_to_a_range_that_is_known():
-    scene, white = dim(2735), dim(38652)
+    scene = dim(2735)
+    white = dim(38652)
     # Alone it could be three quarters of 12 bits or a twenty-fifth of 16.
     assert find_range([scene]) is None
     unknown = find_exposure(scene, find_range([scene]))
-    assert np.isnan(unknown.value) and "the brightest pixel is 2735; give --white-level" in unknown.verdict
+    assert (
+        np.isnan(unknown.value)
+        and "the brightest pixel is 2735; give --white-level" in unknown.verdict
+    )
     # The white image of the sensor shows that it has all 16 bits.
     known = find_exposure(scene, find_range([white, scene]))
-    assert known.value == pytest.approx(100 * 2735 / 65535, rel=0.02) and "of 65535" in known.verdict
+    assert (
+        known.value == pytest.approx(100 * 2735 / 65535, rel=0.02) and "of 65535" in known.verdict
+    )
     assert "expose up to 19 times longer" in known.advice
     stated = find_exposure(scene, find_range([scene], 4095))
-    assert stated.value == pytest.approx(66.8, rel=0.02) and stated.verdict == "of 4095: well exposed"
+    assert (
+        stated.value == pytest.approx(66.8, rel=0.02) and stated.verdict == "of 4095: well exposed"
+    )
     clipped = np.minimum(dim(6000), 4095)
     assert "over-exposed" in find_exposure(clipped, find_range([clipped])).verdict
 
 
 def test_the_evenness_is_that_of_the_light_that_the_page_draws(tilted, assessed):
-    gain, lattice = assessed.calibration.gain_map, assessed.calibration.lattice
+    gain = assessed.calibration.gain_map
+    lattice = assessed.calibration.lattice
     level = np.array([0.0, 0.2, 0.1])
     uneven = replace(assessed.calibration, gain_map=replace(gain, level=level))
     found = lfcal.assess(tilted[1], calibration=uneven)
@@ -150,7 +175,16 @@ def test_the_command_writes_a_page_without_network_and_all_figures(overlapping, 
     result = CliRunner().invoke(main, words, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)["findings"]
-    names = ["rotation", "tilt", "distance", "apertures", "vignetting", "exposure", "evenness", "dirt"]
+    names = [
+        "rotation",
+        "tilt",
+        "distance",
+        "apertures",
+        "vignetting",
+        "exposure",
+        "evenness",
+        "dirt",
+    ]
     assert list(found) == names and found["tilt"]["value"] is None
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     measured = [one for one in found.values() if one["value"] is not None]

@@ -11,7 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from lfcal import Board, OutputError
 from lfcal.boards.board import draw_board, write_board
 
-BOARDS = [Board(9, 6, 12.0), Board(6, 4, 15.0, "charuco", 11.0, "4X4_50"), Board(4, 11, 10.0, "circles")]
+BOARDS = [
+    Board(9, 6, 12.0),
+    Board(6, 4, 15.0, "charuco", 11.0, "4X4_50"),
+    Board(4, 11, 10.0, "circles"),
+]
 
 
 def _raster(board, scale=6.0):
@@ -42,7 +46,9 @@ def test_a_page_has_its_size_in_millimetres_and_a_bar_of_100(tmp_path):
     dark = (_raster(board, 10) < 128).sum(1)
     assert 1000 in dark and _raster(board, 10).shape[1] == 1440
     text = (tmp_path / "board.svg").read_text()
-    assert float(re.search(r'width="([\d.]+)pt"', text).group(1)) == pytest.approx(144 * 72 / 25.4, abs=0.01)
+    assert float(re.search(r'width="([\d.]+)pt"', text).group(1)) == pytest.approx(
+        144 * 72 / 25.4, abs=0.01
+    )
     write_board(tmp_path / "board.pdf", board)
     data = (tmp_path / "board.pdf").read_bytes()
     width = float(re.search(rb"MediaBox \[ ?0 0 ([\d.]+)", data).group(1))

@@ -12,7 +12,9 @@ from lfcal.gain.gain_map import GainMap, Vignetting
 from lfcal.lattice.standard_errors import equal_weight_errors
 
 TYPES = lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]], True, [-0.4, float("nan"), -0.2], 0.97)
-BLUR = lfcal.LensBlur(5.0, 0.5, [0.1, -0.1], [0.02, 0.03], [-0.3, -0.2, -0.1], np.ones((2, 3)), np.full((2, 3), 0.1))
+BLUR = lfcal.LensBlur(
+    5.0, 0.5, [0.1, -0.1], [0.02, 0.03], [-0.3, -0.2, -0.1], np.ones((2, 3)), np.full((2, 3), 0.1)
+)
 
 
 @pytest.fixture
@@ -20,9 +22,19 @@ def camera():
     lattice = lfcal.Lattice((10.25, 7.5), [[20.0, 0.5], [9.5, 17.0]], (200, 100), 9.5)
     vignetting = Vignetting([1.0, 0.9, 0.5], 4.0)
     return lfcal.Calibration(
-        lattice, vignetting, "white", 0.01, 40, 0.97, ("look",), TYPES, white_level=4095.0, lens_blur=BLUR,
-        errors=equal_weight_errors(lattice, 0.02), optics=lfcal.Optics(50, 58, 0.7, 0.005, covariance=np.eye(14)),
-    )  # fmt: skip
+        lattice,
+        vignetting,
+        "white",
+        0.01,
+        40,
+        0.97,
+        ("look",),
+        TYPES,
+        white_level=4095.0,
+        lens_blur=BLUR,
+        errors=equal_weight_errors(lattice, 0.02),
+        optics=lfcal.Optics(50, 58, 0.7, 0.005, covariance=np.eye(14)),
+    )
 
 
 def test_saved_camera_is_loaded_exactly(camera, tmp_path):
@@ -39,7 +51,9 @@ def test_camera_of_another_image_size_is_refused(camera, tmp_path):
         lfcal.load(tmp_path / "camera.json", (100, 200))
 
 
-@pytest.mark.parametrize("text", [None, "", "{", "[]", "{}", '{"schema": "lfcal-camera", "version": 99}', "\x00"])
+@pytest.mark.parametrize(
+    "text", [None, "", "{", "[]", "{}", '{"schema": "lfcal-camera", "version": 99}', "\x00"]
+)
 def test_missing_and_other_files_are_refused_by_name(tmp_path, text):
     path = tmp_path / "camera.json"
     if text is not None:

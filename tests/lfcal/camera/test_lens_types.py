@@ -37,7 +37,9 @@ def test_impossible_types_are_refused(cell, rest, word):
 
 
 def test_types_may_be_missing_in_a_camera_file_but_not_wrong(tmp_path):
-    camera = lfcal.Calibration(lfcal.Lattice((10, 7), [[20, 0], [0, 20]], (200, 100), 9.5), lens_types=None)
+    camera = lfcal.Calibration(
+        lfcal.Lattice((10, 7), [[20, 0], [0, 20]], (200, 100), 9.5), lens_types=None
+    )
     data = {name: value for name, value in camera.to_dict().items() if name != "lens_types"}
     assert lfcal.Calibration.from_dict(data).lens_types is None
     with pytest.raises(lfcal.CameraFileError, match="lens_types"):
@@ -67,4 +69,6 @@ def test_discs_at_other_depths_follow_from_the_aperture():
     blur = lfcal.LensBlur(10.0, 1.0, [0.1], [0.02], [0.0, -0.4], [[1.0, 5.2]], [[0.1, 0.2]])
     discs, errors = blur.at([0.0, -0.1, 0.1, 0.3, -0.4])
     np.testing.assert_allclose(discs, [[1.0, 2.0, 0.0, 2.0, 5.2]], atol=1e-9)
-    np.testing.assert_allclose(errors, [[0.1, np.hypot(0.1, 0.1), np.hypot(0.1, 0.1), np.hypot(0.1, 0.3), 0.2]])
+    np.testing.assert_allclose(
+        errors, [[0.1, np.hypot(0.1, 0.1), np.hypot(0.1, 0.1), np.hypot(0.1, 0.3), 0.2]]
+    )

@@ -19,21 +19,46 @@ def data():
     return Calibration(lattice, gain_map=gain, lens_types=types).to_dict()
 
 
-@pytest.mark.parametrize(("field", "value"), [
-    ("image_size", [2048.5, 1500]), ("image_size", [2048, -1500]), ("image_size", [2048]),
-    ("lattice.basis", [[1e9, 0], [0, 1e9]]), ("lattice.basis", [[3000, 0], [0, 3000]]),
-    ("lattice.basis", [[20, 0], [40, 0]]), ("lattice.basis", [[20, 0], [20, 0.001]]), ("lattice.basis", [[20, 0]]),
-    ("lattice.pitch", 35.0), ("gain_map.radius", 1e4), ("vignetting", {"step": 1e3, "profile": [1.0, 0.5]}),
-    ("lattice.radius", 1e6), ("lattice.radius", 60.0), ("lattice.radius", 0), ("lattice.radius", "9.5"),
-    ("lattice.origin", [float("nan"), 12.0]), ("lattice.origin", [None, 12.0]),
-    ("lattice.distortion", {"centre": [0, 0], "k1": 5.0, "k2": 0.0, "reach": 1000.0}),
-    ("lattice.distortion", {"centre": [0, 0], "k1": 0.01, "k2": 0.0, "reach": 1e-3}),
-    ("fit.confidence", 1.5), ("fit.confidence", True), ("fit.confidence", float("nan")), ("fit.lenses_used", 3.5),
-    ("fit.residual_rms", -1.0), ("mosaic", "RGBG"), ("source", 7), ("warnings", "none"), ("white_level", 0),
-    ("gain_map.step", -1.0), ("gain_map.profile", "no block"), ("vignetting", {"step": 1.0, "profile": []}),
-    ("vignetting", {"step": 1.0, "profile": [1.0, float("inf")]}),
-    ("errors", {"names": ["origin"], "covariance": "none"}), ("optics", [1]), ("lens_blur", {"aperture": 5.0}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("image_size", [2048.5, 1500]),
+        ("image_size", [2048, -1500]),
+        ("image_size", [2048]),
+        ("lattice.basis", [[1e9, 0], [0, 1e9]]),
+        ("lattice.basis", [[3000, 0], [0, 3000]]),
+        ("lattice.basis", [[20, 0], [40, 0]]),
+        ("lattice.basis", [[20, 0], [20, 0.001]]),
+        ("lattice.basis", [[20, 0]]),
+        ("lattice.pitch", 35.0),
+        ("gain_map.radius", 1e4),
+        ("vignetting", {"step": 1e3, "profile": [1.0, 0.5]}),
+        ("lattice.radius", 1e6),
+        ("lattice.radius", 60.0),
+        ("lattice.radius", 0),
+        ("lattice.radius", "9.5"),
+        ("lattice.origin", [float("nan"), 12.0]),
+        ("lattice.origin", [None, 12.0]),
+        ("lattice.distortion", {"centre": [0, 0], "k1": 5.0, "k2": 0.0, "reach": 1000.0}),
+        ("lattice.distortion", {"centre": [0, 0], "k1": 0.01, "k2": 0.0, "reach": 1e-3}),
+        ("fit.confidence", 1.5),
+        ("fit.confidence", True),
+        ("fit.confidence", float("nan")),
+        ("fit.lenses_used", 3.5),
+        ("fit.residual_rms", -1.0),
+        ("mosaic", "RGBG"),
+        ("source", 7),
+        ("warnings", "none"),
+        ("white_level", 0),
+        ("gain_map.step", -1.0),
+        ("gain_map.profile", "no block"),
+        ("vignetting", {"step": 1.0, "profile": []}),
+        ("vignetting", {"step": 1.0, "profile": [1.0, float("inf")]}),
+        ("errors", {"names": ["origin"], "covariance": "none"}),
+        ("optics", [1]),
+        ("lens_blur", {"aperture": 5.0}),
+    ],
+)
 def test_wrong_value_is_refused_and_its_field_named(data, field, value):
     wrong = copy.deepcopy(data)
     *parents, last = field.split(".")
@@ -41,12 +66,16 @@ def test_wrong_value_is_refused_and_its_field_named(data, field, value):
     for name in parents:
         inside = inside[name]
     inside[last] = value
-    with pytest.raises(lfcal.CameraFileError, match=field.split(".")[0] + r".*calibrate again") as caught:
+    with pytest.raises(
+        lfcal.CameraFileError, match=field.split(".")[0] + r".*calibrate again"
+    ) as caught:
         Calibration.from_dict(wrong)
     assert last in str(caught.value) or field == "lattice.basis" or field == "gain_map.profile"
 
 
-@pytest.mark.parametrize("field", ["lattice", "fit", "source", "warnings", "image_size", "vignetting"])
+@pytest.mark.parametrize(
+    "field", ["lattice", "fit", "source", "warnings", "image_size", "vignetting"]
+)
 def test_missing_field_is_named(data, field):
     with pytest.raises(lfcal.CameraFileError, match=field):
         Calibration.from_dict({name: value for name, value in data.items() if name != field})

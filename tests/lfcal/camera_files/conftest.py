@@ -10,10 +10,13 @@ import lfcal
 
 @pytest.fixture(scope="session")
 def make_camera():
-    """Gives a camera for flats of 640 x 480 px, of a lattice shape at a pitch [px], rotated clockwise [degrees]."""
+    """Gives a camera for flats of 640 x 480 px, of a lattice shape at a pitch [px], rotated
+    clockwise [degrees].
+    """
 
     def make(shape, pitch, degrees, stretch=1.0, x=300.0, y=200.0):
-        cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        cos = np.cos(np.radians(degrees))
+        sin = np.sin(np.radians(degrees))
         basis = pitch * np.asarray(shape) @ np.array([[cos, sin], [-sin, cos]]) * [stretch, 1]
         return lfcal.Calibration(lfcal.Lattice((x, y), basis, (640, 480), 0.45 * pitch))
 

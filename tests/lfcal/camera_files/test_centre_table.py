@@ -32,13 +32,21 @@ def white(camera):
     y, x = np.mgrid[: SIZE[1], : SIZE[0]]
     points = np.column_stack([x.ravel(), y.ravel()])
     index = np.rint(camera.lattice.to_index(points))
-    beside = [camera.lattice.points(index + step) - points for step in [(0, 0), *camera.lattice.steps]]
-    return np.where(np.hypot(*np.moveaxis(beside, -1, 0)).min(0) < 9.5, 200, 20).reshape(y.shape).astype(np.uint8)
+    beside = [
+        camera.lattice.points(index + step) - points for step in [(0, 0), *camera.lattice.steps]
+    ]
+    return (
+        np.where(np.hypot(*np.moveaxis(beside, -1, 0)).min(0) < 9.5, 200, 20)
+        .reshape(y.shape)
+        .astype(np.uint8)
+    )
 
 
 def table_of(camera, y_up=False, noise=0.0, bend=0.0):
     """Rows x, y, radius, type of a camera in any order, some centres missing."""
-    index, centres, rng = camera.lattice.indices(), camera.lattice.centres(), np.random.default_rng(1)
+    index = camera.lattice.indices()
+    centres = camera.lattice.centres()
+    rng = np.random.default_rng(1)
     centres = centres + bend * (centres - 300) ** 2 + rng.normal(0, noise, centres.shape)
     centres[:, 1] = SIZE[1] - 1 - centres[:, 1] if y_up else centres[:, 1]
     rows = np.column_stack([centres, np.full(len(centres), 9.5), camera.lens_types.of(index) + 1])
@@ -46,11 +54,17 @@ def table_of(camera, y_up=False, noise=0.0, bend=0.0):
 
 
 def misfit(camera, other):
-    """Largest distance [px] of centres from the nearest of the other camera, and whether types are parted alike."""
+    """Largest distance [px] of centres from the nearest of the other camera, and whether types are
+    parted alike.
+    """
     centres = camera.lattice.centres()
     index = np.rint(other.lattice.to_index(centres)).astype(int)
-    pairs = np.column_stack([camera.lens_types.of(camera.lattice.indices()), other.lens_types.of(index)])
-    return np.abs(other.lattice.points(index) - centres).max(), len(np.unique(pairs, axis=0)) == camera.lens_types.count
+    pairs = np.column_stack(
+        [camera.lens_types.of(camera.lattice.indices()), other.lens_types.of(index)]
+    )
+    return np.abs(other.lattice.points(index) - centres).max(), len(
+        np.unique(pairs, axis=0)
+    ) == camera.lens_types.count
 
 
 @pytest.mark.parametrize(
@@ -58,13 +72,19 @@ def misfit(camera, other):
     [
         (True, {"delimiter": ","}, [0, 1, 2, 3]),
         (False, {"delimiter": " ", "header": "type cx cy r"}, [3, 0, 1, 2]),
-        (True, {"delimiter": ";", "header": "id;Y [px];lens_type;X [px];radius", "comments": ""}, [3, 1, 3, 0, 2]),
+        (
+            True,
+            {"delimiter": ";", "header": "id;Y [px];lens_type;X [px];radius", "comments": ""},
+            [3, 1, 3, 0, 2],
+        ),
     ],
 )
 def test_a_makers_table_in_any_order_gives_the_lattice_and_the_image_which_way_y_points(
     camera, white, tmp_path, y_up, form, columns
 ):
-    np.savetxt(tmp_path / "centres.txt", table_of(camera, y_up, 0.05)[:, columns], fmt="%.4f", **form)
+    np.savetxt(
+        tmp_path / "centres.txt", table_of(camera, y_up, 0.05)[:, columns], fmt="%.4f", **form
+    )
     readings = [lfcal.load(tmp_path / "centres.txt", SIZE, y_up=up) for up in (False, True)]
     found = choose_orientation(*readings, white)
     apart, same_types = misfit(camera, found)
@@ -74,7 +94,9 @@ def test_a_makers_table_in_any_order_gives_the_lattice_and_the_image_which_way_y
     assert found is readings[y_up]
 
 
-def test_the_command_converts_a_table_and_says_how_well_the_centres_keep_to_the_lattice(camera, white, tmp_path):
+def test_the_command_converts_a_table_and_says_how_well_the_centres_keep_to_the_lattice(
+    camera, white, tmp_path
+):
     np.savetxt(tmp_path / "table.csv", table_of(camera, True), fmt="%.4f", delimiter=",")
     cv2.imwrite(str(tmp_path / "white.png"), white)
     words = ["convert", str(tmp_path / "table.csv"), "-o", str(tmp_path / "camera.json")]
@@ -88,7 +110,9 @@ def test_the_command_converts_a_table_and_says_how_well_the_centres_keep_to_the_
 def test_an_image_that_shows_nothing_leaves_a_warning(camera, tmp_path):
     np.savetxt(tmp_path / "table.csv", table_of(camera), fmt="%.4f", delimiter=",")
     readings = [lfcal.load(tmp_path / "table.csv", SIZE, y_up=up) for up in (False, True)]
-    found = choose_orientation(*readings, np.random.default_rng(0).integers(99, 101, SIZE[::-1], np.uint8))
+    found = choose_orientation(
+        *readings, np.random.default_rng(0).integers(99, 101, SIZE[::-1], np.uint8)
+    )
     assert any("does not show whether y" in text for text in found.warnings)
     assert misfit(camera, found)[0] < 0.02
 
@@ -117,10 +141,17 @@ def test_centres_far_off_a_lattice_and_types_that_do_not_repeat_are_told(camera,
 @pytest.mark.parametrize(
     "text",
     [
-        "", "a,b\n1,2\n", "i,j,x,y\n", "i,j,x,y\n0,0,1,nan\n", "i,j,x,y\n0,0,1,1\n1,0,5,1\n2,0,9,1\n",
-        "i,j,x,y\n1,2\n", "x,y\n1,1\n9,1\n17,1\n", "1,1\n9,1\n4,far\n", "1 2\n30 400\n17 90\n99 3\n222 314\n",
+        "",
+        "a,b\n1,2\n",
+        "i,j,x,y\n",
+        "i,j,x,y\n0,0,1,nan\n",
+        "i,j,x,y\n0,0,1,1\n1,0,5,1\n2,0,9,1\n",
+        "i,j,x,y\n1,2\n",
+        "x,y\n1,1\n9,1\n17,1\n",
+        "1,1\n9,1\n4,far\n",
+        "1 2\n30 400\n17 90\n99 3\n222 314\n",
     ],
-)  # fmt: skip
+)
 def test_damaged_table_is_refused_with_its_name(tmp_path, text):
     (tmp_path / "camera.csv").write_text(text)
     with pytest.raises(lfcal.CameraFileError, match=r"camera\.csv"):

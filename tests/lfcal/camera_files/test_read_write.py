@@ -33,8 +33,12 @@ _ANY = {
 
 
 @pytest.mark.parametrize("suffix", [".xml", ".csv", ".json"])
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40)
-@given(shape=st.sampled_from([np.eye(2), _HEXAGON, [[1, 0], [0, 1.3]], [[1, 0], [0.2, 1.0]]]), **_ANY)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40
+)
+@given(
+    shape=st.sampled_from([np.eye(2), _HEXAGON, [[1, 0], [0, 1.3]], [[1, 0], [0.2, 1.0]]]), **_ANY
+)
 def test_any_lattice_is_read_again_to_a_thousandth_of_a_pixel(
     make_camera, tmp_path, suffix, shape, pitch, degrees, x, y
 ):
@@ -67,7 +71,9 @@ def test_command_converts_to_every_format_and_back(make_camera, tmp_path):
     camera.save(tmp_path / "a.json")
     for suffix in ("xml", "cfg", "csv"):
         assert _run("convert", tmp_path / "a.json", "-o", tmp_path / f"b.{suffix}").exit_code == 0
-        back = _run("convert", tmp_path / f"b.{suffix}", "-o", tmp_path / "c.json", "--size", "640x480")
+        back = _run(
+            "convert", tmp_path / f"b.{suffix}", "-o", tmp_path / "c.json", "--size", "640x480"
+        )
         assert back.exit_code == 0, back.output
         assert _largest_difference(camera, lfcal.load(tmp_path / "c.json")) < 1e-3
     assert _run("convert", tmp_path / "a.json", "-o", tmp_path / "b.txt").exit_code == 2

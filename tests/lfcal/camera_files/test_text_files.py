@@ -16,7 +16,9 @@ from lfcal.camera_files.read_write import convert
 _HEXAGON = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60
+)
 @given(
     stretch=st.floats(0.999, 1.001),
     pitch=st.floats(6, 120),
@@ -46,7 +48,11 @@ def test_central_microimage_and_level_rows_are_read_and_other_sizes_refused(tmp_
     np.testing.assert_allclose(lfcal.load(path).lattice.origin, [50.5, 37.5])
     with pytest.raises(lfcal.CameraFileError, match="100 x 80"):
         lfcal.load(path, (200, 80))
-    for width, pitch, message in ((100.5, 20, "LensletWidth"), (100, 1e9, "microimages"), (100, "wide", "MIDiameter")):
+    for width, pitch, message in (
+        (100.5, 20, "LensletWidth"),
+        (100, 1e9, "microimages"),
+        (100, "wide", "MIDiameter"),
+    ):
         path.write_text(text.format(width, pitch))
         with pytest.raises(lfcal.CameraFileError, match=message):
             lfcal.load(path)
@@ -60,8 +66,11 @@ def pairs(path):
     return {key: float(value) for key, value in lines}
 
 
-def test_flag_of_the_mode_is_the_other_way_round_and_follows_from_the_focus_of_the_lens_types(make_camera, tmp_path):
-    camera, path = make_camera(_HEXAGON, 30, 0), tmp_path / "camera.cfg"
+def test_flag_of_the_mode_is_the_other_way_round_and_follows_from_the_focus_of_the_lens_types(
+    make_camera, tmp_path
+):
+    camera = make_camera(_HEXAGON, 30, 0)
+    path = tmp_path / "camera.cfg"
     for mode, flag in (("telescopic", 0), ("binocular", 1), (None, 1)):
         convert(camera, path, mode=mode)
         assert pairs(path)["IsKepler"] == flag

@@ -46,7 +46,9 @@ def _holds(lattice, vector):
     return np.abs(index - np.rint(index)).max() < 1e-6
 
 
-def test_raytrix_offset_points_up_from_the_image_centre_and_rotation_turns_counter_clockwise(written):
+def test_raytrix_offset_points_up_from_the_image_centre_and_rotation_turns_counter_clockwise(
+    written,
+):
     camera = lfcal.load(written(_raytrix(rotation=0.05)), (101, 81))
     np.testing.assert_allclose(camera.lattice.origin, [50 + 3, 40 - 5])
     assert (camera.lattice.pitch, camera.lattice.radius) == pytest.approx((20.0, 9.0))
@@ -72,10 +74,16 @@ def test_corner_centres_give_an_upright_hexagonal_lattice(written, columns):
 
 
 def test_key_value_and_xml_files_of_one_camera_agree(shared):
-    for name, size in (("Fujita2", (2048, 2048)), ("Boys2", (3976, 2956)), ("MiniGarden2", (4036, 3064))):
+    for name, size in (
+        ("Fujita2", (2048, 2048)),
+        ("Boys2", (3976, 2956)),
+        ("MiniGarden2", (4036, 3064)),
+    ):
         pairs = lfcal.load(shared("captures", f"{name}.published.cfg")).lattice
         xml = lfcal.load(shared("captures", f"{name}.published.xml"), size).lattice
-        np.testing.assert_allclose(np.abs(np.linalg.det(pairs.basis)), np.abs(np.linalg.det(xml.basis)), rtol=1e-6)
+        np.testing.assert_allclose(
+            np.abs(np.linalg.det(pairs.basis)), np.abs(np.linalg.det(xml.basis)), rtol=1e-6
+        )
         assert _holds(xml, pairs.origin - xml.origin)
 
 
@@ -84,16 +92,27 @@ def test_image_size_is_asked_for_where_the_file_does_not_say(written):
         lfcal.load(written(_raytrix()))
 
 
-_BOMB = "".join(f'<!ENTITY e{n} "{"&e" + str(n - 1) + ";" if n else "ha"}{"&e0;" * 9 if n else ""}">' for n in range(9))
+_BOMB = "".join(
+    f'<!ENTITY e{n} "{"&e" + str(n - 1) + ";" if n else "ha"}{"&e0;" * 9 if n else ""}">'
+    for n in range(9)
+)
 
 
-@pytest.mark.parametrize("text", [
-    "<RayCalibData>", "<Other/>", "<RayCalibData/>", _raytrix().replace("20.0", "nan"),
-    _raytrix().replace("20.0", "-3"),
-    _raytrix().replace("20.0", "wide"), '<!DOCTYPE a [<!ENTITY b "c">]><RayCalibData>&b;</RayCalibData>',
-    f"<?xml version='1.0'?><!DOCTYPE x [{_BOMB}]><RayCalibData>&e8;</RayCalibData>", "MIDiameter : 20\n",
-    "MIDiameter : 20\nLensletWidth = 5\n",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<RayCalibData>",
+        "<Other/>",
+        "<RayCalibData/>",
+        _raytrix().replace("20.0", "nan"),
+        _raytrix().replace("20.0", "-3"),
+        _raytrix().replace("20.0", "wide"),
+        '<!DOCTYPE a [<!ENTITY b "c">]><RayCalibData>&b;</RayCalibData>',
+        f"<?xml version='1.0'?><!DOCTYPE x [{_BOMB}]><RayCalibData>&e8;</RayCalibData>",
+        "MIDiameter : 20\n",
+        "MIDiameter : 20\nLensletWidth = 5\n",
+    ],
+)
 def test_damaged_or_hostile_file_is_refused_with_its_name(written, text):
     with pytest.raises(lfcal.CameraFileError, match=r"camera\.xml"):
         lfcal.load(written(text), (101, 81))
@@ -102,21 +121,29 @@ def test_damaged_or_hostile_file_is_refused_with_its_name(written, text):
 @pytest.mark.parametrize("upright", [False, True])
 def test_three_lens_types_and_their_depths_are_read_again_from_xml(make_camera, tmp_path, upright):
     camera = make_camera(_HEXAGON[:, ::-1] if upright else _HEXAGON, 23.2, 1.5)
-    sort = (np.add if (camera.lattice.steps.sum(1) % 3 != 0).all() else np.subtract).outer(np.arange(3), np.arange(3))
+    sort = (np.add if (camera.lattice.steps.sum(1) % 3 != 0).all() else np.subtract).outer(
+        np.arange(3), np.arange(3)
+    )
     cell = np.array([2, 0, 1])[sort % 3]
     camera = replace(camera, lens_types=lfcal.LensTypes(cell, True, np.array([-0.4, -0.3, -0.2])))
     convert(camera, tmp_path / "camera.xml")
     again = lfcal.load(tmp_path / "camera.xml", (640, 480))
     places = np.rint(again.lattice.to_index(camera.lattice.centres())).astype(int)
-    np.testing.assert_array_equal(again.lens_types.of(places), camera.lens_types.of(camera.lattice.indices()))
+    np.testing.assert_array_equal(
+        again.lens_types.of(places), camera.lens_types.of(camera.lattice.indices())
+    )
     # The border of two types is half way between their foci: 1 / 0.35 and 1 / 0.25.
     text = (tmp_path / "camera.xml").read_text()
-    assert [float(v) for v in re.findall(r"<m..>([\d.]+)", text)] == pytest.approx([1, 1 / 0.35, 1 / 0.35, 4, 4, 100])
+    assert [float(v) for v in re.findall(r"<m..>([\d.]+)", text)] == pytest.approx(
+        [1, 1 / 0.35, 1 / 0.35, 4, 4, 100]
+    )
 
 
 def test_published_lens_types_are_distinguished_but_their_order_is_not_used(shared):
     published = lfcal.load(shared("captures/Fujita2.published.xml"), (2048, 2048))
-    assert not published.lens_types.ordered and any("order of the lens types" in w for w in published.warnings)
+    assert not published.lens_types.ordered and any(
+        "order of the lens types" in w for w in published.warnings
+    )
     lattice = published.lattice
     types = published.lens_types.of(lattice.indices())
     assert np.bincount(types).min() > 0.33 * len(types)
@@ -125,10 +152,15 @@ def test_published_lens_types_are_distinguished_but_their_order_is_not_used(shar
 
 
 def test_lens_types_off_the_lattice_are_left_out_with_a_warning(make_camera, tmp_path):
-    camera = replace(make_camera(_HEXAGON, 20.0, 0.0), lens_types=lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]]))
+    camera = replace(
+        make_camera(_HEXAGON, 20.0, 0.0),
+        lens_types=lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]]),
+    )
     convert(camera, tmp_path / "camera.xml")
     text = (tmp_path / "camera.xml").read_text()
     types = text.index("<lens_type id")
-    (tmp_path / "camera.xml").write_text(text[:types] + text[types:].replace("1.0", "1.5").replace("0.5", "0.8"))
+    (tmp_path / "camera.xml").write_text(
+        text[:types] + text[types:].replace("1.0", "1.5").replace("0.5", "0.8")
+    )
     again = lfcal.load(tmp_path / "camera.xml", (640, 480))
     assert again.lens_types is None and any("left out" in w for w in again.warnings)

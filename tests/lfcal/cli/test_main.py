@@ -20,7 +20,9 @@ from lfcal.gain.gain_map import Defects
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments], catch_exceptions=False)
+    return CliRunner().invoke(
+        main, [str(argument) for argument in arguments], catch_exceptions=False
+    )
 
 
 def figures_of(*arguments):
@@ -59,8 +61,11 @@ def test_white_image_becomes_a_camera_file_near_the_truth(house, house_files, tm
 
 
 def test_several_images_make_one_camera_and_the_mosaic_is_kept(house_files, tmp_path):
-    white, camera = house_files / "white.png", tmp_path / "camera.json"
-    assert figures_of("calibrate", white, white, "--mosaic", "rggb", "-o", camera)["mosaic"] == "RGGB"
+    white = house_files / "white.png"
+    camera = tmp_path / "camera.json"
+    assert (
+        figures_of("calibrate", white, white, "--mosaic", "rggb", "-o", camera)["mosaic"] == "RGGB"
+    )
     assert lfcal.load(camera).mosaic == "RGGB"
     cv2.imwrite(str(tmp_path / "other.png"), np.zeros((300, 310), np.uint8))
     result = run("calibrate", white, tmp_path / "other.png", "-o", tmp_path / "no.json")
@@ -75,19 +80,31 @@ def test_the_camera_file_keeps_how_values_are_stored(house_files, tmp_path, opti
 
 
 def test_info_prints_lens_types_optics_with_their_errors_and_defects(house, tmp_path):
-    optics = lfcal.Optics(50.0, 58.0, 0.7, 0.005, covariance=np.diag([0.09, 0.04, 0.0001] + [0.0] * 11))
+    optics = lfcal.Optics(
+        50.0, 58.0, 0.7, 0.005, covariance=np.diag([0.09, 0.04, 0.0001] + [0.0] * 11)
+    )
     types = lfcal.LensTypes([[0, 1], [1, 0]], True, [-0.4, float("nan")], 0.9)
-    defects, camera = Defects([[17, 4], [80, 31]], [[0, 1]]), tmp_path / "camera.json"
+    defects = Defects([[17, 4], [80, 31]], [[0, 1]])
+    camera = tmp_path / "camera.json"
     replace(house.truth.calibration, optics=optics, defects=defects, lens_types=types).save(camera)
     found = figures_of("info", camera)
     figures = found["optics"]
     assert (figures["focal_length_mm"], figures["focal_length_mm_error"]) == (50.0, 0.3)
     assert (figures["sensor_distance_mm"], figures["sensor_distance_mm_error"]) == (0.7, 0.01)
-    expected = {"count": 2, "by_focus": True, "confidence": 0.9, "focus": [-0.4, None], "cell": [[0, 1], [1, 0]]}
+    expected = {
+        "count": 2,
+        "by_focus": True,
+        "confidence": 0.9,
+        "focus": [-0.4, None],
+        "cell": [[0, 1], [1, 0]],
+    }
     assert found["lens_types"] == expected
     told = " ".join(run("info", camera).stdout.split())
     assert "focal length mm 50" in told and "count 2 by focus True" in told
-    assert "2 defective pixels; 1 unlit lenses" in run("convert", camera, "-o", tmp_path / "camera.csv").stdout
+    assert (
+        "2 defective pixels; 1 unlit lenses"
+        in run("convert", camera, "-o", tmp_path / "camera.csv").stdout
+    )
 
 
 @pytest.mark.parametrize(
@@ -101,7 +118,9 @@ def test_info_prints_lens_types_optics_with_their_errors_and_defects(house, tmp_
     ],
 )
 def test_info_names_the_shape_of_the_lattice_and_its_rotation(tmp_path, basis, words, rotation):
-    lfcal.Calibration(lfcal.Lattice([100, 100], basis, (300, 200), 9)).save(tmp_path / "camera.json")
+    lfcal.Calibration(lfcal.Lattice([100, 100], basis, (300, 200), 9)).save(
+        tmp_path / "camera.json"
+    )
     figures = figures_of("info", tmp_path / "camera.json")
     assert (figures["lattice"], figures["rows"]) == words
     assert figures["rotation_degrees"] == pytest.approx(rotation, abs=0.001)
@@ -109,7 +128,9 @@ def test_info_names_the_shape_of_the_lattice_and_its_rotation(tmp_path, basis, w
 
 def test_compare_tells_how_far_centres_are_from_each_other(house_files, moved):
     found = figures_of("compare", house_files / "camera.json", moved)
-    assert [found["rms"], *found["mean_shift"], found["scale"]] == pytest.approx([5.0, 4.0, 3.0, 1.0], abs=1e-5)
+    assert [found["rms"], *found["mean_shift"], found["scale"]] == pytest.approx(
+        [5.0, 4.0, 3.0, 1.0], abs=1e-5
+    )
     assert found["field"]["top left"] == pytest.approx([4.0, 3.0], abs=1e-5)
 
 
@@ -133,14 +154,26 @@ def test_decoders_print_no_messages(tmp_path, house):
     data = bytearray((tmp_path / "damaged.tif").read_bytes())
     data[60:90] = bytes(range(60, 90))
     (tmp_path / "damaged.tif").write_bytes(data)
-    command = [sys.executable, "-m", "lfcal.cli.main", "calibrate", "damaged.tif", "-o", "camera.json"]
+    command = [
+        sys.executable,
+        "-m",
+        "lfcal.cli.main",
+        "calibrate",
+        "damaged.tif",
+        "-o",
+        "camera.json",
+    ]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1 and "damaged.tif" in result.stderr
 
 
 def test_bad_outputs_and_damaged_camera_files_are_refused(house_files, tmp_path):
-    for output, word in [("camera.txt", ".json"), ("nowhere/camera.json", "does not exist"), (".", "")]:
+    for output, word in [
+        ("camera.txt", ".json"),
+        ("nowhere/camera.json", "does not exist"),
+        (".", ""),
+    ]:
         assert_refused(run("calibrate", house_files / "white.png", "-o", tmp_path / output), word)
     for content in ("", "{", "[]", '{"schema": "lfcal-camera", "version": 1}', "\x00\xff"):
         (tmp_path / "camera.json").write_text(content)
@@ -151,7 +184,18 @@ def test_bad_outputs_and_damaged_camera_files_are_refused(house_files, tmp_path)
 def test_lattice_is_stated_by_its_figures(tmp_path):
     camera = tmp_path / "camera.json"
     assert (
-        run("lattice", "--size", "436x436", "--pitch", "15.41", "--arrangement", "square", "-o", camera).exit_code == 0
+        run(
+            "lattice",
+            "--size",
+            "436x436",
+            "--pitch",
+            "15.41",
+            "--arrangement",
+            "square",
+            "-o",
+            camera,
+        ).exit_code
+        == 0
     )
     stated = lfcal.load(camera)
     assert stated.lattice.pitch == pytest.approx(15.41) and "stated" in stated.warnings[0]
@@ -167,6 +211,8 @@ def test_show_and_flatten_say_that_a_camera_does_not_fit(house, house_files, mov
         assert result.exit_code == 0
         assert "warning: the microimages lie 5.0 px beside" in result.stderr
     lattice = house.truth.calibration.lattice
-    replace(house.truth.calibration, lattice=replace(lattice, basis=1.3 * lattice.basis)).save(tmp_path / "other.json")
+    replace(house.truth.calibration, lattice=replace(lattice, basis=1.3 * lattice.basis)).save(
+        tmp_path / "other.json"
+    )
     refused = run("flatten", flat, "-c", tmp_path / "other.json", "-o", tmp_path / "g.tif")
     assert_refused(refused, "not made with this camera")

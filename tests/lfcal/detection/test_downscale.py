@@ -24,10 +24,14 @@ def test_distorted_lattice_is_scaled_from_averages_to_the_flat():
     from lfcal.lattice.distortion import Distortion
 
     bend = Distortion([150.0, 120.0], 0.01, 0.0, 200.0)
-    small = lfcal.Calibration(lfcal.Lattice([100.0, 90.0], [[20.0, 0.3], [10.0, 17.0]], (320, 240), 9.0, bend))
+    small = lfcal.Calibration(
+        lfcal.Lattice([100.0, 90.0], [[20.0, 0.3], [10.0, 17.0]], (320, 240), 9.0, bend)
+    )
     large = downscale.upscale_calibration(small, 4, (1283, 961))
     index = small.lattice.indices()
-    np.testing.assert_allclose(large.lattice.points(index), 4 * small.lattice.points(index) + 1.5, atol=1e-9)
+    np.testing.assert_allclose(
+        large.lattice.points(index), 4 * small.lattice.points(index) + 1.5, atol=1e-9
+    )
 
 
 def test_small_flat_is_not_averaged():

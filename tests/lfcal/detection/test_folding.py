@@ -8,7 +8,8 @@ from lfcal.detection.folding import fold_tiles
 
 
 def test_folds_average_the_pixels_of_a_tile_by_their_position_in_the_cell():
-    rng, bins = np.random.default_rng(3), 12
+    rng = np.random.default_rng(3)
+    bins = 12
     picture = rng.standard_normal((130, 170)).astype(np.float32)
     basis = np.array([[18.6, 0.3], [9.1, 16.2]])
     (folds,) = fold_tiles([picture], basis, 50, bins)
@@ -24,5 +25,9 @@ def test_folds_average_the_pixels_of_a_tile_by_their_position_in_the_cell():
     np.testing.assert_allclose(folds.total[1], total, atol=1e-4)
     assert folds.count.sum() == picture.size
     # Two pictures at once are folded as each by itself.
-    for both, single in ((first.total, -folds.total), (second.total, folds.total), (second.count, folds.count)):
+    for both, single in (
+        (first.total, -folds.total),
+        (second.total, folds.total),
+        (second.count, folds.count),
+    ):
         np.testing.assert_array_equal(both, single)

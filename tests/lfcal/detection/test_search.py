@@ -1,4 +1,6 @@
-"""The most probable lattice is the right one, on arrays of all kinds; what is no array is improbable."""
+"""The most probable lattice is the right one, on arrays of all kinds; what is no array is
+improbable.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,11 @@ def test_pictures_that_are_no_flats_are_refused(seed):
 
 @pytest.mark.parametrize(
     ("name", "pitch", "centre"),
-    [("bright_gaps.png", 32.222, 515.6), ("spots_white.png", 25.45, None), ("square_gaps.png", 34.90, None)],
+    [
+        ("bright_gaps.png", 32.222, 515.6),
+        ("spots_white.png", 25.45, None),
+        ("square_gaps.png", 34.90, None),
+    ],
 )
 def test_hard_files_have_the_right_lattice(shared, name, pitch, centre):
     camera = lfcal.calibrate(shared("captures", "hard", name))
@@ -43,7 +49,9 @@ def test_hard_files_have_the_right_lattice(shared, name, pitch, centre):
 
 
 def test_signed_flats_have_the_lattice_of_unsigned_ones(shared):
-    assert lfcal.calibrate(shared("captures", "hard", "int16.tif")).lattice.pitch == pytest.approx(23.2, abs=0.01)
+    assert lfcal.calibrate(shared("captures", "hard", "int16.tif")).lattice.pitch == pytest.approx(
+        23.2, abs=0.01
+    )
 
 
 def test_a_bare_array_under_a_microscope_is_refused(shared):
@@ -63,7 +71,8 @@ def test_half_a_cell_away_parallax_and_circles_are_fewer(house):
 
 def test_a_hint_leaves_the_probability_as_it_is(whites):
     image, _ = whites.white_image(whites.turned(whites.HEXAGON, 20.3, 3), (400, 320))
-    plain, hinted = lfcal.calibrate(image), lfcal.calibrate(image, pitch=20.0)
+    plain = lfcal.calibrate(image)
+    hinted = lfcal.calibrate(image, pitch=20.0)
     assert hinted.confidence == plain.confidence
     with pytest.raises(lfcal.CalibrationError):
         lfcal.calibrate(image, pitch=33.0)

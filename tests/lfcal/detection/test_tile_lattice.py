@@ -1,4 +1,6 @@
-"""The lattice through the tiles of a flat: periods that are slightly wrong are refined, the place is found."""
+"""The lattice through the tiles of a flat: periods that are slightly wrong are refined, the place
+is found.
+"""
 
 from __future__ import annotations
 
@@ -33,5 +35,7 @@ def test_origin_and_basis_are_found_from_a_start_off_by_half_a_pixel(whites):
 
 def test_noise_has_no_lattice():
     noise = np.random.default_rng(0).standard_normal((300, 300)).astype(np.float32)
-    fit = fit_harmonics(fold_tiles([noise], np.diag([15.0, 15.0]), 100, 36), np.array([150.0, 150.0]))
+    fit = fit_harmonics(
+        fold_tiles([noise], np.diag([15.0, 15.0]), 100, 36), np.array([150.0, 150.0])
+    )
     assert not fit.half_difference < 0.3

@@ -30,7 +30,9 @@ def test_shift_is_found_whatever_origin_and_basis_a_lattice_has(i, j, dx, dy):
     np.testing.assert_allclose(difference.mean_shift, [dx, dy], atol=1e-9)
     assert difference.rms == pytest.approx(np.hypot(dx, dy), abs=1e-9)
     assert difference.max == pytest.approx(np.hypot(dx, dy), abs=1e-9)
-    np.testing.assert_allclose(difference.field.reshape(-1, 2), np.tile([dx, dy], (9, 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        difference.field.reshape(-1, 2), np.tile([dx, dy], (9, 1)), atol=1e-9
+    )
 
 
 def test_scale_and_rotation_are_distinguished_and_grow_beyond_half_a_pitch():
@@ -58,10 +60,14 @@ def test_different_sizes_are_not_compared():
 def test_command_compares_a_json_file_with_a_published_one(tmp_path):
     _camera().save(tmp_path / "a.json")
     convert(_camera((450.5, 350)), tmp_path / "b.xml")
-    result = CliRunner().invoke(main, ["compare", str(tmp_path / "a.json"), str(tmp_path / "b.xml"), "--json"])
+    result = CliRunner().invoke(
+        main, ["compare", str(tmp_path / "a.json"), str(tmp_path / "b.xml"), "--json"]
+    )
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)
     assert figures["rms"] == pytest.approx(0.5, abs=1e-3)
     assert figures["field"]["bottom right"] == pytest.approx([0.5, 0.0], abs=1e-3)
-    swapped = CliRunner().invoke(main, ["compare", str(tmp_path / "b.xml"), str(tmp_path / "a.json"), "--json"])
+    swapped = CliRunner().invoke(
+        main, ["compare", str(tmp_path / "b.xml"), str(tmp_path / "a.json"), "--json"]
+    )
     assert json.loads(swapped.stdout)["mean_shift"] == pytest.approx([-0.5, 0.0], abs=1e-3)

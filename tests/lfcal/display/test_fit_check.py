@@ -1,4 +1,6 @@
-"""Offsets of a given lattice from the microimages of a flat; wrong cameras are noticed, right ones are not."""
+"""Offsets of a given lattice from the microimages of a flat; wrong cameras are noticed, right ones
+are not.
+"""
 
 from __future__ import annotations
 
@@ -23,20 +25,24 @@ def white(whites):
 
 def _moved(camera, shift=(0.0, 0.0), change=None):
     """The camera, its lattice shifted and changed about the middle of the flat."""
-    change, lattice = np.eye(2) if change is None else change, camera.lattice
+    change = np.eye(2) if change is None else change
+    lattice = camera.lattice
     origin = _MIDDLE + (lattice.origin - _MIDDLE) @ change + shift
     return replace(camera, lattice=lfcal.Lattice(origin, lattice.basis @ change, _SIZE, 9.0))
 
 
 def _turn(degrees):
-    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    cos = np.cos(np.radians(degrees))
+    sin = np.sin(np.radians(degrees))
     return np.array([[cos, sin], [-sin, cos]])
 
 
 def test_right_camera_agrees_to_a_hundredth_of_a_pixel_and_has_no_problem(white):
     image, camera = white
     found = lfcal.check_fit(camera, image)
-    assert found.max_offset < 0.01 and found.warning is None and "no reason to worry" in found.verdict
+    assert (
+        found.max_offset < 0.01 and found.warning is None and "no reason to worry" in found.verdict
+    )
     check = lfcal.check_camera(camera, image)
     assert check.fits and check.checked and check.problem is None and check.adjusted is None
 
@@ -51,7 +57,9 @@ def test_shift_is_measured_all_over_the_flat(white):
 def test_wrong_rotation_is_largest_in_the_corners(white):
     image, camera = white
     found = lfcal.check_fit(_moved(camera, change=_turn(0.3)), image)
-    np.testing.assert_allclose(found.offset, (found.positions - _MIDDLE) @ (np.eye(2) - _turn(0.3)), atol=0.05)
+    np.testing.assert_allclose(
+        found.offset, (found.positions - _MIDDLE) @ (np.eye(2) - _turn(0.3)), atol=0.05
+    )
     corners = ("top left", "top right", "bottom left", "bottom right")
     assert any(f"in the {corner}," in str(found.warning) for corner in corners)
 
@@ -60,7 +68,9 @@ def test_gaps_taken_for_lenses_are_found(white):
     image, camera = white
     basis = camera.lattice.basis
     gap = (basis[0] + basis[1]) / 3
-    assert lfcal.check_fit(_moved(camera, gap), image).max_offset == pytest.approx(np.hypot(*gap), abs=0.2)
+    assert lfcal.check_fit(_moved(camera, gap), image).max_offset == pytest.approx(
+        np.hypot(*gap), abs=0.2
+    )
 
 
 def test_shift_of_a_third_of_the_pitch_is_noticed_and_undone(white, angle=220):
@@ -95,7 +105,8 @@ def test_turned_and_mirrored_flats_are_noticed(whites):
 
 
 def test_flat_without_microimages_shows_nothing_and_that_is_known(white):
-    camera, rng = white[1], np.random.default_rng(3)
+    camera = white[1]
+    rng = np.random.default_rng(3)
     nothing = lfcal.check_fit(camera, rng.integers(0, 255, _SIZE[::-1]).astype(np.uint8))
     assert np.isnan(nothing.max_offset) and nothing.warning is None
     check = lfcal.check_camera(camera, rng.integers(0, 5, _SIZE[::-1]).astype(np.uint8))
@@ -108,18 +119,23 @@ def test_image_of_another_size_is_refused(white, check):
         check(white[1], white[0][:-1])
 
 
-@pytest.mark.parametrize(("name", "wrong"), [("Fujita2.png", False), ("TempleBoatGiantR32.webp", True)])
+@pytest.mark.parametrize(
+    ("name", "wrong"), [("Fujita2.png", False), ("TempleBoatGiantR32.webp", True)]
+)
 def test_published_file_that_contradicts_the_pixels_has_a_warning(shared, name, wrong):
     flat = lfcal.read_flat(shared("captures", name))
     found = lfcal.check_fit(
-        lfcal.load(shared("captures", name.split(".")[0] + ".published.xml"), flat.shape[1::-1]), flat
+        lfcal.load(shared("captures", name.split(".")[0] + ".published.xml"), flat.shape[1::-1]),
+        flat,
     )
     assert (found.max_offset > 1.5) is wrong and (found.warning is not None) is wrong
 
 
 def test_published_calibration_of_the_whole_sensor_serves_a_crop(shared):
     flat = lfcal.read_flat(shared("captures", "R42_crop.png"))
-    check = lfcal.check_camera(lfcal.load(shared("captures", "R42_crop.published.xml"), flat.shape[1::-1]), flat)
+    check = lfcal.check_camera(
+        lfcal.load(shared("captures", "R42_crop.published.xml"), flat.shape[1::-1]), flat
+    )
     assert check.fits and lfcal.check_camera(check.adjusted, flat).problem is None
 
 

@@ -53,16 +53,30 @@ def test_any_pitch_and_pixel_type_is_drawn(whites, pitch=150.0):
 def test_command_writes_the_picture_and_says_where_to_look(white, tmp_path):
     image, camera = white
     index = camera.lattice.indices()[[40, 300]]
-    camera = replace(camera, residuals=Residuals(index, np.array([(0.01, 0.0), (0.0, -0.8)], np.float32)))
+    camera = replace(
+        camera, residuals=Residuals(index, np.array([(0.01, 0.0), (0.0, -0.8)], np.float32))
+    )
     cv2.imwrite(str(tmp_path / "flat.png"), image)
     camera.save(tmp_path / "camera.json")
-    arguments = ["show", str(tmp_path / "camera.json"), "--image", str(tmp_path / "flat.png"), "--json"]
-    result = CliRunner().invoke(main, [*arguments, "-o", str(tmp_path / "show.png")], catch_exceptions=False)
+    arguments = [
+        "show",
+        str(tmp_path / "camera.json"),
+        "--image",
+        str(tmp_path / "flat.png"),
+        "--json",
+    ]
+    result = CliRunner().invoke(
+        main, [*arguments, "-o", str(tmp_path / "show.png")], catch_exceptions=False
+    )
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)
     assert figures["pitch"] == pytest.approx(20.3)
     circles, lens = figures["look_at"]
-    assert circles.startswith("0 of ") and "0.80 px" in lens and f"lens {index[1][0]}, {index[1][1]} " in lens
+    assert (
+        circles.startswith("0 of ")
+        and "0.80 px" in lens
+        and f"lens {index[1][0]}, {index[1][1]} " in lens
+    )
     written = cv2.imread(str(tmp_path / "show.png"))
     np.testing.assert_array_equal(written[..., ::-1], lfcal.show(camera, image))
     refused = CliRunner().invoke(main, [*arguments, "-o", str(tmp_path / "show.txt")])
@@ -78,7 +92,8 @@ def test_lens_types_have_their_own_colours_and_unlit_lenses_are_crossed_out(whit
         lens_types=lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]], True),
         defects=Defects(lenses=lattice.indices()[[near]].astype(np.int32)),
     )
-    plain, picture = drawn_white, lfcal.show(marked, image)
+    plain = drawn_white
+    picture = lfcal.show(marked, image)
     assert min(_pixels(picture, colour) for colour in TYPE_COLOURS[:3]) > 500
     assert _pixels(plain, TYPE_COLOURS[1]) < 50
     assert _pixels(picture, "magenta") > _pixels(plain, "magenta") + 60

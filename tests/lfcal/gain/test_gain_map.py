@@ -22,7 +22,9 @@ def inside_discs(truth, camera, margin):
     y, x = np.mgrid[: truth.size[1], : truth.size[0]]
     points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
     far = np.hypot(*(points - truth.centres(truth.index_of(points))).T)
-    return (far < truth.fill * truth.pitch / 2 - margin).reshape(x.shape) & np.isfinite(camera.gain())
+    return (far < truth.fill * truth.pitch / 2 - margin).reshape(x.shape) & np.isfinite(
+        camera.gain()
+    )
 
 
 def test_flattened_white_image_is_even_and_keeps_its_type(drawn, calibrated_white):
@@ -31,7 +33,12 @@ def test_flattened_white_image_is_even_and_keeps_its_type(drawn, calibrated_whit
     clean = np.rint(40000 * truth.light()).astype(np.uint16)
     even = camera.flatten(clean)
     assert even.dtype == np.uint16 and even.shape == clean.shape
-    assert even[inside].std() / even[inside].mean() < 0.005 < 0.05 < clean[inside].std() / clean[inside].mean()
+    assert (
+        even[inside].std() / even[inside].mean()
+        < 0.005
+        < 0.05
+        < clean[inside].std() / clean[inside].mean()
+    )
     unknown = np.isnan(camera.gain())
     np.testing.assert_array_equal(even[unknown], clean[unknown])
     colour = camera.flatten(np.repeat(clean[..., None], 3, axis=2).astype(np.float32))
@@ -72,7 +79,9 @@ def test_command_writes_the_flattened_flat(calibrated_white, tmp_path):
     image = truth.image()
     cv2.imwrite(str(tmp_path / "flat.png"), image)
     arguments = ["flatten", str(tmp_path / "flat.png"), "-c", str(tmp_path / "camera.json")]
-    result = CliRunner().invoke(main, [*arguments, "-o", str(tmp_path / "even.tif")], catch_exceptions=False)
+    result = CliRunner().invoke(
+        main, [*arguments, "-o", str(tmp_path / "even.tif")], catch_exceptions=False
+    )
     assert result.exit_code == 0, result.output
     written = lfcal.read_flat(tmp_path / "even.tif")
     np.testing.assert_array_equal(written, lfcal.load(tmp_path / "camera.json").flatten(image))
@@ -82,10 +91,16 @@ def test_lenses_have_the_profile_of_their_type_also_after_saving():
     lattice = Lattice([10, 10], [[20, 0], [0, 20]], (200, 160), 9)
     cell = np.array([[0, 1], [1, 0]], np.int8)
     typed = replace(
-        GainMap.round(np.ones(60), 0.25, 9), type_light=[np.full(60, 0.9), np.full(60, 1.1)], type_cell=cell
+        GainMap.round(np.ones(60), 0.25, 9),
+        type_light=[np.full(60, 0.9), np.full(60, 1.1)],
+        type_cell=cell,
     )
     gain = RegionGain(GainMap.from_dict(typed.to_dict()), lattice).at(0, 0, *lattice.image_size)
-    assert np.abs(gain[10, 10] - 0.9) < 1e-6 and np.abs(gain[10, 30] - 1.1) < 1e-6 and np.abs(gain[30, 30] - 0.9) < 1e-6
+    assert (
+        np.abs(gain[10, 10] - 0.9) < 1e-6
+        and np.abs(gain[10, 30] - 1.1) < 1e-6
+        and np.abs(gain[30, 30] - 0.9) < 1e-6
+    )
 
 
 def test_light_of_types_without_their_places_is_refused():

@@ -26,7 +26,9 @@ def test_circles_agree_with_the_lattice_and_not_with_one_half_a_cell_beside(whit
 
 def test_radius_of_circles_is_that_of_microimages(white):
     truth, picture = white
-    assert np.median(find_circles(picture, 17.3).radii) == pytest.approx(truth.fill * truth.pitch / 2, abs=0.4)
+    assert np.median(find_circles(picture, 17.3).radii) == pytest.approx(
+        truth.fill * truth.pitch / 2, abs=0.4
+    )
 
 
 def test_circles_in_noise_agree_with_nothing():

@@ -11,7 +11,8 @@ def test_hot_pixels_are_found_and_noise_is_not(calibrated_white):
     truth, camera = calibrated_white
     rng = np.random.default_rng(truth.seed + 1)
     rng.standard_normal(truth.size[::-1])
-    rows, columns = rng.integers(0, truth.size[1], 40), rng.integers(0, truth.size[0], 40)
+    rows = rng.integers(0, truth.size[1], 40)
+    columns = rng.integers(0, truth.size[0], 40)
     hot = {(x, y) for x, y in zip(columns.tolist(), rows.tolist(), strict=True)}
     found = {(x, y) for x, y in camera.defects.pixels.tolist()}
     assert len(found & hot) >= 0.95 * len(hot)
@@ -34,21 +35,34 @@ def test_dust_is_found_as_defects_of_its_own_pixels(drawn):
 
 
 def soft_cut_white(size=(660, 520), pitch=15.8, blur=1.8, cut=0.3, noise=0.01, seed=3):
-    """A white image whose microimages are products of two soft discs, the second displaced toward the middle."""
+    """A white image whose microimages are products of two soft discs, the second displaced toward
+    the middle.
+    """
     rng, (width, height) = np.random.default_rng(seed), size
     y, x = np.mgrid[:height, :width].astype(float)
-    middle, reach = np.array([width - 1, height - 1]) / 2, np.hypot(width, height) / 2
+    middle = np.array([width - 1, height - 1]) / 2
+    reach = np.hypot(width, height) / 2
     basis = pitch * np.array([[1, 0], [0.5, np.sqrt(0.75)]])
     index = np.floor(np.stack([x - 3.3, y - 5.1], -1) @ np.linalg.inv(basis))
     corners = [(index + step) @ basis + (3.3, 5.1) for step in ((0, 0), (1, 0), (0, 1), (1, 1))]
     nearest = np.argmin([(c[..., 0] - x) ** 2 + (c[..., 1] - y) ** 2 for c in corners], axis=0)
     centre = np.take_along_axis(np.stack(corners), nearest[None, ..., None], 0)[0]
-    radius, light = 0.46 * pitch, np.ones((height, width))
+    radius = 0.46 * pitch
+    light = np.ones((height, width))
     for size_of, shift in ((1.0, 0.0), (1.05, cut * radius / reach)):
         place = centre - shift * (centre - middle)
-        light *= 1 / (1 + np.exp((np.hypot(x - place[..., 0], y - place[..., 1]) - size_of * radius) * 1.7 / blur))
+        light *= 1 / (
+            1
+            + np.exp(
+                (np.hypot(x - place[..., 0], y - place[..., 1]) - size_of * radius) * 1.7 / blur
+            )
+        )
     light = 0.02 + 0.98 * light
-    return np.rint(np.clip(light * 220 + 220 * noise * np.sqrt(light) * rng.standard_normal(light.shape), 0, 255))
+    return np.rint(
+        np.clip(
+            light * 220 + 220 * noise * np.sqrt(light) * rng.standard_normal(light.shape), 0, 255
+        )
+    )
 
 
 def test_what_the_gain_map_lacks_is_no_defect():

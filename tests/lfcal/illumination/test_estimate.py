@@ -14,7 +14,9 @@ def inside_discs(truth, camera, margin):
     y, x = np.mgrid[: truth.size[1], : truth.size[0]]
     points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
     far = np.hypot(*(points - truth.centres(truth.index_of(points))).T)
-    return (far < truth.fill * truth.pitch / 2 - margin).reshape(x.shape) & np.isfinite(camera.gain())
+    return (far < truth.fill * truth.pitch / 2 - margin).reshape(x.shape) & np.isfinite(
+        camera.gain()
+    )
 
 
 def test_gain_is_the_light_to_half_a_percent(calibrated_white):
@@ -29,7 +31,8 @@ def test_gain_is_the_light_to_half_a_percent(calibrated_white):
 def test_gain_of_cut_microimages_follows_the_cut(drawn):
     truth = drawn("hexagonal", 20.3, 5.0, 26.0, strength=0.3, size=(800, 600))
     camera = lfcal.calibrate(truth.image(), kind="white")
-    light, gain = truth.light(), camera.gain()
+    light = truth.light()
+    gain = camera.gain()
     lit = np.isfinite(gain) & (light > 0.5)
     ratio = gain[lit] / light[lit]
     assert (np.abs(ratio / np.median(ratio) - 1) < 0.05).mean() > 0.97

@@ -36,20 +36,27 @@ def test_result_does_not_depend_on_the_number_of_threads(drawn):
 
 
 def test_scene_with_much_contrast_gives_the_profile_to_a_percent():
-    """Blobs of light 2 to 6 px wide, each microimage its own: levels of lenses differ by more than half."""
+    """Blobs of light 2 to 6 px wide, each microimage its own: levels of lenses differ by more than
+    half.
+    """
 
     rng = np.random.default_rng(5)
-    size, radius = (1000, 800), 9.0
+    size = (1000, 800)
+    radius = 9.0
     lattice = lfcal.Lattice((9.3, 11.8), np.array([[20.4, 0.7], [9.6, 17.9]]), size, radius)
     y, x = np.mgrid[: size[1], : size[0]].astype(np.float32)
 
-    scene = np.exp(3 * cv2.GaussianBlur(rng.standard_normal((size[1], size[0])), (0, 0), 4) / 0.07 * 0.25)
+    scene = np.exp(
+        3 * cv2.GaussianBlur(rng.standard_normal((size[1], size[0])), (0, 0), 4) / 0.07 * 0.25
+    )
     points = np.column_stack([x.ravel(), y.ravel()])
     index = np.rint(lattice.to_index(points))
     far = np.full(len(points), np.inf)
     for step in [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
         far = np.minimum(far, np.hypot(*(points - lattice.points(index + step)).T))
-    light = (np.clip(radius + 0.5 - far, 0.05, 1) * (1 - 0.1 * (far / radius) ** 2)).reshape(x.shape)
+    light = (np.clip(radius + 0.5 - far, 0.05, 1) * (1 - 0.1 * (far / radius) ** 2)).reshape(
+        x.shape
+    )
     seen = measure_illumination(sqrt_luminance(scene * light), lattice, white=False)
     gain = RegionGain(seen.gain_map, lattice).at(0, 0, *lattice.image_size)
     core = far.reshape(x.shape) < 0.9 * radius

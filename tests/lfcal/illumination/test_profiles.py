@@ -29,9 +29,9 @@ def _typed(difference: float) -> GainMap:
 def _flat(gain: GainMap, contrast: float) -> np.ndarray:
     rng = np.random.default_rng(0)
     scene = np.kron(1 + contrast * rng.standard_normal((40, 60)), np.ones((10, 10)))
-    return np.sqrt(np.maximum(0.5 * scene * RegionGain(gain, _LATTICE).at(0, 0, *_LATTICE.image_size), 0)).astype(
-        np.float32
-    )
+    return np.sqrt(
+        np.maximum(0.5 * scene * RegionGain(gain, _LATTICE).at(0, 0, *_LATTICE.image_size), 0)
+    ).astype(np.float32)
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
@@ -47,13 +47,17 @@ def test_profile_from_a_scene_is_even_in_the_middle(seed):
 @pytest.mark.parametrize(("contrast", "error"), [(0.02, 0.005), (0.1, 0.015)])
 def test_light_of_three_types_is_told_apart_to_one_and_a_half_per_cent_on_scenes(contrast, error):
     typed = _typed(0.1)
-    found = fit_type_profiles(_flat(typed, contrast), _LATTICE, GainMap.round(np.ones(60), _STEP, 9), _TYPES, True)
+    found = fit_type_profiles(
+        _flat(typed, contrast), _LATTICE, GainMap.round(np.ones(60), _STEP, 9), _TYPES, True
+    )
     inside = (np.arange(60) * _STEP < 9) & (np.abs(np.arange(60) * _STEP - 6) > 1.5)
     assert np.abs(found.type_light - typed.type_light)[:, inside].max() < error
 
 
 def test_types_that_are_lit_alike_have_one_profile():
-    found = fit_type_profiles(_flat(_typed(0), 0.1), _LATTICE, GainMap.round(np.ones(60), _STEP, 9), _TYPES, True)
+    found = fit_type_profiles(
+        _flat(_typed(0), 0.1), _LATTICE, GainMap.round(np.ones(60), _STEP, 9), _TYPES, True
+    )
     assert found.type_light.size == 0
 
 
@@ -61,8 +65,12 @@ def test_types_of_white_images_are_numbered_from_soft_rims_to_hard_ones():
     gain = _typed(0.1)
     shuffled = np.array([2, 0, 1], np.int8)[_TYPES.cell]
     types, found = order_by_rims(
-        LensTypes(shuffled, True), replace(gain, type_cell=shuffled, type_light=gain.type_light[[1, 2, 0]]), 9
+        LensTypes(shuffled, True),
+        replace(gain, type_cell=shuffled, type_light=gain.type_light[[1, 2, 0]]),
+        9,
     )
     assert (
-        types.ordered and np.array_equal(types.cell, _TYPES.cell) and np.array_equal(found.type_light, gain.type_light)
+        types.ordered
+        and np.array_equal(types.cell, _TYPES.cell)
+        and np.array_equal(found.type_light, gain.type_light)
     )

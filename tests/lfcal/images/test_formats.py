@@ -21,16 +21,23 @@ START = struct.pack(">4s4sII", b"\x89LFP", b"\r\n\x1a\n", 1, 0)
 def section(kind: bytes, data: bytes) -> tuple[bytes, str]:
     """A section of a Lytro file, and its name."""
     name = "sha1-" + hashlib.sha1(data).hexdigest()
-    head = struct.pack(">4s4sII", kind, b"\r\n\x1a\n", 0, len(data)) + name.encode().ljust(80, b"\0")
+    head = struct.pack(">4s4sII", kind, b"\r\n\x1a\n", 0, len(data)) + name.encode().ljust(
+        80, b"\0"
+    )
     return (head + data).ljust(-(-(96 + len(data)) // 16) * 16, b"\0"), name
 
 
 def lytro_file(picture: bytes, about: dict, *, archive: dict[str, bytes] | None = None) -> bytes:
     """A Lytro file of one picture, or an archive of files by their name."""
 
-    parts, table = [], {}
+    parts = []
+    table = {}
     if archive is None:
-        blobs = {"imageRef": picture, "metadataRef": json.dumps(about).encode(), "privateMetadataRef": b'{"a": 1}'}
+        blobs = {
+            "imageRef": picture,
+            "metadataRef": json.dumps(about).encode(),
+            "privateMetadataRef": b'{"a": 1}',
+        }
         frame = {}
         for key, data in blobs.items():
             part, frame[key] = section(b"\x89LFC", data)
@@ -49,7 +56,8 @@ def pack(pixels, bits):
     """Packed bytes of pixels: 12 bits as the F01, 10 as the Illum."""
     p = pixels.ravel().astype(np.uint16)
     if bits == 12:
-        a, b = p[0::2], p[1::2]
+        a = p[0::2]
+        b = p[1::2]
         return np.stack([a >> 4, (a & 15) << 4 | b >> 8, b & 255], 1).astype(np.uint8).tobytes()
     four = p.reshape(-1, 4)
     low = sum((four[:, k] & 3) << (2 * k) for k in range(4))
@@ -69,7 +77,9 @@ def test_packed_lytro_pixels_are_read_as_they_were(tmp_path, bits):
 
 
 def test_lytro_bits_are_unpacked_as_imageio_does(monkeypatch):
-    plugin = pytest.importorskip("imageio.plugins.lytro", reason="the foreign reader of Lytro files is not installed")
+    plugin = pytest.importorskip(
+        "imageio.plugins.lytro", reason="the foreign reader of Lytro files is not installed"
+    )
     from lfcal.images.lytro import unpack_pixels
 
     for bits, name, reader in (
@@ -79,7 +89,9 @@ def test_lytro_bits_are_unpacked_as_imageio_does(monkeypatch):
         monkeypatch.setattr(plugin, name, (20, 40))
         data = RNG.integers(0, 256, 20 * 40 * bits // 8, np.uint8)
         foreign = reader.rearrange_bits(data.astype(np.uint16)) * ((1 << bits) - 1)
-        np.testing.assert_array_equal(unpack_pixels(data.tobytes(), 40, 20, bits), np.rint(foreign).astype(np.uint16))
+        np.testing.assert_array_equal(
+            unpack_pixels(data.tobytes(), 40, 20, bits), np.rint(foreign).astype(np.uint16)
+        )
 
 
 def test_white_images_of_a_lytro_archive_are_its_pages(tmp_path):
@@ -97,8 +109,13 @@ def test_white_images_of_a_lytro_archive_are_its_pages(tmp_path):
 
 def test_a_lytro_file_of_finished_pictures_is_refused_with_what_it_holds(tmp_path):
     pictures = [section(b"\x89LFC", b"\xff\xd8\xff\xe0 picture %d" % k) for k in range(4)]
-    depth, about = section(b"\x89LFC", bytes(1600)), {"representation": "jpeg"}
-    stack = {"imageArray": [about | {"imageRef": name, "lambda": k} for k, (_, name) in enumerate(pictures)]}
+    depth = section(b"\x89LFC", bytes(1600))
+    about = {"representation": "jpeg"}
+    stack = {
+        "imageArray": [
+            about | {"imageRef": name, "lambda": k} for k, (_, name) in enumerate(pictures)
+        ]
+    }
     stack["depthLut"] = {"width": 20, "height": 20, "representation": "raw", "imageRef": depth[1]}
     kind = {"type": "com.lytro.acceleration.refocusStack", "vendorContent": stack}
     table = json.dumps({"picture": {"frameArray": [], "accelerationArray": [kind]}}).encode()
@@ -156,7 +173,9 @@ def test_openexr_colours_and_grey_are_floats(tmp_path, kind):
     assert flat.dtype == np.float32
     np.testing.assert_array_equal(flat, pixels.astype(np.float32))
     OpenEXR.File(header, {"Y": pixels[..., 0].copy()}).write(str(tmp_path / "b.exr"))
-    np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "b.exr"), pixels[..., 0].astype(np.float32))
+    np.testing.assert_array_equal(
+        lfcal.read_flat(tmp_path / "b.exr"), pixels[..., 0].astype(np.float32)
+    )
 
 
 def test_truncated_openexr_and_one_of_an_impossible_size_are_refused(tmp_path):
@@ -167,7 +186,10 @@ def test_truncated_openexr_and_one_of_an_impossible_size_are_refused(tmp_path):
     data = path.read_bytes()
     at = data.index(b"dataWindow\0box2i\0") + 21
     huge = data[:at] + struct.pack("<4i", 0, 0, 1 << 20, 1 << 20) + data[at + 16 :]
-    for damaged, message in ((data[: len(data) // 2], "damaged or truncated OpenEXR"), (huge, "more than")):
+    for damaged, message in (
+        (data[: len(data) // 2], "damaged or truncated OpenEXR"),
+        (huge, "more than"),
+    ):
         path.write_bytes(damaged)
         with pytest.raises(lfcal.FlatError, match=message):
             lfcal.read_flat(path)
@@ -178,10 +200,16 @@ def write_dng(path, pixels):
     import tifffile
 
     tags = [
-        (33421, "H", 2, (2, 2), True), (33422, "B", 4, (0, 1, 1, 2), True), (50706, "B", 4, (1, 4, 0, 0), True),
-        (50708, "s", 5, "None", True), (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
-        (50714, "H", 1, 0, True), (50717, "H", 1, 4095, True), (271, "s", 5, "None", True), (272, "s", 5, "None", True),
-    ]  # fmt: skip
+        (33421, "H", 2, (2, 2), True),
+        (33422, "B", 4, (0, 1, 1, 2), True),
+        (50706, "B", 4, (1, 4, 0, 0), True),
+        (50708, "s", 5, "None", True),
+        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+        (50714, "H", 1, 0, True),
+        (50717, "H", 1, 4095, True),
+        (271, "s", 5, "None", True),
+        (272, "s", 5, "None", True),
+    ]
     tifffile.imwrite(path, pixels, photometric="CFA", extratags=tags, metadata=None)
 
 
@@ -200,13 +228,17 @@ def test_ome_zarr_of_five_axes_is_read(tmp_path, version):
     for name, array in (("s0", pixels), ("s1", pixels[..., ::2, ::2])):
         group.create_array(name, data=array[:, :1], chunks=(1, 1, 1, 16, 16))
     scales = [{"datasets": [{"path": "s0"}, {"path": "s1"}], "axes": list("tczyx")}]
-    group.attrs.update({"multiscales": scales} if version == 2 else {"ome": {"multiscales": scales}})
+    group.attrs.update(
+        {"multiscales": scales} if version == 2 else {"ome": {"multiscales": scales}}
+    )
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "a.ome.zarr"), pixels[0, 0, 0])
     with lfcal.open_flat(tmp_path / "a.ome.zarr") as source:
         np.testing.assert_array_equal(source.read(5, 7, 30, 28), pixels[0, 0, 0, 7:28, 5:30])
 
 
-@pytest.mark.parametrize("suffix, tool", [(".ray", "RxLive"), (".czi", "Bio-Formats"), (".raw", r"\.yuv")])
+@pytest.mark.parametrize(
+    "suffix, tool", [(".ray", "RxLive"), (".czi", "Bio-Formats"), (".raw", r"\.yuv")]
+)
 def test_formats_that_are_not_read_name_the_tool_that_converts_them(tmp_path, suffix, tool):
     path = tmp_path / f"flat{suffix}"
     path.write_bytes(b"some other bytes " * 10)

@@ -21,13 +21,19 @@ def _filtered(image, mosaic):
     out = np.empty(image.shape[:2], image.dtype)
     for place, colour in enumerate(mosaic):
         phase = np.s_[place // 2 :: 2, place % 2 :: 2]
-        out[phase] = image[phase] * _COLOURS[colour] if image.ndim == 2 else image[(*phase, "RGB".index(colour))]
+        out[phase] = (
+            image[phase] * _COLOURS[colour]
+            if image.ndim == 2
+            else image[(*phase, "RGB".index(colour))]
+        )
     return out
 
 
 @pytest.mark.parametrize("mosaic", ["RGGB", "BGGR", "GRBG", "GBRG"])
 @pytest.mark.parametrize("stated", [True, False])
-def test_white_image_behind_a_mosaic_places_centres_within_three_thousandths(whites, mosaic, stated):
+def test_white_image_behind_a_mosaic_places_centres_within_three_thousandths(
+    whites, mosaic, stated
+):
     basis = whites.turned(whites.HEXAGON, 14.3, 3)
     image, origin = whites.white_image(basis, (501, 401))
     camera = lfcal.calibrate(_filtered(image, mosaic), mosaic=mosaic if stated else None)
@@ -65,10 +71,14 @@ def test_filters_stated_against_the_measured_green_are_refused_with_the_two_that
 
 @pytest.mark.parametrize("mosaic", ["RGGB", "BGGR", "GRBG", "GBRG"])
 def test_where_green_is_is_measured_on_a_scene_and_neither_noise_nor_jpeg_hide_it(mosaic):
-    camera = Camera.design((300, 260), 23.0, "hex", 3.0).replace(mosaic=mosaic, filters=(0.9, 1.0, 0.9))
+    camera = Camera.design((300, 260), 23.0, "hex", 3.0).replace(
+        mosaic=mosaic, filters=(0.9, 1.0, 0.9)
+    )
     flat = simulate(SCENES["house"](camera), camera, samples=4, noise=(5000, 8)).flat
     assert find_mosaic(flat).index("G") == mosaic.index("G")
-    packed = cv2.imdecode(cv2.imencode(".jpg", flat, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], cv2.IMREAD_GRAYSCALE)
+    packed = cv2.imdecode(
+        cv2.imencode(".jpg", flat, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], cv2.IMREAD_GRAYSCALE
+    )
     assert find_mosaic(packed).index("G") == mosaic.index("G")
 
 
@@ -76,12 +86,17 @@ def test_where_green_is_is_measured_on_a_scene_and_neither_noise_nor_jpeg_hide_i
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (0.5, 0.5), (0.3, 0.2)])
 def test_discs_on_whole_pixels_are_no_mosaic(pitch, origin):
     y, x = np.mgrid[:400, :400]
-    dx, dy = ((value - start + pitch / 2) % pitch - pitch / 2 for value, start in zip((x, y), origin, strict=True))
+    dx, dy = (
+        (value - start + pitch / 2) % pitch - pitch / 2
+        for value, start in zip((x, y), origin, strict=True)
+    )
     assert find_mosaic(np.where(np.hypot(dx, dy) < 0.43 * pitch, 200, 10).astype(np.uint8)) is None
 
 
 def test_a_guess_on_a_white_image_gives_way_to_what_a_scene_shows_and_to_what_is_stated(whites):
-    camera = Camera.design((300, 260), 23.0, "hex", 3.0).replace(mosaic="GBRG", filters=(0.9, 1.0, 0.9))
+    camera = Camera.design((300, 260), 23.0, "hex", 3.0).replace(
+        mosaic="GBRG", filters=(0.9, 1.0, 0.9)
+    )
     capture = simulate(SCENES["house"](camera), camera, samples=4)
     found = lfcal.calibrate(capture.white)
     scene = found.with_mosaic_of(capture.flat)

@@ -1,4 +1,6 @@
-"""Normalised pictures and edge strengths match their definitions, also at borders and with several threads."""
+"""Normalised pictures and edge strengths match their definitions, also at borders and with several
+threads.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +13,13 @@ from lfcal.images.preprocessing import edge_strength, normalise_locally
 
 
 @pytest.mark.parametrize(
-    ("shape", "window"), [((70, 90), 7.9), ((300, 41), 18.6), ((41, 300), 200.0), ((9, 12), 60.0), ((2, 3), 3.0)]
+    ("shape", "window"),
+    [((70, 90), 7.9), ((300, 41), 18.6), ((41, 300), 200.0), ((9, 12), 60.0), ((2, 3), 3.0)],
 )
 def test_pictures_are_normalised_by_mean_and_standard_deviation_about_each_pixel(shape, window):
     picture = np.random.default_rng(2).gamma(4, 0.25, shape).astype(np.float32)
-    side, exact = max(3, int(window) | 1), picture.astype(float)
+    side = max(3, int(window) | 1)
+    exact = picture.astype(float)
     # That mode is SciPy's name for mirrored ends that are not repeated.
     mean, square = (uniform_filter(values, side, mode="mirror") for values in (exact, exact**2))
     expected = (exact - mean) / (np.sqrt(np.maximum(square - mean**2, 0)) + 0.02)
@@ -30,9 +34,12 @@ def test_pictures_are_normalised_by_mean_and_standard_deviation_about_each_pixel
 
 
 def test_edge_strength_is_the_same_bits_wherever_a_picture_lies_in_memory():
-    picture, seen = np.random.default_rng(0).random((512, 509), dtype=np.float32) ** 4, set()
+    picture = np.random.default_rng(0).random((512, 509), dtype=np.float32) ** 4
+    seen = set()
     for offset in range(17):
-        copy = np.empty(picture.size + 17, np.float32)[offset : offset + picture.size].reshape(picture.shape)
+        copy = np.empty(picture.size + 17, np.float32)[offset : offset + picture.size].reshape(
+            picture.shape
+        )
         copy[:] = picture
         seen.add(edge_strength(copy).tobytes())
     assert len(seen) == 1

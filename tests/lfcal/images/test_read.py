@@ -34,7 +34,9 @@ def png_bytes(pixels):
 
 
 def encoded(pixels, extension):
-    """A lossless or nearly lossless file of `pixels` in the format of `extension`, made without the toolkit."""
+    """A lossless or nearly lossless file of `pixels` in the format of `extension`, made without the
+    toolkit.
+    """
     bgr = np.ascontiguousarray(pixels[..., ::-1])
     settings = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 100], ".webp": [cv2.IMWRITE_WEBP_QUALITY, 101]}
     return cv2.imencode(extension, bgr, settings.get(extension, []))[1].tobytes()
@@ -85,7 +87,9 @@ def test_alpha_is_dropped_without_blending(check, tmp_path, rgb8, rgb16):
         picture = np.dstack([rgb[..., ::-1], np.zeros(rgb.shape[:2], rgb.dtype)])
         check(cv2.imencode(".png", picture)[1].tobytes(), rgb)
     grey = rgb8[..., 0]
-    Image.merge("LA", [Image.fromarray(grey), Image.new("L", grey.shape[::-1], 7)]).save(tmp_path / "flat.png")
+    Image.merge("LA", [Image.fromarray(grey), Image.new("L", grey.shape[::-1], 7)]).save(
+        tmp_path / "flat.png"
+    )
     np.testing.assert_array_equal(read_flat(tmp_path / "flat.png"), grey)
 
 
@@ -103,14 +107,22 @@ def test_palettes_become_colours_and_bits_black_and_white(tmp_path):
 
 @pytest.mark.parametrize("compression", [None, "zlib"])
 def test_tiff_layouts(check, rgb16, compression):
-    for options in ({}, {"tile": (16, 16)}, {"bigtiff": True}, {"rowsperstrip": 5}, {"byteorder": ">"}):
+    for options in (
+        {},
+        {"tile": (16, 16)},
+        {"bigtiff": True},
+        {"rowsperstrip": 5},
+        {"byteorder": ">"},
+    ):
         check(tiff_bytes(rgb16, photometric="rgb", compression=compression, **options), rgb16)
 
 
 def test_tiff_with_planes_lzw_or_white_as_zero(check, tmp_path, rgb8, rgb16):
     check(tiff_bytes(np.moveaxis(rgb8, -1, 0), photometric="rgb", planarconfig="separate"), rgb8)
     check(tiff_bytes(rgb8[..., 0], photometric="miniswhite"), 255 - rgb8[..., 0])
-    assert cv2.imwrite(str(tmp_path / "lzw.tif"), rgb16[..., ::-1], [cv2.IMWRITE_TIFF_COMPRESSION, 5])
+    assert cv2.imwrite(
+        str(tmp_path / "lzw.tif"), rgb16[..., ::-1], [cv2.IMWRITE_TIFF_COMPRESSION, 5]
+    )
     np.testing.assert_array_equal(read_flat(tmp_path / "lzw.tif"), rgb16)
 
 
@@ -132,7 +144,9 @@ def test_thumbnail_in_a_tiff_is_skipped_and_a_second_picture_refused(tmp_path, r
 
 @pytest.mark.parametrize("maximum", [255, 1023, 65535])
 def test_netpbm_values_are_not_rescaled(check, maximum):
-    values = (np.arange(12).reshape(3, 4) * (maximum // 12)).astype(np.uint8 if maximum < 256 else np.uint16)
+    values = (np.arange(12).reshape(3, 4) * (maximum // 12)).astype(
+        np.uint8 if maximum < 256 else np.uint16
+    )
     head = b"\n# made by hand\n4 3\n%d\n" % maximum
     check(b"P2" + head + " ".join(map(str, values.ravel())).encode(), values)
     check(b"P5" + head + values.astype(values.dtype.newbyteorder(">")).tobytes(), values)
@@ -141,7 +155,10 @@ def test_netpbm_values_are_not_rescaled(check, maximum):
 def test_nan_and_infinity_are_refused_with_their_number(tmp_path):
     pixels = np.zeros((8, 8), np.float32)
     pixels[1, 2], pixels[3, 4] = np.nan, -np.inf
-    for bad, message in ((pixels, "2 values are NaN or infinite"), (np.full((8, 8), 1e300), "infinite")):
+    for bad, message in (
+        (pixels, "2 values are NaN or infinite"),
+        (np.full((8, 8), 1e300), "infinite"),
+    ):
         tifffile.imwrite(tmp_path / "flat.tif", bad)
         with pytest.raises(FlatError, match=message):
             read_flat(tmp_path / "flat.tif")
@@ -204,14 +221,17 @@ def lossless_files(rgb8, rgb16, tmp_path):
     yield "flat.bmp", encoded(rgb8, ".bmp"), rgb8
     yield "flat.ppm", encoded(rgb8, ".ppm"), rgb8
     for compression in (None, "zlib"):
-        tifffile.imwrite(tmp_path / "whole.tif", rgb16, photometric="rgb", compression=compression, metadata=None)
+        tifffile.imwrite(
+            tmp_path / "whole.tif", rgb16, photometric="rgb", compression=compression, metadata=None
+        )
         yield "flat.tif", (tmp_path / "whole.tif").read_bytes(), rgb16
     cv2.imwrite(str(tmp_path / "lzw.tif"), rgb16[..., ::-1], [cv2.IMWRITE_TIFF_COMPRESSION, 5])
     yield "flat.tif", (tmp_path / "lzw.tif").read_bytes(), rgb16
 
 
 def test_truncated_files_are_refused_or_read_correctly(tmp_path, rgb8, rgb16):
-    refused, path = 0, tmp_path / "flat.jpg"
+    refused = 0
+    path = tmp_path / "flat.jpg"
     noisy = (rgb8 // 2 + np.random.default_rng(5).integers(0, 100, rgb8.shape)).astype(np.uint8)
     path.write_bytes(encoded(noisy, ".jpg"))
     jpeg = path.name, path.read_bytes(), read_flat(path)
@@ -224,7 +244,9 @@ def test_truncated_files_are_refused_or_read_correctly(tmp_path, rgb8, rgb16):
                 refused += 1
                 assert "\n" not in str(error)
             else:
-                np.testing.assert_array_equal(flat, pixels, err_msg=f"{name} cut at {end} of {len(data)}")
+                np.testing.assert_array_equal(
+                    flat, pixels, err_msg=f"{name} cut at {end} of {len(data)}"
+                )
     assert refused > 290
 
 

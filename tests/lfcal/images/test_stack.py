@@ -1,4 +1,6 @@
-"""Several flats of one camera: checked, combined to a better one; useless and over-exposed ones are noticed."""
+"""Several flats of one camera: checked, combined to a better one; useless and over-exposed ones are
+noticed.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def _error(whites, camera, basis, origin):
 
 def test_four_white_images_halve_the_error_of_one(whites, noisy):
     images, basis, origin = noisy
-    single = [_error(whites, lfcal.calibrate(image, kind="white"), basis, origin) for image in images]
+    single = [
+        _error(whites, lfcal.calibrate(image, kind="white"), basis, origin) for image in images
+    ]
     together = lfcal.calibrate(images, kind="white")
     assert _error(whites, together, basis, origin) < 0.75 * np.sqrt(np.mean(np.square(single)))
 
@@ -50,7 +54,9 @@ def test_a_useless_flat_does_not_change_the_centres_of_a_good_one(whites, useles
 def test_among_scenes_only_the_white_image_is_used(house):
     camera = lfcal.calibrate([house.flat, house.white])
     assert camera.source == "white"
-    np.testing.assert_allclose(camera.lattice.basis, lfcal.calibrate(house.white).lattice.basis, atol=1e-3)
+    np.testing.assert_allclose(
+        camera.lattice.basis, lfcal.calibrate(house.white).lattice.basis, atol=1e-3
+    )
 
 
 def test_flats_of_different_sizes_are_refused_by_number(noisy):
@@ -79,10 +85,16 @@ def test_array_that_cannot_be_a_flat_is_refused_with_the_reason(image, reason):
         lfcal.calibrate(image)
 
 
-@pytest.mark.parametrize(("dtype", "largest", "level"), [
-    (np.uint16, 900, 1023), (np.uint16, 4095, 4095), (np.uint16, 40000, None), (np.uint8, 200, None),
-    (np.float32, 900, None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("dtype", "largest", "level"),
+    [
+        (np.uint16, 900, 1023),
+        (np.uint16, 4095, 4095),
+        (np.uint16, 40000, None),
+        (np.uint8, 200, None),
+        (np.float32, 900, None),
+    ],
+)
 def test_white_level_is_that_of_the_least_number_of_bits(dtype, largest, level):
     assert estimate_white_level([np.array([[0, largest]], dtype)]) == level
 
@@ -93,7 +105,9 @@ def test_overexposed_white_image_is_named_with_the_share_of_clipped_pixels(drawn
     image = np.rint(np.clip(2.2 * light, 0, 1) * 255).astype(np.uint8)
     camera = lfcal.calibrate(image, "white")
     assert any("over-exposed" in text for text in camera.warnings)
-    assert not any("over-exposed" in text for text in lfcal.calibrate(truth.image(), "white").warnings)
+    assert not any(
+        "over-exposed" in text for text in lfcal.calibrate(truth.image(), "white").warnings
+    )
 
 
 def test_share_of_clipped_pixels_is_measured_at_the_limit_of_the_sensor():

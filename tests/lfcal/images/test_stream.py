@@ -19,7 +19,11 @@ def picture(dtype, channels):
 def assert_parts_are_those_of_the_whole(path, in_parts=True):
     whole = lfcal.read_flat(path)
     with lfcal.open_flat(path) as source:
-        assert (source.shape, source.dtype, source.nbytes) == (whole.shape, whole.dtype, whole.nbytes)
+        assert (source.shape, source.dtype, source.nbytes) == (
+            whole.shape,
+            whole.dtype,
+            whole.nbytes,
+        )
         assert source.in_parts == in_parts
         for left, top, right, bottom in _PARTS:
             part = source.read(left, top, right, bottom)
@@ -29,13 +33,23 @@ def assert_parts_are_those_of_the_whole(path, in_parts=True):
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32", "float64"])
 @pytest.mark.parametrize("channels", [(), (3,), (4,)])
-@pytest.mark.parametrize("stored", [
-    {}, {"bigtiff": True}, {"byteorder": ">"}, {"tile": (32, 16)}, {"rowsperstrip": 7, "compression": "zlib"},
-    {"tile": (32, 48), "compression": "zlib", "byteorder": ">"},
-], ids=lambda stored: "-".join(stored) or "plain")  # fmt: skip
+@pytest.mark.parametrize(
+    "stored",
+    [
+        {},
+        {"bigtiff": True},
+        {"byteorder": ">"},
+        {"tile": (32, 16)},
+        {"rowsperstrip": 7, "compression": "zlib"},
+        {"tile": (32, 48), "compression": "zlib", "byteorder": ">"},
+    ],
+    ids=lambda stored: "-".join(stored) or "plain",
+)
 def test_parts_of_a_tiff(tmp_path, dtype, channels, stored):
     path = tmp_path / "flat.tif"
-    tifffile.imwrite(path, picture(dtype, channels), photometric="rgb" if channels else "minisblack", **stored)
+    tifffile.imwrite(
+        path, picture(dtype, channels), photometric="rgb" if channels else "minisblack", **stored
+    )
     assert_parts_are_those_of_the_whole(path)
 
 
@@ -57,7 +71,11 @@ def test_parts_of_a_zarr_array(tmp_path, version, shape):
     zarr = pytest.importorskip("zarr", minversion="3.0")
     path = tmp_path / "flat.zarr"
     array = zarr.create_array(
-        path, shape=shape, dtype="uint16", chunks=tuple(min(n, 32) for n in shape), zarr_format=version
+        path,
+        shape=shape,
+        dtype="uint16",
+        chunks=tuple(min(n, 32) for n in shape),
+        zarr_format=version,
     )
     array[...] = np.random.default_rng(1).integers(0, 60000, shape)
     assert_parts_are_those_of_the_whole(path)
@@ -89,9 +107,13 @@ def test_damage_and_nan_are_reported_with_the_file_name(tmp_path):
 
 def test_dark_frame_is_subtracted_in_the_type_of_the_flat():
     flat = np.array([[[5, 90, 300]]], np.uint16)
-    np.testing.assert_array_equal(lfcal.subtract_dark(flat, np.array([[7]], np.uint8)), [[[0, 83, 293]]])
+    np.testing.assert_array_equal(
+        lfcal.subtract_dark(flat, np.array([[7]], np.uint8)), [[[0, 83, 293]]]
+    )
     assert lfcal.subtract_dark(flat, np.array([[7]], np.uint8)).dtype == np.uint16
-    assert lfcal.subtract_dark(flat / np.float32(10), np.array([[1.0]], np.float32))[0, 0, 0] == np.float32(-0.5)
+    assert lfcal.subtract_dark(flat / np.float32(10), np.array([[1.0]], np.float32))[
+        0, 0, 0
+    ] == np.float32(-0.5)
 
 
 def test_dark_frame_of_another_sensor_or_kind_is_refused():
@@ -109,13 +131,19 @@ def test_parts_of_a_flat_are_those_of_the_whole_less_the_dark_frame(tmp_path):
     tifffile.imwrite(tmp_path / "dark.tif", dark)
     with lfcal.open_flat(tmp_path / "flat.tif", dark=tmp_path / "dark.tif") as source:
         assert source.in_parts and source.dark == tmp_path / "dark.tif"
-        np.testing.assert_array_equal(source.read(3, 7, 21, 30), lfcal.subtract_dark(flat, dark)[7:30, 3:21])
+        np.testing.assert_array_equal(
+            source.read(3, 7, 21, 30), lfcal.subtract_dark(flat, dark)[7:30, 3:21]
+        )
 
 
 def test_dark_file_that_does_not_fit_the_flat_is_named_when_it_is_opened(tmp_path):
     tifffile.imwrite(tmp_path / "flat.tif", np.zeros((50, 40), np.uint8))
     tifffile.imwrite(tmp_path / "small.tif", np.zeros((40, 40), np.uint8))
     tifffile.imwrite(tmp_path / "deep.tif", np.zeros((50, 40), np.uint16))
-    for name, message in (("small.tif", "40 x 40 and 40 x 50 px"), ("deep.tif", "as the sensor stores"), ("no", "no")):
+    for name, message in (
+        ("small.tif", "40 x 40 and 40 x 50 px"),
+        ("deep.tif", "as the sensor stores"),
+        ("no", "no"),
+    ):
         with pytest.raises(lfcal.FlatError, match=f"{name}.*{message}"):
             lfcal.open_flat(tmp_path / "flat.tif", dark=tmp_path / name)

@@ -23,7 +23,11 @@ def film(tmp_path_factory):
     path = tmp_path_factory.mktemp("film") / "film.mkv"
     with FilmFile(path, Fraction(25)) as film:
         for rows in (8, 16, 24):
-            film.add(np.repeat(np.where(np.arange(48) < rows, 200, 40), 64 * 3).astype(np.uint8).reshape(48, 64, 3))
+            film.add(
+                np.repeat(np.where(np.arange(48) < rows, 200, 40), 64 * 3)
+                .astype(np.uint8)
+                .reshape(48, 64, 3)
+            )
     return path
 
 
@@ -32,7 +36,9 @@ def test_frame_of_a_video_is_that_of_the_sequence(film):
         np.testing.assert_array_equal(lfcal.read_flat(film, number), frame.read())
 
 
-@pytest.mark.parametrize("page, message", [(None, "several frames"), (3, "no frame 3"), (-1, "no frame -1")])
+@pytest.mark.parametrize(
+    "page, message", [(None, "several frames"), (3, "no frame 3"), (-1, "no frame -1")]
+)
 def test_wrong_number_is_refused(film, page, message):
     with pytest.raises(lfcal.FlatError, match=message):
         lfcal.read_flat(film, page)

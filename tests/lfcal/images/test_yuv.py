@@ -23,7 +23,9 @@ def make_planes(layout: RawLayout, seed=0):
     """Bytes of a smooth frame."""
     rng = np.random.default_rng(seed)
     kind = np.dtype("<u2" if layout.bits > 8 else np.uint8)
-    values = rng.integers(16 << (layout.bits - 8), 235 << (layout.bits - 8), layout.frame_bytes // kind.itemsize)
+    values = rng.integers(
+        16 << (layout.bits - 8), 235 << (layout.bits - 8), layout.frame_bytes // kind.itemsize
+    )
     return values.astype(kind).tobytes()
 
 
@@ -39,18 +41,29 @@ def test_frames_have_the_pixels_that_ffmpeg_decodes(tmp_path, subsampling, bits,
     with av.open(str(path), format="rawvideo", options=options) as film:
         for number, frame in enumerate(film.decode(video=0)):
             deep = bits > 8
-            expected = frame.to_ndarray(format="rgb48le") if deep else convert_frame(frame, "rgb24").to_ndarray()
+            expected = (
+                frame.to_ndarray(format="rgb48le")
+                if deep
+                else convert_frame(frame, "rgb24").to_ndarray()
+            )
             flat = lfcal.read_flat(path, number)
             assert flat.dtype == (np.uint16 if deep else np.uint8)
             np.testing.assert_array_equal(flat, expected)
 
 
-@pytest.mark.parametrize("name, expected", [
-    ("Boys2_64x48_30fps_420p10.yuv", ("420", 10)), ("v003-64x48.yuv", ("420", 8)),
-    ("a_64x48_yuv444p12le.yuv", ("444", 12)), ("a_64x48_p422_10bit.yuv", ("422", 10)),
-    ("a_64x48_8b_400.yuv", ("400", 8)), ("Race_64x48_50_12b_444.yuv", ("444", 12)),
-    ("a_64x48_gray8b.yuv", ("400", 8)), ("a_64x48_gray10le.yuv", ("400", 10)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, expected",
+    [
+        ("Boys2_64x48_30fps_420p10.yuv", ("420", 10)),
+        ("v003-64x48.yuv", ("420", 8)),
+        ("a_64x48_yuv444p12le.yuv", ("444", 12)),
+        ("a_64x48_p422_10bit.yuv", ("422", 10)),
+        ("a_64x48_8b_400.yuv", ("400", 8)),
+        ("Race_64x48_50_12b_444.yuv", ("444", 12)),
+        ("a_64x48_gray8b.yuv", ("400", 8)),
+        ("a_64x48_gray10le.yuv", ("400", 10)),
+    ],
+)
 def test_layout_follows_from_the_name(tmp_path, name, expected):
     (tmp_path / name).write_bytes(bytes(64 * 48 * 6))
     layout = find_layout(tmp_path / name)
@@ -87,12 +100,18 @@ def test_files_of_one_plane_are_grey_with_their_samples(tmp_path):
     np.testing.assert_array_equal(lfcal.read_flat(path), samples)
 
 
-@pytest.mark.parametrize("length, options, message", [
-    (100, {}, "truncated, or --size"), (4608 + 100, {"page": 1}, "frame 1 has 100 of 4608 bytes"),
-    (4608 * 2, {}, "holds 2 frames"), (4608, {"page": 1}, "no frame 1"),
-    (4608, {"size": (1 << 20, 1 << 20)}, "truncated"),
-    (4608, {"pixel_format": "rgb24"}, "a pixel format is yuv420p"), (0, {}, "holds 0 bytes"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "length, options, message",
+    [
+        (100, {}, "truncated, or --size"),
+        (4608 + 100, {"page": 1}, "frame 1 has 100 of 4608 bytes"),
+        (4608 * 2, {}, "holds 2 frames"),
+        (4608, {"page": 1}, "no frame 1"),
+        (4608, {"size": (1 << 20, 1 << 20)}, "truncated"),
+        (4608, {"pixel_format": "rgb24"}, "a pixel format is yuv420p"),
+        (0, {}, "holds 0 bytes"),
+    ],
+)
 def test_what_does_not_fit_is_refused_with_what_to_do(tmp_path, length, options, message):
     path = tmp_path / "film.yuv"
     path.write_bytes(b"\x90" * length)

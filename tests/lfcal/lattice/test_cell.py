@@ -16,7 +16,9 @@ from lfcal.lattice.lattice import Lattice
 def test_rows_of_a_cell_end_where_its_sides_are(shape, degrees):
     truth = WhiteImage(shape, 13.7, degrees, size=(200, 200))
     cell = Cell.of(Lattice(truth.origin, truth.basis, truth.size, 6.0))
-    sides, faces, reach = cell.row_bounds(), cell.normals, cell.circumradius
+    sides = cell.row_bounds()
+    faces = cell.normals
+    reach = cell.circumradius
     inside = 0
     for dy in np.arange(-reach - 1, reach + 1, 0.37):
         low, high = row_interval(dy, sides)

@@ -12,7 +12,9 @@ _BASIS = [[14.3, 0.2], [6.9, 12.4]]
 
 
 def _bent(k1: float, k2: float = 0.0) -> lfcal.Lattice:
-    return lfcal.Lattice([100.0, 90.0], _BASIS, (800, 600), 6.0, Distortion([390.0, 310.0], k1, k2, 500.0))
+    return lfcal.Lattice(
+        [100.0, 90.0], _BASIS, (800, 600), 6.0, Distortion([390.0, 310.0], k1, k2, 500.0)
+    )
 
 
 @pytest.mark.parametrize(("k1", "k2"), [(0.005, 0.0), (-0.02, 0.01), (0.05, -0.02)])
@@ -31,7 +33,8 @@ def test_no_centre_on_the_flat_is_missed_under_distortion():
 
 
 def test_distorted_centres_move_by_the_stated_share_of_their_distance():
-    straight, bent = Distortion([0, 0], 0.0, 0.0, 500.0), Distortion([0, 0], 0.01, 0.0, 500.0)
+    straight = Distortion([0, 0], 0.0, 0.0, 500.0)
+    bent = Distortion([0, 0], 0.01, 0.0, 500.0)
     corner = np.array([[300.0, 400.0]])
     np.testing.assert_allclose(bent.apply(corner) - straight.apply(corner), corner * 0.005)
 
@@ -39,7 +42,9 @@ def test_distorted_centres_move_by_the_stated_share_of_their_distance():
 def test_camera_file_keeps_the_distortion(tmp_path):
     camera = lfcal.Calibration(_bent(-0.004, 0.001))
     camera.save(tmp_path / "camera.json")
-    np.testing.assert_array_equal(lfcal.load(tmp_path / "camera.json").lattice.centres(), camera.lattice.centres())
+    np.testing.assert_array_equal(
+        lfcal.load(tmp_path / "camera.json").lattice.centres(), camera.lattice.centres()
+    )
 
 
 def test_camera_file_of_a_straight_lattice_has_no_distortion():
@@ -50,14 +55,22 @@ def test_camera_file_of_a_straight_lattice_has_no_distortion():
 def test_general_distortion_is_inverted_and_kept(tmp_path):
     general = [[1.5, -2.0, 0.5, 1.0, 0.3, -0.7, 0.2], [0.1, 0.4, -1.0, 2.0, 0.0, 0.3, -1.5]]
     lattice = lfcal.Lattice(
-        [100.0, 90.0], _BASIS, (800, 600), 6.0, Distortion([390.0, 310.0], 0.002, 0.0, 500.0, general, [399.5, 299.5])
+        [100.0, 90.0],
+        _BASIS,
+        (800, 600),
+        6.0,
+        Distortion([390.0, 310.0], 0.002, 0.0, 500.0, general, [399.5, 299.5]),
     )
     np.testing.assert_allclose(lattice.to_index(lattice.centres()), lattice.indices(), atol=1e-6)
     lfcal.Calibration(lattice).save(tmp_path / "camera.json")
-    np.testing.assert_array_equal(lfcal.load(tmp_path / "camera.json").lattice.centres(), lattice.centres())
+    np.testing.assert_array_equal(
+        lfcal.load(tmp_path / "camera.json").lattice.centres(), lattice.centres()
+    )
 
 
-@pytest.mark.parametrize("values", [([0, 0], 0.5, 0.0, 500.0), ([0, 0], 0.0, 0.0, 0.0), ([np.nan, 0], 0.0, 0.0, 1.0)])
+@pytest.mark.parametrize(
+    "values", [([0, 0], 0.5, 0.0, 500.0), ([0, 0], 0.0, 0.0, 0.0), ([np.nan, 0], 0.0, 0.0, 1.0)]
+)
 def test_too_strong_distortion_is_refused(values):
     with pytest.raises(ValueError, match="distortion"):
         Distortion(*values)

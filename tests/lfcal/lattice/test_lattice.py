@@ -20,7 +20,8 @@ _UNIMODULAR = st.sampled_from(
 
 
 def _turn(basis, degrees):
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    c = np.cos(np.radians(degrees))
+    s = np.sin(np.radians(degrees))
     return np.asarray(basis) @ np.array([[c, s], [-s, c]])
 
 
@@ -31,7 +32,9 @@ def _turn(basis, degrees):
     st.floats(3.0, 200.0),
     _UNIMODULAR,
 )
-def test_reduced_basis_spans_the_same_lattice_at_60_to_90_degrees(degrees, lean, height, pitch, mixture):
+def test_reduced_basis_spans_the_same_lattice_at_60_to_90_degrees(
+    degrees, lean, height, pitch, mixture
+):
     basis = _turn([[pitch, 0], [lean * pitch, height * pitch]], degrees)
     reduced = reduce_basis(np.array(mixture) @ basis)
     index = reduced @ np.linalg.inv(basis)
@@ -58,14 +61,19 @@ def test_hexagons_have_six_neighbours_and_squares_four(degrees):
 def test_every_lens_on_the_flat_is_listed_once():
     lattice = Lattice((50.2, 40.1), _turn([[10, 0], [5, 9]], 20), (100, 80), 4)
     centres = lattice.centres()
-    wide = lattice.origin + np.array([(i, j) for i in range(-30, 31) for j in range(-30, 31)]) @ lattice.basis
+    wide = (
+        lattice.origin
+        + np.array([(i, j) for i in range(-30, 31) for j in range(-30, 31)]) @ lattice.basis
+    )
     inside = ((wide >= -0.5) & (wide < [99.5, 79.5])).all(1)
     assert len(lattice) == len(centres) == inside.sum()
     np.testing.assert_allclose(lattice.to_index(centres), lattice.indices(), atol=1e-9)
 
 
 def test_a_downscaled_lattice_has_the_same_lenses_in_larger_pixels():
-    distortion = Distortion((300.0, 250.0), 0.01, -0.004, 400.0, np.full((2, 7), 0.3), (320.0, 240.0))
+    distortion = Distortion(
+        (300.0, 250.0), 0.01, -0.004, 400.0, np.full((2, 7), 0.3), (320.0, 240.0)
+    )
     lattice = Lattice((301.2, 233.7), [[23.2, 0.4], [11.3, 20.1]], (641, 479), 11.0, distortion)
     small = lattice.downscaled(3)
     assert small.image_size == (213, 159)
@@ -78,12 +86,15 @@ def test_a_downscaled_lattice_has_the_same_lenses_in_larger_pixels():
 @pytest.mark.parametrize("basis", [[[20.1, 11.6], [0.0, 23.2]], [[23.2, 0.3], [11.9, 20.0]]])
 def test_lenses_come_from_top_to_bottom_each_once(basis):
     lattice = Lattice([301.3, 222.2], basis, (640, 480), 9.0)
-    indices, centres = lattice.indices(), lattice.centres()
+    indices = lattice.indices()
+    centres = lattice.centres()
     np.testing.assert_allclose(centres, lattice.points(indices))
     i, j = np.mgrid[-60:60, -60:60].reshape(2, -1)
     all_centres = lattice.points(np.column_stack([i, j]))
     inside = ((all_centres >= -0.5) & (all_centres < [639.5, 479.5])).all(1)
-    assert {*map(tuple, indices.tolist())} == {*zip(i[inside].tolist(), j[inside].tolist(), strict=True)}
+    assert {*map(tuple, indices.tolist())} == {
+        *zip(i[inside].tolist(), j[inside].tolist(), strict=True)
+    }
     assert len(indices) == inside.sum()
     # Lenses of one row may differ by what the lattice is turned.
     assert np.diff(centres[:, 1]).min() > -lattice.pitch
@@ -97,7 +108,9 @@ def test_lattice_with_another_radius_has_the_same_lenses():
     np.testing.assert_array_equal(other.basis, lattice.basis)
 
 
-@pytest.mark.parametrize("basis", [[[9.1, 0.4], [4.2, 8.3]], [[0.0, 11.0], [9.0, 0.0]], [[7.0, -7.0], [7.0, 7.0]]])
+@pytest.mark.parametrize(
+    "basis", [[[9.1, 0.4], [4.2, 8.3]], [[0.0, 11.0], [9.0, 0.0]], [[7.0, -7.0], [7.0, 7.0]]]
+)
 def test_lenses_of_a_large_lattice_are_gathered_piece_by_piece(basis, monkeypatch):
     x, y = np.mgrid[-200:201, -200:201].reshape(2, -1)
     straight = Lattice([400.3, 300.2], basis, (800, 600), 4.0)
@@ -105,6 +118,8 @@ def test_lenses_of_a_large_lattice_are_gathered_piece_by_piece(basis, monkeypatc
     on = ((points >= -0.5) & (points < [799.5, 599.5])).all(1)
     monkeypatch.setattr(lattice, "_CHUNK", 500)
     pieces = replace(straight)
-    assert {tuple(ij) for ij in pieces.indices().tolist()} == set(zip(x[on].tolist(), y[on].tolist(), strict=True))
+    assert {tuple(ij) for ij in pieces.indices().tolist()} == set(
+        zip(x[on].tolist(), y[on].tolist(), strict=True)
+    )
     assert len(pieces) == on.sum()
     np.testing.assert_allclose(pieces.centres(), pieces.points(pieces.indices()), atol=1e-9)

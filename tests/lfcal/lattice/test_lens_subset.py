@@ -7,7 +7,12 @@ import pytest
 
 from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import Lattice
-from lfcal.lattice.lens_subset import StackedCrops, find_lit_lenses, sample_lenses, select_whole_lenses
+from lfcal.lattice.lens_subset import (
+    StackedCrops,
+    find_lit_lenses,
+    sample_lenses,
+    select_whole_lenses,
+)
 
 
 @pytest.mark.parametrize("size", [(400, 300), (2400, 1800)])
@@ -28,14 +33,18 @@ def test_lenses_of_parts_are_those_of_the_flat_well_inside_them():
     whole = Lattice([400.3, 300.2], [[9.1, 0.4], [4.2, 8.3]], (800, 600), 4.0, bend)
     picture = np.arange(800.0 * 600, dtype=np.float32).reshape(600, 800)
     corners = np.array([(0, 0), (500, 20), (640, 440)])
-    parts = StackedCrops(np.concatenate([picture[y : y + 160, x : x + 160] for x, y in corners]), corners, (160, 160))
+    parts = StackedCrops(
+        np.concatenate([picture[y : y + 160, x : x + 160] for x, y in corners]), corners, (160, 160)
+    )
     indices, centres, part = parts.lenses(whole, 7.0)
     every, places = select_whole_lenses(whole, 7.0)
     inside = [((places >= c + 7) & (places <= c + 159 - 7)).all(1) for c in corners]
     np.testing.assert_array_equal(indices, np.concatenate([every[mask] for mask in inside]))
     at = np.rint(centres).astype(int)
     there = at - parts.offsets[part]
-    np.testing.assert_array_equal(parts.picture[there[:, 1], there[:, 0]], picture[at[:, 1], at[:, 0]])
+    np.testing.assert_array_equal(
+        parts.picture[there[:, 1], there[:, 0]], picture[at[:, 1], at[:, 0]]
+    )
 
 
 def test_dark_lenses_and_their_neighbours_are_left_out():

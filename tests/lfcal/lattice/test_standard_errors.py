@@ -19,19 +19,26 @@ def test_camera_file_keeps_the_standard_errors(tmp_path):
     camera.save(tmp_path / "camera.json")
     kept = lfcal.load(tmp_path / "camera.json").errors.of_centres(lattice)
     np.testing.assert_allclose(np.sqrt((kept**2).mean()), 0.02, rtol=1e-9)
-    middle, corner = lattice.centres() - [150, 100], np.hypot(150, 100)
-    assert kept[np.hypot(*middle.T) < 20].max() < 0.7 * kept[np.hypot(*middle.T) > 0.85 * corner].min()
+    middle = lattice.centres() - [150, 100]
+    corner = np.hypot(150, 100)
+    assert (
+        kept[np.hypot(*middle.T) < 20].max() < 0.7 * kept[np.hypot(*middle.T) > 0.85 * corner].min()
+    )
 
 
 def test_the_condition_of_a_fit_is_larger_for_strips_and_independent_of_the_unit():
     def condition(size, origin):
-        return equal_weight_errors(lfcal.Lattice(origin, [[10.0, 0.0], [0.0, 10.0]], size, 4.0), 0.02).condition
+        return equal_weight_errors(
+            lfcal.Lattice(origin, [[10.0, 0.0], [0.0, 10.0]], size, 4.0), 0.02
+        ).condition
 
     assert 1 <= condition((300, 300), (150.0, 150.0)) < 1.2
     # With the origin in a corner, origin and basis are correlated.
     assert 4 < condition((300, 300), (5.0, 5.0)) < 6
     assert condition((900, 20), (455.0, 5.0)) > 2
-    errors = equal_weight_errors(lfcal.Lattice((5.0, 5.0), [[10.0, 0.0], [0.0, 10.0]], (300, 300), 4.0), 0.02)
+    errors = equal_weight_errors(
+        lfcal.Lattice((5.0, 5.0), [[10.0, 0.0], [0.0, 10.0]], (300, 300), 4.0), 0.02
+    )
     assert errors.scaled(8.0).condition == pytest.approx(errors.condition)
     # All parameters are fully correlated.
     assert LatticeErrors(errors.names, np.full((6, 6), 1e-6)).condition > 1e6
@@ -42,7 +49,9 @@ _SIZE = (700, 500)
 
 @pytest.fixture(scope="module")
 def displaced(whites):
-    """A white image, four lenses of which are displaced by 0.3 px to the right, its camera, and their indices."""
+    """A white image, four lenses of which are displaced by 0.3 px to the right, its camera, and
+    their indices.
+    """
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
     image, origin = whites.white_image(basis, _SIZE, origin=(350.2, 250.4))
     shifted, _ = whites.white_image(basis, _SIZE, origin=(350.5, 250.4))
@@ -85,7 +94,10 @@ def test_systematic_residuals_are_drawn_as_arrows(displaced):
     noise = 0.01 * rng.standard_normal(indices.shape).astype(np.float32)
     bent = noise + 0.1 * np.sign(indices[:, :1]).astype(np.float32)
     axes = Figure().subplots()
-    found = [plot_residuals(replace(camera, residuals=Residuals(indices, offset)), axes) for offset in (noise, bent)]
+    found = [
+        plot_residuals(replace(camera, residuals=Residuals(indices, offset)), axes)
+        for offset in (noise, bent)
+    ]
     assert found[0][1] < 0.05 < found[1][1] and len(found[1][0].U) > 90
 
 

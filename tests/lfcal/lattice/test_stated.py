@@ -14,8 +14,14 @@ from lfcal.lattice.stated import ARRANGEMENTS, LatticeHint, state_lattice
 def test_stated_lattice_has_the_figures_given(arrangement):
     lattice = state_lattice((400, 300), 20.5, arrangement, 1.5, (100.0, 90.0), 9.0)
     shape, rows, rotation = describe_orientation(lattice)
-    assert lattice.pitch == pytest.approx(20.5) and rotation == pytest.approx(1.5) and lattice.radius == 9.0
-    assert shape == arrangement.split("-")[0] and (rows == "vertical") == arrangement.endswith("vertical")
+    assert (
+        lattice.pitch == pytest.approx(20.5)
+        and rotation == pytest.approx(1.5)
+        and lattice.radius == 9.0
+    )
+    assert shape == arrangement.split("-")[0] and (rows == "vertical") == arrangement.endswith(
+        "vertical"
+    )
     index = lattice.to_index([[100.0, 90.0]])
     np.testing.assert_allclose(index, np.rint(index), atol=1e-9)
 

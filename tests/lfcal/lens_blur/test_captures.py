@@ -1,4 +1,6 @@
-"""Discs of defocus on captures: found where the capture tells them, none where the scene may be soft itself."""
+"""Discs of defocus on captures: found where the capture tells them, none where the scene may be
+soft itself.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,15 @@ def measure(camera, scene, seed=5, noise=(8000, 5), **more):
     grey = (shot.flat.mean(2) / 255) ** 2
     calibration = replace(truth.calibration, **more)
     radius = 0.9 * calibration.lattice.radius
-    return lfcal.measure_lens_blur(lambda p: grey[p[1] : p[3], p[0] : p[2]], calibration, truth.patch_size, radius)
+    return lfcal.measure_lens_blur(
+        lambda p: grey[p[1] : p[3], p[0] : p[2]], calibration, truth.patch_size, radius
+    )
 
 
 def design(**more):
-    return Camera.design(size=(600, 480), rotation=1.3, **{"pitch": 40.0, "focus": 0.04, "fill": 0.22} | more)
+    return Camera.design(
+        size=(600, 480), rotation=1.3, **{"pitch": 40.0, "focus": 0.04, "fill": 0.22} | more
+    )
 
 
 @pytest.mark.parametrize(("fill", "ratio"), [(0.22, -0.3), (0.3, 0.35), (0.25, -0.2)])
@@ -52,4 +58,9 @@ def test_too_few_lenses_tell_nothing():
     camera = design()
     calibration = camera.calibration()
     nothing = np.full(len(calibration.lattice), np.nan)
-    assert lfcal.measure_lens_blur(lambda p: np.zeros((p[3] - p[1], p[2] - p[0])), calibration, nothing, 10.0) is None
+    assert (
+        lfcal.measure_lens_blur(
+            lambda p: np.zeros((p[3] - p[1], p[2] - p[0])), calibration, nothing, 10.0
+        )
+        is None
+    )

@@ -1,4 +1,6 @@
-"""Lens types of multi-focus arrays are found where they exist, in the order of their focus, and nowhere else."""
+"""Lens types of multi-focus arrays are found where they exist, in the order of their focus, and
+nowhere else.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ _MOSAIC = np.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 
 def capture(scene, focus, lattice="hex", pitch=18.2, size=(600, 560), rotation=0.0, **kwargs):
     camera = Camera.design(size, pitch, lattice, rotation, focus=focus)
-    return simulate(SCENES[scene](camera, seed=5, **kwargs), camera, samples=8, noise=(8000, 8), seed=2)
+    return simulate(
+        SCENES[scene](camera, seed=5, **kwargs), camera, samples=8, noise=(8000, 8), seed=2
+    )
 
 
 def search(picture, lattice, white=False):
@@ -29,7 +33,9 @@ def search(picture, lattice, white=False):
 
 
 def white_of_types(whites, basis, cell, soft=None, gain=None, size=(580, 520)):
-    """White image of which lens (i, j) has the edge width `soft` and the brightness `gain` of its type."""
+    """White image of which lens (i, j) has the edge width `soft` and the brightness `gain` of its
+    type.
+    """
     _, origin = whites.white_image(basis, size)
     y, x = np.mgrid[: size[1], : size[0]]
     index = np.rint((np.stack([x, y], -1) - origin) @ np.linalg.inv(basis)).astype(int) % len(cell)
@@ -46,12 +52,18 @@ def types_at(camera, origin, basis):
     return camera.lens_types.of(camera.lattice.indices()), true
 
 
-@pytest.mark.parametrize(("lattice", "sign", "rotation"), [("hex-vertical", 1, 7.0), ("square", -1, 2.0)])
-def test_three_types_are_found_in_a_scene_and_ordered_from_large_to_small_patch_size(lattice, sign, rotation):
+@pytest.mark.parametrize(
+    ("lattice", "sign", "rotation"), [("hex-vertical", 1, 7.0), ("square", -1, 2.0)]
+)
+def test_three_types_are_found_in_a_scene_and_ordered_from_large_to_small_patch_size(
+    lattice, sign, rotation
+):
     foci = tuple(-sign * f for f in _FOCI)
     taken = capture("slope", foci, lattice, rotation=rotation, left=sign * 0.58, right=sign * 0.16)
     camera = lfcal.calibrate(taken.flat)
-    assert camera.lens_types is not None and camera.lens_types.count == 3 and camera.lens_types.ordered
+    assert (
+        camera.lens_types is not None and camera.lens_types.count == 3 and camera.lens_types.ordered
+    )
     true = taken.truth.calibration.lattice
     found, index = types_at(camera, true.origin, true.basis)
     np.testing.assert_array_equal(found, (index[:, 0] - index[:, 1]) % 3)
@@ -75,7 +87,8 @@ def test_single_type_array_is_not_split(scene, focus):
 
 
 def test_scene_that_repeats_every_third_lens_is_not_taken_for_types(whites):
-    basis, size = whites.turned(whites.HEXAGON, 22.5, 3), (580, 520)
+    basis = whites.turned(whites.HEXAGON, 22.5, 3)
+    size = (580, 520)
     image, origin = whites.white_image(basis, size)
     offset = np.stack(np.mgrid[: size[1], : size[0]][::-1], -1) - origin
     index = np.rint(offset @ np.linalg.inv(basis))
@@ -84,10 +97,8 @@ def test_scene_that_repeats_every_third_lens_is_not_taken_for_types(whites):
     scene = 1 + 0.4 * np.sin(2 * np.pi * (within + (index[..., 0] - index[..., 1]) / 3))
     lattice = lfcal.Lattice(origin, basis, size, 10.3)
     assert search(image * scene, lattice) is None
-    features, sample = (
-        measure_lens_features(sqrt_luminance(image * scene), sample_lenses(lattice)),
-        sample_lenses(lattice),
-    )
+    features = measure_lens_features(sqrt_luminance(image * scene), sample_lenses(lattice))
+    sample = sample_lenses(lattice)
     contrast = sample.subtract_neighbours(features.sharpness)
     third = (sample.inner[:, 0] - sample.inner[:, 1]) % 3
     assert np.ptp([np.nanmean(contrast[third == kind]) for kind in range(3)]) > 0.2
@@ -98,7 +109,10 @@ def test_white_image_of_equal_lenses_has_one_type_at_any_beat_with_the_pixels(wh
     basis = whites.turned(getattr(whites, shape), pitch, 0)
     for soft in (1.0, 4.0):
         image, origin = whites.white_image(basis, (620, 560), soft=soft, noise=0.0)
-        assert search(image, lfcal.Lattice(origin, basis, (620, 560), 0.46 * pitch), white=True) is None
+        assert (
+            search(image, lfcal.Lattice(origin, basis, (620, 560), 0.46 * pitch), white=True)
+            is None
+        )
 
 
 @pytest.mark.parametrize(
@@ -131,7 +145,8 @@ def test_types_that_differ_in_brightness_alone_are_found_without_an_order(whites
 def test_real_capture_shows_the_types_its_camera_has(shared):
     found = lfcal.calibrate(lfcal.read_flat(shared("captures", "Fujita2.png"))).lens_types
     assert found.count == 3 and found.ordered and found.confidence > 0.9
-    # Sharpness changes places at |s| of about 8 and 6.5 px of 23.2; foci run from large |s| to small.
+    # Sharpness changes places at |s| of about 8 and 6.5 px of 23.2; foci run from large |s| to
+    # small.
     assert np.isfinite(found.focus).all()
     assert (np.diff(found.focus) > 0).all()
     assert -0.45 < found.focus[0] < found.focus[2] < -0.15
@@ -151,28 +166,42 @@ def test_ray_traced_single_type_cameras_are_not_split(shared, folder):
 def test_two_types_of_unlike_radius_are_found_on_a_white_image_and_alike_ones_are_not(shares):
     camera = Camera.design((500, 450), 30.3, "square", -1.3, microimage_fill=0.94)
     focal = camera.microlens_focal_lengths[0]
-    camera = camera.replace(microlens_focal_lengths=(focal, focal), type_apertures=shares, stray=0.05)
+    camera = camera.replace(
+        microlens_focal_lengths=(focal, focal), type_apertures=shares, stray=0.05
+    )
     taken = simulate(SCENES["blank"](camera), camera, samples=8, noise=(9000, 5), gamma=False)
     found = lfcal.calibrate(taken.white, kind="white")
     assert (found.lens_types is not None) == (shares[0] != shares[1])
     index = found.lattice.indices()
     if found.lens_types is not None:
         near = taken.truth.calibration.lattice.to_index(found.lattice.points(index)).round()
-        assert len({(int(a), int(b) % 2) for a, b in zip(found.lens_types.of(index), near.sum(1), strict=True)}) == 2
+        assert (
+            len(
+                {
+                    (int(a), int(b) % 2)
+                    for a, b in zip(found.lens_types.of(index), near.sum(1), strict=True)
+                }
+            )
+            == 2
+        )
 
 
-@pytest.mark.skipif(not KINDS.is_dir(), reason="no white images of other kinds beside the repository")
+@pytest.mark.skipif(
+    not KINDS.is_dir(), reason="no white images of other kinds beside the repository"
+)
 def test_alternating_types_whose_rims_pass_the_usable_radius_alike_are_found_by_the_light_before_them():
     camera = lfcal.calibrate(KINDS / "types2_sq.png")
     assert camera.lens_types is not None and camera.lens_types.count == 2
     assert camera.confidence > 0.9
     light = camera.flatten(lfcal.read_flat(KINDS / "types2_sq.png").astype(np.float32))
-    kind, centres = camera.lens_types.of(camera.lattice.indices()), camera.lattice.centres()
+    kind = camera.lens_types.of(camera.lattice.indices())
+    centres = camera.lattice.centres()
     inside = ((centres > 40) & (centres < np.array(camera.image_size) - 40)).all(1)
     y, x = np.mgrid[-15:16, -15:16]
     rim = {0: [], 1: []}
     for (u, v), of in zip(centres[inside][::5], kind[inside][::5], strict=True):
-        column, row = round(u), round(v)
+        column = round(u)
+        row = round(v)
         far = np.hypot(x + column - u, y + row - v) / camera.lattice.radius
         window = light[row - 15 : row + 16, column - 15 : column + 16]
         rim[int(of)].append(window[(far > 0.9) & (far < 0.98)].mean() / window[far < 0.5].mean())

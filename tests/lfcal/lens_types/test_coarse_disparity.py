@@ -1,4 +1,6 @@
-"""Coarse disparity of single lenses, against the depth of a simulated plane, and the mode of a scene."""
+"""Coarse disparity of single lenses, against the depth of a simulated plane, and the mode of a
+scene.
+"""
 
 from __future__ import annotations
 

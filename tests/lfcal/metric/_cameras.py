@@ -24,7 +24,8 @@ def camera(lengths=(28.0, 27.8, 0.42), principal=(790.0, 605.0), **others):
 
 def poses(rng, count=8, near=350.0, far=1200.0, tilt=0.45):
     """Boards turned by up to `tilt` [rad], over the field of a camera of 1600 x 1200 px."""
-    turns, shifts = [], []
+    turns = []
+    shifts = []
     for z in np.geomspace(near, far, count):
         turns.append(cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0])
         reach = np.maximum(z * np.array([0.13, 0.09]) - [30, 20], 0)
@@ -54,7 +55,11 @@ def detect(values, where, rng, error=0.02):
     found = []
     for turn, shift in zip(where.rotation, where.translation, strict=True):
         points = BOARD @ turn.T + shift
-        scene = values[3:5] + values[0] * points[:, :2] / points[:, 2:] + rng.normal(0, 0.5, (len(points), 2))
+        scene = (
+            values[3:5]
+            + values[0] * points[:, :2] / points[:, 2:]
+            + rng.normal(0, 0.5, (len(points), 2))
+        )
         ratio = 1 / (values[1] + values[2] / points[:, 2]) + rng.normal(0, error)
         found.append(DetectedBoard(np.arange(len(points)), scene, 1 / ratio))
     return found

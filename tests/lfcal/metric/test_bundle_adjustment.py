@@ -21,7 +21,8 @@ def _fit(true, where, rng, observations):
 
 def test_camera_and_poses_lie_within_the_stated_errors():
     rng = np.random.default_rng(3)
-    true, where = camera(k1=-0.8), poses(rng)
+    true = camera(k1=-0.8)
+    where = poses(rng)
     found = _fit(true, where, rng, observe(true, where, rng, 0.03))
     errors = np.sqrt(np.diag(found.covariance))
     chosen = [INTERNAL.index(name) for name in FREE]
@@ -34,10 +35,16 @@ def test_camera_and_poses_lie_within_the_stated_errors():
 
 def test_five_per_cent_of_wrong_corners_are_left_out():
     rng = np.random.default_rng(4)
-    true, where = camera(k1=-0.8), poses(rng, 6)
+    true = camera(k1=-0.8)
+    where = poses(rng, 6)
     clean = observe(true, where, rng, 0.03)
     wrong = rng.random(len(clean)) < 0.05
     position = clean.position + wrong[:, None] * rng.normal(0, 4, (len(clean), 2))
-    found = _fit(true, where, rng, Observations(clean.pose, clean.corner, clean.centre, position, clean.error))
+    found = _fit(
+        true,
+        where,
+        rng,
+        Observations(clean.pose, clean.corner, clean.centre, position, clean.error),
+    )
     assert (found.weight[wrong] == 0).mean() > 0.97
     assert abs(found.camera[0] / true[0] - 1) < 0.003

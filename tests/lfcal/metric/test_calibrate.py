@@ -1,4 +1,6 @@
-"""Metric calibration of the ray-traced boards beside the repository, and what it says to flats that tell nothing."""
+"""Metric calibration of the ray-traced boards beside the repository, and what it says to flats that
+tell nothing.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +26,37 @@ def boards(shared):
     folder = shared("boards")
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     known = truth["camera"]
-    lattice = Lattice(known["origin_px"], [known["a1_px"], known["a2_px"]], (known["width"], known["height"]), 14.1)
-    return truth, Calibration(lattice), lambda k: lfcal.read_flat(folder / truth["poses"][k]["file"])
+    lattice = Lattice(
+        known["origin_px"],
+        [known["a1_px"], known["a2_px"]],
+        (known["width"], known["height"]),
+        14.1,
+    )
+    return (
+        truth,
+        Calibration(lattice),
+        lambda k: lfcal.read_flat(folder / truth["poses"][k]["file"]),
+    )
 
 
 @pytest.fixture(scope="module")
 def measured(boards):
     _, camera, flat = boards
-    return calibrate_metric([flat(k) for k in (1, 5, 8, 11)], camera, board=(9, 6), square=7.0, pixel=0.0055)
+    return calibrate_metric(
+        [flat(k) for k in (1, 5, 8, 11)], camera, board=(9, 6), square=7.0, pixel=0.0055
+    )
 
 
 def test_optics_of_a_ray_traced_camera_lie_within_the_stated_errors(boards, measured):
     known = boards[0]["camera"]
-    true = [known["F_mm"], known["mainlens_to_mla_mm"], known["mla_to_sensor_mm"], *known["principal_point_px"]]
-    off, errors = measured.optics.parameters[:6] - [*true, known["k1"]], measured.optics.standard_errors[:6]
+    true = [
+        known["F_mm"],
+        known["mainlens_to_mla_mm"],
+        known["mla_to_sensor_mm"],
+        *known["principal_point_px"],
+    ]
+    off = measured.optics.parameters[:6] - [*true, known["k1"]]
+    errors = measured.optics.standard_errors[:6]
     assert (np.abs(off) < 3.5 * errors).all()
     assert errors[0] < 0.1  # mm
     assert measured.rms < 0.03  # px
@@ -48,7 +67,9 @@ def test_optics_of_a_ray_traced_camera_lie_within_the_stated_errors(boards, meas
 def test_boards_are_placed_to_a_tenth_of_a_degree_and_three_thousandths_in_depth(boards, measured):
     for pose, k in zip(measured.poses, (1, 5, 8, 11), strict=True):
         true = boards[0]["poses"][k]
-        turn = np.rad2deg(np.arccos(np.clip((np.trace(pose.rotation @ np.transpose(true["R"])) - 1) / 2, -1, 1)))
+        turn = np.rad2deg(
+            np.arccos(np.clip((np.trace(pose.rotation @ np.transpose(true["R"])) - 1) / 2, -1, 1))
+        )
         off = pose.translation - true["t_mm"]
         assert turn < 0.1
         assert np.abs(off[:2]).max() < 0.2  # mm
@@ -82,7 +103,9 @@ def test_poses_that_are_alike_are_named():
 
 
 def test_another_number_of_squares_is_named(boards):
-    flat = prepare(boards[2](11), "b.png", boards[1], Board(11, 7, 7.0), FocusSweep(boards[1].lattice))
+    flat = prepare(
+        boards[2](11), "b.png", boards[1], Board(11, 7, 7.0), FocusSweep(boards[1].lattice)
+    )
     assert flat.other == "9 x 6"
     assert (flat.detected is None) == ("9 x 6" in flat.reason)
 
@@ -91,7 +114,9 @@ def test_a_board_of_another_size_than_most_flats_show_is_refused(monkeypatch):
     blank = Calibration(Lattice((10, 10), [[20, 0], [0, 20]], (200, 160), 9.5))
     seen = lambda flat, name, **_: BoardFlat(name, flat, None, other="9 x 6")  # noqa: E731
     monkeypatch.setattr("lfcal.metric.calibrate.prepare", seen)
-    with pytest.raises(BoardError, match="3 flats show a checkerboard of 9 x 6 corners, not of 8 x 6"):
+    with pytest.raises(
+        BoardError, match="3 flats show a checkerboard of 9 x 6 corners, not of 8 x 6"
+    ):
         calibrate_metric([np.zeros((160, 200))] * 3, blank, (8, 6), 7.0, pixel=0.0055)
 
 
@@ -104,7 +129,9 @@ def test_flats_without_a_board_are_named():
     with pytest.raises(BoardError, match="2 flats"):
         calibrate_metric(flats[:2], blank, Board(9, 6, 7.0))
     with pytest.raises(FlatError, match=r"c\.png"):
-        calibrate_metric([*flats[:2], flats[0][:100]], blank, Board(9, 6, 7.0), names=["a", "b", "c.png"])
+        calibrate_metric(
+            [*flats[:2], flats[0][:100]], blank, Board(9, 6, 7.0), names=["a", "b", "c.png"]
+        )
 
 
 @pytest.mark.parametrize("arguments", [(1, 6, 7.0), (9, 6, -1.0), (9, 6, 7.0, "charuco", 8.0)])

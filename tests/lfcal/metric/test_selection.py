@@ -1,4 +1,6 @@
-"""Parameters join when the data ask for them, and only then; correlated errors widen what is stated."""
+"""Parameters join when the data ask for them, and only then; correlated errors widen what is
+stated.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ def test_errors_that_corners_share_widen_the_stated_ones():
 
 def test_bend_of_the_board_is_fitted_and_does_not_pass_for_another_focal_length():
     rng = np.random.default_rng(5)
-    values, where = camera(k1=-0.5), poses(rng, 6, near=500, far=1100)
+    values = camera(k1=-0.5)
+    where = poses(rng, 6, near=500, far=1100)
     bent = np.array([0.3, -0.1, 0.0, 0.04, 0.0])
     seen = observe(values, where, rng, 0.02, board=BOARD + shape_derivatives(BOARD) @ bent)
     flat = adjust(values, PIXEL, where, BOARD, seen, BASE)
@@ -67,7 +70,10 @@ def test_errors_that_no_scatter_shows_widen_what_is_best_known():
     stated = found.covariance[own, own]
     widened = stated + rim_covariance(found, PIXEL, moved, 11.5)[own, own]
     scale = np.sqrt(np.diag(stated))
-    misfit = [off / scale @ np.linalg.solve(c / np.outer(scale, scale), off / scale) for c in (stated, widened)]
+    misfit = [
+        off / scale @ np.linalg.solve(c / np.outer(scale, scale), off / scale)
+        for c in (stated, widened)
+    ]
     assert misfit[0] > 3 * misfit[1]
     # One error of 0.004 px, where 0.003 px of a standard error are allowed for.
     assert misfit[1] < 2.7
@@ -76,4 +82,6 @@ def test_errors_that_no_scatter_shows_widen_what_is_best_known():
 def test_lengths_that_hardly_separate_are_named():
     found, _ = _fitted(camera(k1=-0.5), 3)
     notes = describe_degeneracies(optics_of(found, PIXEL))
-    assert any("F, L and b hardly separate" in note and "D / s = A + B / Z" in note for note in notes)
+    assert any(
+        "F, L and b hardly separate" in note and "D / s = A + B / Z" in note for note in notes
+    )

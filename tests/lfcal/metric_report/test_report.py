@@ -29,14 +29,18 @@ def found():
     where = cameras.poses(rng, 5, near=700, far=1100)
     values = cameras.camera(k1=-0.5)
     seen = cameras.observe(values, where, rng, 0.02)
-    seen = Observations(seen.pose, seen.corner, seen.centre, seen.position, np.full(len(seen), 0.02))
+    seen = Observations(
+        seen.pose, seen.corner, seen.centre, seen.position, np.full(len(seen), 0.02)
+    )
     fitted = adjust(values, cameras.PIXEL, where, cameras.BOARD, seen, BASE)
     lattice = Lattice((0, 0), [[28.3, 0], [14.15, 24.5]], (1600, 1200), 13.0)
     errors = np.sqrt(np.diag(fitted.covariance))[14:-5].reshape(-1, 6)
     board = Board(9, 6, 7.0)
     placed = tuple(
         BoardPose(f"{m}.png", r, t - r @ board.middle, np.diag(errors[m] ** 2), 0.03, 100)
-        for m, (r, t) in enumerate(zip(fitted.poses.rotation, fitted.poses.translation, strict=True))
+        for m, (r, t) in enumerate(
+            zip(fitted.poses.rotation, fitted.poses.translation, strict=True)
+        )
     )
     optics = optics_of(fitted, cameras.PIXEL)
     return MetricCalibration(
@@ -57,10 +61,19 @@ def found():
 def test_the_page_shows_errors_poses_residuals_and_advice_without_network(found, tmp_path):
     write_metric_report(tmp_path / "page.html", found)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    for words in ("focal length", "Cramer-Rao", "hardly separate &lt;&amp;&gt;", "2 sigma", "What to shoot next"):
+    for words in (
+        "focal length",
+        "Cramer-Rao",
+        "hardly separate &lt;&amp;&gt;",
+        "2 sigma",
+        "What to shoot next",
+    ):
         assert words in page
     assert page.count('id="pose-') == 10  # five boards from above and from the side
-    assert not re.search(r"""(src|href)=["']https?:""", re.sub(r"<metadata>.*?</metadata>", "", page, flags=re.DOTALL))
+    assert not re.search(
+        r"""(src|href)=["']https?:""",
+        re.sub(r"<metadata>.*?</metadata>", "", page, flags=re.DOTALL),
+    )
 
 
 def test_boards_far_away_ask_for_a_near_one(found):

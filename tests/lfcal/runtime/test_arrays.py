@@ -1,4 +1,6 @@
-"""Arrays of frozen dataclasses are read-only, also in copies and out of pickles; 8 bits of any type."""
+"""Arrays of frozen dataclasses are read-only, also in copies and out of pickles; 8 bits of any
+type.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,14 @@ from lfcal.runtime.arrays import to_eight_bits
 
 
 def arrays(frozen):
-    return {f.name: v for f in fields(frozen) if isinstance(v := getattr(frozen, f.name), np.ndarray)}
+    return {
+        f.name: v for f in fields(frozen) if isinstance(v := getattr(frozen, f.name), np.ndarray)
+    }
 
 
-@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
+@pytest.mark.parametrize(
+    "again", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))]
+)
 @pytest.mark.parametrize(
     "frozen",
     [

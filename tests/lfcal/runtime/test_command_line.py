@@ -1,4 +1,6 @@
-"""What command lines share: errors of one line, files and patterns, stages, figures, progress on a terminal."""
+"""What command lines share: errors of one line, files and patterns, stages, figures, progress on a
+terminal.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,10 @@ def test_a_pattern_that_the_shell_did_not_expand_stands_for_the_files_it_matches
     assert tool("one", "fl*.png", "--white", "w*.png").stdout == "flat.png white.png None\n"
     # A file may be called like a pattern.
     assert tool("many", "odd[1].png").stdout == "odd[1].png\n"
-    assert tool("one", "flat.png", "--white=~/white.png").stdout == f"flat.png {folder / 'white.png'} None\n"
+    assert (
+        tool("one", "flat.png", "--white=~/white.png").stdout
+        == f"flat.png {folder / 'white.png'} None\n"
+    )
     assert tool("one", "flat.png", "--size", "30X07").stdout == "flat.png None (30, 7)\n"
 
 
@@ -75,7 +80,10 @@ def test_a_pattern_that_the_shell_did_not_expand_stands_for_the_files_it_matches
         (("one",), "Missing argument 'FLAT'"),
         (("one", "flat.pgn"), "flat.pgn: does not exist; did you mean flat.png?"),
         (("one", "flat.tif"), "flat.tif: does not exist; did you mean flat.png?"),
-        (("one", "flat.png", "--white", "whit.png"), "whit.png: does not exist; did you mean white.png"),
+        (
+            ("one", "flat.png", "--white", "whit.png"),
+            "whit.png: does not exist; did you mean white.png",
+        ),
         (("many", "flat.png", "sunset.jpg"), "tool: sunset.jpg: does not exist\n"),
         (("one", "flat.png", "--whit", "white.png"), "'--white'?"),
         (("one", "flat.png", "--size", "30"), "must be WxH such as 20x10, got '30'"),
@@ -95,7 +103,10 @@ def test_errors_of_usage_are_one_line_with_what_may_be_meant(folder, words, mess
     ("error", "line"),
     [
         (FlatError("flat.png: is\nempty"), "tool: flat.png: is empty"),
-        (OSError(28, "No space left on device", "out.tif"), "tool: out.tif: No space left on device"),
+        (
+            OSError(28, "No space left on device", "out.tif"),
+            "tool: out.tif: No space left on device",
+        ),
         (MemoryError(), "tool: not enough memory for an image of this size"),
     ],
 )
@@ -121,10 +132,16 @@ def test_json_report_is_one_object_without_nan(capsys):
     report = cl.Report(as_json=True)
     with report.stage("read"):
         pass
-    report.finish({"pitch": np.float64(23.25), "origin": np.array([1.0, np.nan]), "warnings": ["dark"]})
+    report.finish(
+        {"pitch": np.float64(23.25), "origin": np.array([1.0, np.nan]), "warnings": ["dark"]}
+    )
     out, err = capsys.readouterr()
     figures = json.loads(out)
-    assert (figures["pitch"], figures["origin"], figures["warnings"]) == (23.25, [1.0, None], ["dark"])
+    assert (figures["pitch"], figures["origin"], figures["warnings"]) == (
+        23.25,
+        [1.0, None],
+        ["dark"],
+    )
     assert 0 <= figures["seconds"]["read"] < 1
     assert err == ""
 
@@ -134,14 +151,18 @@ def test_text_report_puts_warnings_on_stderr_and_quiet_keeps_only_them(capsys):
     for quiet in (False, True):
         cl.Report(quiet=quiet).finish(figures)
         out, err = capsys.readouterr()
-        assert ("23.25" in out and "psnr 21.84 ssim 0.8" in " ".join(out.split()) and "dark" not in out) != quiet
+        assert (
+            "23.25" in out and "psnr 21.84 ssim 0.8" in " ".join(out.split()) and "dark" not in out
+        ) != quiet
         assert err == "warning: dark\n"
 
 
 def test_compiling_is_announced_once_and_its_seconds_are_told_apart(capsys, monkeypatch):
     compiled = []
     monkeypatch.setattr(compile_ahead, "is_compiled", lambda: bool(compiled))
-    monkeypatch.setattr(compile_ahead, "compile_once", lambda *_: compiled.append(time.sleep(0.2)) or 0)
+    monkeypatch.setattr(
+        compile_ahead, "compile_once", lambda *_: compiled.append(time.sleep(0.2)) or 0
+    )
     report = cl.Report()
     for name in ("read", "work"):
         with report.stage(name):
@@ -169,7 +190,9 @@ def on_a_terminal(code):
     pty = pytest.importorskip("pty", reason="there are no pseudo-terminals on this system")
     ours, theirs = pty.openpty()
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "120"}
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=theirs, env=environment) as run:
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=theirs, env=environment
+    ) as run:
         os.close(theirs)
         shown = b""
         while True:
@@ -191,7 +214,9 @@ def test_a_terminal_shows_stage_steps_rate_and_remaining_time_unless_quiet():
     for words in ("render", "tiles", "7/10", "a second", " s left"):
         assert words in shown
     assert on_a_terminal(WORK.format(quiet=True)) == ""
-    done = subprocess.run([sys.executable, "-c", WORK.format(quiet=False)], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", WORK.format(quiet=False)], capture_output=True, text=True
+    )
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -212,10 +237,20 @@ def test_texts_of_camera_files_cannot_steer_the_terminal(tmp_path):
     assert "\x9b" not in figures and json.loads(figures)["warnings"] == list(camera.warnings)
 
 
-@pytest.mark.parametrize("text", ["x,y\n1e300,5\n3,9\n4,1\n", "i,j,x,y\n1,1,1e160,1\n1,2,1e160,2\n2,1,3e160,1\n"])
+@pytest.mark.parametrize(
+    "text", ["x,y\n1e300,5\n3,9\n4,1\n", "i,j,x,y\n1,1,1e160,1\n1,2,1e160,2\n2,1,3e160,1\n"]
+)
 def test_numbers_beyond_any_flat_are_one_sentence_without_lines_of_libraries(tmp_path, text):
     (tmp_path / "centres.csv").write_text(text)
-    command = [sys.executable, "-m", "lfcal", "info", str(tmp_path / "centres.csv"), "--size", "90x90"]
+    command = [
+        sys.executable,
+        "-m",
+        "lfcal",
+        "info",
+        str(tmp_path / "centres.csv"),
+        "--size",
+        "90x90",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.count("\n") == 1 and "numbers of at most 1e+09 are needed" in done.stderr

@@ -1,4 +1,6 @@
-"""Kernels are compiled ahead in other processes, which leave them in the cache, once per installation."""
+"""Kernels are compiled ahead in other processes, which leave them in the cache, once per
+installation.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,12 @@ import pytest
 from benchmarks.first_run import encode_type
 from lfcal.runtime import compile_ahead as ahead
 
-KERNEL = ["lfrender.flat.lens_graph._count_in_mask", "int64", "int64",
-          *(["array", kind, axes, "C", True] for kind, axes in (("bool", 1), ("int32", 2), ("int8", 1)))]  # fmt: skip
+KERNEL = [
+    "lfrender.flat.lens_graph._count_in_mask",
+    "int64",
+    "int64",
+    *(["array", kind, axes, "C", True] for kind, axes in (("bool", 1), ("int32", 2), ("int8", 1))),
+]
 ABSENT = ["lfrender.flat.lens_graph.absent", "int64"]
 
 
@@ -20,12 +26,16 @@ def cache(tmp_path, monkeypatch):
     """The folder of the cache, empty, and a list of two kernels, one of which does not exist."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     listed = tmp_path / "signatures.json"
-    listed.write_text(json.dumps([KERNEL, ABSENT, [*KERNEL[:-1], ["array", "int64", 1, "C", True]]]))
+    listed.write_text(
+        json.dumps([KERNEL, ABSENT, [*KERNEL[:-1], ["array", "int64", 1, "C", True]]])
+    )
     monkeypatch.setattr(ahead, "SIGNATURE_FILE", listed)
     return tmp_path / "cache"
 
 
-def test_an_installation_compiles_its_kernels_once_and_counts_those_that_do_not_fit(tmp_path, cache, monkeypatch):
+def test_an_installation_compiles_its_kernels_once_and_counts_those_that_do_not_fit(
+    tmp_path, cache, monkeypatch
+):
     # Of the packages of this process, not of the folder it works in.
     (tmp_path / "lfcal").mkdir()
     (tmp_path / "lfcal" / "__init__.py").write_text("raise ImportError('another one')")
@@ -55,5 +65,7 @@ def test_listed_kernels_exist_and_their_types_are_those_of_the_examples(monkeypa
     monkeypatch.undo()
     for name, *entries in json.loads(ahead.SIGNATURE_FILE.read_text()):
         # Record the list again, with `python -m benchmarks.first_run --record`.
-        assert callable(ahead.import_module(name.rpartition(".")[0]).__dict__.get(name.rpartition(".")[2])), name
+        assert callable(
+            ahead.import_module(name.rpartition(".")[0]).__dict__.get(name.rpartition(".")[2])
+        ), name
         assert [encode_type(numba.typeof(ahead.example_of(entry))) for entry in entries] == entries

@@ -30,7 +30,9 @@ CAMERA = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
     ],
 )
 def test_what_is_no_camera_is_named(call, wrong):
-    with pytest.raises(TypeError, match=rf"must be a Calibration, got {type(wrong).__name__}; lfcal.calibrate"):
+    with pytest.raises(
+        TypeError, match=rf"must be a Calibration, got {type(wrong).__name__}; lfcal.calibrate"
+    ):
         call(wrong)
 
 
@@ -52,7 +54,10 @@ FIGURES = {"origin": [10, 10], "basis": [[20, 0], [0, 20]], "image_size": (400, 
         ("rotation", lambda wrong: lfcal.calibrate(FLAT, pitch=20, rotation=wrong or [])),
         ("flat", lambda wrong: lfcal.calibrate_metric(wrong, CAMERA, BOARD)),
         ("flat", lambda wrong: lfcal.calibrate_metric([wrong] * 3, CAMERA, BOARD)),
-        ("pixel", lambda wrong: lfcal.calibrate_metric([FLAT] * 3, CAMERA, BOARD, pixel=wrong or [])),
+        (
+            "pixel",
+            lambda wrong: lfcal.calibrate_metric([FLAT] * 3, CAMERA, BOARD, pixel=wrong or []),
+        ),
         ("board", lambda wrong: lfcal.calibrate_metric([FLAT] * 3, CAMERA, wrong)),
         ("board", lambda wrong: lfcal.locate_board(FLAT, CAMERA, wrong)),
         ("path", lambda wrong: lfcal.load(0 if wrong == "text" else wrong)),

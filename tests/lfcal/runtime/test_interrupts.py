@@ -43,9 +43,12 @@ main(args=["work"])
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
 @pytest.mark.parametrize(
-    ("unwind", "interrupts", "most"), [("pass", 1, 3.0), ("lock.acquire()", 1, 8.0), ("lock.acquire()", 2, 3.0)]
+    ("unwind", "interrupts", "most"),
+    [("pass", 1, 3.0), ("lock.acquire()", 1, 8.0), ("lock.acquire()", 2, 3.0)],
 )
-def test_an_interrupt_ends_the_process_though_a_thread_waits_for_ever(tmp_path, unwind, interrupts, most):
+def test_an_interrupt_ends_the_process_though_a_thread_waits_for_ever(
+    tmp_path, unwind, interrupts, most
+):
     command = [sys.executable, "-c", PROGRAM.format(unwind=unwind), str(tmp_path / "output.tif")]
     default = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
     with subprocess.Popen(command, stdout=subprocess.PIPE, preexec_fn=default) as process:
@@ -87,7 +90,9 @@ main(args=["serve"])
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
 def test_what_follows_an_interrupt_that_ends_a_page_has_time(tmp_path):
     default = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
-    with subprocess.Popen([sys.executable, "-c", SERVE], stdout=subprocess.PIPE, preexec_fn=default) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", SERVE], stdout=subprocess.PIPE, preexec_fn=default
+    ) as process:
         assert process.stdout.readline() == b"ready\n"
         process.send_signal(signal.SIGINT)
         assert process.stdout.read() == b"recording is written\n"
@@ -99,7 +104,9 @@ def test_an_error_that_a_library_makes_of_an_interrupt_is_no_traceback(tmp_path)
     default = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
     program = PROGRAM.format(unwind="raise ImportError('half imported') from None")
     command = [sys.executable, "-c", program, str(tmp_path / "output.tif")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=default) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=default
+    ) as process:
         assert process.stdout.readline() == b"ready\n"
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=30) == 130
@@ -117,7 +124,9 @@ def test_an_interrupt_while_the_command_line_is_loaded_ends_without_a_traceback(
     code += "from lfcal.runtime.interrupts import run_program\nrun_program('slow')"
     default = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
     command = [sys.executable, "-c", code]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=default) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=default
+    ) as process:
         assert process.stdout.readline() == b"loading\n"
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=30) == 130

@@ -1,4 +1,6 @@
-"""Items of a loop are worked on once each, and kernels round the same in every process, whatever it has compiled."""
+"""Items of a loop are worked on once each, and kernels round the same in every process, whatever it
+has compiled.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,9 @@ def test_a_kernel_gets_its_part_as_first_arguments(threads):
 @pytest.mark.parametrize("package", ["lfcal", "lfrender", "data_synth"])
 def test_no_private_parts_of_numba_and_python_are_used(package):
     sources = {path: path.read_text(encoding="utf-8") for path in (ROOT / package).rglob("*.py")}
-    assert [(path.name, part) for path, text in sources.items() for part in PRIVATE if part in text] == []
+    assert [
+        (path.name, part) for path, text in sources.items() for part in PRIVATE if part in text
+    ] == []
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +127,9 @@ def called(kernel):
 def test_kernels_with_fast_math_have_products_instead_of_powers(kernels):
     for name, compiled in kernels.items():
         if compiled.targetoptions.get("fastmath") or is_inlined(compiled):
-            assert not any(map(is_power, nodes(compiled))), f"{name}: replace the power by a product"
+            assert not any(map(is_power, nodes(compiled))), (
+                f"{name}: replace the power by a product"
+            )
 
 
 def test_kernels_called_with_and_without_fast_math_state_their_own_option(kernels):
@@ -134,4 +140,6 @@ def test_kernels_called_with_and_without_fast_math_state_their_own_option(kernel
                 callers.setdefault(other, {})[name] = bool(compiled.targetoptions.get("fastmath"))
     for compiled, fast in callers.items():
         if "fastmath" not in compiled.targetoptions:
-            assert len(set(fast.values())) == 1, f"{compiled.py_func.__qualname__}: state fastmath=False; {fast}"
+            assert len(set(fast.values())) == 1, (
+                f"{compiled.py_func.__qualname__}: state fastmath=False; {fast}"
+            )

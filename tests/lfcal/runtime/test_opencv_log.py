@@ -1,4 +1,6 @@
-"""OpenCV of any version that the project allows is silent while it decodes, and as before afterwards."""
+"""OpenCV of any version that the project allows is silent while it decodes, and as before
+afterwards.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ def test_the_level_is_set_where_the_version_has_it(monkeypatch, since):
     levels = [3]
     log = {"getLogLevel": lambda: levels[-1], "setLogLevel": levels.append}
     monkeypatch.setattr(
-        cv2, "utils", SimpleNamespace(**({} if since == "4.9" else {"logging": SimpleNamespace(**log)}))
+        cv2,
+        "utils",
+        SimpleNamespace(**({} if since == "4.9" else {"logging": SimpleNamespace(**log)})),
     )
     if since == "4.9":
         for name, function in log.items():

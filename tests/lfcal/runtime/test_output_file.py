@@ -19,7 +19,9 @@ def test_file_appears_with_its_content_and_ordinary_permissions(tmp_path):
     assert (tmp_path / "a.json").read_text() == "42"
     assert os.listdir(tmp_path) == ["a.json"]
     (tmp_path / "ordinary").touch()
-    assert stat.S_IMODE((tmp_path / "a.json").stat().st_mode) == stat.S_IMODE((tmp_path / "ordinary").stat().st_mode)
+    assert stat.S_IMODE((tmp_path / "a.json").stat().st_mode) == stat.S_IMODE(
+        (tmp_path / "ordinary").stat().st_mode
+    )
 
 
 def test_nothing_is_left_and_the_old_file_stays_when_writing_fails(tmp_path):
@@ -32,7 +34,10 @@ def test_nothing_is_left_and_the_old_file_stays_when_writing_fails(tmp_path):
 
 
 def test_operating_system_errors_have_the_name_of_the_file(tmp_path):
-    with pytest.raises(OutputError, match=r"a\.json: cannot be written"), atomic_write(tmp_path / "no" / "a.json"):
+    with (
+        pytest.raises(OutputError, match=r"a\.json: cannot be written"),
+        atomic_write(tmp_path / "no" / "a.json"),
+    ):
         pass
 
 

@@ -1,4 +1,6 @@
-"""Lattice of scenes: robust to dragged or black parts of the flat, for regular and irregular arrays."""
+"""Lattice of scenes: robust to dragged or black parts of the flat, for regular and irregular
+arrays.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from lfcal.scene_fit.fit import Acceleration, fit_scene, measure_shifts, move_la
 def _fit(image, basis, origin, off=0.4):
     """Fit to the edges of an image, started `off` px beside the truth."""
     start = Lattice(origin + off, basis, (image.shape[1], image.shape[0]), 5.0)
-    return fit_scene(normalise_locally(edge_strength(sqrt_luminance(image)), 0.5 * start.pitch), start)
+    return fit_scene(
+        normalise_locally(edge_strength(sqrt_luminance(image)), 0.5 * start.pitch), start
+    )
 
 
 def _rms(fit, basis, origin, size):
@@ -44,11 +48,15 @@ def test_radial_distortion_of_a_simulated_scene_is_found_and_none_where_there_is
     assert straight.lattice.distortion is None
     grey = house.flat.astype(np.float64).mean(-1)
     height, width = grey.shape
-    bend = Distortion((np.array([width, height]) - 1) / 2, 0.006, 0.0, float(np.hypot(width, height) / 2))
+    bend = Distortion(
+        (np.array([width, height]) - 1) / 2, 0.006, 0.0, float(np.hypot(width, height) / 2)
+    )
     y, x = np.mgrid[:height, :width].astype(np.float64)
     source = bend.remove(np.column_stack([x.ravel(), y.ravel()])).T[::-1].reshape(2, height, width)
     # Fifth-order splines: linear interpolation blurs some lenses more than others.
-    bent = np.clip(np.rint(map_coordinates(grey, source, order=5, mode="reflect")), 0, 255).astype(np.uint8)
+    bent = np.clip(np.rint(map_coordinates(grey, source, order=5, mode="reflect")), 0, 255).astype(
+        np.uint8
+    )
     camera = lfcal.calibrate(bent, "scene")
     centres = camera.lattice.centres()
     moved = replace(truth, distortion=bend)
@@ -65,7 +73,14 @@ def test_repeated_calls_and_other_thread_counts_give_the_same_bits(house):
         numba.set_num_threads(count)
         cv2.setNumThreads(count)
         camera = lfcal.calibrate(house.flat)
-        found.append([*camera.lattice.origin, *camera.lattice.basis.ravel(), camera.confidence, camera.residual_rms])
+        found.append(
+            [
+                *camera.lattice.origin,
+                *camera.lattice.basis.ravel(),
+                camera.confidence,
+                camera.residual_rms,
+            ]
+        )
     cv2.setNumThreads(-1)
     assert found[0] == found[1] == found[2]
 
@@ -79,9 +94,12 @@ def test_a_dragged_part_of_the_flat_has_no_influence(whites):
 
 
 def test_lenses_with_rims_hidden_by_a_dragged_scene_have_no_influence(whites):
-    basis, size = whites.turned(whites.HEXAGON, 14.3, 3), (900, 750)
+    basis = whites.turned(whites.HEXAGON, 14.3, 3)
+    size = (900, 750)
     image, origin = whites.white_image(basis, size, noise=0.3)
-    dragged = cv2.warpAffine(image.astype(np.float32), np.float32([[1, 0, 0.7], [0, 1, 0]]), size)[490:]
+    dragged = cv2.warpAffine(image.astype(np.float32), np.float32([[1, 0, 0.7], [0, 1, 0]]), size)[
+        490:
+    ]
     texture = cv2.GaussianBlur(np.random.default_rng(0).random(dragged.shape), (0, 0), 1.2)
     image[490:] = dragged * np.clip(1 + (texture - texture.mean()) / texture.std(), 0.1, None)
     # With all lenses the error is twice this.
@@ -89,9 +107,12 @@ def test_lenses_with_rims_hidden_by_a_dragged_scene_have_no_influence(whites):
 
 
 def test_most_of_a_flat_dragged_along_with_its_texture_has_no_influence(whites):
-    basis, size = whites.turned(whites.HEXAGON, 14.3, 3), (900, 750)
+    basis = whites.turned(whites.HEXAGON, 14.3, 3)
+    size = (900, 750)
     image, origin = whites.white_image(basis, size, noise=0.1)
-    dragged = cv2.warpAffine(image.astype(np.float32), np.float32([[1, 0, 0.4], [0, 1, 0]]), size)[300:]
+    dragged = cv2.warpAffine(image.astype(np.float32), np.float32([[1, 0, 0.4], [0, 1, 0]]), size)[
+        300:
+    ]
     texture = cv2.GaussianBlur(np.random.default_rng(0).random(dragged.shape), (0, 0), 1.2)
     image[300:] = dragged * np.clip(1 + 0.3 * (texture - texture.mean()) / texture.std(), 0.1, None)
     # With equal weights of the lenses the error is 0.18 px.
@@ -99,12 +120,15 @@ def test_most_of_a_flat_dragged_along_with_its_texture_has_no_influence(whites):
 
 
 def test_acceleration_converges_although_single_steps_fall_short():
-    lattice = Lattice(np.array([10.0, 12.0]), np.array([[20.0, 0.0], [10.0, 17.0]]), (400, 300), 10.0)
+    lattice = Lattice(
+        np.array([10.0, 12.0]), np.array([[20.0, 0.0], [10.0, 17.0]]), (400, 300), 10.0
+    )
     design = np.column_stack([np.ones(len(lattice)), lattice.indices()])
     wanted = np.array([[0.3, -0.2], [0.02, -0.01], [0.005, 0.03]])
     # A step corrects a fifth of the scale, and the origin at once.
     share = np.array([[1.0], [0.2], [0.3]])
-    path, now = Acceleration([], []), lattice
+    path = Acceleration([], [])
+    now = lattice
     for _ in range(8):
         left = wanted - np.vstack([now.origin - lattice.origin, now.basis - lattice.basis])
         now = move_lattice(now, path.leap(now, share * left, design))
@@ -114,10 +138,13 @@ def test_acceleration_converges_although_single_steps_fall_short():
 
 
 def test_standard_error_of_a_flat_with_a_dragged_part_exceeds_that_of_independent_lenses(whites):
-    basis, size = whites.turned(whites.HEXAGON, 14.3, 3), (600, 500)
+    basis = whites.turned(whites.HEXAGON, 14.3, 3)
+    size = (600, 500)
     image, origin = whites.white_image(basis, size, noise=0.05)
     whole = _fit(image, basis, origin).uncertainty
-    image[300:] = cv2.warpAffine(image.astype(np.float32), np.float32([[1, 0, 0.1], [0, 1, 0]]), size)[300:]
+    image[300:] = cv2.warpAffine(
+        image.astype(np.float32), np.float32([[1, 0, 0.1], [0, 1, 0]]), size
+    )[300:]
     fit = _fit(image, basis, origin)
     miss = _rms(fit, basis, origin, size)
     assert miss > 0.01
@@ -162,8 +189,12 @@ def test_lenses_moved_over_the_edge_of_the_flat_are_ignored(whites):
 
 
 def test_microscope_capture_gives_the_lattice_of_its_white_image(shared):
-    scene, white = (lfcal.read_flat(shared("captures", f"Beads{end}.tif"))[200:900, 300:1200] for end in ("", ".white"))
-    found, right = lfcal.calibrate(scene).lattice, lfcal.calibrate(white, kind="white").lattice
+    scene, white = (
+        lfcal.read_flat(shared("captures", f"Beads{end}.tif"))[200:900, 300:1200]
+        for end in ("", ".white")
+    )
+    found = lfcal.calibrate(scene).lattice
+    right = lfcal.calibrate(white, kind="white").lattice
     away = right.to_index(found.centres())
     away = (away - np.rint(away)) @ right.basis
     assert np.sqrt((away**2).sum(1).mean()) < 0.5  # [px]

@@ -12,7 +12,8 @@ from lfcal.scene_fit.irls import LensShifts, error_inflation, solve_irls
 
 def test_one_lens_far_more_certain_than_the_others_moves_the_origin_only():
     """As on a photograph of one clear spot: sums of squares about a single position underflow."""
-    i, j = np.arange(12) % 4, np.arange(12) // 4
+    i = np.arange(12) % 4
+    j = np.arange(12) // 4
     step = np.random.default_rng(1).normal(size=(12, 2))
     variance = np.where(i + j == 0, 1e-60, 1e60)
     steps = LensShifts(np.column_stack([np.ones(12), i, j]), step, variance, 20 * np.eye(2))
@@ -26,15 +27,20 @@ def test_standard_error_with_inflation_is_the_spread_of_the_fits():
     j, i = np.mgrid[-10:11, -12:13]
     design = np.column_stack([np.ones(i.size), i.ravel(), j.ravel()]).astype(float)
     rng = np.random.default_rng(3)
-    stated, found = [], []
+    stated = []
+    found = []
     for _ in range(60):
         variance = rng.uniform(0.5, 2.0, len(design))
         step = rng.normal(0, 0.1, (len(design), 2)) * np.sqrt(variance)[:, None]
         steps = LensShifts(design, step, variance, 14.0 * np.eye(2))
         change, share = solve_irls(steps)
-        stated.append(standard_error(steps, change, share, steps.design) * error_inflation(steps, share))
+        stated.append(
+            standard_error(steps, change, share, steps.design) * error_inflation(steps, share)
+        )
         found.append(field_rms(steps.design, change))
-    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(np.sqrt(np.mean(np.square(stated))), rel=0.15)
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(
+        np.sqrt(np.mean(np.square(stated))), rel=0.15
+    )
 
 
 def test_given_weights_select_the_solution_they_lead_to():

@@ -39,7 +39,8 @@ def test_shading_centred_below_the_microlens_does_not_move_centres(drawn):
     places = np.column_stack([x.ravel(), y.ravel()])
     centres = truth.centres(lfcal.Lattice(truth.origin, truth.basis, truth.size, 9.0).indices())
     centres = centres[cKDTree(centres).query(places)[1]]
-    # cos^4 of the angle at 100 px from a microlens that lies 1 % nearer to the axis than its microimage.
+    # cos^4 of the angle at 100 px from a microlens that lies 1 % nearer to the axis than its
+    # microimage.
     aside = places - centres + 0.01 * (centres - np.array(truth.size) / 2)
     fall = (1 + (aside**2).sum(1) / 100**2) ** -2
     camera = lfcal.calibrate(np.rint(image * fall.reshape(image.shape)).astype(image.dtype))
@@ -47,15 +48,21 @@ def test_shading_centred_below_the_microlens_does_not_move_centres(drawn):
 
 
 def test_light_of_neighbours_that_is_shaded_the_other_way_does_not_move_centres():
-    # The gaps of touching lenses are filled with the light of both and stray light, as in Raytrix cameras.
-    lattice = lfcal.Lattice(np.array([3.3, 4.7]), 23.4 * np.array([[1.0, 0.0], [0.5, 0.75**0.5]]), (700, 600), 11.0)
+    # The gaps of touching lenses are filled with the light of both and stray light, as in Raytrix
+    # cameras.
+    lattice = lfcal.Lattice(
+        np.array([3.3, 4.7]), 23.4 * np.array([[1.0, 0.0], [0.5, 0.75**0.5]]), (700, 600), 11.0
+    )
     y, x = np.mgrid[:600, :700]
     light = np.full(x.shape, 80.0)
     for cx, cy in lattice.points(np.argwhere(np.ones((70, 45))) - (25, 5)):
         if not (-20 < cx < 720 and -20 < cy < 620):
             continue
-        box = np.s_[max(round(cy) - 18, 0) : round(cy) + 19, max(round(cx) - 18, 0) : round(cx) + 19]
-        dx, dy = x[box] - cx, y[box] - cy
+        box = np.s_[
+            max(round(cy) - 18, 0) : round(cy) + 19, max(round(cx) - 18, 0) : round(cx) + 19
+        ]
+        dx = x[box] - cx
+        dy = y[box] - cy
         shade = 1 - 0.014 / 350 * ((cx - 350) * dx + (cy - 300) * dy)
         light[box] += 100 * shade / (1 + np.exp((np.hypot(dx, dy) - 11.5) / 1.1))
     image = np.random.default_rng(0).poisson(light * 20) // 20
@@ -81,7 +88,12 @@ def test_general_distortion_of_scanned_film_is_fitted(drawn):
     bent = (x - 500) * (y - 400) / 300_000 * 4, ((x - 500) / 500) ** 3 * 3
     import cv2
 
-    image = cv2.remap(truth.image(), x + bent[0].astype(np.float32), y + bent[1].astype(np.float32), cv2.INTER_CUBIC)
+    image = cv2.remap(
+        truth.image(),
+        x + bent[0].astype(np.float32),
+        y + bent[1].astype(np.float32),
+        cv2.INTER_CUBIC,
+    )
     camera = lfcal.calibrate(image)
     centres = camera.lattice.centres()
     back = centres.copy()
@@ -115,7 +127,9 @@ def test_missing_lenses_do_not_make_a_white_image_a_scene(drawn):
 
 def test_soft_discs_of_an_oblong_array_are_no_checkerboard(whites):
     basis = whites.turned(np.array([[1.0, 0.0], [0.0, 1.37]]), 13.88, 53.5)
-    image, origin = whites.white_image(basis, (600, 500), fill=0.945, soft=4.0, gap=0.093, noise=0.02)
+    image, origin = whites.white_image(
+        basis, (600, 500), fill=0.945, soft=4.0, gap=0.093, noise=0.02
+    )
     found = lfcal.calibrate(image)
     assert whites.rms(whites.centre_errors(found.lattice, origin, basis)) < 0.02
 
@@ -139,7 +153,10 @@ def test_meshes_and_waves_give_a_calibration_or_a_light_field_error(pitch=20.0):
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 def test_white_image_and_capture_of_a_raytrix_with_colour_filters_agree():
-    flats = (lfcal.read_flat(CAPTURES / name)[600:1400, 600:1500] for name in ("R5b.white.png", "R5b.png"))
+    flats = (
+        lfcal.read_flat(CAPTURES / name)[600:1400, 600:1500]
+        for name in ("R5b.white.png", "R5b.png")
+    )
     white, scene = (lfcal.calibrate(flat).lattice for flat in flats)
     centres = scene.centres()
     apart = white.points(np.rint(white.to_index(centres))) - centres
@@ -156,6 +173,7 @@ def test_plain_centroids_beside_the_lattice_are_said(drawn, slope, said):
     centres = truth.centres(truth.index_of(places).round())
     shade = 1 + slope * (places - centres)[:, 0].reshape(image.shape)
     camera = lfcal.calibrate((image * shade * 0.7).astype(image.dtype), kind="white")
-    # The light is shaded alike in all microimages: their centroids lie 0.015 R^2 / 4 px to the right.
+    # The light is shaded alike in all microimages: their centroids lie 0.015 R^2 / 4 px to the
+    # right.
     assert any("plain centroids" in warning for warning in camera.warnings) == said
     assert _error(camera, truth) < 0.05

@@ -1,4 +1,6 @@
-"""Two discs that cut each other: both are found whatever blurs their edges, and which of them is the lens."""
+"""Two discs that cut each other: both are found whatever blurs their edges, and which of them is
+the lens.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,30 @@ SIZE = (800, 600)
 
 def test_distorted_cut_lenses_are_located_where_their_overlap_is_blurred():
     truth = WhiteImage(
-        "hexagonal", 16.3, 4.0, 34.0, 8, strength=-0.3, ratio=1.05, fill=0.92, inner=0.02, edges="overlap", blur=0.7,
-        cut_blur=1.0, k1=-0.003, size=SIZE,
-    )  # fmt: skip
+        "hexagonal",
+        16.3,
+        4.0,
+        34.0,
+        8,
+        strength=-0.3,
+        ratio=1.05,
+        fill=0.92,
+        inner=0.02,
+        edges="overlap",
+        blur=0.7,
+        cut_blur=1.0,
+        k1=-0.003,
+        size=SIZE,
+    )
     camera = lfcal.calibrate(truth.image(), "white")
     assert centre_error(camera, truth) < 0.02
     assert not any("overlap of two discs" in text for text in camera.warnings)
 
 
 def test_two_equal_discs_without_shading_are_doubtful_and_said_so():
-    truth = WhiteImage("square", 18.3, 2.0, 30.0, 8, strength=0.3, edges="product", inner=0.0, size=SIZE)
+    truth = WhiteImage(
+        "square", 18.3, 2.0, 30.0, 8, strength=0.3, edges="product", inner=0.0, size=SIZE
+    )
     camera = lfcal.calibrate(truth.image(), "white")
     (doubt,) = (text for text in camera.warnings if "overlap of two discs" in text)
     assert "close the aperture" in doubt
@@ -39,18 +55,34 @@ def test_two_equal_discs_without_shading_are_doubtful_and_said_so():
 
 
 def test_centres_of_blurred_cut_microimages_are_within_a_few_thousandths_of_a_pixel_and_pass_the_check():
-    truth = WhiteImage("hexagonal", 18.9, 5.0, strength=0.3, ratio=1.04, soft=1.1, gap=0.03, size=(860, 640))
+    truth = WhiteImage(
+        "hexagonal", 18.9, 5.0, strength=0.3, ratio=1.04, soft=1.1, gap=0.03, size=(860, 640)
+    )
     image = truth.image()
     camera = lfcal.calibrate(image)
     assert centre_error(camera, truth) < 0.004
-    # Rims of cut microimages are up to half a pixel off the lattice, which the calibration allows for.
+    # Rims of cut microimages are up to half a pixel off the lattice, which the calibration allows
+    # for.
     assert lfcal.check_fit(camera, image).max_offset < 0.15
-    assert centre_error(camera, truth) < 5 * np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
+    assert centre_error(camera, truth) < 5 * np.sqrt(
+        (camera.errors.of_centres(camera.lattice) ** 2).mean()
+    )
 
 
 @pytest.fixture(scope="module")
 def found():
-    truth = WhiteImage("square", 19.7, 3.0, 34.0, 16, strength=-0.3, ratio=1.05, inner=0.08, edges="product", size=SIZE)
+    truth = WhiteImage(
+        "square",
+        19.7,
+        3.0,
+        34.0,
+        16,
+        strength=-0.3,
+        ratio=1.05,
+        inner=0.08,
+        edges="product",
+        size=SIZE,
+    )
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 9.0)
     crops = StackedCrops.of(sqrt_luminance(truth.image()))
     fit = converge(lattice, cut_out(crops, lattice, 1e5, 150), ())

@@ -20,7 +20,16 @@ def test_faint_cut_is_found_in_strong_noise(drawn):
 
 def test_faint_shading_decides_which_of_two_equal_discs_is_the_microimage(drawn):
     truth = drawn(
-        "square", 40.0, 3.0, 26.0, strength=0.18, inner=0.06, outer=0.4, fill=0.975, soft=0.3, size=(640, 480)
+        "square",
+        40.0,
+        3.0,
+        26.0,
+        strength=0.18,
+        inner=0.06,
+        outer=0.4,
+        fill=0.975,
+        soft=0.3,
+        size=(640, 480),
     )
     # Light of neighbours spills over narrow gaps.
     light = cv2.GaussianBlur(truth.light(), (0, 0), 0.8)
@@ -31,9 +40,22 @@ def test_faint_shading_decides_which_of_two_equal_discs_is_the_microimage(drawn)
 
 def test_no_cut_is_searched_for_in_overexposed_microimages(drawn):
     truth = drawn(
-        "hexagonal", 19.493036445416724, 281.5759199195825, 11.996434898142741, 8, 0.2693987855563333, ratio=1.0,
-        hot=26, dust=5, fill=0.7745966692414834, soft=1.2, gap=0.1369774370440833, inner=0.21510253900454906,
-        outer=0.5232897673027422, size=(367, 188), seed=158278415,
-    )  # fmt: skip
+        "hexagonal",
+        19.493036445416724,
+        281.5759199195825,
+        11.996434898142741,
+        8,
+        0.2693987855563333,
+        ratio=1.0,
+        hot=26,
+        dust=5,
+        fill=0.7745966692414834,
+        soft=1.2,
+        gap=0.1369774370440833,
+        inner=0.21510253900454906,
+        outer=0.5232897673027422,
+        size=(367, 188),
+        seed=158278415,
+    )
     # Most of the light is clipped: the profile does not fall from the middle to the rim.
     assert _error(lfcal.calibrate(truth.image(2.0)), truth) < 0.1 * truth.pitch

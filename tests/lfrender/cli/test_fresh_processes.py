@@ -21,10 +21,19 @@ def test_flats_that_are_read_at_once_hang_no_command(house_files, tmp_path):
 
     def render(name):
         command = [
-            sys.executable, "-m", "lfrender.cli.main", "render", str(tmp_path / name), "-c",
+            sys.executable,
+            "-m",
+            "lfrender.cli.main",
+            "render",
+            str(tmp_path / name),
+            "-c",
             str(house_files / "camera.json"),
-            "-o", str(tmp_path / f"{name}.picture.tif"), "--preset", "fast", "--quiet",
-        ]  # fmt: skip
+            "-o",
+            str(tmp_path / f"{name}.picture.tif"),
+            "--preset",
+            "fast",
+            "--quiet",
+        ]
         return subprocess.run(command, capture_output=True, text=True, timeout=300)
 
     with ThreadPoolExecutor(2) as pool:

@@ -16,7 +16,9 @@ from lfrender.output.tiled_picture import TileWriter
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments], catch_exceptions=False)
+    return CliRunner().invoke(
+        main, [str(argument) for argument in arguments], catch_exceptions=False
+    )
 
 
 def figures_of(*arguments):
@@ -44,8 +46,11 @@ def as_tiff(house_files, tmp_path):
     return path
 
 
-def test_a_large_flat_is_rendered_in_tiles_to_the_same_picture(house_files, tmp_path, everything_is_large):
-    flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
+def test_a_large_flat_is_rendered_in_tiles_to_the_same_picture(
+    house_files, tmp_path, everything_is_large
+):
+    flat = as_tiff(house_files, tmp_path)
+    camera = house_files / "camera.json"
     options = ("-c", camera, "--patch-size", "7.5")
     large = figures_of("render", flat, *options, "-o", tmp_path / "large.tif", "--tile", "60")
     small = figures_of("render", house_files / "flat.png", *options, "-o", tmp_path / "small.tif")
@@ -60,8 +65,20 @@ def test_a_large_flat_is_rendered_in_tiles_to_the_same_picture(house_files, tmp_
 def test_a_large_flat_is_calibrated_analysed_and_rendered_and_an_interrupted_run_is_continued(
     house_files, tmp_path, everything_is_large, monkeypatch
 ):
-    flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
-    ask = ("render", flat, "-c", camera, "-o", tmp_path / "picture.tif", "--preset", "fast", "--tile", "60")
+    flat = as_tiff(house_files, tmp_path)
+    camera = house_files / "camera.json"
+    ask = (
+        "render",
+        flat,
+        "-c",
+        camera,
+        "-o",
+        tmp_path / "picture.tif",
+        "--preset",
+        "fast",
+        "--tile",
+        "60",
+    )
     writer = TileWriter
     written = writer.write
 
@@ -82,7 +99,9 @@ def test_a_large_flat_is_calibrated_analysed_and_rendered_and_an_interrupted_run
     assert sorted(os.listdir(tmp_path)) == ["flat.tif", "picture.tif"]
 
 
-def test_depth_of_a_large_flat_needs_nothing_but_the_flat(house_files, tmp_path, everything_is_large):
+def test_depth_of_a_large_flat_needs_nothing_but_the_flat(
+    house_files, tmp_path, everything_is_large
+):
     flat = as_tiff(house_files, tmp_path)
     found = figures_of("analyze", flat, "-o", tmp_path / "depth.npz", "--preset", "fast")
     assert found["camera_source"] == "scene"
@@ -90,9 +109,12 @@ def test_depth_of_a_large_flat_needs_nothing_but_the_flat(house_files, tmp_path,
 
 
 def test_refusals_in_tiles_leave_nothing_behind(house_files, tmp_path):
-    flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
+    flat = as_tiff(house_files, tmp_path)
+    camera = house_files / "camera.json"
     ask = ("render", flat, "-c", camera, "--tile", "60", "--patch-size")
-    assert_refused(run(*ask, "900", "-o", tmp_path / "a.tif"), "--patch-size must lie between", "got 900.")
+    assert_refused(
+        run(*ask, "900", "-o", tmp_path / "a.tif"), "--patch-size must lie between", "got 900."
+    )
     assert_refused(run(*ask, "7", "-o", flat), "is an input")
     assert_refused(run(*ask, "7", "-o", tmp_path / "a.gif"), "unknown output format")
     assert os.listdir(tmp_path) == ["flat.tif"]

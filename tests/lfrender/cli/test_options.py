@@ -33,7 +33,9 @@ REFUSED = {
 
 @pytest.fixture(scope="module")
 def files(house_files, tmp_path_factory):
-    """A flat, one of a mosaic, one with two pages, a white image, a camera, a dark frame, and a depth map."""
+    """A flat, one of a mosaic, one with two pages, a white image, a camera, a dark frame, and a
+    depth map.
+    """
     folder = tmp_path_factory.mktemp("options")
     flat = lfcal.read_flat(house_files / "flat.png")
     tifffile.imwrite(folder / "pages.tif", np.stack([flat, flat]), photometric="rgb")
@@ -48,18 +50,32 @@ def files(house_files, tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "option", ["--white", "--camera", "--dark", "--preset", "--roi", "--mosaic", "--page", "--depth"]
+    "option",
+    ["--white", "--camera", "--dark", "--preset", "--roi", "--mosaic", "--page", "--depth"],
 )
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_takes_every_option_or_says_why_not(files, tmp_path, command, option):
     name, *more = COMMANDS[command]
     flat = {"--mosaic": "raw.tif", "--page": "pages.tif"}.get(option, "flat.png")
     value = {
-        "--white": [files / "white.png"], "--camera": [files / "camera.json"], "--dark": [files / "dark.tif"],
-        "--preset": ["fast"], "--roi": [100, 80, 300, 260], "--mosaic": ["GRBG"], "--page": [1],
+        "--white": [files / "white.png"],
+        "--camera": [files / "camera.json"],
+        "--dark": [files / "dark.tif"],
+        "--preset": ["fast"],
+        "--roi": [100, 80, 300, 260],
+        "--mosaic": ["GRBG"],
+        "--page": [1],
         "--depth": [files / "depth.npz"],
-    }[option]  # fmt: skip
-    words = [command, files / flat, "--export" if command == "view" else "-o", tmp_path / name, *more, option, *value]
+    }[option]
+    words = [
+        command,
+        files / flat,
+        "--export" if command == "view" else "-o",
+        tmp_path / name,
+        *more,
+        option,
+        *value,
+    ]
     if option not in ("--white", "--camera"):
         words += ["-c", files / "camera.json"]
     if option != "--preset":
@@ -74,19 +90,33 @@ def test_every_command_takes_every_option_or_says_why_not(files, tmp_path, comma
 
 
 def test_the_part_that_is_drawn_lies_on_the_whole_picture(files, tmp_path):
-    """Of the picture in focus and of a view: the same pixels as in the whole one, at the place that the affine says."""
+    """Of the picture in focus and of a view: the same pixels as in the whole one, at the place that
+    the affine says.
+    """
     roi = ["--roi", "100", "80", "300", "260"]
     for command in (["refocus", "--patch-size", "6"], ["views", "--stereo", "--scale", "5"]):
         for name, part in (("whole", []), ("part", roi)):
-            words = [command[0], str(files / "flat.png"), "-c", str(files / "camera.json"), *command[1:], *part]
-            done = CliRunner().invoke(main, [*words, "-o", str(tmp_path / f"{name}.tif"), "--preset", "fast"])
+            words = [
+                command[0],
+                str(files / "flat.png"),
+                "-c",
+                str(files / "camera.json"),
+                *command[1:],
+                *part,
+            ]
+            done = CliRunner().invoke(
+                main, [*words, "-o", str(tmp_path / f"{name}.tif"), "--preset", "fast"]
+            )
             assert done.exit_code == 0, done.output
-        pictures, affines = {}, {}
+        pictures = {}
+        affines = {}
         for name in ("whole", "part"):
             with tifffile.TiffFile(tmp_path / f"{name}.tif") as tiff:
                 pictures[name] = tiff.asarray()
                 affines[name] = np.array(json.loads(tiff.pages[0].description)["affine"])
-        x, y = np.rint((affines["part"][:, 2] - affines["whole"][:, 2]) / affines["whole"][0, 0]).astype(int)
+        x, y = np.rint(
+            (affines["part"][:, 2] - affines["whole"][:, 2]) / affines["whole"][0, 0]
+        ).astype(int)
         height, width = pictures["part"].shape[:2]
         width = width if command[0] == "refocus" else width // 2
         assert width < pictures["whole"].shape[1] and height < pictures["whole"].shape[0]
@@ -97,15 +127,27 @@ def test_the_part_that_is_drawn_lies_on_the_whole_picture(files, tmp_path):
 def test_an_option_of_another_command_names_it():
     done = CliRunner().invoke(main, ["render", "flat.png", "-o", "p.png", "--stack", "5"])
     assert done.exit_code == 2
-    assert done.stderr == "lfrender: No such option: --stack; it belongs to refocus. See 'lfrender render --help'.\n"
+    assert (
+        done.stderr
+        == "lfrender: No such option: --stack; it belongs to refocus. See 'lfrender render --help'.\n"
+    )
     done = CliRunner().invoke(main, ["render", "flat.png", "-o", "p.png", "--nothing"])
     assert "No such option" in done.stderr and "belongs" not in done.stderr
 
 
 @pytest.mark.parametrize("place", [["30", "20"], ["30,20"], ["30;20"]])
 def test_a_place_is_two_words_or_one_with_a_comma(house_files, tmp_path, place):
-    words = ["refocus", str(house_files / "flat.png"), "-c", str(house_files / "camera.json"), "--preset", "fast"]
-    done = CliRunner().invoke(main, [*words, "--at", *place, "-o", str(tmp_path / "p.tif"), "--scale", "4"])
+    words = [
+        "refocus",
+        str(house_files / "flat.png"),
+        "-c",
+        str(house_files / "camera.json"),
+        "--preset",
+        "fast",
+    ]
+    done = CliRunner().invoke(
+        main, [*words, "--at", *place, "-o", str(tmp_path / "p.tif"), "--scale", "4"]
+    )
     assert done.exit_code == 0, done.output
     with tifffile.TiffFile(tmp_path / "p.tif") as tiff:
         assert json.loads(tiff.pages.first.description)["at"] == [30, 20]
@@ -113,7 +155,12 @@ def test_a_place_is_two_words_or_one_with_a_comma(house_files, tmp_path, place):
 
 @pytest.mark.parametrize(
     ("before", "after", "text", "value"),
-    [("f *[/=]", "", "f/4", 4.0), ("f *[/=]", "", "2.8", 2.8), ("", "mm", "23mm", 23.0), ("", "[uµ]m", "5.5 µm", 5.5)],
+    [
+        ("f *[/=]", "", "f/4", 4.0),
+        ("f *[/=]", "", "2.8", 2.8),
+        ("", "mm", "23mm", 23.0),
+        ("", "[uµ]m", "5.5 µm", 5.5),
+    ],
 )
 def test_numbers_stand_as_on_lenses_and_boards(before, after, text, value):
     assert Quantity(before, after).convert(text, None, None) == value

@@ -23,7 +23,9 @@ def files(tmp_path_factory):
     microscope = Microscope(lenses=(13, 13))
     (folder / "frames").mkdir()
     for number, depth in enumerate((3.0, 4.0)):
-        capture = trace_flat(Specimen.shell(4.0, 1.5, (0, 0, depth)), microscope, samples=8, electrons=3000)
+        capture = trace_flat(
+            Specimen.shell(4.0, 1.5, (0, 0, depth)), microscope, samples=8, electrons=3000
+        )
         tifffile.imwrite(folder / "frames" / f"frame{number}.tif", capture.flat)
     tifffile.imwrite(folder / "white.tif", capture.white)
     capture.calibration.save(folder / "camera.json")
@@ -37,9 +39,18 @@ def _run(*words):
 def test_a_flat_becomes_a_volume_in_micrometres(files, tmp_path):
     output = tmp_path / "volume.ome.tif"
     done = _run(
-        files / "frames" / "frame0.tif", "-c", files / "camera.json", "-o", output, *OPTICS, *SMALL,
-        "--depth-range", -9, 9, "--json",
-    )  # fmt: skip
+        files / "frames" / "frame0.tif",
+        "-c",
+        files / "camera.json",
+        "-o",
+        output,
+        *OPTICS,
+        *SMALL,
+        "--depth-range",
+        -9,
+        9,
+        "--json",
+    )
 
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
@@ -79,7 +90,8 @@ def test_flats_of_a_folder_become_volumes_with_their_names(files, tmp_path):
     ],
 )
 def test_options_that_make_no_sense_are_refused(files, tmp_path, words, message):
-    flat, camera = files / "frames" / "frame0.tif", files / "camera.json"
+    flat = files / "frames" / "frame0.tif"
+    camera = files / "camera.json"
     done = _run(flat, "-c", camera, "-o", tmp_path / "volume.tif", *words)
 
     assert done.exit_code == 2

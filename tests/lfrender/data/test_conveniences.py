@@ -18,7 +18,9 @@ def example():
 def test_a_path_alone_is_rendered_as_by_the_single_steps(house_files, tmp_path):
     picture = lfrender.render(house_files / "flat.png", scale=4)
     flat = lfcal.read_flat(house_files / "flat.png")
-    np.testing.assert_array_equal(picture.image, lfrender.render(flat, lfcal.calibrate(flat), scale=4).image)
+    np.testing.assert_array_equal(
+        picture.image, lfrender.render(flat, lfcal.calibrate(flat), scale=4).image
+    )
     picture.save(tmp_path / "picture.tif")
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "picture.tif"), picture.image)
 

@@ -53,8 +53,12 @@ def test_dense_files_hold_the_numbers_as_they_are(depth, tmp_path, ending):
 
 
 def test_places_without_a_depth_are_marked_or_nan(depth, tmp_path):
-    dense, bare = dense_depth(depth, 5), dense_depth(depth, 5, fill=False)
-    assert dense.resolved.mean() == pytest.approx((depth.mode != 0).mean(), abs=0.05) and not dense.resolved.all()
+    dense = dense_depth(depth, 5)
+    bare = dense_depth(depth, 5, fill=False)
+    assert (
+        dense.resolved.mean() == pytest.approx((depth.mode != 0).mean(), abs=0.05)
+        and not dense.resolved.all()
+    )
     np.testing.assert_array_equal(np.isnan(bare.patch_size), ~dense.resolved)
     np.testing.assert_array_equal(bare.patch_size[dense.resolved], dense.patch_size[dense.resolved])
     write_dense(tmp_path / "d.tif", dense)
@@ -69,7 +73,8 @@ def test_places_without_a_depth_are_marked_or_nan(depth, tmp_path):
 def test_points_lie_at_their_signed_virtual_depth_with_the_colours_of_the_scene(house, depth):
     points = point_cloud(house.flat, house.truth.calibration, depth)
     assert len(points) > 5000
-    far, near = points["z"] > 0, points["z"] < 0
+    far = points["z"] > 0
+    near = points["z"] < 0
     assert far.mean() > 0.3
     assert near.mean() > 0.1
     assert np.median(points["z"][far]) == pytest.approx(1 / 0.3, rel=0.05)
@@ -81,8 +86,23 @@ def test_points_lie_at_their_signed_virtual_depth_with_the_colours_of_the_scene(
 
 
 def test_analyze_writes_every_form_that_is_asked_for(house_files, tmp_path):
-    arguments = ["analyze", house_files / "flat.png", "-c", house_files / "camera.json", "-o", tmp_path / "d.npz"]
-    more = ["--dense", tmp_path / "d.pfm", "--picture", tmp_path / "d.png", "--ply", tmp_path / "d.ply", "--json"]
+    arguments = [
+        "analyze",
+        house_files / "flat.png",
+        "-c",
+        house_files / "camera.json",
+        "-o",
+        tmp_path / "d.npz",
+    ]
+    more = [
+        "--dense",
+        tmp_path / "d.pfm",
+        "--picture",
+        tmp_path / "d.png",
+        "--ply",
+        tmp_path / "d.ply",
+        "--json",
+    ]
     result = CliRunner().invoke(main, [str(a) for a in arguments + more], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)

@@ -14,7 +14,15 @@ def depth():
     s = np.array([4.0, -5.0, np.nan], np.float32)
     grid = np.linspace(-5, 4, 12, dtype=np.float32).reshape(3, 4)
     surface = Surface(grid, (-0.5, -0.5), 2.5)
-    return DepthMap(s, np.array([0.1, 0.2, np.inf]), np.array([1, 0.9, 0]), np.nan_to_num(s), surface, 20.0, (40, 30))
+    return DepthMap(
+        s,
+        np.array([0.1, 0.2, np.inf]),
+        np.array([1, 0.9, 0]),
+        np.nan_to_num(s),
+        surface,
+        20.0,
+        (40, 30),
+    )
 
 
 def test_mode_and_magnification_follow_from_the_signed_patch_size(depth):
@@ -54,7 +62,9 @@ def test_pictures_of_one_camera_have_one_size_whatever_a_scene_at_about_one_dept
     sizes = set()
     for pitch in (69.95, 70.0, 70.06):
         for part in (0.3, 0.302, 0.305, 0.308, 0.31):
-            one = replace(depth, patch_size=np.full(3, part * pitch), reason=np.zeros(3), pitch=pitch)
+            one = replace(
+                depth, patch_size=np.full(3, part * pitch), reason=np.zeros(3), pitch=pitch
+            )
             sizes.add(PictureGrid((2043, 1971), pitch, default_scale(one)).size)
     assert sizes == {(607, 586)}
 

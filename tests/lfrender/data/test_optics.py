@@ -27,7 +27,9 @@ def optics_of(camera):
 
 def test_distances_are_those_that_the_simulator_places_scenes_at():
     ratios = np.array([-0.7, -0.3, -0.1, 0.15, 0.3, 0.7])
-    np.testing.assert_allclose(optics_of(CAMERA).distance(ratios), CAMERA.depth_at(ratios) / 1000, rtol=1e-9)
+    np.testing.assert_allclose(
+        optics_of(CAMERA).distance(ratios), CAMERA.depth_at(ratios) / 1000, rtol=1e-9
+    )
 
 
 def test_a_plane_is_measured_in_metres_and_its_points_lie_on_it(tmp_path):
@@ -51,7 +53,11 @@ def test_optics_are_kept_in_a_file_and_wrong_ones_refused(tmp_path):
     optics = optics_of(CAMERA)
     optics.save(path)
     assert Optics.load(path) == optics
-    for wrong, message in (({"focal_length_mm": 50}, "mla_distance_mm"), ([], "JSON"), (None, "JSON")):
+    for wrong, message in (
+        ({"focal_length_mm": 50}, "mla_distance_mm"),
+        ([], "JSON"),
+        (None, "JSON"),
+    ):
         path.write_text(json.dumps(wrong))
         with pytest.raises(CameraFileError, match=message):
             Optics.load(path)
@@ -66,22 +72,38 @@ def test_distances_of_a_tilted_camera_have_errors_of_its_calibration():
     plain = optics_of(CAMERA)
     covariance = np.zeros((14, 14))
     covariance[0, 0], covariance[10, 10] = 0.02**2, 0.0005**2
-    tilted = replace(plain, principal_point=CAMERA.principal_point, tilt=(0.003, 0.0), covariance=covariance)
+    tilted = replace(
+        plain, principal_point=CAMERA.principal_point, tilt=(0.003, 0.0), covariance=covariance
+    )
     n = len(calibration.lattice)
     surface = Surface(np.full((3, 3), -5, np.float32), (0.0, 0.0), 200.0)
-    size, error = np.full(n, -0.3 * CAMERA.pitch), np.full(n, 0.05)
-    depth = DepthMap(size, error, np.ones(n), size, surface, CAMERA.pitch, CAMERA.lattice.image_size)
+    size = np.full(n, -0.3 * CAMERA.pitch)
+    error = np.full(n, 0.05)
+    depth = DepthMap(
+        size, error, np.ones(n), size, surface, CAMERA.pitch, CAMERA.lattice.image_size
+    )
     camera = replace(calibration, optics=tilted)
-    away, stated = depth.distance(camera), depth.distance_error(camera)
+    away = depth.distance(camera)
+    stated = depth.distance_error(camera)
     y = calibration.lattice.centres()[:, 1]
-    # The lower part of a flat that lies farther back shows, with the same patch size, what is nearer or farther.
+    # The lower part of a flat that lies farther back shows, with the same patch size, what is
+    # nearer or farther.
     assert abs(np.corrcoef(y, away)[0, 1]) > 0.999
     np.testing.assert_allclose(np.median(away), np.median(depth.distance(plain)), rtol=2e-3)
     # By differences: of s, of F and of the tilt.
-    parts = [depth.distance(replace(camera, optics=replace(tilted, focal_length=tilted.focal_length + 0.01))) - away]
+    parts = [
+        depth.distance(
+            replace(camera, optics=replace(tilted, focal_length=tilted.focal_length + 0.01))
+        )
+        - away
+    ]
     parts[0] *= 2
-    parts.append(5 * (depth.distance(replace(camera, optics=replace(tilted, tilt=(0.0031, 0.0)))) - away))
-    parts.append(tilted.distance((size + 0.05) / CAMERA.pitch, calibration.lattice.centres()) - away)
+    parts.append(
+        5 * (depth.distance(replace(camera, optics=replace(tilted, tilt=(0.0031, 0.0)))) - away)
+    )
+    parts.append(
+        tilted.distance((size + 0.05) / CAMERA.pitch, calibration.lattice.centres()) - away
+    )
     np.testing.assert_allclose(stated, np.sqrt(sum(part**2 for part in parts)), rtol=0.02)
     with pytest.raises(CalibrationError, match="lfcal metric"):
         depth.distance(calibration)
@@ -89,9 +111,12 @@ def test_distances_of_a_tilted_camera_have_errors_of_its_calibration():
 
 def test_dense_depth_is_written_in_metres(tmp_path):
     dense = DenseDepth(
-        np.full((4, 5), -0.3 * CAMERA.pitch, np.float32), np.array([[2.0, 0, 0], [0, 2.0, 0]]), CAMERA.pitch,
-        np.full((4, 5), 255, np.uint8), np.full((4, 5), 0.01, np.float32),
-    )  # fmt: skip
+        np.full((4, 5), -0.3 * CAMERA.pitch, np.float32),
+        np.array([[2.0, 0, 0], [0, 2.0, 0]]),
+        CAMERA.pitch,
+        np.full((4, 5), 255, np.uint8),
+        np.full((4, 5), 0.01, np.float32),
+    )
     distance = dense_distance(dense, optics_of(CAMERA))
     np.testing.assert_allclose(distance, CAMERA.depth_at(-0.3) / 1000, rtol=1e-6)
     write_dense(tmp_path / "depth.tif", dense, distance)

@@ -43,9 +43,15 @@ def test_unresolved_lenses_are_grey_and_colours_have_a_bar(drawn):
     left = depth.centres[:, 0] < 0.25 * depth.image_size[0]
     size[left] = np.nan
     depth = lfrender.DepthMap(
-        size, depth.standard_error, depth.confidence, depth.filled_patch_size, depth.surface, depth.pitch,
-        depth.image_size, centres=depth.centres,
-    )  # fmt: skip
+        size,
+        depth.standard_error,
+        depth.confidence,
+        depth.filled_patch_size,
+        depth.surface,
+        depth.pitch,
+        depth.image_size,
+        centres=depth.centres,
+    )
     axes = depth.plot(plt.figure().gca())
     masked = np.ma.getmaskarray(axes.images[0].get_array())
     columns = masked.shape[1]
@@ -86,6 +92,8 @@ def test_napari_layers_lie_on_each_other(house, drawn):
     for data, look, _ in layers[1:3]:
         end = look["translate"] + look["scale"] * (np.array(data.shape[:2]) - 1)
         np.testing.assert_allclose(look["translate"], 0, atol=camera.lattice.pitch)
-        np.testing.assert_allclose(end, np.array(house.flat.shape[:2]) - 1, atol=camera.lattice.pitch)
+        np.testing.assert_allclose(
+            end, np.array(house.flat.shape[:2]) - 1, atol=camera.lattice.pitch
+        )
     y, x = layers[3][0][0]
     np.testing.assert_allclose((x, y), camera.lattice.centres()[0])

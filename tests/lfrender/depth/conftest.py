@@ -1,4 +1,6 @@
-"""Scenes of planes and cards, and the comparison with the exhaustive search, for tests of the depth analysis."""
+"""Scenes of planes and cards, and the comparison with the exhaustive search, for tests of the depth
+analysis.
+"""
 
 from __future__ import annotations
 
@@ -47,14 +49,24 @@ def both(shot, skip=True, **options):
 
 
 def agreement(full, quick):
-    """Share of the lenses that are resolved in both, or in neither, and differ by less than 0.05 px."""
+    """Share of the lenses that are resolved in both, or in neither, and differ by less than 0.05
+    px.
+    """
     near = np.abs(full.patch_size - quick.patch_size) < 0.05
     return np.mean(near | ((full.mode == 0) & (quick.mode == 0)))
 
 
 @pytest.fixture(scope="session")
 def scenes():
-    """Functions that make scenes of a camera of 640 x 480 px and 23.2 px pitch, and compare analyses of them."""
+    """Functions that make scenes of a camera of 640 x 480 px and 23.2 px pitch, and compare
+    analyses of them.
+    """
     return SimpleNamespace(
-        camera=camera, shot_of=shot_of, card=card, one_plane=one_plane, both=both, agreement=agreement, size=SIZE
+        camera=camera,
+        shot_of=shot_of,
+        card=card,
+        one_plane=one_plane,
+        both=both,
+        agreement=agreement,
+        size=SIZE,
     )

@@ -26,7 +26,8 @@ def errors(shot, depth):
 
 
 @pytest.mark.parametrize(
-    ("lattice", "ratio"), [("hex", -0.5), ("hex", 0.2), ("hex-vertical", 0.5), ("square", -0.2), ("square", 0.5)]
+    ("lattice", "ratio"),
+    [("hex", -0.5), ("hex", 0.2), ("hex-vertical", 0.5), ("square", -0.2), ("square", 0.5)],
 )
 def test_mode_and_patch_size_of_a_plane_are_found_on_every_lattice(lattice, ratio):
     shot = capture("plane", lattice, ratio=ratio)
@@ -75,7 +76,9 @@ def test_shading_inside_microimages_is_not_taken_for_a_plane_at_zero_disparity()
     assert (depth.mode == 0).mean() > 0.9
 
 
-@pytest.mark.parametrize(("quality", "resolved", "confident"), [(None, 0, 0), (90, 0.12, 0.09), (20, 0.2, 0.04)])
+@pytest.mark.parametrize(
+    ("quality", "resolved", "confident"), [(None, 0, 0), (90, 0.12, 0.09), (20, 0.2, 0.04)]
+)
 def test_residual_mechanical_vignetting_is_not_taken_for_texture(quality, resolved, confident):
     shot = capture("plane", ratio=0.45)
     calibration = shot.truth.calibration
@@ -86,7 +89,8 @@ def test_residual_mechanical_vignetting_is_not_taken_for_texture(quality, resolv
     light = calibration.vignetting.at(np.hypot(*delta.T)).reshape(y.shape)
     dark = 48 * np.clip(1 - y / 50, 0, 1) * np.clip(above - 0.1, 0, None)
     upper = calibration.lattice.centres()[:, 1] < 60
-    reasons, sure = [], []
+    reasons = []
+    sure = []
     for seed in range(3, 9):
         noise = np.random.default_rng(seed).normal(0, 2, (*y.shape, 1))
         wall = ((30 - dark) * np.maximum(light, 0.9))[..., None] + noise
@@ -177,15 +181,19 @@ def test_invalid_input_raises_an_error_that_names_it():
 @pytest.mark.parametrize("bits", [10, 12])
 def test_flats_of_10_and_12_bits_in_16_bit_files_give_the_depth_of_8_bits(house, bits):
     wide = house.flat.astype(np.uint16) << (bits - 8)
-    camera, camera_of_bytes = lfcal.calibrate(wide), lfcal.calibrate(house.flat)
+    camera = lfcal.calibrate(wide)
+    camera_of_bytes = lfcal.calibrate(house.flat)
     assert (camera.white_level, camera_of_bytes.white_level) == (2.0**bits - 1, None)
-    depth, depth_of_bytes = lfrender.analyze(wide, camera), lfrender.analyze(house.flat, camera_of_bytes)
+    depth = lfrender.analyze(wide, camera)
+    depth_of_bytes = lfrender.analyze(house.flat, camera_of_bytes)
     assert (depth.mode == depth_of_bytes.mode).mean() > 0.99
     known = (depth.mode != 0) & (depth_of_bytes.mode != 0)
     assert np.abs(depth.patch_size - depth_of_bytes.patch_size)[known].max() < 0.05
     scale = depth_of_bytes.pitch / 3
     picture = lfrender.render(wide, camera, depth_of_bytes, scale=scale).image / 2.0 ** (bits - 8)
-    picture_of_bytes = lfrender.render(house.flat, camera_of_bytes, depth_of_bytes, scale=scale).image
+    picture_of_bytes = lfrender.render(
+        house.flat, camera_of_bytes, depth_of_bytes, scale=scale
+    ).image
     assert np.abs(picture - picture_of_bytes).mean() < 1.0
 
 
@@ -203,11 +211,14 @@ def test_flats_of_another_simulator_agree_with_their_truth(shared):
     for name in ("s3_r5", "s2_sq", "s4b_tspc", "s5b_tspc"):
         camera = json.loads(shared("truth", name, "truth.json").read_text())["camera"]
         radius = camera["microimage_aperture_px"] / 2
-        lattice = Lattice(camera["origin_px"], camera["basis_px"], (camera["W"], camera["H"]), radius)
+        lattice = Lattice(
+            camera["origin_px"], camera["basis_px"], (camera["W"], camera["H"]), radius
+        )
         depth = lfrender.analyze(read_flat(shared("truth", name, "flat.png")), Calibration(lattice))
         truth = np.load(shared("truth", name, "microlenses.npz"))
         order = _order(lattice, truth["centre_px"])
-        mode, s = truth["mode"][order], truth["disparity_px"][order]
+        mode = truth["mode"][order]
+        s = truth["disparity_px"][order]
         single = (mode != 0) & ~truth["mixed"][order].astype(bool)
         error = np.abs(depth.patch_size - s)[single]
         assert (depth.mode == mode)[single].mean() > 0.995, name

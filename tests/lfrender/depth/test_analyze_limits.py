@@ -1,4 +1,6 @@
-"""Limits of the depth analysis: image planes too near the microlenses, noise, and structures thinner than a lens."""
+"""Limits of the depth analysis: image planes too near the microlenses, noise, and structures
+thinner than a lens.
+"""
 
 import functools
 
@@ -20,7 +22,8 @@ def plane_flat(ratio, pitch=23.2, size=(300, 260)):
 
 # Without any overlap a few lenses match by chance.
 @pytest.mark.parametrize(
-    ("ratio", "most"), [(-1.2, 0.08), (-0.95, 0.05), (-0.85, 0.05), (0.85, 0.05), (0.95, 0.05), (1.2, 0.08)]
+    ("ratio", "most"),
+    [(-1.2, 0.08), (-0.95, 0.05), (-0.85, 0.05), (0.85, 0.05), (0.95, 0.05), (1.2, 0.08)],
 )
 def test_planes_beyond_three_quarters_of_a_pitch_are_unresolved(ratio, most):
     shot = plane_flat(ratio)
@@ -55,7 +58,9 @@ def test_noise_from_40_to_12_db_degrades_the_depth_smoothly():
 
 @functools.cache
 def rod_flat(across=0.12):
-    """A textured rod a tenth of a pitch wide in the microimages, before a wall, upright in the middle."""
+    """A textured rod a tenth of a pitch wide in the microimages, before a wall, upright in the
+    middle.
+    """
     camera = Camera.design(size=(480, 400), pitch=40.0, rotation=1.3)
     wall = plane(camera, ratio=-0.5, seed=3).surfaces
     # In scene coordinates the rod is wider by its magnification.
@@ -80,20 +85,31 @@ def test_a_rod_of_an_eighth_of_a_microimage_is_found_with_its_depth():
 
 @functools.cache
 def card_flat(width, wall=-0.55, card=-0.2):
-    """A textured upright card `width` pitches wide in scene coordinates before a wall, at these `s / D`."""
+    """A textured upright card `width` pitches wide in scene coordinates before a wall, at these `s
+    / D`.
+    """
     camera = Camera.design(size=(330, 280), pitch=23.2, rotation=1.3)
     behind = plane(camera, ratio=wall, seed=3).surfaces
     half = 0.5 * width * camera.pitch
-    corner, right, down = camera.place([(165 - half, -60), (165 + half, -60), (165 - half, 340)], camera.depth_at(card))
-    texture = np.random.default_rng(1).uniform(0, 1, (160, max(8, round(16 * width)), 3)).astype(np.float32)
+    corner, right, down = camera.place(
+        [(165 - half, -60), (165 + half, -60), (165 - half, 340)], camera.depth_at(card)
+    )
+    texture = (
+        np.random.default_rng(1)
+        .uniform(0, 1, (160, max(8, round(16 * width)), 3))
+        .astype(np.float32)
+    )
     scene = Scene("card", (*behind, Patch(corner, right - corner, down - corner, texture)))
     return simulate(scene, camera, samples=16, seed=2)
 
 
 def mistaken(shot):
-    """Share of the reference picture, a pitch off the border, where the depth is off by more than D / 20."""
+    """Share of the reference picture, a pitch off the border, where the depth is off by more than D
+    / 20.
+    """
     depth = lfrender.analyze(shot.flat, shot.truth.calibration)
-    wanted, affine = shot.truth.reference_patch_size, shot.truth.reference_affine
+    wanted = shot.truth.reference_patch_size
+    affine = shot.truth.reference_affine
     v, u = np.mgrid[: wanted.shape[0], : wanted.shape[1]]
     points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ affine.T
     wrong = np.abs(depth.surface.at(points).reshape(wanted.shape) - wanted) > 0.05 * depth.pitch
@@ -115,7 +131,9 @@ def test_a_binocular_rod_before_a_telescopic_wall_stays_whole():
 
 
 @pytest.mark.parametrize("basis", [((23.2, 0.4), (11.25, 20.3)), ((22.9, 0.6), (-0.6, 22.9))])
-def test_patch_sizes_from_minus_to_plus_three_quarters_of_a_pitch_keep_their_sign(drawn_flat, basis):
+def test_patch_sizes_from_minus_to_plus_three_quarters_of_a_pitch_keep_their_sign(
+    drawn_flat, basis
+):
     for s in (-17.0, -7.0, -0.6, 0.0, 0.6, 7.0, 17.0):
         gray, lattice, _, inner = drawn_flat(s if s else 1e-3, basis=basis)
         depth = lfrender.analyze(gray.image, Calibration(lattice))

@@ -23,8 +23,13 @@ def test_a_motion_of_a_third_of_a_pixel_is_distinguished_from_noise(house):
     from scipy.ndimage import shift
 
     calibration = house.truth.calibration
-    moved = np.rint(shift(house.flat.astype(float), (0, 0.33, 0), order=1, mode="nearest")).astype(np.uint8)
-    changed = [changed_lenses(noisy(house.flat, k), noisy(moved, k + 1), calibration) for k in range(1, 17, 2)]
+    moved = np.rint(shift(house.flat.astype(float), (0, 0.33, 0), order=1, mode="nearest")).astype(
+        np.uint8
+    )
+    changed = [
+        changed_lenses(noisy(house.flat, k), noisy(moved, k + 1), calibration)
+        for k in range(1, 17, 2)
+    ]
     assert np.mean(changed) > 0.55
     assert changed_lenses(noisy(house.flat, 1), noisy(house.flat, 2), calibration).mean() < 0.003
 

@@ -73,7 +73,9 @@ def test_changed_parts_are_rendered_as_in_a_new_picture_and_the_rest_stays(house
     assert away.sum() > 0.05 * away.size and as_old[away].all()
 
 
-def test_detail_of_changed_parts_is_restored_with_the_noise_of_the_earlier_picture(house, first, second, monkeypatch):
+def test_detail_of_changed_parts_is_restored_with_the_noise_of_the_earlier_picture(
+    house, first, second, monkeypatch
+):
     depth, picture = update(house, first, second)
     assert picture.noise is first[2].noise is not None
     monkeypatch.setattr("lfrender.rendering.render.measure_noise", lambda *_: first[2].noise)
@@ -116,7 +118,8 @@ def test_a_chain_of_frames_is_the_same_with_and_without_the_cached_grey_flat(hou
             cached(calibration, "latest frame", list).clear()
         return lfrender.analyze(third, calibration, "fast", previous=(second, after))
 
-    quick, slow = chain(forget=False), chain(forget=True)
+    quick = chain(forget=False)
+    slow = chain(forget=True)
     assert 0 < quick.saved["steady"] < 1
     np.testing.assert_array_equal(quick.patch_size, slow.patch_size)
     np.testing.assert_array_equal(quick.surface.patch_size, slow.surface.patch_size)
@@ -126,7 +129,8 @@ def test_new_texture_keeps_its_depth_if_it_matches_there(drawn_flat):
     one, lattice, _, inner = drawn_flat(7.0, noise=0.004)
     calibration = Calibration(lattice)
     before = lfrender.analyze(one.image, calibration, "fast")
-    same, closer = drawn_flat(7.0, noise=0.004, seed=6)[0].image, drawn_flat(8.0, noise=0.004, seed=6)[0].image
+    same = drawn_flat(7.0, noise=0.004, seed=6)[0].image
+    closer = drawn_flat(8.0, noise=0.004, seed=6)[0].image
     after = lfrender.analyze(same, calibration, "fast", previous=(one.image, before))
     assert after.saved["still"] < 0.1 and after.saved["steady"] > 0.6
     assert (after.patch_size == before.patch_size)[inner].mean() > 0.9
@@ -158,7 +162,9 @@ def test_slow_changes_of_depth_do_not_accumulate_unnoticed(drawn_flat):
         ({"depth": None, "patch_size": 5.0}, "needs depth"),
     ],
 )
-def test_options_that_do_not_go_with_a_previous_picture_raise_an_error(house, first, second, options, message):
+def test_options_that_do_not_go_with_a_previous_picture_raise_an_error(
+    house, first, second, options, message
+):
     options = {"depth": first[1], **options}
     with pytest.raises(ValueError, match=message):
         lfrender.render(second, house.truth.calibration, previous=first, **options)
@@ -168,7 +174,7 @@ def test_a_frame_of_another_kind_raises_an_error(house, first):
     with pytest.raises(ValueError, match="uint8"):
         lfrender.render(
             house.flat.astype(np.float32) / 255, house.truth.calibration, first[1], previous=first
-        )  # fmt: skip
+        )
 
 
 def with_noise(flat, seed):
@@ -178,11 +184,14 @@ def with_noise(flat, seed):
 
 def test_a_still_frame_keeps_its_depth_in_spite_of_noise(house):
     calibration = house.truth.calibration
-    first, second = with_noise(house.flat, 1), with_noise(house.flat, 2)
+    first = with_noise(house.flat, 1)
+    second = with_noise(house.flat, 2)
     before = lfrender.analyze(first, calibration)
     after = lfrender.analyze(second, calibration, previous=(first, before))
     assert after.saved["still"] > 0.98
-    same = (after.patch_size == before.patch_size) | (np.isnan(after.patch_size) & np.isnan(before.patch_size))
+    same = (after.patch_size == before.patch_size) | (
+        np.isnan(after.patch_size) & np.isnan(before.patch_size)
+    )
     assert same.mean() > 0.95
 
 
@@ -210,6 +219,8 @@ def test_a_previous_frame_of_another_kind_raises_an_error(house):
     calibration = house.truth.calibration
     before = lfrender.analyze(house.flat, calibration, "fast")
     with pytest.raises(FlatError, match="float32"):
-        lfrender.analyze(house.flat, calibration, "fast", previous=(house.flat / np.float32(255), before))
+        lfrender.analyze(
+            house.flat, calibration, "fast", previous=(house.flat / np.float32(255), before)
+        )
     with pytest.raises(ValueError, match="preset"):
         lfrender.analyze(house.flat, calibration, previous=(house.flat, before))

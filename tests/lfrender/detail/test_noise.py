@@ -17,7 +17,9 @@ def look_at(flat):
 @pytest.mark.parametrize("form", [{"bits": 16, "gamma": False}, {}])
 def test_noise_is_that_of_light_and_not_the_texture(form):
     camera = Camera.design(size=(420, 340), pitch=34.0)
-    shot = simulate(SCENES["plane"](camera, seed=2), camera, samples=96, seed=4, noise=(2000, 5), **form)
+    shot = simulate(
+        SCENES["plane"](camera, seed=2), camera, samples=96, seed=4, noise=(2000, 5), **form
+    )
     # Three channels of 2000 electrons have 0.013 of white together; the ray tracer adds some.
     assert 0.009 < measure_noise(look_at(shot.flat), shot.truth.calibration) < 0.026
 

@@ -10,7 +10,9 @@ from lfcal import LensBlur
 from lfrender.detail.filters import make_filters
 from lfrender.detail.restore import Places, restore_detail
 
-PITCH, SIZE, DISC = 30.0, -9.0, 2.5
+PITCH = 30.0
+SIZE = -9.0
+DISC = 2.5
 
 
 def smooth(image):
@@ -20,7 +22,9 @@ def smooth(image):
 
 
 def restored(image, dtype=np.float32):
-    """As from a camera whose discs of defocus are 2.5 px, at one pixel of the picture for each of the flat."""
+    """As from a camera whose discs of defocus are 2.5 px, at one pixel of the picture for each of
+    the flat.
+    """
     blur = LensBlur(8.0, 1.0, [0.0], [0.1], [SIZE / PITCH], [[DISC]], [[1e-6]])
     calibration = Camera.design(size=(480, 400), pitch=PITCH, rotation=3.0).calibration()
     filters = make_filters(calibration, blur, 0.001, -SIZE, 1.7, -SIZE, (SIZE, SIZE))
@@ -28,7 +32,9 @@ def restored(image, dtype=np.float32):
     rows, columns = (np.zeros(n, np.int64) for n in image.shape[:2])
     places = Places(kinds, rows, columns)
     seen = np.ones(image.shape[:2], bool)
-    return restore_detail(np.float32(image), seen, places, filters, 1.0, False, dtype, overshoot=100.0)
+    return restore_detail(
+        np.float32(image), seen, places, filters, 1.0, False, dtype, overshoot=100.0
+    )
 
 
 def test_blurred_texture_gains_contrast():

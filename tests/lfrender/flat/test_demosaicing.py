@@ -26,7 +26,9 @@ def filtered_flat(flat, mosaic):
 
 def psnr(shot, picture):
     shape = picture.image.shape[:2]
-    wanted, inside = resample(shot.truth.reference, shot.truth.reference_affine, shape, picture.affine)
+    wanted, inside = resample(
+        shot.truth.reference, shot.truth.reference_affine, shape, picture.affine
+    )
     inner = np.zeros(shape, bool)
     inner[10:-10, 10:-10] = True
     return compare_pictures(picture.image / 255.0, wanted, inside & inner & picture.valid).psnr
@@ -66,7 +68,9 @@ def test_no_colour_crosses_from_one_microimage_into_the_next(house):
     reach = np.arange(-1, 2)
     index = np.rint(lattice.to_index(points))
     around = [index + step for step in np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)]
-    nearest = np.argmin([np.linalg.norm(lattice.points(k) - points, axis=1) for k in around], axis=0)
+    nearest = np.argmin(
+        [np.linalg.norm(lattice.points(k) - points, axis=1) for k in around], axis=0
+    )
     own = np.array(around)[nearest, np.arange(len(points))]
     # Neighbouring lenses show evenly one of three colours.
     palette = np.array([[200, 40, 30], [20, 180, 60], [50, 30, 190]], np.uint8)

@@ -9,7 +9,12 @@ from lfcal import Calibration, Lattice
 from lfcal.gain.gain_map import Vignetting
 from lfrender.flat.gray_flat import GrayFlat, correction_tables, downsample, make_gray_flat
 
-BASES = [((20, 0), (0, 20)), ((20, 0), (10, 17.32)), ((0, 20), (17.32, 10)), ((19.5, 4.5), (5.85, 19.1))]
+BASES = [
+    ((20, 0), (0, 20)),
+    ((20, 0), (10, 17.32)),
+    ((0, 20), (17.32, 10)),
+    ((19.5, 4.5), (5.85, 19.1)),
+]
 
 
 @pytest.mark.parametrize("basis", BASES)
@@ -19,7 +24,9 @@ def test_pixels_have_the_gain_of_the_nearest_lens(basis):
     calibration = Calibration(lattice, profile)
     gray = make_gray_flat(np.ones((160, 200, 3), np.float32), calibration)
     y, x = np.mgrid[:160, :200]
-    distance = np.sqrt(((np.stack([x, y], -1)[:, :, None] - lattice.centres()) ** 2).sum(-1)).min(-1)
+    distance = np.sqrt(((np.stack([x, y], -1)[:, :, None] - lattice.centres()) ** 2).sum(-1)).min(
+        -1
+    )
     (gains, *_), step = correction_tables(calibration)
     wanted = gains[np.minimum(distance**2 / step, len(gains) - 1).astype(int)]
     trusted = distance < gray.radius + 0.9
@@ -39,7 +46,14 @@ def test_brightness_is_the_mean_of_the_channels(channels):
 def test_a_downsampled_flat_holds_the_means_of_blocks_and_the_centres_in_its_own_pixels(factor):
     image = np.random.default_rng(4).random((319, 401)).astype(np.float32)
     small = downsample(GrayFlat(image, np.array([[31.3, 28.7]], np.float32), 18.0, 40.0), factor)
-    height, width = 319 // factor, 401 // factor
-    wanted = image[: height * factor, : width * factor].reshape(height, factor, width, factor).mean((1, 3))
+    height = 319 // factor
+    width = 401 // factor
+    wanted = (
+        image[: height * factor, : width * factor]
+        .reshape(height, factor, width, factor)
+        .mean((1, 3))
+    )
     np.testing.assert_allclose(small.image, wanted, atol=1e-6)
-    np.testing.assert_allclose(small.centres, (np.array([[31.3, 28.7]]) + 0.5) / factor - 0.5, atol=1e-5)
+    np.testing.assert_allclose(
+        small.centres, (np.array([[31.3, 28.7]]) + 0.5) / factor - 0.5, atol=1e-5
+    )

@@ -27,7 +27,15 @@ def test_the_depth_map_keeps_the_blur_in_its_file(tmp_path):
     from lfcal import LensBlur
 
     depth = lfrender.data.example()[2]
-    blur = LensBlur(6.0, 1.2, np.array([0.1]), np.array([0.1]), np.array([-0.3]), np.ones((1, 1)), np.ones((1, 1)))
+    blur = LensBlur(
+        6.0,
+        1.2,
+        np.array([0.1]),
+        np.array([0.1]),
+        np.array([-0.3]),
+        np.ones((1, 1)),
+        np.ones((1, 1)),
+    )
     replace(depth, lens_blur=blur).save(tmp_path / "depth.npz")
     assert lfrender.DepthMap.load(tmp_path / "depth.npz").lens_blur.to_dict() == blur.to_dict()
     replace(depth, lens_blur=None).save(tmp_path / "none.npz")

@@ -33,10 +33,13 @@ def test_two_rings_hold_every_lens_once(kind, count):
 @pytest.mark.parametrize("kind", ["hex", "square"])
 def test_distant_rings_are_those_of_every_third_lens(kind):
     lattice, centres, neighbours = cameras(kind)
-    far, indices = distant_rings(neighbours), lattice.indices()
+    far = distant_rings(neighbours)
+    indices = lattice.indices()
 
     def steps(lens, rows):
-        return {tuple(step.tolist()) for step in indices[rows[lens][rows[lens] >= 0]] - indices[lens]}
+        return {
+            tuple(step.tolist()) for step in indices[rows[lens][rows[lens] >= 0]] - indices[lens]
+        }
 
     middle = int(np.hypot(*(centres - (300, 225)).T).argmin())
     third = {(3 * i, 3 * j) for i, j in steps(middle, two_rings(neighbours))}

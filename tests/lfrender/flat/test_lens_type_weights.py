@@ -26,7 +26,9 @@ def three_types():
 def psnr(shot, calibration, depth):
     picture = lfrender.render(shot.flat, calibration, depth, scale=5.0, detail="off")
     shape = picture.image.shape[:2]
-    wanted, inside = resample(shot.truth.reference, shot.truth.reference_affine, shape, picture.affine)
+    wanted, inside = resample(
+        shot.truth.reference, shot.truth.reference_affine, shape, picture.affine
+    )
     inner = np.zeros(shape, bool)
     inner[10:-10, 10:-10] = True
     return compare_pictures(picture.image / 255.0, wanted, inside & inner & picture.valid).psnr
@@ -47,7 +49,9 @@ def test_types_of_unknown_focus_have_equal_weights(three_types):
     for types in (LensTypes(CELL, True), LensTypes([[0]])):
         cell, _ = focus_weights(types)
         assert cell.size == 0
-        given = lfrender.render(three_types.flat, replace(plain, lens_types=types), patch_size=-7, blend=True)
+        given = lfrender.render(
+            three_types.flat, replace(plain, lens_types=types), patch_size=-7, blend=True
+        )
         without = lfrender.render(three_types.flat, plain, patch_size=-7, blend=True)
         np.testing.assert_array_equal(given.image, without.image)
 

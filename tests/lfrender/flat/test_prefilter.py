@@ -31,10 +31,16 @@ def test_interpolation_of_the_prefiltered_flat_keeps_the_contrast_of_fine_detail
 @pytest.mark.parametrize("shape", [(7, 90, 3), (3, 1, 3), (5, 2, 3), (1, 9, 4), (6, 40, 1)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_integers_are_filtered_exactly_and_rounded(shape, dtype):
-    flat = np.random.default_rng(0).choice([0, 1, 3, np.iinfo(dtype).max - 1, np.iinfo(dtype).max], shape).astype(dtype)
+    flat = (
+        np.random.default_rng(0)
+        .choice([0, 1, 3, np.iinfo(dtype).max - 1, np.iinfo(dtype).max], shape)
+        .astype(dtype)
+    )
     wide = np.pad(flat.astype(np.int64), ((1, 1), (1, 1), (0, 0)), mode="edge")
     beside = wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]
-    wanted = np.clip(np.maximum(16 * wide[1:-1, 1:-1] - beside + 6, 0) // 12, 0, np.iinfo(dtype).max)
+    wanted = np.clip(
+        np.maximum(16 * wide[1:-1, 1:-1] - beside + 6, 0) // 12, 0, np.iinfo(dtype).max
+    )
     np.testing.assert_array_equal(prefilter_flat(flat), wanted)
 
 

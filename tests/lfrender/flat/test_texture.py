@@ -24,7 +24,9 @@ def made(texture):
     delta = (index - np.rint(index)) @ LATTICE.basis
     grain = np.random.default_rng(1).standard_normal(x.size)
     image = 0.5 + texture(np.hypot(*delta.T), grain)
-    return GrayFlat(image.reshape(x.shape).astype(np.float32), LATTICE.centres().astype(np.float32), 13.5, 30.0)
+    return GrayFlat(
+        image.reshape(x.shape).astype(np.float32), LATTICE.centres().astype(np.float32), 13.5, 30.0
+    )
 
 
 def test_statistics_are_those_of_the_pixels_in_the_circle():
@@ -34,8 +36,12 @@ def test_statistics_are_those_of_the_pixels_in_the_circle():
     y, x = np.mgrid[:170, :210]
     distance = np.hypot(x - gray.centres[lens, 0], y - gray.centres[lens, 1])
     for name, radius in (("contrast", 13.5), ("central_contrast", 10.8)):
-        np.testing.assert_allclose(getattr(statistics, name)[lens], gray.image[distance <= radius].std(), rtol=1e-4)
-    np.testing.assert_allclose(statistics.mean[lens], gray.image[distance <= 13.5].mean(), rtol=1e-5)
+        np.testing.assert_allclose(
+            getattr(statistics, name)[lens], gray.image[distance <= radius].std(), rtol=1e-4
+        )
+    np.testing.assert_allclose(
+        statistics.mean[lens], gray.image[distance <= 13.5].mean(), rtol=1e-5
+    )
     np.testing.assert_allclose(np.median(statistics.roughness), 0.1, rtol=0.05)
 
 
@@ -52,12 +58,19 @@ def test_texture_at_the_rim_alone_is_no_texture():
 
 @pytest.mark.parametrize("step", [1, 2, 3, 5])
 def test_statistics_of_some_rows_are_those_of_their_pixels(step):
-    image, radius, (cx, cy) = np.random.default_rng(3).random((60, 70)).astype(np.float32), 17.5, (33.3, 29.8)
-    found = measure_statistics(GrayFlat(image, np.array([[cx, cy]], np.float32), radius, 2 * radius), row_step=step)
+    image, radius, (cx, cy) = (
+        np.random.default_rng(3).random((60, 70)).astype(np.float32),
+        17.5,
+        (33.3, 29.8),
+    )
+    found = measure_statistics(
+        GrayFlat(image, np.array([[cx, cy]], np.float32), radius, 2 * radius), row_step=step
+    )
     y, x = np.mgrid[:60, :70]
     away = (x - cx) ** 2 + (y - cy) ** 2
     rows = (y - int(np.ceil(cy - radius))) % step == 0
-    inside, middle = rows & (away <= radius**2), rows & (away <= (0.36 * 2 * radius) ** 2)
+    inside = rows & (away <= radius**2)
+    middle = rows & (away <= (0.36 * 2 * radius) ** 2)
     mask = np.outer([1, -2, 1], [1, -2, 1])
     bends = correlate(image.astype(float), mask)[inside]
     assert found.mean[0] == pytest.approx(image[inside].mean(), rel=1e-5)
@@ -85,10 +98,13 @@ def test_statistics_have_the_same_bits_from_a_compiled_and_from_a_loaded_kernel(
     # This fails without forceinline.
     cold, warm = (
         subprocess.run(
-            [sys.executable, "-c", _STATISTICS_BITS], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-            capture_output=True, check=True, timeout=300,
+            [sys.executable, "-c", _STATISTICS_BITS],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            check=True,
+            timeout=300,
         ).stdout
         for _ in "ab"
-    )  # fmt: skip
+    )
     assert len(cold) > 10_000
     assert cold == warm

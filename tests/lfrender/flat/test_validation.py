@@ -31,7 +31,9 @@ def test_flat_of_28_levels_resolves_what_its_noise_and_rounding_allow():
     noisy = _plane() + np.random.default_rng(0).normal(0, 0.01, (240, 300))
     few = np.rint(noisy * 28).astype(np.uint16)
     same_noise = noisy + np.random.default_rng(1).uniform(-0.5, 0.5, noisy.shape) / 28
-    bound = np.isfinite(analyze(same_noise.clip(0, 1).astype(np.float32), _CAMERA, "fast").patch_size)
+    bound = np.isfinite(
+        analyze(same_noise.clip(0, 1).astype(np.float32), _CAMERA, "fast").patch_size
+    )
     found = analyze(few, _CAMERA, "fast")
     assert bound.mean() > 0.9
     assert np.isfinite(found.patch_size).sum() >= 0.95 * bound.sum()
@@ -49,6 +51,8 @@ def test_white_level_is_lowered_in_steps_for_dim_flats_alone():
     assert match_exposure(rows, _CAMERA) is _CAMERA
     assert 1.1 * 500 <= match_exposure(rows // 60, _CAMERA).white_level < 1.1 * 500 * 2**0.25
     assert match_exposure(rows // 60, _CAMERA) is match_exposure(rows // 59, _CAMERA)
-    assert match_exposure(np.full((4, 300), 0.01, np.float32), _CAMERA).white_level == pytest.approx(2**-6.5)
+    assert match_exposure(
+        np.full((4, 300), 0.01, np.float32), _CAMERA
+    ).white_level == pytest.approx(2**-6.5)
     assert match_exposure(np.full((4, 300), 3, np.uint8), _CAMERA) is _CAMERA
     assert exposure_rows(240).max() < 240

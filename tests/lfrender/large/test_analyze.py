@@ -1,4 +1,6 @@
-"""Depth of large flats by tiles of lenses: nearly that of the whole flat at once, and how far they may differ."""
+"""Depth of large flats by tiles of lenses: nearly that of the whole flat at once, and how far they
+may differ.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,10 @@ def in_both_ways(tmp_path, shot, camera=None, tiles=4):
     camera = camera or shot.truth.calibration
     counts = []
     # Tiles as small as their halo allows: 2 x 2 of these flats.
-    options = {"progress": lambda _, count: counts.append(count), "memory": 1.0 if tiles > 1 else 6e8}
+    options = {
+        "progress": lambda _, count: counts.append(count),
+        "memory": 1.0 if tiles > 1 else 6e8,
+    }
     with lfcal.open_flat(tmp_path / "flat.tif") as source:
         many = lfrender.analyze_large(source, camera, "fast", **options)
     assert set(counts) <= {tiles}

@@ -1,4 +1,6 @@
-"""Large flats drawn tile by tile: the same bits as at once, files that appear whole, runs that can be continued."""
+"""Large flats drawn tile by tile: the same bits as at once, files that appear whole, runs that can
+be continued.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +19,38 @@ from data_synth import SCENES, Camera, simulate
 
 @functools.cache
 def capture():
-    """A house behind branches on a small flat, its camera, one with a gain map lens by lens, and the depth."""
+    """A house behind branches on a small flat, its camera, one with a gain map lens by lens, and
+    the depth.
+    """
     camera = Camera.design(size=(230, 200), pitch=17.2, lattice="hex", rotation=1.3)
     shot = simulate(SCENES["house"](camera), camera, samples=6, seed=2)
     plain = shot.truth.calibration
     own = (1 + 0.2 * np.sin(np.arange(len(plain.lattice)))).astype(np.float32)
     own[7] = 0
     gain = replace(lfcal.calibrate(shot.white, kind="white").gain_map, lens_gain=own)
-    return shot.flat, plain, replace(plain, gain_map=gain), lfrender.analyze(shot.flat, plain, "fast")
+    return (
+        shot.flat,
+        plain,
+        replace(plain, gain_map=gain),
+        lfrender.analyze(shot.flat, plain, "fast"),
+    )
 
 
 def drawn_in_tiles(tmp_path, flat, camera, tile, *, name="picture.tif", stored=None, **options):
-    tifffile.imwrite(tmp_path / "flat.tif", flat, photometric="rgb" if flat.ndim == 3 else "minisblack", **stored or {})
+    tifffile.imwrite(
+        tmp_path / "flat.tif",
+        flat,
+        photometric="rgb" if flat.ndim == 3 else "minisblack",
+        **stored or {},
+    )
     with lfcal.open_flat(tmp_path / "flat.tif") as source:
         return lfrender.render_large(source, tmp_path / name, camera, tile=tile, **options)
 
 
 @pytest.mark.parametrize("tile", [23, 64, None])
-@pytest.mark.parametrize("way", ["depth", "fixed", "blended", "small", "gain", "gain fixed", "mosaic", "float"])
+@pytest.mark.parametrize(
+    "way", ["depth", "fixed", "blended", "small", "gain", "gain fixed", "mosaic", "float"]
+)
 def test_tiles_make_the_picture_of_the_whole_flat_bit_for_bit(tmp_path, way, tile):
     flat, plain, shaded, depth = capture()
     camera = shaded if way.startswith("gain") else plain
@@ -45,7 +61,8 @@ def test_tiles_make_the_picture_of_the_whole_flat_bit_for_bit(tmp_path, way, til
         "small": {"depth": depth, "scale": 3.0},
     }.get(way, {"depth": depth})
     if way == "mosaic":
-        flat, camera = flat[:, :, 1].copy(), replace(camera, mosaic="GRBG")
+        flat = flat[:, :, 1].copy()
+        camera = replace(camera, mosaic="GRBG")
     if way == "float":
         flat = (flat / 255).astype(np.float32)
     whole = lfrender.render(flat, camera, **options)
@@ -86,7 +103,12 @@ def test_a_killed_run_leaves_no_picture_and_is_continued_from_the_finished_tiles
     drawn: list[int] = []
     with lfcal.open_flat(tmp_path / "flat.tif") as source:
         made = lfrender.render_large(
-            source, tmp_path / name, camera, depth, tile=31, progress=lambda done, _: drawn.append(done)
+            source,
+            tmp_path / name,
+            camera,
+            depth,
+            tile=31,
+            progress=lambda done, _: drawn.append(done),
         )
     # The fourth was being stored.
     assert made.kept in (3, 4)
@@ -105,7 +127,9 @@ def test_a_run_with_other_settings_starts_from_the_beginning(tmp_path):
     with pytest.raises(Killed):
         drawn_in_tiles(tmp_path, flat, camera, 31, patch_size=6.5, progress=killed_after(3))
     with lfcal.open_flat(tmp_path / "flat.tif") as source:
-        made = lfrender.render_large(source, tmp_path / "picture.tif", camera, patch_size=-6.5, tile=31)
+        made = lfrender.render_large(
+            source, tmp_path / "picture.tif", camera, patch_size=-6.5, tile=31
+        )
     assert made.kept == 0
     whole = lfrender.render(flat, camera, patch_size=-6.5)
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "picture.tif"), whole.image)

@@ -1,4 +1,6 @@
-"""Live frames: sources, the newest one only, recordings that are rendered with the same bits, and the page's server."""
+"""Live frames: sources, the newest one only, recordings that are rendered with the same bits, and
+the page's server.
+"""
 
 from __future__ import annotations
 
@@ -102,8 +104,20 @@ def test_a_video_is_read_by_opencv_until_it_ends(tmp_path):
         ("BayerRG8", [1, 2, 3, 4], [[1, 2], [3, 4]], "RGGB", None),
         ("Mono16", [1, 2, 0, 1, 0, 0, 255, 255], [[513, 256], [0, 65535]], None, None),
         ("BayerGB12", [1, 2, 0, 1, 0, 0, 255, 15], [[513, 256], [0, 4095]], "GBRG", 4095),
-        ("Mono12p", [0x21, 0x43, 0x65, 0xFF, 0x0F, 0x80], [[0x321, 0x654], [0xFFF, 0x800]], None, 4095),
-        ("Mono12Packed", [0x21, 0x43, 0x65, 0xFF, 0x0F, 0x80], [[0x213, 0x654], [0xFFF, 0x800]], None, 4095),
+        (
+            "Mono12p",
+            [0x21, 0x43, 0x65, 0xFF, 0x0F, 0x80],
+            [[0x321, 0x654], [0xFFF, 0x800]],
+            None,
+            4095,
+        ),
+        (
+            "Mono12Packed",
+            [0x21, 0x43, 0x65, 0xFF, 0x0F, 0x80],
+            [[0x213, 0x654], [0xFFF, 0x800]],
+            None,
+            4095,
+        ),
         ("BGR8", range(12), [[[2, 1, 0], [5, 4, 3]], [[8, 7, 6], [11, 10, 9]]], None, None),
     ],
 )
@@ -122,7 +136,9 @@ def test_pixel_formats_of_genicam_are_unpacked(name, data, expected, mosaic, whi
 def test_raw_mosaics_get_their_colours(mosaic, recorded):
     cell = np.array(["RGB".index(letter) for letter in mosaic]).reshape(2, 2)
     flat = np.array([90, 120, 40], np.uint8)[np.tile(cell, (12, 16))]
-    camera = lfcal.Calibration(lfcal.Lattice((8, 8), ((8, 0), (0, 8)), (32, 24), 4.0), mosaic=mosaic)
+    camera = lfcal.Calibration(
+        lfcal.Lattice((8, 8), ((8, 0), (0, 8)), (32, 24), 4.0), mosaic=mosaic
+    )
     colours = _in_colour(Shot(flat, recorded=recorded), camera)
     assert np.unique(colours.reshape(-1, 3), axis=0).tolist() == [[90, 120, 40]]
 
@@ -203,7 +219,9 @@ def test_a_recording_that_the_disk_cannot_follow_skips_frames_and_says_so(tmp_pa
 
 def ask(server, path, method="GET", **headers):
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
-    connection.request(method, path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    connection.request(
+        method, path, headers={name.replace("_", "-"): value for name, value in headers.items()}
+    )
     response = connection.getresponse()
     content = response.read()
     connection.close()
@@ -211,7 +229,9 @@ def ask(server, path, method="GET", **headers):
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
-def test_the_server_answers_its_page_alone_and_beyond_the_loopback_whoever_has_the_token(session, host):
+def test_the_server_answers_its_page_alone_and_beyond_the_loopback_whoever_has_the_token(
+    session, host
+):
     with LiveServer(session[0], "camera", host) as server:
         token = f"&token={server.token}" if server.token else ""
         assert ask(server, f"/?{token}")[0] == 200
@@ -227,9 +247,14 @@ def test_the_server_answers_its_page_alone_and_beyond_the_loopback_whoever_has_t
         if host == "0.0.0.0":
             assert len(server.token) > 20
             for path in ("/", "/status", "/frame?kind=raw&token=no"):
-                assert ask(server, path) == (403, b"open the address with its token, as 'lfrender live' prints it")
+                assert ask(server, path) == (
+                    403,
+                    b"open the address with its token, as 'lfrender live' prints it",
+                )
             host = urlsplit(server.url).hostname
-            assert host != socket.gethostname() and socket.getaddrinfo(host, None, flags=socket.AI_NUMERICHOST)
+            assert host != socket.gethostname() and socket.getaddrinfo(
+                host, None, flags=socket.AI_NUMERICHOST
+            )
         else:
             assert not server.token
             assert ask(server, "/", Host="elsewhere.example")[0] == 403

@@ -20,10 +20,22 @@ from lfrender.data.dense_depth import dense_depth, write_dense
 from lfrender.output.depth_picture import depth_picture
 from lfrender.output.point_cloud import point_cloud
 
-PITCH, RATIO, NEAR = 22.0, -0.35, -0.22  # [px]; s / D of a wall and of a card before it
+PITCH = 22.0  # [px]; s / D of a wall and of a card before it
+RATIO = -0.35
+NEAR = -0.22
 
 
-GRID = ("render", "refocus", "focal stack", "view", "dense", "depth picture", "dense file", "picture file", "commands")
+GRID = (
+    "render",
+    "refocus",
+    "focal stack",
+    "view",
+    "dense",
+    "depth picture",
+    "dense file",
+    "picture file",
+    "commands",
+)
 
 
 @functools.cache
@@ -37,7 +49,9 @@ def capture():
     # Turned, so that its middle does not depend on where pixels lie.
     across, down = side * np.array([[0.94, 0.34, 0.0], [-0.34, 0.94, 0.0]])
     card = Patch(place - (across + down) / 2, across, down, texture)
-    dim = Patch(wall.corner, wall.across, wall.down, wall.texture[..., :3] * np.float32([0.02, 0.5, 0.5]))
+    dim = Patch(
+        wall.corner, wall.across, wall.down, wall.texture[..., :3] * np.float32([0.02, 0.5, 0.5])
+    )
     shot = simulate(Scene("card", (dim, card)), camera, samples=32, seed=1)
     calibration = shot.truth.calibration
     return shot.flat, calibration, lfrender.analyze(shot.flat, calibration)
@@ -51,7 +65,9 @@ def outputs():
     made = {
         "render": lfrender.render(*given),
         "refocus": lfrender.refocus(flat, calibration, NEAR * PITCH, depth=depth),
-        "focal stack": lfrender.focal_stack(flat, calibration, [NEAR * PITCH, RATIO * PITCH], depth=depth)[0],
+        "focal stack": lfrender.focal_stack(
+            flat, calibration, [NEAR * PITCH, RATIO * PITCH], depth=depth
+        )[0],
         "view": view,
         "dense": dense_depth(depth),
         "depth picture": depth_picture(depth),
@@ -91,7 +107,9 @@ class File:
 
 
 def marks():
-    """Scene coordinates of the middle of the card, and the spacing of pixels [px of the flat], by output."""
+    """Scene coordinates of the middle of the card, and the spacing of pixels [px of the flat], by
+    output.
+    """
     found = {}
     for name, output in outputs().items():
         u, v = middle_of_card(np.asarray(output).astype(float))
@@ -112,16 +130,22 @@ def test_outputs_of_one_flat_have_one_size_and_affine():
 
 def test_a_mark_lies_at_one_place_in_every_pair_of_outputs():
     for (one, (place, step)), (other, (there, wide)) in itertools.combinations(marks().items(), 2):
-        assert np.abs(place - there).max() < 0.5 * max(step, wide), f"{one}, {other} [px of the coarser]"
+        assert np.abs(place - there).max() < 0.5 * max(step, wide), (
+            f"{one}, {other} [px of the coarser]"
+        )
 
 
 def middle_of_card(pixels):
-    """u, v of the middle of what differs from the border of the picture, in the channel where it differs most."""
+    """u, v of the middle of what differs from the border of the picture, in the channel where it
+    differs most.
+    """
     planes = pixels.reshape(*pixels.shape[:2], -1)
     height, width = planes.shape[:2]
     border = np.median(planes[: height // 5], axis=(0, 1))
     half = max(1, height // 16)
-    inside = planes[height // 2 - half : height // 2 + half, width // 2 - half : width // 2 + half].mean((0, 1))
+    inside = planes[
+        height // 2 - half : height // 2 + half, width // 2 - half : width // 2 + half
+    ].mean((0, 1))
     k = int(np.abs(inside - border).argmax())
     card = (planes[..., k] - border[k]) / (inside[k] - border[k]) > 0.5
     edge = height // 5
@@ -133,10 +157,12 @@ def middle_of_card(pixels):
 
 def test_pictures_stand_for_their_pixels_and_know_where_they_lie():
     xarray = pytest.importorskip("xarray", reason="xarray needs lfrender[xarray]")
-    picture, dense = outputs()["render"], outputs()["dense"]
+    picture = outputs()["render"]
+    dense = outputs()["dense"]
     np.testing.assert_array_equal(np.asarray(picture), picture.image)
     found = picture.to_xarray()
     assert isinstance(found, xarray.DataArray) and found.dims == ("y", "x", "channel")
-    u, v = 17, 9
+    u = 17
+    v = 9
     np.testing.assert_allclose([found.x[u], found.y[v]], picture.affine @ [u, v, 1])
     np.testing.assert_array_equal(dense.to_xarray().coords["validity"], dense.validity)

@@ -1,4 +1,6 @@
-"""Dim pictures are brightened by one gain where they are made to be looked at, and in files for work on request."""
+"""Dim pictures are brightened by one gain where they are made to be looked at, and in files for
+work on request.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def dim(brightest=0.04, kind=np.uint16):
 
 def test_only_dim_pictures_of_more_than_8_bits_are_exposed_by_their_content():
     assert exposure_gain(dim(0.04).image) == pytest.approx(0.9 / 0.04, rel=0.02)
-    assert exposure_gain(dim(0.04).image, 4095) == pytest.approx(0.9 * 4095 / (0.04 * 65535), rel=0.02)
+    assert exposure_gain(dim(0.04).image, 4095) == pytest.approx(
+        0.9 * 4095 / (0.04 * 65535), rel=0.02
+    )
     assert exposure_gain(dim(0.04, np.float32).image, 4095) == pytest.approx(0.9 / 0.04, rel=0.02)
     assert exposure_gain(dim(0.95).image) == exposure_gain(dim(0.04, np.uint8).image) == 1
     assert exposure_gain(dim(0.04).image, exposure=3.0) == 8
@@ -43,8 +47,12 @@ def test_a_gain_keeps_the_type_and_stops_at_white():
     assert (to_eight_bits(dim(1.0, np.uint8).image, 4095) == dim(1.0, np.uint8).image).all()
 
 
-@pytest.mark.parametrize(("suffix", "brightened"), [(".jpg", True), (".webp", True), (".png", False), (".tif", False)])
-def test_jpeg_and_webp_show_dim_pictures_and_files_for_work_keep_their_values(tmp_path, suffix, brightened):
+@pytest.mark.parametrize(
+    ("suffix", "brightened"), [(".jpg", True), (".webp", True), (".png", False), (".tif", False)]
+)
+def test_jpeg_and_webp_show_dim_pictures_and_files_for_work_keep_their_values(
+    tmp_path, suffix, brightened
+):
     path = tmp_path / f"picture{suffix}"
     lfrender.write_picture(path, dim())
     pixels = lfcal.read_flat(path)
@@ -55,7 +63,8 @@ def test_jpeg_and_webp_show_dim_pictures_and_files_for_work_keep_their_values(tm
 
 
 def test_views_of_a_grid_have_one_gain(tmp_path):
-    first, second = dim(0.04), dim(0.02)
+    first = dim(0.04)
+    second = dim(0.02)
     paths = write_grid(tmp_path, [first, second], 2, ".jpg")
     bright, half = (lfcal.read_flat(path).max() for path in paths)
     assert half == pytest.approx(bright / 2, rel=0.05)
@@ -69,9 +78,19 @@ def dark_flat(house, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("command", [["render"], ["refocus", "--patch-size", "-8"], ["views", "--stereo"]])
+@pytest.mark.parametrize(
+    "command", [["render"], ["refocus", "--patch-size", "-8"], ["views", "--stereo"]]
+)
 def test_commands_brighten_jpeg_by_themselves_and_tiff_on_request(dark_flat, tmp_path, command):
-    given = [str(dark_flat / "flat.png"), "-c", str(dark_flat / "camera.json"), "--preset", "fast", "--scale", "4"]
+    given = [
+        str(dark_flat / "flat.png"),
+        "-c",
+        str(dark_flat / "camera.json"),
+        "--preset",
+        "fast",
+        "--scale",
+        "4",
+    ]
 
     def run(name, *words):
         done = CliRunner().invoke(main, [*command, *given, "-o", str(tmp_path / name), *words])
@@ -94,8 +113,19 @@ def test_frames_of_a_sequence_have_one_gain_which_a_continued_run_keeps(dark_fla
     flat = lfcal.read_flat(dark_flat / "flat.png")
     (tmp_path / "frames").mkdir()
     for number, share in enumerate((1.0, 0.5)):
-        cv2.imwrite(str(tmp_path / f"frames/f{number}.png"), np.rint(flat[..., ::-1] * share).astype(np.uint16))
-    given = [str(tmp_path / "frames"), "-c", str(dark_flat / "camera.json"), "--preset", "fast", "--scale", "4"]
+        cv2.imwrite(
+            str(tmp_path / f"frames/f{number}.png"),
+            np.rint(flat[..., ::-1] * share).astype(np.uint16),
+        )
+    given = [
+        str(tmp_path / "frames"),
+        "-c",
+        str(dark_flat / "camera.json"),
+        "--preset",
+        "fast",
+        "--scale",
+        "4",
+    ]
 
     def run(*words):
         words = ["batch", *given, "-o", str(tmp_path / "out"), "--format", "jpg", *words]
@@ -110,7 +140,9 @@ def test_frames_of_a_sequence_have_one_gain_which_a_continued_run_keeps(dark_fla
     np.testing.assert_array_equal(run()[1], second)
 
 
-@pytest.mark.parametrize(("text", "value"), [("auto", "auto"), ("2", 2.0), ("-1.5 EV", -1.5), ("+3ev", 3.0)])
+@pytest.mark.parametrize(
+    ("text", "value"), [("auto", "auto"), ("2", 2.0), ("-1.5 EV", -1.5), ("+3ev", 3.0)]
+)
 def test_the_option_takes_ev_or_auto(text, value):
     from lfcal.runtime.command_line import ExposureValue
 

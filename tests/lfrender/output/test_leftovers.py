@@ -18,7 +18,8 @@ from lfrender.rendering.viewpoints import grid_offsets, views_with_depth
 
 
 def pictures(count):
-    image, valid = np.full((8, 10), 7, np.uint8), np.ones((8, 10), bool)
+    image = np.full((8, 10), 7, np.uint8)
+    valid = np.ones((8, 10), bool)
     return [Rendering(image, np.eye(2, 3), valid, 1.0)] * count
 
 
@@ -66,7 +67,9 @@ def test_fewer_posed_views_are_refused(tmp_path, kind):
     with pytest.raises(OutputError, match="of an earlier run"):
         write(1, kind)
     if kind != "rvs":
-        with pytest.raises(OutputError, match=r"images: holds view_002\.png of an earlier run, 2 files"):
+        with pytest.raises(
+            OutputError, match=r"images: holds view_002\.png of an earlier run, 2 files"
+        ):
             check_posed_folder(tmp_path, kind, 2)
     if kind == "nerfstudio":
         with pytest.raises(OutputError, match=r"masks: holds view_000\.png of an earlier run"):

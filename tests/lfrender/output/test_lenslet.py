@@ -23,17 +23,25 @@ def run(*words):
     return CliRunner().invoke(main, ["lenslet", *map(str, words)])
 
 
-@pytest.mark.parametrize(("shape", "kind"), [((3, 5, 20, 30, 3), np.uint8), ((5, 5, 12, 16), np.uint16)])
+@pytest.mark.parametrize(
+    ("shape", "kind"), [((3, 5, 20, 30, 3), np.uint8), ((5, 5, 12, 16), np.uint16)]
+)
 def test_views_become_a_flat_and_the_same_views_again(tmp_path, shape, kind):
     views = RNG.integers(0, 256, shape).astype(kind)
     write_grid(tmp_path / "views", views.reshape(-1, *shape[2:]), shape[1], ".png")
     made = run(tmp_path / "views", "-o", tmp_path / "flat.tif", "--json")
     assert made.exit_code == 0, made.output
-    flat, camera = lfcal.read_flat(tmp_path / "flat.tif"), lfcal.load(tmp_path / "flat.json")
-    x, y, u, v = 7, 4, 3, 2
+    flat = lfcal.read_flat(tmp_path / "flat.tif")
+    camera = lfcal.load(tmp_path / "flat.json")
+    x = 7
+    y = 4
+    u = 3
+    v = 2
     np.testing.assert_array_equal(flat[y * shape[0] + v, x * shape[1] + u], views[v, u, y, x])
     assert camera.image_size == flat.shape[1::-1] and len(camera.lattice) == shape[2] * shape[3]
-    back = run(tmp_path / "flat.tif", "-c", tmp_path / "flat.json", "-o", tmp_path / "again", "--json")
+    back = run(
+        tmp_path / "flat.tif", "-c", tmp_path / "flat.json", "-o", tmp_path / "again", "--json"
+    )
     assert json.loads(back.stdout)["grid"] == list(shape[:2])
     again = read_view_grid([tmp_path / "again"])
     np.testing.assert_array_equal(again, views)
@@ -56,7 +64,9 @@ def test_what_is_no_grid_is_refused_in_one_line(tmp_path):
         ([*corner[:2], "-c", corner[0]], "one flat is wanted"),
     ):
         done = run(*words, "-o", tmp_path / "flat.png")
-        assert done.exit_code == 2 and message in done.stderr and done.stderr.count("\n") == 1, done.output
+        assert done.exit_code == 2 and message in done.stderr and done.stderr.count("\n") == 1, (
+            done.output
+        )
     lfrender.write_picture(tmp_path / "view.png", view)
     assert "--grid" in run(tmp_path / "view.png", "-o", tmp_path / "flat.png").stderr
     assert not (tmp_path / "flat.png").exists() and not (tmp_path / "flat.json").exists()
@@ -79,7 +89,9 @@ def test_a_lattice_that_is_found_rather_than_stated_gives_the_whole_microimages(
 
 
 def _views_of_a_plane(disparity, side):
-    """Views (side, side, h, w) of a random texture, displaced as the HCI benchmark defines its disparity."""
+    """Views (side, side, h, w) of a random texture, displaced as the HCI benchmark defines its
+    disparity.
+    """
     rng = np.random.default_rng(3)
     texture = gaussian_filter(rng.standard_normal((160, 180)), 1.0)
     texture = (texture - texture.min()) / np.ptp(texture)
@@ -107,7 +119,19 @@ def test_arrays_of_few_pixels_a_lens_are_warned_of(tmp_path, side, warned):
     made = run(tmp_path / "views", "-o", tmp_path / "flat.png")
     drawn = CliRunner().invoke(
         main,
-        ["render", *map(str, (tmp_path / "flat.png", "-c", tmp_path / "flat.json", "-o", tmp_path / "picture.png"))],
+        [
+            "render",
+            *map(
+                str,
+                (
+                    tmp_path / "flat.png",
+                    "-c",
+                    tmp_path / "flat.json",
+                    "-o",
+                    tmp_path / "picture.png",
+                ),
+            ),
+        ],
     )
     assert (made.exit_code, drawn.exit_code) == (0, 0)
     for done in (made, drawn):

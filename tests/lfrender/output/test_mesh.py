@@ -1,4 +1,6 @@
-"""The scene as a textured mesh: what its triangles join, where its texture lies, and its files in other programs."""
+"""The scene as a textured mesh: what its triangles join, where its texture lies, and its files in
+other programs.
+"""
 
 from __future__ import annotations
 
@@ -31,12 +33,15 @@ def test_vertices_are_points_of_the_cloud_and_no_triangle_crosses_a_depth_edge()
     assert np.ptp(sizes, axis=1).max() < edge_step(depth.pitch), "[px]"
     dense = dense_depth(depth, 5)
     seen = dense.patch_size[dense.resolved]
-    assert np.abs(np.diff(np.sort(seen))).max() > edge_step(depth.pitch), "there is an edge to cross"
+    assert np.abs(np.diff(np.sort(seen))).max() > edge_step(depth.pitch), (
+        "there is an edge to cross"
+    )
     assert (surface().face_normals[:, 2] < 0).all(), "all front sides are toward the camera"
 
 
 def test_the_texture_shows_at_each_vertex_what_the_picture_shows_there():
-    picture, depth = lfrender.render(*lfrender.data.example()), lfrender.data.example()[2]
+    picture = lfrender.render(*lfrender.data.example())
+    depth = lfrender.data.example()[2]
     texture = np.asarray(surface().visual.material.baseColorTexture)
     np.testing.assert_array_equal(texture, picture.image)
     height, width = picture.valid.shape
@@ -45,7 +50,9 @@ def test_the_texture_shows_at_each_vertex_what_the_picture_shows_there():
     np.testing.assert_allclose(places, surface().vertices[:, :2] * depth.pitch, atol=1e-3)
 
 
-@pytest.mark.parametrize("optics", [None, lfcal.Optics(50, 58, 0.7, 0.0055)], ids=["pitches", "metres"])
+@pytest.mark.parametrize(
+    "optics", [None, lfcal.Optics(50, 58, 0.7, 0.0055)], ids=["pitches", "metres"]
+)
 def test_files_are_read_with_their_axes(tmp_path, optics):
     whole = mesh(*lfrender.data.example(), optics, points_per_pitch=3)
     told = "metres" if optics else "virtual depth"
@@ -56,5 +63,8 @@ def test_files_are_read_with_their_axes(tmp_path, optics):
     write_mesh(tmp_path / "a.ply", whole)
     model = trimesh.load(tmp_path / "a.ply", process=False)
     np.testing.assert_allclose(model.vertices, whole.vertices, rtol=1e-5)
-    assert told.encode() in (tmp_path / "a.ply").read_bytes()[:200] and np.ptp(model.visual.vertex_colors) > 50
+    assert (
+        told.encode() in (tmp_path / "a.ply").read_bytes()[:200]
+        and np.ptp(model.visual.vertex_colors) > 50
+    )
     np.testing.assert_array_equal(model.faces, whole.faces)

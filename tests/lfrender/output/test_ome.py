@@ -50,7 +50,9 @@ def test_ome_zarr_says_where_its_pixels_lie_and_is_read_again(tmp_path, shape, k
 
 
 def test_ome_zarr_is_read_by_its_reference_reader(tmp_path):
-    reader = pytest.importorskip("ome_zarr.reader", reason="the foreign reader ome-zarr is not installed")
+    reader = pytest.importorskip(
+        "ome_zarr.reader", reason="the foreign reader ome-zarr is not installed"
+    )
     parse = pytest.importorskip("ome_zarr.io").parse_url
     picture = rendering((40, 50, 3))
     lfrender.write_picture(tmp_path / "a.zarr", picture)
@@ -62,7 +64,9 @@ def test_dense_depth_as_openexr_is_read_by_its_library(tmp_path):
     OpenEXR = pytest.importorskip("OpenEXR", reason="OpenEXR needs lfrender[exr]")
     sizes = np.linspace(-9, -4, 30 * 40, dtype=np.float32).reshape(30, 40)
     validity = np.where(sizes > -5, SEEN, FILLED).astype(np.uint8)
-    write_dense(tmp_path / "d.exr", DenseDepth(sizes, AFFINE, 23.2, validity, np.full_like(sizes, 0.02)))
+    write_dense(
+        tmp_path / "d.exr", DenseDepth(sizes, AFFINE, 23.2, validity, np.full_like(sizes, 0.02))
+    )
     with OpenEXR.File(str(tmp_path / "d.exr"), separate_channels=True) as file:
         np.testing.assert_array_equal(file.channels()["Y"].pixels, sizes)
         np.testing.assert_array_equal(file.channels()["resolved"].pixels, sizes > -5)
@@ -71,7 +75,14 @@ def test_dense_depth_as_openexr_is_read_by_its_library(tmp_path):
 
 
 def test_pcd_holds_the_points_and_colours_of_ply(tmp_path):
-    kind = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    kind = [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("red", "u1"),
+        ("green", "u1"),
+        ("blue", "u1"),
+    ]
     points = np.array([(1, 2, 3, 10, 20, 30), (4, 5, 6, 255, 0, 1)], kind)
     write_points(tmp_path / "a.pcd", points)
     data = (tmp_path / "a.pcd").read_bytes()

@@ -45,7 +45,9 @@ def test_integer_pixels_come_back_exactly(tmp_path, rendering, extension, dtype,
 @pytest.mark.parametrize("extension", [".jpg", ".webp"])
 def test_lossy_formats_keep_the_colours(tmp_path, rendering, extension):
     write_picture(tmp_path / f"picture{extension}", rendering)
-    assert np.abs(read_flat(tmp_path / f"picture{extension}").astype(int) - rendering.image).mean() < 4
+    assert (
+        np.abs(read_flat(tmp_path / f"picture{extension}").astype(int) - rendering.image).mean() < 4
+    )
 
 
 def test_affine_and_settings_travel_with_the_picture(tmp_path, rendering):
@@ -54,7 +56,11 @@ def test_affine_and_settings_travel_with_the_picture(tmp_path, rendering):
             with tifffile.TiffFile(path) as tiff:
                 return tiff.pages[0].description
         with Image.open(path) as image:
-            return image.info["comment"].decode() if path.suffix == ".jpg" else image.info["Description"]
+            return (
+                image.info["comment"].decode()
+                if path.suffix == ".jpg"
+                else image.info["Description"]
+            )
 
     for extension in (".tif", ".png", ".jpg"):
         path = tmp_path / f"picture{extension}"
@@ -94,14 +100,20 @@ def test_formats_that_cannot_hold_the_pixels_are_refused(tmp_path, rendering):
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.webp", "a.png"])
-def test_pixels_that_a_format_cannot_hold_are_written_with_8_bits_up_to_white(tmp_path, rendering, name):
+def test_pixels_that_a_format_cannot_hold_are_written_with_8_bits_up_to_white(
+    tmp_path, rendering, name
+):
     ramp = np.tile(np.linspace(0, 1, 64, dtype=np.float32), (48, 1))
-    twelve = Rendering((ramp * 4095).astype(np.uint16), rendering.affine, np.ones(ramp.shape, bool), 1.0, 4095.0)
+    twelve = Rendering(
+        (ramp * 4095).astype(np.uint16), rendering.affine, np.ones(ramp.shape, bool), 1.0, 4095.0
+    )
     for picture, most in ((ramp, 3), (twelve, 3)):
         if name != "a.png" or picture is ramp:
             write_picture(tmp_path / name, picture)
             found = read_flat(tmp_path / name).astype(float).reshape(48, 64, -1)[..., 0]
-            assert np.abs(found - 255 * ramp).max() <= most  # grey levels: in proportion, no tone curve
+            assert (
+                np.abs(found - 255 * ramp).max() <= most
+            )  # grey levels: in proportion, no tone curve
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".webp", ".tif"])
@@ -136,12 +148,16 @@ def test_float_openexr_comes_back_exactly(tmp_path, rendering, grey):
     rendering.image = pixels[..., 0] if grey else pixels
     write_picture(tmp_path / "picture.exr", rendering)
     with exr.File(str(tmp_path / "picture.exr")) as file:
-        np.testing.assert_array_equal(file.channels()["Y" if grey else "RGB"].pixels, rendering.image)
+        np.testing.assert_array_equal(
+            file.channels()["Y" if grey else "RGB"].pixels, rendering.image
+        )
         assert "affine" in json.loads(file.header()["comments"])
 
 
 def test_a_stack_in_a_picture_format_without_pages_is_numbered(tmp_path, rendering):
-    paths = write_stack(tmp_path / "stack.png", [rendering, rendering.image[::-1]], settings=[{"k": 1}, {"k": 2}])
+    paths = write_stack(
+        tmp_path / "stack.png", [rendering, rendering.image[::-1]], settings=[{"k": 1}, {"k": 2}]
+    )
     assert [path.name for path in paths] == ["stack_01.png", "stack_02.png"]
     np.testing.assert_array_equal(read_flat(paths[1]), rendering.image[::-1])
     with pytest.raises(PictureError, match="at least one"):

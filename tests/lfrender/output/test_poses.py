@@ -1,4 +1,6 @@
-"""Cameras of views: points of a simulated scene are projected to where views show them; files for other programs."""
+"""Cameras of views: points of a simulated scene are projected to where views show them; files for
+other programs.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +20,28 @@ from lfrender.output.posed_files import write_posed_views
 from lfrender.output.poses import view_rig
 from lfrender.rendering.viewpoints import grid_offsets, still_depth, views_with_depth
 
-SIZE, PITCH, RATIO = (420, 360), 22.0, -0.3
+SIZE = (420, 360)
+PITCH = 22.0
+RATIO = -0.3
 
 
 @functools.cache
 def shot():
     camera = Camera.design(size=SIZE, pitch=PITCH, rotation=1.0)
-    return camera, simulate(SCENES["slope"](camera, left=-0.45, right=-0.25), camera, samples=12, seed=3)
+    return camera, simulate(
+        SCENES["slope"](camera, left=-0.45, right=-0.25), camera, samples=12, seed=3
+    )
 
 
 def optics_of(camera, **more):
     return lfcal.Optics(
-        camera.focal_length, camera.mla_distance, camera.sensor_distance, camera.pixel,
-        principal_point=camera.principal_point, **more,
-    )  # fmt: skip
+        camera.focal_length,
+        camera.mla_distance,
+        camera.sensor_distance,
+        camera.pixel,
+        principal_point=camera.principal_point,
+        **more,
+    )
 
 
 @functools.cache
@@ -46,7 +56,9 @@ def drawn():
 
 
 def rays_through(camera, offset, drawn_at):
-    """Start and slope, in the axes of the scene [mm], of the ray that the lens at `drawn_at` shows at `offset`."""
+    """Start and slope, in the axes of the scene [mm], of the ray that the lens at `drawn_at` shows
+    at `offset`.
+    """
     lens = (np.asarray(drawn_at) - camera.principal_point) * camera.pixel / camera.spread
     sensor = (np.asarray(drawn_at) + offset - camera.principal_point) * camera.pixel
     slope = (lens - sensor) / camera.sensor_distance
@@ -63,7 +75,8 @@ def test_points_are_projected_to_where_their_rays_are_drawn_to_a_hundredth_of_a_
     rig = view_rig(capture.truth.calibration, depth, offsets, *grid, still, optics)
     assert rig.unit == ("m" if known else "baseline")
     rng = np.random.default_rng(0)
-    scene, ratio = rng.uniform(60, 300, (50, 2)), rng.uniform(-0.5, -0.2, 50)
+    scene = rng.uniform(60, 300, (50, 2))
+    ratio = rng.uniform(-0.5, -0.2, 50)
     z = camera.depth_at(ratio)
     points = camera.place(scene, z) * 1e-3
     if not known:
@@ -72,13 +85,16 @@ def test_points_are_projected_to_where_their_rays_are_drawn_to_a_hundredth_of_a_
         points = np.column_stack([slope * z[:, None], z])
     for number, (offset, (picture, _)) in enumerate(zip(offsets, views, strict=True)):
         found = rig.cameras[number].project(points)
-        # Where the formula of docs/geometry.md draws the scene point, and, with optics, where a traced ray comes from.
+        # Where the formula of docs/geometry.md draws the scene point, and, with optics, where a
+        # traced ray comes from.
         where = scene + np.array(offset) / ratio[:, None] - np.array(offset) * PITCH / still
         pixel = (where - picture.affine[:, 2]) / picture.affine[0, 0]
         assert np.abs(found - pixel).max() < 0.01, "[px]"
         if known:
             start, slope = rays_through(camera, offset, scene + np.array(offset) / ratio[:, None])
-            np.testing.assert_allclose((start + slope * z[:, None]) * 1e-3, points[:, :2], atol=1e-7)
+            np.testing.assert_allclose(
+                (start + slope * z[:, None]) * 1e-3, points[:, :2], atol=1e-7
+            )
 
 
 def test_optics_with_distortion_are_fitted_to_a_tenth_of_a_pixel():
@@ -97,7 +113,14 @@ def test_nerfstudio_files_have_pictures_masks_and_depth_of_every_view(tmp_path, 
     depth, offsets, still, views = drawn()
     optics = optics_of(camera) if known else None
     rig = write_posed_views(
-        tmp_path / "out", "nerfstudio", views, capture.truth.calibration, depth, offsets, still, optics
+        tmp_path / "out",
+        "nerfstudio",
+        views,
+        capture.truth.calibration,
+        depth,
+        offsets,
+        still,
+        optics,
     )
     model = json.loads((tmp_path / "out" / "transforms.json").read_text())
     assert len(model["frames"]) == 9 and model["unit"] == rig.unit
@@ -110,7 +133,9 @@ def test_nerfstudio_files_have_pictures_masks_and_depth_of_every_view(tmp_path, 
     assert stored.dtype == np.uint16 and set(np.unique(mask)) <= {0, 255}
     if known:
         true = camera.depth_at(-0.35) * 1e-3
-        assert np.median(stored[stored > 0]) * model["depth_unit_scale_factor"] == pytest.approx(true, rel=0.1)
+        assert np.median(stored[stored > 0]) * model["depth_unit_scale_factor"] == pytest.approx(
+            true, rel=0.1
+        )
 
 
 @pytest.fixture(scope="module")
@@ -118,32 +143,46 @@ def colmap(tmp_path_factory):
     """The folder of a COLMAP model, and the rig."""
     camera, capture = shot()
     depth, offsets, still, views = drawn()
-    folder, truth = tmp_path_factory.mktemp("colmap"), capture.truth.calibration
-    return folder, write_posed_views(folder, "colmap", views, truth, depth, offsets, still, optics_of(camera))
+    folder = tmp_path_factory.mktemp("colmap")
+    truth = capture.truth.calibration
+    return folder, write_posed_views(
+        folder, "colmap", views, truth, depth, offsets, still, optics_of(camera)
+    )
 
 
 def test_colmap_reads_cameras_and_projects_points_as_they_are_drawn(colmap):
-    pycolmap = pytest.importorskip("pycolmap", reason="the foreign reader of COLMAP models is not installed")
+    pycolmap = pytest.importorskip(
+        "pycolmap", reason="the foreign reader of COLMAP models is not installed"
+    )
     folder, rig = colmap
     camera = shot()[0]
     model = pycolmap.Reconstruction(str(folder / "sparse" / "0"))
     point = camera.place((200.0, 180.0), camera.depth_at(-0.3)) * 1e-3
     for number, image in model.images.items():
         found = image.project_point(point) - 0.5
-        np.testing.assert_allclose(found, rig.cameras[number - 1].project(point[None])[0], atol=1e-4)
+        np.testing.assert_allclose(
+            found, rig.cameras[number - 1].project(point[None])[0], atol=1e-4
+        )
         assert (folder / "masks" / f"{image.name}.png").exists()
 
 
 def test_colmap_triangulates_the_points_from_their_tracks(colmap):
-    """Each track, triangulated with the written poses alone, gives the written point; the views share most of them."""
-    pycolmap = pytest.importorskip("pycolmap", reason="the foreign reader of COLMAP models is not installed")
+    """Each track, triangulated with the written poses alone, gives the written point; the views
+    share most of them.
+    """
+    pycolmap = pytest.importorskip(
+        "pycolmap", reason="the foreign reader of COLMAP models is not installed"
+    )
     model = pycolmap.Reconstruction(str(colmap[0] / "sparse" / "0"))
     assert len(model.points3D) > 300 and model.compute_mean_track_length() > 7
     apart = []
     for point in model.points3D.values():
         images = [model.images[part.image_id] for part in point.track.elements]
         seen = np.array(
-            [image.points2D[e.point2D_idx].xy for image, e in zip(images, point.track.elements, strict=True)]
+            [
+                image.points2D[e.point2D_idx].xy
+                for image, e in zip(images, point.track.elements, strict=True)
+            ]
         )
         projected = np.array([image.project_point(point.xyz) for image in images])
         assert np.abs(projected - seen).max() < 1e-3, "[px]"
@@ -157,7 +196,10 @@ def test_colmap_triangulates_the_points_from_their_tracks(colmap):
 def test_views_show_the_same_detail_along_a_track(colmap):
     lines = (colmap[0] / "sparse/0/images.txt").read_text().splitlines()
     tracks = [np.array(line.split(), float).reshape(-1, 3) for line in lines[1::2]]
-    pictures = [cv2.imread(str(colmap[0] / "images" / line.split()[-1]), 0).astype(np.float32) for line in lines[::2]]
+    pictures = [
+        cv2.imread(str(colmap[0] / "images" / line.split()[-1]), 0).astype(np.float32)
+        for line in lines[::2]
+    ]
     middle = {int(point): (x - 0.5, y - 0.5) for x, y, point in tracks[4]}
     shifts = []
     for x, y, point in tracks[0][::9]:
@@ -204,7 +246,9 @@ def test_normals_for_stereo_fusion_are_units_towards_the_camera(colmap):
 
 
 def test_colmap_fuses_the_views_into_the_surfaces_that_they_show(colmap, tmp_path):
-    pycolmap = pytest.importorskip("pycolmap", reason="the foreign reader of COLMAP models is not installed")
+    pycolmap = pytest.importorskip(
+        "pycolmap", reason="the foreign reader of COLMAP models is not installed"
+    )
     folder, rig = colmap
     fused = pycolmap.stereo_fusion(str(tmp_path), str(folder))
     points = np.array([point.xyz for point in fused.points3D.values()])
@@ -223,7 +267,14 @@ def test_rvs_files_hold_disparity_between_the_depths_that_they_state(tmp_path):
     camera, capture = shot()
     depth, offsets, still, views = drawn()
     write_posed_views(
-        tmp_path / "out", "rvs", views[:2], capture.truth.calibration, depth, offsets[:2], still, optics_of(camera)
+        tmp_path / "out",
+        "rvs",
+        views[:2],
+        capture.truth.calibration,
+        depth,
+        offsets[:2],
+        still,
+        optics_of(camera),
     )
     model = json.loads((tmp_path / "out" / "cameras.json").read_text())
     one = model["cameras"][0]
@@ -234,25 +285,39 @@ def test_rvs_files_hold_disparity_between_the_depths_that_they_state(tmp_path):
     z = 1 / (data[: width * height].reshape(height, width) / 65535 * (1 / near - 1 / far) + 1 / far)
     x, y = np.array(one["Principle_point"]) - 0.5
     assert z[round(y), round(x)] == pytest.approx(camera.depth_at(-0.34) * 1e-3, rel=0.15)
-    assert one["Position"][1] > 0 and model["cameras"][1]["Position"][1] == pytest.approx(0, abs=1e-9)
+    assert one["Position"][1] > 0 and model["cameras"][1]["Position"][1] == pytest.approx(
+        0, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("kind", ["nerfstudio", "colmap", "rvs"])
 def test_command_writes_posed_views(house_files, tmp_path, kind):
-    words = ["views", str(house_files / "flat.png"), "-c", str(house_files / "camera.json"), "-o", str(tmp_path / "v")]
-    done = CliRunner().invoke(main, [*words, "--grid", "1x2", "--poses", kind, "--scale", "5", "--json"])
+    words = [
+        "views",
+        str(house_files / "flat.png"),
+        "-c",
+        str(house_files / "camera.json"),
+        "-o",
+        str(tmp_path / "v"),
+    ]
+    done = CliRunner().invoke(
+        main, [*words, "--grid", "1x2", "--poses", kind, "--scale", "5", "--json"]
+    )
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["unit"] == "baseline"
 
 
-def test_quilt_has_the_leftmost_view_at_the_bottom_left_and_the_name_that_was_asked_for(house_files, tmp_path):
+def test_quilt_has_the_leftmost_view_at_the_bottom_left_and_the_name_that_was_asked_for(
+    house_files, tmp_path
+):
     words = ["views", str(house_files / "flat.png"), "-c", str(house_files / "camera.json")]
     words += ["-o", str(tmp_path / "q.png"), "--quilt", "3x2", "--scale", "4", "--json"]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.output
     (path,) = tmp_path.iterdir()
     assert path.name == "q.png" and json.loads(done.stdout)["views"] == str(path)
-    flat, calibration = lfcal.read_flat(house_files / "flat.png"), lfcal.load(house_files / "camera.json")
+    flat = lfcal.read_flat(house_files / "flat.png")
+    calibration = lfcal.load(house_files / "camera.json")
     radius = 0.7 * calibration.lattice.radius
     (left,) = lfrender.views(flat, calibration, offsets=[(-radius, 0.0)], scale=4.0)
     quilt, (height, width) = lfcal.read_flat(path), left.image.shape[:2]

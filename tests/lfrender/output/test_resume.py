@@ -32,7 +32,12 @@ def test_a_damaged_state_is_ignored_and_a_missing_folder_reported(tmp_path):
 
 def test_fingerprints_differ_by_values_types_and_files(tmp_path):
     one = np.arange(6, dtype=np.int32)
-    different = [fingerprint(one), fingerprint(one.reshape(2, 3)), fingerprint(one.astype(np.int64)), fingerprint([1])]
+    different = [
+        fingerprint(one),
+        fingerprint(one.reshape(2, 3)),
+        fingerprint(one.astype(np.int64)),
+        fingerprint([1]),
+    ]
     assert len(set(different)) == 4
     path = tmp_path / "a.png"
     path.write_bytes(b"1")

@@ -27,8 +27,14 @@ def capture(scene):
 def warped(flat, distortion):
     """The flat as imaged through a relay lens with this distortion."""
     y, x = np.mgrid[: flat.shape[0], : flat.shape[1]]
-    source = distortion.remove(np.stack([x, y], -1).reshape(-1, 2)).reshape(*y.shape, 2).astype(np.float32)
-    return cv2.remap(flat, source[..., 0], source[..., 1], cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)
+    source = (
+        distortion.remove(np.stack([x, y], -1).reshape(-1, 2))
+        .reshape(*y.shape, 2)
+        .astype(np.float32)
+    )
+    return cv2.remap(
+        flat, source[..., 0], source[..., 1], cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT
+    )
 
 
 def camera_with(calibration, distortion):
@@ -43,10 +49,14 @@ def psnr(shot, picture, distortion):
     points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ picture.affine.T
     if distortion is not None:
         points = distortion.remove(points)
-    place = ((points - truth.reference_affine[:, 2]) / truth.reference_affine[0, 0]).reshape(height, width, 2)
+    place = ((points - truth.reference_affine[:, 2]) / truth.reference_affine[0, 0]).reshape(
+        height, width, 2
+    )
     place = place.astype(np.float32)
     # As wide as an output pixel.
-    smooth = cv2.GaussianBlur(truth.reference, (0, 0), 0.35 * picture.affine[0, 0] / truth.reference_affine[0, 0])
+    smooth = cv2.GaussianBlur(
+        truth.reference, (0, 0), 0.35 * picture.affine[0, 0] / truth.reference_affine[0, 0]
+    )
     wanted = cv2.remap(smooth, place[..., 0], place[..., 1], cv2.INTER_LINEAR)
     inner = np.zeros((height, width), bool)
     border = int(np.ceil(1.5 * picture.scale))

@@ -11,7 +11,8 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.rendering.refocus import stack_depths
 
-SIZE, PITCH = (420, 340), 23.2
+SIZE = (420, 340)
+PITCH = 23.2
 
 
 @functools.cache
@@ -35,9 +36,12 @@ def difference(picture, other, part=np.s_[:, :]):
 
 @pytest.mark.parametrize("ratio", [-0.35, 0.3])
 def test_a_plane_is_as_sharp_as_all_in_focus_at_its_own_depth_only(ratio):
-    shot, s = capture("plane", ratio=ratio), ratio * PITCH
+    shot = capture("plane", ratio=ratio)
+    s = ratio * PITCH
     camera = shot.truth.calibration
-    sharp = lfrender.render(shot.flat, camera, depth_of("plane", ratio=ratio), scale=abs(s), detail="off")
+    sharp = lfrender.render(
+        shot.flat, camera, depth_of("plane", ratio=ratio), scale=abs(s), detail="off"
+    )
     assert difference(lfrender.refocus(shot.flat, camera, s), sharp) < 2
     assert difference(lfrender.refocus(shot.flat, camera, 0.8 * s, scale=abs(s)), sharp) > 8
 
@@ -49,7 +53,8 @@ def test_a_focal_stack_moves_the_focus_across_a_slope_on_one_grid():
     far, near = lfrender.focal_stack(shot.flat, camera, [-0.45 * PITCH, -0.2 * PITCH], scale=8)
     np.testing.assert_array_equal(far.affine, sharp.affine)
     np.testing.assert_array_equal(near.affine, sharp.affine)
-    left, right = np.s_[:, :20], np.s_[:, -20:]
+    left = np.s_[:, :20]
+    right = np.s_[:, -20:]
     assert difference(far, sharp, left) < 0.6 * difference(near, sharp, left)
     assert difference(near, sharp, right) < 0.6 * difference(far, sharp, right)
 
@@ -61,13 +66,17 @@ def test_a_smaller_aperture_leaves_more_detail_out_of_focus():
         for part in (1.0, 0.6, 0.35)
     ]
     # The left border lies at s = -0.55 D.
-    detail = [np.abs(np.diff(picture.image[10:-10, 5:25].astype(float), axis=0)).mean() for picture in pictures]
+    detail = [
+        np.abs(np.diff(picture.image[10:-10, 5:25].astype(float), axis=0)).mean()
+        for picture in pictures
+    ]
     assert detail[2] > 1.15 * detail[1] > 1.3 * detail[0]
 
 
 def test_a_position_is_focused_at_its_depth():
     shot = capture("plane", ratio=-0.35)
-    camera, depth = shot.truth.calibration, depth_of("plane", ratio=-0.35)
+    camera = shot.truth.calibration
+    depth = depth_of("plane", ratio=-0.35)
     picture = lfrender.refocus(shot.flat, camera, position=(200.0, 150.0), depth=depth)
     assert picture.scale == pytest.approx(0.35 * PITCH, rel=0.09)
 

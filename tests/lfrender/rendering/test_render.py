@@ -25,7 +25,9 @@ def against_reference(shot, picture):
     wanted, inside = resample(truth.reference, truth.reference_affine, shape, picture.affine)
     inner = np.zeros(shape, bool)
     inner[20:-20, 20:-20] = True
-    return compare_pictures(picture.image, (wanted * 255).round().astype(np.uint8), inside & inner & picture.valid).psnr
+    return compare_pictures(
+        picture.image, (wanted * 255).round().astype(np.uint8), inside & inner & picture.valid
+    ).psnr
 
 
 @pytest.mark.parametrize("ratio", [-0.35, 0.35])
@@ -42,8 +44,13 @@ def test_all_in_focus_beats_both_fixed_patch_pictures_of_a_scene_with_both_modes
     calibration = house.truth.calibration
     s = 0.3 * calibration.lattice.pitch
     sharp = against_reference(house, lfrender.render(house.flat, calibration, scale=s))
-    assert sharp > against_reference(house, lfrender.render(house.flat, calibration, patch_size=s)) + 3
-    assert sharp > against_reference(house, lfrender.render(house.flat, calibration, patch_size=-s)) + 3
+    assert (
+        sharp > against_reference(house, lfrender.render(house.flat, calibration, patch_size=s)) + 3
+    )
+    assert (
+        sharp
+        > against_reference(house, lfrender.render(house.flat, calibration, patch_size=-s)) + 3
+    )
 
 
 def test_scene_points_lie_where_the_affine_says():
@@ -58,7 +65,10 @@ def test_the_picture_reaches_the_border():
     shot = capture("plane", ratio=0.3)
     picture = lfrender.render(shot.flat, shot.truth.calibration)
     assert picture.valid.mean() > 0.995
-    corners = np.array([[0, 0, 1], [picture.image.shape[1] - 1, picture.image.shape[0] - 1, 1]]) @ picture.affine.T
+    corners = (
+        np.array([[0, 0, 1], [picture.image.shape[1] - 1, picture.image.shape[0] - 1, 1]])
+        @ picture.affine.T
+    )
     assert (corners[0] < 23.2).all()
     assert (corners[1] > np.array([420, 340]) - 23.2).all()
 
@@ -111,7 +121,9 @@ def test_traditional_picture_has_one_pixel_per_microlens():
 def against_reference_of_any_size(shot, picture):
     """RMS difference, white = 1, inside the border row."""
     truth = shot.truth
-    wanted, _ = resample(truth.reference, truth.reference_affine, picture.image.shape[:2], picture.affine)
+    wanted, _ = resample(
+        truth.reference, truth.reference_affine, picture.image.shape[:2], picture.affine
+    )
     found = picture.image / 255.0
     inner = np.s_[1:-1, 1:-1]
     gain = (wanted[inner] * found[inner]).sum() / (found[inner] ** 2).sum()
@@ -136,7 +148,9 @@ def test_wrong_arguments_are_refused_with_the_reason():
 
 
 @pytest.mark.parametrize(("lattice", "ratio"), [("hex", -0.41), ("square", 0.28)])
-@pytest.mark.parametrize("profile", [None, Vignetting(np.linspace(1.0, 0.7, 14), 1.0)], ids=["even", "vignetting"])
+@pytest.mark.parametrize(
+    "profile", [None, Vignetting(np.linspace(1.0, 0.7, 14), 1.0)], ids=["even", "vignetting"]
+)
 def test_fixed_patches_give_the_picture_of_the_nearest_lenses(ratio, lattice, profile):
     shot = capture("plane", lattice, ratio=ratio)
     calibration = replace(shot.truth.calibration, vignetting=profile)
@@ -147,7 +161,8 @@ def test_fixed_patches_give_the_picture_of_the_nearest_lenses(ratio, lattice, pr
     assert quick.image.shape == general.image.shape
     assert (quick.valid == general.valid).all()
     difference = np.abs(quick.image.astype(int) - general.image)
-    # Weights are 256ths and gains tabulated; points half-way between two lenses may be read from either.
+    # Weights are 256ths and gains tabulated; points half-way between two lenses may be read from
+    # either.
     assert difference.mean() < 0.12
     assert abs((quick.image.astype(int) - general.image).mean()) < 0.02
     assert (difference > 1).mean() < 0.004

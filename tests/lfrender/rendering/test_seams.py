@@ -59,7 +59,11 @@ def lattice_amplitude(picture, lattice):
             k = np.array([m, n]) @ reciprocal
             # One of each pair of opposite frequencies, up to the finest that the picture holds.
             if (m, n) > (0, 0) and np.abs(k).max() * spacing < 0.5:
-                amplitude = 2 * abs((image * np.exp(-2j * np.pi * (k[0] * u + k[1] * v))).sum()) / window.sum()
+                amplitude = (
+                    2
+                    * abs((image * np.exp(-2j * np.pi * (k[0] * u + k[1] * v))).sum())
+                    / window.sum()
+                )
                 power += amplitude**2 / 2
     return np.sqrt(power)
 
@@ -67,7 +71,8 @@ def lattice_amplitude(picture, lattice):
 @pytest.mark.parametrize("s", [-12.0, -6.0, 6.0, 12.0])
 @pytest.mark.parametrize("blend", [False, True])
 def test_a_white_capture_gives_a_picture_without_lattice(s, blend):
-    white, calibration = shaded_white(), camera_of(None)
+    white = shaded_white()
+    calibration = camera_of(None)
     picture = lfrender.render(white, calibration, patch_size=s, blend=blend)
     assert lattice_amplitude(picture, calibration.lattice) < 0.01 * picture.image.mean()
 
@@ -77,8 +82,11 @@ def cut_camera():
     """A camera with mechanical vignetting (cat's eyes), and a white image of it."""
     lattice = Camera.design(size=SIZE, pitch=23.2, rotation=1.3).lattice
     round_lens = Vignetting(1 / (1 + np.exp(3 * (np.arange(0, 16, 0.25) - 11.2))), 0.25)
-    # A second disc, 6 px aside in the corners, cuts microimages, and light falls off to exp(-0.4) there.
-    light = GainMap.round(round_lens.profile, round_lens.step, lattice.radius, [0.0, 0.0, 6.0, 11.2, 0.4])
+    # A second disc, 6 px aside in the corners, cuts microimages, and light falls off to exp(-0.4)
+    # there.
+    light = GainMap.round(
+        round_lens.profile, round_lens.step, lattice.radius, [0.0, 0.0, 6.0, 11.2, 0.4]
+    )
     light = dataclasses.replace(light, level=[0, 0, 0, -0.4, 0, -0.4])
     camera = lfcal.Calibration(lattice, round_lens, gain_map=light)
     return camera, np.rint(40000 * np.nan_to_num(camera.gain(), nan=0.05)).astype(np.uint16)
@@ -93,7 +101,9 @@ def unevenness(picture):
 CUT = {
     "crisp": lambda white, camera: lfrender.render(white, camera, patch_size=-8.0),
     "blended": lambda white, camera: lfrender.render(white, camera, patch_size=-8.0, blend=True),
-    "blended, telescopic": lambda white, camera: lfrender.render(white, camera, patch_size=5.0, blend=True),
+    "blended, telescopic": lambda white, camera: lfrender.render(
+        white, camera, patch_size=5.0, blend=True
+    ),
     "refocused": lambda white, camera: lfrender.refocus(white, camera, -8.0),
     "traditional": lfrender.traditional,
 }
@@ -109,9 +119,13 @@ def test_mechanical_vignetting_and_a_dark_border_give_a_uniform_picture(kind):
 # Patch size of the plane that the ramp and the even scene lie on [px].
 PLANE = -0.3 * 23.2
 KINDS = {
-    "all in focus": lambda flat, camera, depth: lfrender.render(flat, camera, depth, scale=abs(PLANE)),
+    "all in focus": lambda flat, camera, depth: lfrender.render(
+        flat, camera, depth, scale=abs(PLANE)
+    ),
     "crisp": lambda flat, camera, depth: lfrender.render(flat, camera, patch_size=PLANE),
-    "blended": lambda flat, camera, depth: lfrender.render(flat, camera, patch_size=PLANE, blend=True),
+    "blended": lambda flat, camera, depth: lfrender.render(
+        flat, camera, patch_size=PLANE, blend=True
+    ),
     "refocused": lambda flat, camera, depth: lfrender.refocus(flat, camera, PLANE),
     "view": lambda flat, camera, depth: next(
         lfrender.views(flat, camera, depth, offsets=[(3.0, -5.0)], scale=abs(PLANE), still=PLANE)
@@ -125,15 +139,21 @@ def depth_of(scene):
     flat = shaded_white() if scene is None else capture(scene).flat
     depth = lfrender.analyze(flat, camera_of(scene))
     # A uniform scene has no measurable depth: it is drawn on its true plane.
-    surface = dataclasses.replace(depth.surface, patch_size=np.full_like(depth.surface.patch_size, PLANE))
+    surface = dataclasses.replace(
+        depth.surface, patch_size=np.full_like(depth.surface.patch_size, PLANE)
+    )
     return dataclasses.replace(depth, surface=surface) if scene is None else depth
 
 
 def off_a_parabola(picture):
-    """RMS [grey levels] of the residual from the smoothest surface through a picture, two pixels off the border."""
+    """RMS [grey levels] of the residual from the smoothest surface through a picture, two pixels
+    off the border.
+    """
     image = picture.image.astype(float).reshape(*picture.image.shape[:2], -1).mean(2)[2:-2, 2:-2]
     v, u = np.mgrid[-1 : 1 : image.shape[0] * 1j, -1 : 1 : image.shape[1] * 1j]
-    terms = np.stack([u**m * v**n for m in range(5) for n in range(5 - m)], -1).reshape(image.size, -1)
+    terms = np.stack([u**m * v**n for m in range(5) for n in range(5 - m)], -1).reshape(
+        image.size, -1
+    )
     return np.std(image.ravel() - terms @ np.linalg.lstsq(terms, image.ravel(), rcond=None)[0])
 
 
@@ -156,7 +176,9 @@ def test_every_picture_is_as_bright_as_the_corrected_flat(kind, scene):
     camera = camera_of(scene)
     picture = KINDS[kind](flat, camera, depth_of(scene))
     known = np.isfinite(camera.gain()) & (off_centre(camera.lattice) < 0.4 * camera.lattice.pitch)
-    assert picture.image[picture.valid].mean() == pytest.approx(camera.flatten(flat)[known].mean(), rel=0.01)
+    assert picture.image[picture.valid].mean() == pytest.approx(
+        camera.flatten(flat)[known].mean(), rel=0.01
+    )
 
 
 @pytest.mark.parametrize("kind", ["view", "all in focus", "traditional"])

@@ -25,7 +25,9 @@ def wall():
         type_cell=types.cell,
     )
     camera = Calibration(lattice, Vignetting(np.ones(60), 0.25), lens_types=types, gain_map=gain)
-    return camera, np.rint(150 * RegionGain(gain, lattice).at(0, 0, *lattice.image_size)).astype(np.uint8)
+    return camera, np.rint(150 * RegionGain(gain, lattice).at(0, 0, *lattice.image_size)).astype(
+        np.uint8
+    )
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.float32])

@@ -12,7 +12,8 @@ from lfrender.runtime.buffers import allocate_pooled
 def test_the_next_frame_does_not_change_depth_and_picture_of_the_last_one():
     camera = Camera.design((320, 240), 23.2)
     shot = simulate(SCENES["house"](camera), camera, samples=8, seed=2)
-    flat, camera = shot.flat, shot.truth.calibration
+    flat = shot.flat
+    camera = shot.truth.calibration
     depth = lfrender.analyze(flat, camera, "fast")
     picture = lfrender.render(flat, camera, depth)
     kept = depth.surface.patch_size.copy(), depth.patch_size.copy(), picture.image.copy()
@@ -25,7 +26,8 @@ def test_the_next_frame_does_not_change_depth_and_picture_of_the_last_one():
 
 def test_pooled_memory_is_reused_only_when_no_array_refers_to_it():
     first = allocate_pooled((300, 200), np.int16)
-    part, place = first[10:20].T, first.ctypes.data
+    part = first[10:20].T
+    place = first.ctypes.data
     del first
     others = [allocate_pooled((300, 200), np.int16) for _ in range(5)]
     assert place not in [other.ctypes.data for other in others]

@@ -16,7 +16,8 @@ def _owner() -> Lattice:
 
 
 def test_a_value_is_made_once_and_freed_with_its_owner():
-    owner, made = _owner(), []
+    owner = _owner()
+    made = []
     first = cached(owner, "array", lambda: made.append(1) or np.zeros(3))
     assert cached(owner, "array", lambda: made.append(1) or np.zeros(3)) is first
     assert len(made) == 1
@@ -27,10 +28,17 @@ def test_a_value_is_made_once_and_freed_with_its_owner():
 
 
 def test_only_the_latest_value_of_a_name_is_kept():
-    owner, made = _owner(), []
+    owner = _owner()
+    made = []
 
     def make():
         made.append(len(made))
         return made[-1]
 
-    assert [cached_latest(owner, "part", key, make) for key in ("a", "a", "b", "b", "a")] == [0, 0, 1, 1, 2]
+    assert [cached_latest(owner, "part", key, make) for key in ("a", "a", "b", "b", "a")] == [
+        0,
+        0,
+        1,
+        1,
+        2,
+    ]

@@ -1,4 +1,6 @@
-"""Kernels are compiled for one set of argument types, wherever arrays come from: other code may round differently."""
+"""Kernels are compiled for one set of argument types, wherever arrays come from: other code may
+round differently.
+"""
 
 from __future__ import annotations
 

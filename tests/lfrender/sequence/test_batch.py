@@ -1,4 +1,6 @@
-"""Sequences: frames of all kinds are rendered once, runs are continued, pictures are constant where nothing moves."""
+"""Sequences: frames of all kinds are rendered once, runs are continued, pictures are constant where
+nothing moves.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def sequence(house, tmp_path_factory):
         flat[:120, :150] = flat[200:320, 200:350]
     folder = tmp_path_factory.mktemp("frames")
     for k, flat in enumerate(flats):
-        noisy = np.clip(flat.astype(int) + rng.integers(-1, 2, flat.shape), 0, np.iinfo(flat.dtype).max)
+        noisy = np.clip(
+            flat.astype(int) + rng.integers(-1, 2, flat.shape), 0, np.iinfo(flat.dtype).max
+        )
         cv2.imwrite(str(folder / f"f{k + 8}.png"), noisy.astype(flat.dtype)[..., ::-1])
     return folder, house.truth.calibration
 
@@ -44,7 +48,11 @@ def _pictures(folder):
 
 def _run(sequence, folder, **options):
     frames, camera = sequence
-    return list(lfrender.render_frames(lfrender.open_frames([frames]), folder, camera, preset="fast", **options))
+    return list(
+        lfrender.render_frames(
+            lfrender.open_frames([frames]), folder, camera, preset="fast", **options
+        )
+    )
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +85,9 @@ def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house,
 
 def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole, tmp_path):
     frames, camera = sequence
-    started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast", **SHORT)
+    started = lfrender.render_frames(
+        lfrender.open_frames([frames]), tmp_path, camera, preset="fast", **SHORT
+    )
     list(islice(started, 2))
     started.close()
     (tmp_path / "f9.tif").unlink()
@@ -87,7 +97,9 @@ def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole,
     assert _pictures(tmp_path) == _pictures(whole[0])
 
 
-def test_a_run_uses_the_camera_as_its_file_has_it_so_that_a_continued_one_has_the_same(house, sequence, tmp_path):
+def test_a_run_uses_the_camera_as_its_file_has_it_so_that_a_continued_one_has_the_same(
+    house, sequence, tmp_path
+):
     frames = lfrender.open_frames([sequence[0]], frames="2:4")
     camera = lfcal.calibrate(house.white, kind="white")
     run = job.Job(tmp_path, camera, "fast", 4.0, ".tif")
@@ -124,7 +136,11 @@ def test_frames_of_16_bits_are_written_with_8_where_that_is_asked_for(house, tmp
     assert (pictures[8].dtype, pictures[16].dtype) == (np.uint8, np.uint16)
     assert np.abs(pictures[8] - pictures[16] / 257).max() <= 0.5
     with pytest.raises(lfcal.OutputError, match="made with another"):
-        list(lfrender.render_frames(frames, tmp_path / "of16", camera, preset="fast", eight_bits=True))
+        list(
+            lfrender.render_frames(
+                frames, tmp_path / "of16", camera, preset="fast", eight_bits=True
+            )
+        )
 
 
 def test_dark_frame_is_subtracted_from_every_frame_and_another_one_is_refused(house, tmp_path):
@@ -138,19 +154,31 @@ def test_dark_frame_is_subtracted_from_every_frame_and_another_one_is_refused(ho
     for frame in frames:
         np.testing.assert_array_equal(frame.read(), np.minimum(house.flat, 190))
     house.truth.calibration.save(tmp_path / "camera.json")
-    command = ["batch", str(tmp_path / "frames"), "-c", str(tmp_path / "camera.json"), "--preset", "fast"]
+    command = [
+        "batch",
+        str(tmp_path / "frames"),
+        "-c",
+        str(tmp_path / "camera.json"),
+        "--preset",
+        "fast",
+    ]
     command += ["-o", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, [*command, "--dark", str(tmp_path / "dark.png")], catch_exceptions=False)
+    done = CliRunner().invoke(
+        main, [*command, "--dark", str(tmp_path / "dark.png")], catch_exceptions=False
+    )
     assert done.exit_code == 0, done.output
     # That of the run has the blur of the lenses.
-    flat, camera = np.minimum(house.flat, 190), job.load_camera(tmp_path / "out")
+    flat = np.minimum(house.flat, 190)
+    camera = job.load_camera(tmp_path / "out")
     expected = lfrender.render(flat, camera, lfrender.analyze(flat, camera, "fast"))
     np.testing.assert_array_equal(read_flat(tmp_path / "out" / "a.tif"), expected.image)
     refused = CliRunner().invoke(main, command)
     assert refused.exit_code == 2 and "another camera, dark frame" in refused.output
 
 
-def test_depth_maps_of_all_frames_are_those_of_single_ones_and_missing_ones_are_made(sequence, tmp_path):
+def test_depth_maps_of_all_frames_are_those_of_single_ones_and_missing_ones_are_made(
+    sequence, tmp_path
+):
     maps = tmp_path / "depth"
     frames, camera = sequence
     part = lfrender.open_frames([frames], frames="3:")
@@ -160,7 +188,9 @@ def test_depth_maps_of_all_frames_are_those_of_single_ones_and_missing_ones_are_
     assert sorted(p.name for p in maps.iterdir()) == ["f11.npz", "f12.npz"]
     camera = job.load_camera(tmp_path / "out")
     expected = lfrender.analyze(read_flat(frames / "f11.png"), camera, "fast")
-    np.testing.assert_array_equal(lfrender.DepthMap.load(maps / "f11.npz").patch_size, expected.patch_size)
+    np.testing.assert_array_equal(
+        lfrender.DepthMap.load(maps / "f11.npz").patch_size, expected.patch_size
+    )
     (maps / "f12.npz").unlink()
     outcomes = [r.outcome for r in lfrender.render_frames(part, tmp_path / "out", **options)]
     assert outcomes == ["kept", "rendered"] and (maps / "f12.npz").exists()
@@ -173,17 +203,25 @@ def test_depth_of_a_frame_is_not_taken_for_that_of_another_at_its_place(sequence
     for name, folder in (("f8", "out"), ("f11", "out"), ("f11", "alone")):
         one = lfrender.open_frames([frames / f"{name}.png"])
         list(lfrender.render_frames(one, tmp_path / folder, camera, preset="fast", scale=4.0))
-    assert (tmp_path / "out" / "f11.tif").read_bytes() == (tmp_path / "alone" / "f11.tif").read_bytes()
+    assert (tmp_path / "out" / "f11.tif").read_bytes() == (
+        tmp_path / "alone" / "f11.tif"
+    ).read_bytes()
 
 
-def test_no_picture_of_before_is_kept_when_rendering_everything_again_is_interrupted(sequence, tmp_path):
+def test_no_picture_of_before_is_kept_when_rendering_everything_again_is_interrupted(
+    sequence, tmp_path
+):
     frames, camera = sequence
     frames = lfrender.open_frames([frames], frames=slice(2))
     list(lfrender.render_frames(frames, tmp_path, camera, preset="fast", scale=3.0))
-    started = lfrender.render_frames(frames, tmp_path, camera, preset="fast", scale=4.0, overwrite=True, group=1)
+    started = lfrender.render_frames(
+        frames, tmp_path, camera, preset="fast", scale=4.0, overwrite=True, group=1
+    )
     next(started)
     started.close()
-    results = list(lfrender.render_frames(frames, tmp_path, camera, preset="fast", scale=4.0, group=1))
+    results = list(
+        lfrender.render_frames(frames, tmp_path, camera, preset="fast", scale=4.0, group=1)
+    )
     assert len({tifffile.imread(r.path).shape for r in results}) == 1
 
 
@@ -202,17 +240,24 @@ def film(tmp_path_factory):
 @pytest.mark.parametrize(
     ("chosen", "numbers"),
     [
-        ({"frames": "2:8:3"}, [2, 5]), ({"frames": "::4"}, [0, 4, 8]), ({"frames": "-3:"}, [7, 8, 9]),
-        ({"frames": "7"}, [7]), ({"frames": -1}, [9]), ({"frames": slice(None, 2)}, [0, 1]),
-        ({"start": 0.6, "end": 1.4}, [3, 4, 5, 6]), ({"end": 0.3}, [0, 1]),
+        ({"frames": "2:8:3"}, [2, 5]),
+        ({"frames": "::4"}, [0, 4, 8]),
+        ({"frames": "-3:"}, [7, 8, 9]),
+        ({"frames": "7"}, [7]),
+        ({"frames": -1}, [9]),
+        ({"frames": slice(None, 2)}, [0, 1]),
+        ({"start": 0.6, "end": 1.4}, [3, 4, 5, 6]),
+        ({"end": 0.3}, [0, 1]),
     ],
-)  # fmt: skip
+)
 def test_some_frames_are_chosen_by_number_or_time(film, chosen, numbers):
     frames = lfrender.open_frames(film, **chosen)
     read = list(frames)
     assert [frame.read()[0, 0, 0] // 10 for frame in read] == numbers
     assert frames.count == len(numbers) and frames.names == [frame.name for frame in read]
-    assert frames.rate == Fraction(5, 4 if chosen == {"frames": "::4"} else 3 if chosen == {"frames": "2:8:3"} else 1)
+    assert frames.rate == Fraction(
+        5, 4 if chosen == {"frames": "::4"} else 3 if chosen == {"frames": "2:8:3"} else 1
+    )
 
 
 @pytest.mark.parametrize("chosen", ["10:", "5:5", "40", "::0", "::-1", "1:2:3:4", "a", "", "1-2"])
@@ -238,8 +283,20 @@ def test_bad_frame_is_reported_and_the_others_are_rendered(sequence, tmp_path):
     (inputs / "f7.png").write_bytes((frames / "f8.png").read_bytes()[:5000])
     cv2.imwrite(str(inputs / "f10.png"), np.zeros((40, 50), np.uint8))
     camera.save(tmp_path / "camera.json")
-    arguments = ["batch", str(inputs), "-o", str(tmp_path / "out"), "--preset", "fast", "--format", "png", "--json"]
-    result = CliRunner().invoke(main, [*arguments, "-c", str(tmp_path / "camera.json")], catch_exceptions=False)
+    arguments = [
+        "batch",
+        str(inputs),
+        "-o",
+        str(tmp_path / "out"),
+        "--preset",
+        "fast",
+        "--format",
+        "png",
+        "--json",
+    ]
+    result = CliRunner().invoke(
+        main, [*arguments, "-c", str(tmp_path / "camera.json")], catch_exceptions=False
+    )
     figures = json.loads(result.stdout)
     assert result.exit_code == 1 and figures["rendered"] == 2 and figures["failed"] == 2
     assert "cannot be read" in figures["warnings"][0] and "f10" in figures["warnings"][1]
@@ -258,7 +315,9 @@ def test_pages_of_a_tiff_and_a_video_are_frames(house, tmp_path):
         stream = film.add_stream("ffv1", rate=25)
         stream.width, stream.height, stream.pix_fmt = 520, 400, "bgr0"
         for page in pages:
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(page.astype(np.uint8), format="rgb24")))
+            film.mux(
+                stream.encode(av.VideoFrame.from_ndarray(page.astype(np.uint8), format="rgb24"))
+            )
         film.mux(stream.encode())
     read = [frame.read() for frame in lfrender.open_frames([tmp_path / "film.mkv"])]
     np.testing.assert_array_equal(np.stack(read), pages)
@@ -305,8 +364,11 @@ def test_damaged_frames_of_videos_are_detected_and_do_not_stop_the_rest(tmp_path
     found = _outcomes(path, tmp_path / "torn.mkv", tmp_path / "none.mp4")
     assert [type(f) for f in found] == [np.ndarray, str, *[np.ndarray] * 4, str, str]
     assert "film.mkv: frame 1: slice CRC" in found[1]
-    np.testing.assert_array_equal(np.stack([found[k] for k in (0, 2, 3, 4, 5)]), pictures[[0, 2, 3, 0, 1]])
+    np.testing.assert_array_equal(
+        np.stack([found[k] for k in (0, 2, 3, 4, 5)]), pictures[[0, 2, 3, 0, 1]]
+    )
     assert "torn.mkv: ends after 2 of" in found[6] and "none.mp4" in found[7]
-    # A damaged frame that was not asked for is no error, the end of the film before one that was is.
+    # A damaged frame that was not asked for is no error, the end of the film before one that was
+    # is.
     assert [type(f) for f in _outcomes(path, frames="::2")] == [np.ndarray] * 2
     assert [type(f) for f in _outcomes(tmp_path / "torn.mkv", frames="1:")] == [np.ndarray, str]

@@ -1,4 +1,6 @@
-"""Sequences and tiles on worker processes: the same bits as on one machine, also when a worker is lost."""
+"""Sequences and tiles on worker processes: the same bits as on one machine, also when a worker is
+lost.
+"""
 
 from __future__ import annotations
 
@@ -49,15 +51,20 @@ def frames(house, tmp_path_factory):
     return lfrender.open_frames([folder])
 
 
-def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, house, client, tmp_path):
-    camera, options = house.truth.calibration, {"preset": "fast", "segment": 4, "group": 2}
+def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(
+    frames, house, client, tmp_path
+):
+    camera = house.truth.calibration
+    options = {"preset": "fast", "segment": 4, "group": 2}
     here = list(lfrender.render_frames(frames, tmp_path / "here", camera, **options))
     running = render_frames_on(client, frames, tmp_path / "there", camera, threads=1, **options)
     there = list(islice(running, 3))
     kill_one(client)
     there += list(running)
     assert [r.outcome for r in here] == ["rendered", "failed", *["rendered"] * 5]
-    assert [(r.name, r.outcome, r.message) for r in here] == [(r.name, r.outcome, r.message) for r in there]
+    assert [(r.name, r.outcome, r.message) for r in here] == [
+        (r.name, r.outcome, r.message) for r in there
+    ]
     for result, other in zip(here, there, strict=True):
         if result.outcome == "rendered":
             assert result.path.read_bytes() == other.path.read_bytes()
@@ -99,7 +106,14 @@ def test_tiles_are_those_of_one_machine_although_a_worker_is_killed(flat, client
         lfrender.render_large(source, tmp_path / "here.tif", camera, here, tile=40)
         progress, calls = killing(client, 5)
         made = lfrender.render_large(
-            source, tmp_path / "there.tif", camera, here, tile=40, client=client, threads=1, progress=progress
+            source,
+            tmp_path / "there.tif",
+            camera,
+            here,
+            tile=40,
+            client=client,
+            threads=1,
+            progress=progress,
         )
     assert len(calls) == made.tiles >= 12
     assert (tmp_path / "here.tif").read_bytes() == (tmp_path / "there.tif").read_bytes()
@@ -121,11 +135,16 @@ def test_commands_on_large_flats_take_workers_and_a_dark_frame(flat, client, tmp
     given += ["--dark", str(dark)]
     analyzed = ["analyze", str(path), "-o", str(tmp_path / "depth.npz"), *given]
     rendered = ["render", str(path), "-o", str(tmp_path / "there.tif"), *given, "--tile", "100"]
-    figures = [json.loads(CliRunner().invoke(main, c, catch_exceptions=False).stdout) for c in (analyzed, rendered)]
+    figures = [
+        json.loads(CliRunner().invoke(main, c, catch_exceptions=False).stdout)
+        for c in (analyzed, rendered)
+    ]
     assert figures[1]["tiles"] == 4
     with lfcal.open_flat(path, dark=dark) as source:
         depth = lfrender.analyze_large(source, camera, "fast")
-    np.testing.assert_array_equal(lfrender.DepthMap.load(tmp_path / "depth.npz").patch_size, depth.patch_size)
+    np.testing.assert_array_equal(
+        lfrender.DepthMap.load(tmp_path / "depth.npz").patch_size, depth.patch_size
+    )
     whole = lfrender.render(lfcal.subtract_dark(lfcal.read_flat(path), black), camera, depth)
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "there.tif"), whole.image)
     refused = CliRunner().invoke(main, [*rendered, "--roi", "0", "0", "9", "9"])
@@ -141,5 +160,8 @@ def test_flats_that_workers_cannot_read_are_reported(flat, client):
 
 
 def test_unreachable_scheduler_is_one_line():
-    with pytest.raises(OutputError, match="no Dask scheduler"), connect(None, "tcp://127.0.0.1:9", timeout=0.2):
+    with (
+        pytest.raises(OutputError, match="no Dask scheduler"),
+        connect(None, "tcp://127.0.0.1:9", timeout=0.2),
+    ):
         pass

@@ -1,4 +1,6 @@
-"""Films of a sequence: its pictures at the right rate, complete or not there, and runs that can be continued."""
+"""Films of a sequence: its pictures at the right rate, complete or not there, and runs that can be
+continued.
+"""
 
 from __future__ import annotations
 
@@ -46,10 +48,14 @@ def pictures(frames, house, tmp_path_factory):
 def shown(path):
     with av.open(str(path)) as film:
         stream = film.streams.video[0]
-        return Fraction(stream.average_rate), [frame.to_ndarray(format="rgb24") for frame in film.decode(stream)]
+        return Fraction(stream.average_rate), [
+            frame.to_ndarray(format="rgb24") for frame in film.decode(stream)
+        ]
 
 
-def test_film_shows_every_picture_and_in_place_of_bad_frames_the_one_before(frames, pictures, house, tmp_path):
+def test_film_shows_every_picture_and_in_place_of_bad_frames_the_one_before(
+    frames, pictures, house, tmp_path
+):
     path = tmp_path / "film.mkv"
     results = list(render_film(frames, path, house.truth.calibration, preset="fast", rate=29.97))
     assert [r.outcome for r in results] == ["failed", "rendered", "rendered", "failed", "rendered"]
@@ -61,7 +67,8 @@ def test_film_shows_every_picture_and_in_place_of_bad_frames_the_one_before(fram
 
 
 def test_interrupted_run_leaves_no_film_and_is_continued_from_its_pictures(frames, house, tmp_path):
-    path, camera = tmp_path / "film.mkv", house.truth.calibration
+    path = tmp_path / "film.mkv"
+    camera = house.truth.calibration
     started = render_film(frames, path, camera, preset="fast")
     list(islice(started, 3))
     started.close()
@@ -75,17 +82,28 @@ def test_interrupted_run_leaves_no_film_and_is_continued_from_its_pictures(frame
         next(render_film(frames, path, camera, preset="fast"))
 
 
-def test_part_of_a_film_lasts_as_long_and_has_a_film_of_depth_in_fixed_colours(frames, house, tmp_path):
+def test_part_of_a_film_lasts_as_long_and_has_a_film_of_depth_in_fixed_colours(
+    frames, house, tmp_path
+):
     with FilmFile(tmp_path / "in.mkv", Fraction(24)) as film:
         for scale in (1, 0.9, 0.8, 0.7, 0.6):
             film.add(np.rint(house.flat * scale).astype(np.uint8))
     house.truth.calibration.save(tmp_path / "camera.json")
-    command = ["batch", str(tmp_path / "in.mkv"), "-c", str(tmp_path / "camera.json"), "--preset", "fast"]
+    command = [
+        "batch",
+        str(tmp_path / "in.mkv"),
+        "-c",
+        str(tmp_path / "camera.json"),
+        "--preset",
+        "fast",
+    ]
     command += ["--start", "0.04", "--frames", "1::2"]
     refused = CliRunner().invoke(main, [*command, "-o", str(tmp_path / "out.mkv")])
     assert refused.exit_code == 2 and "either frames" in refused.stderr
     command[-4:] = ["--frames", "1::2", "--depth-maps", str(tmp_path / "depth.mkv")]
-    result = CliRunner().invoke(main, [*command, "-o", str(tmp_path / "out.mkv")], catch_exceptions=False)
+    result = CliRunner().invoke(
+        main, [*command, "-o", str(tmp_path / "out.mkv")], catch_exceptions=False
+    )
     assert result.exit_code == 0
     (rate, sharp), (_, depth) = shown(tmp_path / "out.mkv"), shown(tmp_path / "depth.mkv")
     assert (rate, len(sharp), len(depth)) == (12, 2, 2)
@@ -94,11 +112,17 @@ def test_part_of_a_film_lasts_as_long_and_has_a_film_of_depth_in_fixed_colours(f
     assert depth[0].shape == sharp[0].shape
     # The scene has not changed.
     assert np.mean(depth[0] == depth[1]) > 0.9
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["camera.json", "depth.mkv", "in.mkv", "out.mkv"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "camera.json",
+        "depth.mkv",
+        "in.mkv",
+        "out.mkv",
+    ]
 
 
 def test_film_that_was_begun_anew_is_finished_without_being_told_again(frames, house, tmp_path):
-    path, camera = tmp_path / "film.mkv", house.truth.calibration
+    path = tmp_path / "film.mkv"
+    camera = house.truth.calibration
     path.write_bytes(b"an earlier film")
     started = render_film(frames, path, camera, preset="fast", overwrite=True)
     list(islice(started, 2))
@@ -117,13 +141,25 @@ def test_sequence_without_a_frame_that_can_be_rendered_makes_no_film(frames, hou
     assert not (tmp_path / "film.mkv").exists()
 
 
-def test_command_makes_a_film_that_plays_everywhere_at_the_rate_of_its_input(frames, pictures, house, tmp_path):
+def test_command_makes_a_film_that_plays_everywhere_at_the_rate_of_its_input(
+    frames, pictures, house, tmp_path
+):
     with FilmFile(tmp_path / "in.mkv", Fraction(12)) as film:
         for file in (frames.files[1], frames.files[2]):
             film.add(lfcal.read_flat(file))
     house.truth.calibration.save(tmp_path / "camera.json")
-    command = ["batch", str(tmp_path / "in.mkv"), "-o", str(tmp_path / "out.mp4"), "--preset", "fast", "--json"]
-    result = CliRunner().invoke(main, [*command, "-c", str(tmp_path / "camera.json")], catch_exceptions=False)
+    command = [
+        "batch",
+        str(tmp_path / "in.mkv"),
+        "-o",
+        str(tmp_path / "out.mp4"),
+        "--preset",
+        "fast",
+        "--json",
+    ]
+    result = CliRunner().invoke(
+        main, [*command, "-c", str(tmp_path / "camera.json")], catch_exceptions=False
+    )
     assert result.exit_code == 0 and json.loads(result.stdout)["rendered"] == 2
     with av.open(str(tmp_path / "out.mp4")) as film:
         stream = film.streams.video[0]
@@ -164,7 +200,11 @@ def test_even_areas_keep_their_colours_to_a_grey_level_through_a_film_and_back(t
 @pytest.mark.parametrize("channels", [(), (3,)])
 def test_lossless_film_holds_pixels_of_all_kinds_bit_for_bit(tmp_path, kind, channels):
     values = np.random.default_rng(0).random((3, 31, 45, *channels))
-    whole = values.astype(np.float32) if kind == np.float32 else (values * np.iinfo(kind).max).astype(kind)
+    whole = (
+        values.astype(np.float32)
+        if kind == np.float32
+        else (values * np.iinfo(kind).max).astype(kind)
+    )
     stored = np.rint(whole * 65535).astype(np.uint16) if kind == np.float32 else whole
     with FilmFile(tmp_path / "film.mkv", Fraction(25)) as film:
         for picture in whole:
@@ -187,9 +227,17 @@ def test_pictures_of_a_film_must_be_of_one_kind(tmp_path):
 def test_films_need_a_package_a_known_ending_and_room(frames, house, tmp_path, monkeypatch):
     run = CliRunner().invoke
     flat = str(frames.files[1])
-    assert "unknown output format" in run(main, ["batch", flat, "-o", str(tmp_path / "film.avi")]).stderr
-    assert "--format" in run(main, ["batch", flat, "-o", str(tmp_path / "film.mp4"), "--format", "png"]).stderr
-    assert "--fps" in run(main, ["batch", flat, "-o", str(tmp_path / "folder"), "--fps", "3"]).stderr
+    assert (
+        "unknown output format"
+        in run(main, ["batch", flat, "-o", str(tmp_path / "film.avi")]).stderr
+    )
+    assert (
+        "--format"
+        in run(main, ["batch", flat, "-o", str(tmp_path / "film.mp4"), "--format", "png"]).stderr
+    )
+    assert (
+        "--fps" in run(main, ["batch", flat, "-o", str(tmp_path / "folder"), "--fps", "3"]).stderr
+    )
 
     def full(*_):
         raise OSError(28, "No space left on device")

@@ -1,4 +1,6 @@
-"""Views of every frame as converters for lenslet video write them: names, order, frames at their place, continued."""
+"""Views of every frame as converters for lenslet video write them: names, order, frames at their
+place, continued.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def frames(house, tmp_path_factory):
 def raw_views(frames, house, tmp_path_factory):
     folder = tmp_path_factory.mktemp("out") / "views"
     camera = house.truth.calibration
-    results = list(lfrender.render_frames(frames, folder, camera, preset="fast", suffix=".yuv", views=GRID))
+    results = list(
+        lfrender.render_frames(frames, folder, camera, preset="fast", suffix=".yuv", views=GRID)
+    )
     assert [r.outcome for r in results] == ["rendered", "failed", "rendered", "rendered"]
     return folder
 
@@ -47,7 +51,9 @@ def test_each_view_is_a_file_of_all_frames_in_ten_bits_named_as_tlct_does(raw_vi
     names = sorted(p.name for p in raw_views.iterdir() if p.is_file())
     assert names == [f"v{k:03d}-160x120.yuv" for k in range(4)]
     for name in names:
-        assert (raw_views / name).stat().st_size == 4 * 160 * 120 * 3  # 1.5 samples of 2 bytes per pixel
+        assert (
+            raw_views / name
+        ).stat().st_size == 4 * 160 * 120 * 3  # 1.5 samples of 2 bytes per pixel
         assert lfcal.count_pages(raw_views / name) == 4
 
 
@@ -67,7 +73,8 @@ def test_views_follow_row_by_row_and_failed_frames_show_the_one_before(raw_views
 
 
 def test_interrupted_run_is_continued_to_the_same_bits(raw_views, frames, house, tmp_path):
-    camera, folder = house.truth.calibration, tmp_path / "views"
+    camera = house.truth.calibration
+    folder = tmp_path / "views"
     options = {"preset": "fast", "suffix": ".yuv", "views": GRID}
     started = lfrender.render_frames(frames, folder, camera, **options)
     list(islice(started, 1))
@@ -78,14 +85,22 @@ def test_interrupted_run_is_continued_to_the_same_bits(raw_views, frames, house,
     for path in sorted(raw_views.glob("*.yuv")):
         assert (folder / path.name).read_bytes() == path.read_bytes()
     with pytest.raises(lfcal.OutputError, match="another camera"):
-        list(lfrender.render_frames(frames, folder, camera, preset="fast", suffix=".yuv", views=ViewGrid(3, 3)))
+        list(
+            lfrender.render_frames(
+                frames, folder, camera, preset="fast", suffix=".yuv", views=ViewGrid(3, 3)
+            )
+        )
 
 
 def test_pictures_of_views_are_in_a_folder_for_each_frame(frames, house, tmp_path):
     camera = house.truth.calibration
     one = lfrender.open_frames(frames.files[:1])
-    (result,) = lfrender.render_frames(one, tmp_path / "v", camera, preset="fast", suffix=".png", views=GRID)
-    assert sorted(p.name for p in result.path.iterdir()) == [f"image_{k:03d}.png" for k in range(1, 5)]
+    (result,) = lfrender.render_frames(
+        one, tmp_path / "v", camera, preset="fast", suffix=".png", views=GRID
+    )
+    assert sorted(p.name for p in result.path.iterdir()) == [
+        f"image_{k:03d}.png" for k in range(1, 5)
+    ]
     assert lfcal.read_flat(result.path / "image_001.png").shape == (120, 160, 3)
 
 
@@ -105,16 +120,40 @@ def test_command_renders_raw_video_into_views_and_a_film(house, house_files, tmp
     height, width = flat.shape[:2]
     source = tmp_path / "shot.yuv"
     source.write_bytes(frame_bytes(yuv_frame(flat, "yuv444p10")) * 2)
-    words = ["batch", str(source), "--pixel-format", "yuv444p10", "-c", str(house_files / "camera.json")]
+    words = [
+        "batch",
+        str(source),
+        "--pixel-format",
+        "yuv444p10",
+        "-c",
+        str(house_files / "camera.json"),
+    ]
     words += ["--preset", "fast", "--json"]
     done = CliRunner().invoke(
-        main, [*words, "-o", str(tmp_path / "v"), "--views", "1x2", "--format", "yuv", "--resize", "200x150"]
+        main,
+        [
+            *words,
+            "-o",
+            str(tmp_path / "v"),
+            "--views",
+            "1x2",
+            "--format",
+            "yuv",
+            "--resize",
+            "200x150",
+        ],
     )
     assert done.exit_code == 0, done.output
-    assert sorted(p.name for p in (tmp_path / "v").glob("*.yuv")) == ["v000-200x150.yuv", "v001-200x150.yuv"]
-    # Its 10 bits, read as 16, are encoded for display, though 16 bits of a camera are taken to be linear.
+    assert sorted(p.name for p in (tmp_path / "v").glob("*.yuv")) == [
+        "v000-200x150.yuv",
+        "v001-200x150.yuv",
+    ]
+    # Its 10 bits, read as 16, are encoded for display, though 16 bits of a camera are taken to be
+    # linear.
     assert load_camera(tmp_path / "v").encoded
-    done = CliRunner().invoke(main, [*words, "-o", str(tmp_path / "sharp.yuv"), "--size", f"{width}x{height}"])
+    done = CliRunner().invoke(
+        main, [*words, "-o", str(tmp_path / "sharp.yuv"), "--size", f"{width}x{height}"]
+    )
     assert done.exit_code == 0, done.output
     assert (tmp_path / "sharp.yuv").stat().st_size % 6 == 0
     refused = CliRunner().invoke(main, [*words, "-o", str(tmp_path / "w"), "--format", "yuv"])

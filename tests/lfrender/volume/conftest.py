@@ -20,4 +20,6 @@ def shells():
 @pytest.fixture(scope="session")
 def shell_volume(shells):
     optics = lfrender.Microscope(**shells.microscope.optics())
-    return lfrender.reconstruct_volume(shells.flat, shells.calibration, optics, depth_range=(-9, 9), planes=25)
+    return lfrender.reconstruct_volume(
+        shells.flat, shells.calibration, optics, depth_range=(-9, 9), planes=25
+    )

@@ -30,7 +30,9 @@ def test_ome_tiff_holds_voxels_and_their_sizes(shell_volume, tmp_path):
 
 
 def test_volumes_in_pixels_say_so_in_their_files(shells, tmp_path):
-    volume = lfrender.reconstruct_volume(shells.flat, shells.calibration, depth_range=(-8, 8), planes=3, steps=1)
+    volume = lfrender.reconstruct_volume(
+        shells.flat, shells.calibration, depth_range=(-8, 8), planes=3, steps=1
+    )
     volume.save(tmp_path / "volume.tif")
 
     with tifffile.TiffFile(tmp_path / "volume.tif") as tiff:

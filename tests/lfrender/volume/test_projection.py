@@ -22,13 +22,17 @@ def _projector(basis, radius, microscope, slopes):
     lattice = Lattice((61.3, 52.8), basis, (140, 120), radius)
     camera = Calibration(lattice)
     scale = microscope.scale(radius, lattice.pitch)
-    pixels = choose_pixels(np.ones((120, 140), np.float32), camera, scale.flat_radius, scale.pupil_radius)
+    pixels = choose_pixels(
+        np.ones((120, 140), np.float32), camera, scale.flat_radius, scale.pupil_radius
+    )
     grid = VoxelGrid.over(lattice, np.array(slopes), 7, pixels.reach)
     return grid.projector(pixels, lattice, scale)
 
 
 @pytest.mark.parametrize("name", LATTICES)
-@pytest.mark.parametrize("microscope", [Microscope(), Microscope(na=1.1)], ids=["paraxial", "sine law"])
+@pytest.mark.parametrize(
+    "microscope", [Microscope(), Microscope(na=1.1)], ids=["paraxial", "sine law"]
+)
 def test_the_adjoint_is_exact(name, microscope):
     projector = _projector(*LATTICES[name], microscope, [-5.3, -0.4, 0.0, 2.7])
     rng = np.random.default_rng(1)
@@ -71,7 +75,8 @@ def test_boxes_of_any_width_keep_the_sum_and_have_the_variance_of_a_box():
         plane = np.zeros((1, 41, 43), np.float32)
         plane[0, 20, 21] = 1
         blur_planes(plane, np.array([[width]]))
-        across, down = plane[0].sum(0), plane[0].sum(1)
+        across = plane[0].sum(0)
+        down = plane[0].sum(1)
 
         assert plane.sum() == pytest.approx(1, rel=1e-5)
         # A box that is resampled to voxels is convolved with one of a voxel.

@@ -42,7 +42,9 @@ def test_without_the_sine_condition_depth_is_bent(shells, shell_volume):
 def test_beads_are_found_within_a_tenth_of_a_pitch_and_one_plane():
     microscope = Microscope(lenses=(19, 19), rotation=1.5)
     places = bead_places(9, seed=2)
-    capture = trace_flat(Specimen.beads(places, 0.4), microscope, samples=32, seed=2, electrons=3000)
+    capture = trace_flat(
+        Specimen.beads(places, 0.4), microscope, samples=32, seed=2, electrons=3000
+    )
     volume = reconstruct(capture, 11.0, 33)
 
     for place in places:
@@ -79,7 +81,8 @@ def test_results_do_not_depend_on_the_number_of_threads(shells):
     import numba
 
     options = {"depth_range": (-8.0, 8.0), "planes": 5, "steps": 3}
-    one, several = [], numba.get_num_threads()
+    one = []
+    several = numba.get_num_threads()
     for threads in (1, several):
         numba.set_num_threads(threads)
         one.append(lfrender.reconstruct_volume(shells.flat, shells.calibration, **options).data)
@@ -157,7 +160,10 @@ def test_colours_are_averaged(shells):
     other = lfrender.reconstruct_volume(same, shells.calibration, **options)
 
     assert other.data == pytest.approx(one.data, rel=1e-4, abs=1e-6)
-    assert lfrender.reconstruct_volume(colours, shells.calibration, **options).data.shape == one.data.shape
+    assert (
+        lfrender.reconstruct_volume(colours, shells.calibration, **options).data.shape
+        == one.data.shape
+    )
 
 
 def test_a_camera_without_light_is_said(shells):

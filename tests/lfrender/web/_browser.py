@@ -15,10 +15,13 @@ READY = "window.lightField"
 RESTS = "lightField.pending === undefined && !lightField.moving && !lightField.gliding"
 # WebGL without a graphics card; a container has no room for Chromium's own sandbox.
 _OPTIONS = (
-    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
-    "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
     "--window-size=880,420",
-)  # fmt: skip
+)
 
 
 def start_browser():
@@ -27,7 +30,9 @@ def start_browser():
     program = next(filter(None, map(shutil.which, _CHROMIUM)), None)
     driver = shutil.which("chromedriver")
     if program is None or driver is None:
-        pytest.skip("no browser: neither Chromium nor its driver is installed (Debian: chromium, chromium-driver)")
+        pytest.skip(
+            "no browser: neither Chromium nor its driver is installed (Debian: chromium, chromium-driver)"
+        )
     options = webdriver.ChromeOptions()
     options.binary_location = program
     for option in _OPTIONS:
@@ -40,7 +45,11 @@ def start_browser():
 
 def errors(browser):
     """What the console holds that is worse than information."""
-    return [entry["message"] for entry in browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
+    return [
+        entry["message"]
+        for entry in browser.get_log("browser")
+        if entry["level"] in ("SEVERE", "WARNING")
+    ]
 
 
 def wait_for(browser, condition, seconds=30):
@@ -57,8 +66,12 @@ def pixels(browser, shape, affine, **settings):
     text = browser.execute_script(
         "const a = lightField.pixels(...arguments); let s = '';"
         "for (let n = 0; n < a.length; n += 8192) s += String.fromCharCode(...a.subarray(n, n + 8192)); return btoa(s)",
-        width, height, affine[:, 2].tolist(), float(affine[0, 0]), settings,
-    )  # fmt: skip
+        width,
+        height,
+        affine[:, 2].tolist(),
+        float(affine[0, 0]),
+        settings,
+    )
     return np.frombuffer(base64.b64decode(text), np.uint8).reshape(height, width, 4)[..., :3]
 
 
@@ -69,7 +82,9 @@ def mouse(page, *steps):
     canvas = page.find_element("id", "picture")
     middle = canvas.size["width"] / 2, canvas.size["height"] / 2
     chain = ActionChains(page, duration=20)
-    chain.move_to_element_with_offset(canvas, *(round(p - m) for p, m in zip(steps[0], middle, strict=True)))
+    chain.move_to_element_with_offset(
+        canvas, *(round(p - m) for p, m in zip(steps[0], middle, strict=True))
+    )
     chain.click_and_hold()
     for before, after in pairwise(steps):
         chain.move_by_offset(*(round(b - a) for a, b in zip(before, after, strict=True)))

@@ -30,7 +30,9 @@ def captured(house):
 
 @pytest.fixture(scope="module")
 def served(captured):
-    """The viewer of the house on a server, in several tiles; its camera has optics, so that places have metres."""
+    """The viewer of the house on a server, in several tiles; its camera has optics, so that places
+    have metres.
+    """
     flat, camera, depth = captured
     optics = lfcal.Optics(focal_length=50, mla_distance=58, sensor_distance=0.7, pixel=0.005)
     scene = flat, replace(camera, optics=optics), depth

@@ -1,4 +1,6 @@
-"""The report: whole, self-contained, below 15 MB, and with the figures of depth map and calibration."""
+"""The report: whole, self-contained, below 15 MB, and with the figures of depth map and
+calibration.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,15 @@ def report(captured, pictures, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
     flat, camera, depth = captured
     camera = replace(camera, warnings=("the lamp <flickers>",))
-    write_report(path, flat, camera, depth, pictures, title="A & B.png", seconds={"read": 0.25, "analyze": 1.5})
+    write_report(
+        path,
+        flat,
+        camera,
+        depth,
+        pictures,
+        title="A & B.png",
+        seconds={"read": 0.25, "analyze": 1.5},
+    )
     return path
 
 
@@ -69,7 +79,8 @@ def test_the_page_is_small_and_needs_nothing_but_itself(report):
 
 def test_the_page_has_warnings_times_and_shares(report, captured):
     text = report.read_text(encoding="utf-8")
-    page, depth = Page(text), captured[2]
+    page = Page(text)
+    depth = captured[2]
     assert "The lamp <flickers>" in page.text
     assert "<flickers>" not in text
     assert "A & B.png" in page.text
@@ -98,7 +109,9 @@ def test_the_raw_flat_comes_first_and_the_comparison_opens_with_the_traditional_
 @pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")
 def test_a_depth_map_without_any_depth_has_a_report_too(captured, tmp_path):
     flat, camera, depth = captured
-    blank = replace(depth, patch_size=np.full(len(depth), np.nan, np.float32), reason=None, saved={})
+    blank = replace(
+        depth, patch_size=np.full(len(depth), np.nan, np.float32), reason=None, saved={}
+    )
     write_report(tmp_path / "report.html", flat, replace(camera, confidence=0.2), blank)
     text = Page((tmp_path / "report.html").read_text(encoding="utf-8")).text
     assert "100% of the lenses have no depth of their own" in text
@@ -135,8 +148,17 @@ def test_sixteen_bits_and_one_channel_are_shown(captured):
 def test_the_command_writes_a_report_and_its_figures(house_files, captured, tmp_path):
     captured[2].save(tmp_path / "depth.npz")
     output = tmp_path / "report.html"
-    arguments = ["report", str(house_files / "flat.png"), "-c", str(house_files / "camera.json"), "-o", str(output)]
-    result = CliRunner().invoke(main, [*arguments, "--depth", str(tmp_path / "depth.npz"), "--json"])
+    arguments = [
+        "report",
+        str(house_files / "flat.png"),
+        "-c",
+        str(house_files / "camera.json"),
+        "-o",
+        str(output),
+    ]
+    result = CliRunner().invoke(
+        main, [*arguments, "--depth", str(tmp_path / "depth.npz"), "--json"]
+    )
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)
     assert figures["modes"]["telescopic"] == pytest.approx(np.mean(captured[2].mode == 1))
@@ -150,7 +172,10 @@ def test_the_line_moves_and_the_picture_zooms_to_its_own_pixels(report):
     browser = start_browser()
     try:
         browser.get(report.as_uri())
-        wait_for(browser, "document.getElementById('left').complete && document.getElementById('right').complete")
+        wait_for(
+            browser,
+            "document.getElementById('left').complete && document.getElementById('right').complete",
+        )
         size = browser.execute_script(
             "const i = document.querySelector('#sources img');"
             "return i.decode().then(() => [i.naturalWidth, i.naturalHeight])"
@@ -158,11 +183,15 @@ def test_the_line_moves_and_the_picture_zooms_to_its_own_pixels(report):
         line = browser.find_element("id", "line")
         cut = "return parseFloat(getComputedStyle(document.getElementById('right')).clipPath.split(' ')[3])"
         assert browser.execute_script(cut) == pytest.approx(50, abs=0.2)
-        browser.execute_script("arguments[0].value = 20; arguments[0].dispatchEvent(new Event('input'))", line)
+        browser.execute_script(
+            "arguments[0].value = 20; arguments[0].dispatchEvent(new Event('input'))", line
+        )
         assert browser.execute_script(cut) == pytest.approx(20, abs=0.2)
         browser.find_element("id", "full").click()
         assert (
-            browser.execute_script("const s = document.getElementById('sheet'); return [s.clientWidth, s.clientHeight]")
+            browser.execute_script(
+                "const s = document.getElementById('sheet'); return [s.clientWidth, s.clientHeight]"
+            )
             == size
         )
         browser.find_element("css selector", "[data-choice=traditional]").click()

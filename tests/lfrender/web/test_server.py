@@ -1,4 +1,6 @@
-"""The server of the pages answers this machine alone, refuses what no page sends, and gives up quiet connections."""
+"""The server of the pages answers this machine alone, refuses what no page sends, and gives up
+quiet connections.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def small_server():
         raise RuntimeError("a defect\nof two lines")
 
     routes = {("POST", "/record"): lambda _: PlainTextResponse("done"), ("GET", "/fail"): fail}
-    with WebServer({**routes, **page_routes({"index.html": b"page", "data/a.js": b"data"})}) as server:
+    with WebServer(
+        {**routes, **page_routes({"index.html": b"page", "data/a.js": b"data"})}
+    ) as server:
         yield server
 
 
@@ -48,7 +52,13 @@ def test_the_server_gives_its_own_files_to_this_machine_only(small_server):
     assert respond(small_server, "/data/a.js")[1] == b"data"
     head, content = respond(small_server, "/index.html", method="HEAD")
     assert (head.status, content, head.getheader("Content-Length")) == (200, b"", "4")
-    for path in ("/etc/passwd", "/../pyproject.toml", "//etc/passwd", "/data/", "/data/%2e%2e/index.html"):
+    for path in (
+        "/etc/passwd",
+        "/../pyproject.toml",
+        "//etc/passwd",
+        "/data/",
+        "/data/%2e%2e/index.html",
+    ):
         assert respond(small_server, path)[0].status == 404
     assert respond(small_server, "/", host="elsewhere.example")[0].status == 403
     assert respond(small_server, "/", method="POST", X_Lfrender="1")[0].status == 405
@@ -70,14 +80,17 @@ def test_pages_of_other_sites_bodies_and_unknown_commands_are_refused(small_serv
 
 def test_damaged_requests_resets_and_defects_print_nothing(small_server, capfd):
     for request in (
-        b"GET http://[::1/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b"\x00\xff\r\n\r\n",
+        b"GET http://[::1/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+        b"\x00\xff\r\n\r\n",
         b"GET / HTTP/1.1\r\nX: " + b"a" * 40_000 + b"\r\n\r\n",
-    ):  # fmt: skip
+    ):
         with socket.create_connection(("127.0.0.1", small_server.port), timeout=5) as connection:
             connection.sendall(request)
             assert connection.recv(100)[:12] in (b"HTTP/1.1 400", b"HTTP/1.1 403")
     with socket.create_connection(("127.0.0.1", small_server.port)) as connection:
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")  # a reset when closed
+        connection.setsockopt(
+            socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0"
+        )  # a reset when closed
         connection.sendall(b"GET /index.html HTTP/1.1\r\n")
     response, content = respond(small_server, "/fail")
     assert (response.status, content) == (500, b"a defect of two lines")
@@ -89,7 +102,9 @@ def test_half_open_connections_hold_no_threads_and_are_closed(monkeypatch):
     monkeypatch.setattr(web, "QUIET", 1.0)
     with WebServer(page_routes({"index.html": b"page"})) as server:
         before = threading.active_count()
-        held = [socket.create_connection(("127.0.0.1", server.port), timeout=20) for _ in range(150)]
+        held = [
+            socket.create_connection(("127.0.0.1", server.port), timeout=20) for _ in range(150)
+        ]
         for connection in held:
             connection.sendall(b"GET / HTTP/1.1\r\nHost:")
         assert respond(server, "/")[0].status == 200
@@ -123,7 +138,8 @@ def test_a_port_that_is_taken_is_refused_by_name(small_server):
 
 
 def test_a_flat_is_loaded_when_it_is_looked_at_and_the_next_one_ahead_of_time(house):
-    camera, asked = house.truth.calibration, []
+    camera = house.truth.calibration
+    asked = []
     depth = lfrender.analyze(house.flat, camera, "fast")
 
     def load(number):
@@ -134,7 +150,10 @@ def test_a_flat_is_loaded_when_it_is_looked_at_and_the_next_one_ahead_of_time(ho
 
     pages = FlatPages(["a.png", "b.png", "c.png"], load)
     assert b"<h1>b.png</h1>" in pages.get("2.html") and b'href="index.html"' in pages.get("2.html")
-    assert b"2 of 3" in pages.get("2.html") and pages.get("4.html") is pages.get("data/4/scene.json.js") is None
+    assert (
+        b"2 of 3" in pages.get("2.html")
+        and pages.get("4.html") is pages.get("data/4/scene.json.js") is None
+    )
     assert asked == []
     assert b"lightFieldData" in pages.get("data/1/scene.json.js")
     end = time.monotonic() + 10

@@ -32,11 +32,14 @@ from lfrender.web.viewer_scene import viewer_scene
 from ._browser import READY, RESTS, errors, mouse, pixels, wait_for
 
 # Patch sizes of the house and of the branches in front of it [px].
-FAR, NEAR = 6.09, -6.0
+FAR = 6.09
+NEAR = -6.0
 
 
 def off(browser, picture, **settings):
-    """Difference [grey levels] of the viewer's picture from one of the renderer's, where that shows something."""
+    """Difference [grey levels] of the viewer's picture from one of the renderer's, where that shows
+    something.
+    """
     found = pixels(browser, picture.image.shape[:2], picture.affine, **settings).astype(int)
     return np.abs(found - picture.image)[picture.valid].max(-1)
 
@@ -86,7 +89,9 @@ def test_a_view_from_aside_is_that_of_the_renderer(page, captured):
     assert same[edges].mean() > 0.995
 
 
-def test_a_flat_with_distortion_lens_types_and_sixteen_bits_is_drawn_as_the_renderer_draws_it(browser, house, tmp_path):
+def test_a_flat_with_distortion_lens_types_and_sixteen_bits_is_drawn_as_the_renderer_draws_it(
+    browser, house, tmp_path
+):
     width, height = house.flat.shape[1::-1]
     bend = Distortion(np.array([250.0, 190.0]), 0.02, 0.0, float(np.hypot(width, height)) / 2)
     camera = house.truth.calibration
@@ -103,7 +108,9 @@ def test_a_flat_with_distortion_lens_types_and_sixteen_bits_is_drawn_as_the_rend
         (lfrender.render(flat, camera, depth, detail="off"), {"mode": "sharp"}),
     ):
         # The page shows dim flats brightened.
-        shown = to_eight_bits(picture.image, camera.white_level, exposure_gain(flat, camera.white_level))
+        shown = to_eight_bits(
+            picture.image, camera.white_level, exposure_gain(flat, camera.white_level)
+        )
         eight = replace(picture, image=shown)
         assert np.mean(off(browser, eight, **settings) <= 2) > 0.9995
     assert errors(browser) == []
@@ -112,19 +119,29 @@ def test_a_flat_with_distortion_lens_types_and_sixteen_bits_is_drawn_as_the_rend
 def two_planes(camera):
     """A depth map with its edge in the middle."""
     lattice = camera.lattice
-    size = np.where(lattice.centres()[:, 0] < lattice.image_size[0] / 2, FAR, NEAR).astype(np.float32)
+    size = np.where(lattice.centres()[:, 0] < lattice.image_size[0] / 2, FAR, NEAR).astype(
+        np.float32
+    )
     spacing = lattice.pitch / 7
     columns, rows = (int(np.ceil(n / spacing)) + 1 for n in lattice.image_size)
     surface = np.full((rows, columns), FAR, np.float32)
     surface[:, columns // 2 :] = NEAR
     one = np.ones(len(size), np.float32)
     return DepthMap(
-        size, one, one, size, Surface(surface, (-0.5, -0.5), spacing), lattice.pitch, lattice.image_size
-    )  # fmt: skip
+        size,
+        one,
+        one,
+        size,
+        Surface(surface, (-0.5, -0.5), spacing),
+        lattice.pitch,
+        lattice.image_size,
+    )
 
 
 def place_of(page, wanted, depth, lattice):
-    """Scene point and canvas position of a place far from depth edges with a patch size near `wanted`."""
+    """Scene point and canvas position of a place far from depth edges with a patch size near
+    `wanted`.
+    """
     surface = depth.surface
     alike = (np.abs(surface.patch_size - wanted) < 1.2).astype(np.uint8)
     alike = cv2.copyMakeBorder(alike[12:-12, 12:-12], 12, 12, 12, 12, cv2.BORDER_CONSTANT, value=0)
@@ -134,8 +151,9 @@ def place_of(page, wanted, depth, lattice):
     on_page = page.execute_script(
         "const v = lightField, [x, y] = arguments, f = v.frame.first(v.width, v.height);"
         "return [(x - f[0]) / v.frame.spacing / devicePixelRatio, (y - f[1]) / v.frame.spacing / devicePixelRatio]",
-        x, y,
-    )  # fmt: skip
+        x,
+        y,
+    )
     return (float(x), float(y)), on_page
 
 
@@ -147,7 +165,10 @@ def around(page, place, side, spacing, **settings):
 
 def blur(page, place):
     """RMS difference [grey levels] about a scene point from the picture that is sharp everywhere."""
-    sharp, now = (around(page, place, 14, 2.0, **settings).astype(float) for settings in ({"mode": "sharp"}, {}))
+    sharp, now = (
+        around(page, place, 14, 2.0, **settings).astype(float)
+        for settings in ({"mode": "sharp"}, {})
+    )
     return np.sqrt(np.mean((now - sharp) ** 2))
 
 
@@ -156,16 +177,22 @@ def test_a_click_focuses_there(page, captured, wanted, other):
     _, camera, depth = captured
     place, on_page = place_of(page, wanted, depth, camera.lattice)
     page.execute_script("lightField.set({ plane: arguments[0] })", other)
-    before, piece = blur(page, place), around(page, place, 14, 2.0)
+    before = blur(page, place)
+    piece = around(page, place, 14, 2.0)
     mouse(page, on_page)
     wait_for(page, RESTS)
     plane = page.execute_script("return lightField.settings.plane")
     assert plane == pytest.approx(float(depth.surface.at(np.array([place]))[0]), abs=0.3)
     assert blur(page, place) < 0.5 * before
-    assert ("telescopic" if wanted > 0 else "binocular") in page.find_element("id", "plane-value").text
+    assert ("telescopic" if wanted > 0 else "binocular") in page.find_element(
+        "id", "plane-value"
+    ).text
     if wanted == FAR:
         # The branches have no texture of their own that could become sharper.
-        detail = [cv2.Laplacian(p.astype(np.float32), cv2.CV_32F).std() for p in (piece, around(page, place, 14, 2.0))]
+        detail = [
+            cv2.Laplacian(p.astype(np.float32), cv2.CV_32F).std()
+            for p in (piece, around(page, place, 14, 2.0))
+        ]
         assert detail[1] > 1.3 * detail[0]
 
 
@@ -199,8 +226,12 @@ def test_keys_do_what_the_mouse_does(page):
     before = page.execute_script(
         "return [lightField.settings.plane, lightField.frame.spacing, lightField.frame.middle]"
     )
-    canvas.send_keys(Keys.ARROW_RIGHT, "a", "m", ",", "+", Keys.SHIFT + Keys.ARROW_LEFT + Keys.NULL, Keys.PAGE_UP)
-    state = page.execute_script("const { settings: s, frame: f } = lightField; return [s, f.spacing, f.middle]")
+    canvas.send_keys(
+        Keys.ARROW_RIGHT, "a", "m", ",", "+", Keys.SHIFT + Keys.ARROW_LEFT + Keys.NULL, Keys.PAGE_UP
+    )
+    state = page.execute_script(
+        "const { settings: s, frame: f } = lightField; return [s, f.spacing, f.middle]"
+    )
     settings, spacing, middle = state
     assert settings["q"][0] > 0
     assert settings["mode"] == "sharp"
@@ -222,7 +253,10 @@ def test_the_canvas_shows_the_picture_and_every_control_has_a_name(page):
     page.execute_script("lightField.set({ mode: 'sharp' })")
     wait_for(page, RESTS)
     page.execute_script("lightField.draw()")
-    shot = cv2.imdecode(np.frombuffer(page.find_element("id", "picture").screenshot_as_png, np.uint8), cv2.IMREAD_COLOR)
+    shot = cv2.imdecode(
+        np.frombuffer(page.find_element("id", "picture").screenshot_as_png, np.uint8),
+        cv2.IMREAD_COLOR,
+    )
     assert shot.std() > 25
     nameless = page.execute_script(
         "return [...document.querySelectorAll('button, input, canvas')].filter(e => "
@@ -232,15 +266,21 @@ def test_the_canvas_shows_the_picture_and_every_control_has_a_name(page):
 
 
 def test_wheel_zooms_about_the_pointer(page):
-    at = page.execute_script("return lightField.frame.at(300, 200, lightField.width, lightField.height)")
+    at = page.execute_script(
+        "return lightField.frame.at(300, 200, lightField.width, lightField.height)"
+    )
     spacing = page.execute_script("return lightField.frame.spacing")
     page.execute_script(
         "const c = document.getElementById('picture'), r = c.getBoundingClientRect();"
         "c.dispatchEvent(new WheelEvent('wheel', "
         "{ deltaY: -250, clientX: r.x + 300, clientY: r.y + 200, cancelable: true }))"
     )
-    assert page.execute_script("return lightField.frame.spacing") == pytest.approx(spacing * np.exp(-0.5), rel=1e-3)
-    after = page.execute_script("return lightField.frame.at(300, 200, lightField.width, lightField.height)")
+    assert page.execute_script("return lightField.frame.spacing") == pytest.approx(
+        spacing * np.exp(-0.5), rel=1e-3
+    )
+    after = page.execute_script(
+        "return lightField.frame.at(300, 200, lightField.width, lightField.height)"
+    )
     assert after == pytest.approx(at, abs=0.5)
 
 
@@ -269,10 +309,13 @@ def test_view_serves_until_it_is_interrupted(house_files, captured, tmp_path):
     ]
     command += ["-c", str(house_files / "camera.json"), "--depth", str(tmp_path / "depth.npz")]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, cwd=Path(lfrender.__file__).parents[1],
+        command,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(lfrender.__file__).parents[1],
         # Where the tests run in the background, interruptions are ignored, by their children too.
         preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
-    ) as process:  # fmt: skip
+    ) as process:
         try:
             url = json.loads(process.stdout.readline())["page"]
             assert url.startswith("http://127.0.0.1:")
@@ -303,11 +346,25 @@ def test_view_of_a_folder_exports_pages_that_lead_to_each_other(house_files, tmp
     for name in ("f10.png", "f2.png"):
         (tmp_path / "flats" / name).write_bytes((house_files / "flat.png").read_bytes())
     (tmp_path / "flats" / "f3.png").write_text("no picture")
-    words = ["view", tmp_path / "flats", "-c", house_files / "camera.json", "--preset", "fast", "--export"]
+    words = [
+        "view",
+        tmp_path / "flats",
+        "-c",
+        house_files / "camera.json",
+        "--preset",
+        "fast",
+        "--export",
+    ]
     done = CliRunner().invoke(main, [str(word) for word in [*words, tmp_path / "page"]])
     assert done.exit_code == 0 and "f3.png: is no image" in done.stderr, done.output
-    pages = [(tmp_path / "page" / name).read_text(encoding="utf-8") for name in ("index.html", "2.html", "3.html")]
-    assert all(f"<h1>{name}</h1>" in page for name, page in zip(("f2.png", "f3.png", "f10.png"), pages, strict=True))
+    pages = [
+        (tmp_path / "page" / name).read_text(encoding="utf-8")
+        for name in ("index.html", "2.html", "3.html")
+    ]
+    assert all(
+        f"<h1>{name}</h1>" in page
+        for name, page in zip(("f2.png", "f3.png", "f10.png"), pages, strict=True)
+    )
     assert "f3.png: is no image" in (tmp_path / "page" / "data" / "2" / "scene.json.js").read_text()
     assert (tmp_path / "page" / "data" / "3" / "flat-0-0.png.js").exists()
     for refused in (["--depth", house_files / "flat.png"], []):

@@ -38,8 +38,9 @@ def settings(page):
 def slide(page, name, value):
     page.execute_script(
         "const s = document.getElementById(arguments[0]); s.value = arguments[1]; s.dispatchEvent(new Event('input'))",
-        name, value,
-    )  # fmt: skip
+        name,
+        value,
+    )
 
 
 def shown(page, name):
@@ -58,7 +59,9 @@ def picture(page, **changed):
     return pixels(page, SHAPE, GRID, **changed).astype(float)
 
 
-def test_the_page_opens_in_focus_on_the_depth_that_most_lenses_share_with_a_hint(browser, served, captured):
+def test_the_page_opens_in_focus_on_the_depth_that_most_lenses_share_with_a_hint(
+    browser, served, captured
+):
     browser.get("about:blank")
     browser.get(served.url)
     wait_for(browser, READY)
@@ -66,8 +69,12 @@ def test_the_page_opens_in_focus_on_the_depth_that_most_lenses_share_with_a_hint
     depth = captured[2]
     plane = browser.execute_script("return lightField.settings.plane")
     assert plane == pytest.approx(_planes(depth)[1])
-    known, sure = depth.patch_size[~depth.filled], depth.confidence[~depth.filled]
-    within = [sure[np.abs(known - s) < 0.03 * depth.pitch].sum() for s in (plane, *np.quantile(known, (0.1, 0.5, 0.9)))]
+    known = depth.patch_size[~depth.filled]
+    sure = depth.confidence[~depth.filled]
+    within = [
+        sure[np.abs(known - s) < 0.03 * depth.pitch].sum()
+        for s in (plane, *np.quantile(known, (0.1, 0.5, 0.9)))
+    ]
     assert within[0] == max(within) > 0.1 * sure.sum()
     mouse(browser, (200, 200))
     assert shown(browser, "status") == ""
@@ -79,7 +86,9 @@ def test_sliders_set_what_they_name_and_say_so(page):
     near = low + 0.9 * (high - low)
     slide(page, "plane", near)
     assert settings(page)["plane"] == pytest.approx(near - 2 * pitch if near > pitch else near)
-    assert shown(page, "plane-value").startswith("binocular, M ") and " s −" in shown(page, "plane-value")
+    assert shown(page, "plane-value").startswith("binocular, M ") and " s −" in shown(
+        page, "plane-value"
+    )
     slide(page, "aperture", 0.5)
     slide(page, "brightness", -1.5)
     assert (settings(page)["aperture"], settings(page)["brightness"]) == (0.5, -1.5)
@@ -91,7 +100,8 @@ def test_a_range_is_sharp_within_and_out_of_focus_beyond(page, captured):
     assert not page.find_element("id", "one-depth").is_displayed()
     low, high = page.execute_script("return lightField.scene.planes")
     pitch = page.execute_script("return lightField.scene.pitch")
-    sharp, width = picture(page, mode="sharp"), high - low
+    sharp = picture(page, mode="sharp")
+    width = high - low
     whole = picture(page, mode="range", range=[low, high])
     # Other weights at depth edges and in places without a depth.
     assert np.mean(np.abs(whole - sharp).max(-1) <= 2) > 0.97
@@ -102,7 +112,9 @@ def test_a_range_is_sharp_within_and_out_of_focus_beyond(page, captured):
     v, u = np.indices(SHAPE)
     s = surface.at(np.column_stack([u.ravel(), v.ravel()]) @ GRID[:, :2]).reshape(SHAPE)
     near = np.where(s > 0, s, s + 2 * pitch)
-    inside, outside = (cv2.erode(m.astype(np.uint8), np.ones((7, 7))) > 0 for m in (near < end, near > end))
+    inside, outside = (
+        cv2.erode(m.astype(np.uint8), np.ones((7, 7))) > 0 for m in (near < end, near > end)
+    )
     assert inside.any() and outside.any()
     assert np.mean(np.abs(far - sharp).max(-1)[inside] <= 2) > 0.95
     assert np.mean(np.abs(far - beyond).max(-1)[outside] <= 2) > 0.95
@@ -138,11 +150,14 @@ def test_two_places_have_a_distance_in_metres_where_the_optics_are_known(page):
     wait_for(page, RESTS)
     marks = page.execute_script("return lightField.marks")
     apart = np.subtract(marks[1]["position"], marks[0]["position"])
-    metres, words = np.linalg.norm(apart), shown(page, "status")
+    metres = np.linalg.norm(apart)
+    words = shown(page, "status")
     number, unit = words.split()[:2]
     assert float(number) * {"mm": 1e-3, "m": 1}[unit] == pytest.approx(metres, rel=0.01)
     assert page.execute_script("return document.querySelectorAll('#marks circle').length") == 2
-    page.execute_script("lightField.marks = [lightField.marks[0]]; delete lightField.marks[0].position")
+    page.execute_script(
+        "lightField.marks = [lightField.marks[0]]; delete lightField.marks[0].position"
+    )
     mouse(page, (300, 100))
     assert "px apart on the flat, from M " in shown(page, "status")
     page.find_element("id", "measure").click()
@@ -159,20 +174,28 @@ def test_both_eyes_see_the_picture_side_by_side_or_in_colours(page):
     page.execute_script("lightField.set({ mode: 'sharp' })")
     side = picture(page, stereo="side")
     eyes = [picture(page, stereo="", q=[x * 0.35 * radius, 0]) for x in (-1, 1)]
-    half, left = SHAPE[1] // 2, (SHAPE[1] - SHAPE[1] // 2) // 2
+    half = SHAPE[1] // 2
+    left = (SHAPE[1] - SHAPE[1] // 2) // 2
     for k, eye in enumerate(eyes):
         assert np.abs(side[:, k * half : (k + 1) * half] - eye[:, left : left + half]).max() <= 1
-    red, cyan = picture(page, stereo="anaglyph")[..., 0], picture(page, stereo="anaglyph")[..., 1:]
+    red = picture(page, stereo="anaglyph")[..., 0]
+    cyan = picture(page, stereo="anaglyph")[..., 1:]
     assert np.abs(red - eyes[0][..., 0]).max() <= 1 and np.abs(cyan - eyes[1][..., 1:]).max() <= 1
 
 
 def test_compare_starts_with_the_sharp_picture_beside_the_traditional_one(page, captured):
     flat, camera, _ = captured
     page.find_element("id", "compare").click()
-    assert page.find_element("id", "line").text.split("\n") == ["A sharp everywhere", "B traditional"]
-    assert page.execute_script("return [lightField.settings.mode, lightField.comparison().mode]") == [
-        "sharp", "traditional",
-    ]  # fmt: skip
+    assert page.find_element("id", "line").text.split("\n") == [
+        "A sharp everywhere",
+        "B traditional",
+    ]
+    assert page.execute_script(
+        "return [lightField.settings.mode, lightField.comparison().mode]"
+    ) == [
+        "sharp",
+        "traditional",
+    ]
     plain = lfrender.traditional(flat, camera)
     drawn = pixels(page, plain.image.shape[:2], plain.affine, mode="traditional").astype(int)
     assert np.abs(drawn - plain.image).max() <= 1
@@ -181,7 +204,10 @@ def test_compare_starts_with_the_sharp_picture_beside_the_traditional_one(page, 
 def test_a_view_is_compared_with_the_one_that_was_kept(page):
     page.execute_script("lightField.set({ plane: lightField.scene.planes[0], aperture: 0.4 })")
     page.find_element("id", "keep").click()
-    assert page.find_element("id", "compare").is_selected() and page.find_element("id", "line").is_displayed()
+    assert (
+        page.find_element("id", "compare").is_selected()
+        and page.find_element("id", "line").is_displayed()
+    )
     slide(page, "aperture", 1)
     wait_for(page, RESTS)
     page.execute_script("lightField.draw()")
@@ -191,7 +217,10 @@ def test_a_view_is_compared_with_the_one_that_was_kept(page):
         "const v = lightField; return [v.frame.first(v.width, v.height), v.frame.spacing]"
     )
     affine = np.column_stack([np.eye(2) * spacing, first])
-    views = [pixels(page, both.shape[:2], affine, aperture=aperture).astype(float) for aperture in (1, 0.4)]
+    views = [
+        pixels(page, both.shape[:2], affine, aperture=aperture).astype(float)
+        for aperture in (1, 0.4)
+    ]
     middle = both.shape[1] // 2
     for view, columns in zip(views, (slice(30, middle - 15), slice(middle + 15, -30)), strict=True):
         part = np.s_[30:-60, columns]
@@ -206,16 +235,24 @@ def test_a_link_shows_the_same_view(page, served):
         "brightness: 0.4 }); lightField.zoom(2)"
     )
     wait_for(page, "location.hash.includes('view=')")
-    before = page.execute_script("return [lightField.settings, lightField.frame.middle, lightField.frame.spacing]")
+    before = page.execute_script(
+        "return [lightField.settings, lightField.frame.middle, lightField.frame.spacing]"
+    )
     link = page.current_url
     page.get("about:blank")
     page.get(link)
     wait_for(page, READY)
-    after = page.execute_script("return [lightField.settings, lightField.frame.middle, lightField.frame.spacing]")
+    after = page.execute_script(
+        "return [lightField.settings, lightField.frame.middle, lightField.frame.spacing]"
+    )
     for name in ("mode", "range", "plane", "aperture", "q", "overlay", "brightness", "stereo"):
         expected = before[0][name]
-        assert after[0][name] == (expected if isinstance(expected, str) else pytest.approx(expected, rel=1e-4)), name
-    assert after[1] == pytest.approx(before[1], rel=1e-4) and after[2] == pytest.approx(before[2], rel=1e-4)
+        assert after[0][name] == (
+            expected if isinstance(expected, str) else pytest.approx(expected, rel=1e-4)
+        ), name
+    assert after[1] == pytest.approx(before[1], rel=1e-4) and after[2] == pytest.approx(
+        before[2], rel=1e-4
+    )
     # What makes no sense is left out.
     page.get("about:blank")
     page.get(f"{served.url}#mode=best&s=much&q=1&view=0,0,-1&brightness=99")
@@ -225,10 +262,14 @@ def test_a_link_shows_the_same_view(page, served):
 
 
 def downloaded(page, folder, name):
-    page.execute_cdp_cmd("Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(folder)})
+    page.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(folder)}
+    )
     page.find_element("id", name).click()
     end = time.monotonic() + 60
-    while not (files := [path for path in Path(folder).iterdir() if not path.name.endswith(".crdownload")]):
+    while not (
+        files := [path for path in Path(folder).iterdir() if not path.name.endswith(".crdownload")]
+    ):
         assert time.monotonic() < end, shown(page, "status")
         time.sleep(0.05)
     return files[0]
@@ -255,7 +296,9 @@ def test_a_film_is_recorded(page, tmp_path):
     # Small, since there is no graphics card.
     page.execute_script("lightField.zoom(4); document.getElementById('film-kind').value = 'focus'")
     file = downloaded(page, tmp_path, "film")
-    assert file.name.startswith("house_focus-") and file.name.endswith(("_focus.webm", "_focus.mp4"))
+    assert file.name.startswith("house_focus-") and file.name.endswith(
+        ("_focus.webm", "_focus.mp4")
+    )
     film = cv2.VideoCapture(str(file))
     frames = []
     while (read := film.read())[0]:
@@ -272,7 +315,9 @@ def touch(page, kind, *points):
 
 def test_fingers_focus_look_and_zoom_on_a_phone(page):
     page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", PHONE)
-    page.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
+    page.execute_cdp_cmd(
+        "Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2}
+    )
     try:
         wait_for(page, f"lightField.width === 390 && {RESTS}")
         assert page.execute_script("return document.documentElement.scrollWidth") == 390
@@ -290,7 +335,9 @@ def test_fingers_focus_look_and_zoom_on_a_phone(page):
         for far in (10, 18, 25):
             touch(page, "touchMove", (130 - far, 200), (230 + far, 200))
         touch(page, "touchEnd")
-        assert page.execute_script("return lightField.frame.spacing") == pytest.approx(spacing * 100 / 150, rel=0.1)
+        assert page.execute_script("return lightField.frame.spacing") == pytest.approx(
+            spacing * 100 / 150, rel=0.1
+        )
     finally:
         page.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
         page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", SCREEN)

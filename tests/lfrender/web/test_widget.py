@@ -52,7 +52,11 @@ def test_widget_has_the_page_and_its_settings(captured):
 
     widget = light_field_widget(*captured, title="House", height=300)
     assert isinstance(widget, anywidget.AnyWidget)
-    assert widget.height == 300 and "lightFieldFiles" in widget.page and "<h1>House</h1>" in widget.page
+    assert (
+        widget.height == 300
+        and "lightFieldFiles" in widget.page
+        and "<h1>House</h1>" in widget.page
+    )
     widget.viewpoint = [2.0, -1.0]
     with pytest.raises(Exception, match="mode"):
         widget.mode = "other"
@@ -60,9 +64,14 @@ def test_widget_has_the_page_and_its_settings(captured):
 
 def test_page_and_model_keep_each_other_equal(browser, captured, tmp_path):
     values = {
-        "page": viewer_page(*captured), "height": 300, "mode": "focus", "plane": None, "aperture": 1.0, "overlay": 0.0,
+        "page": viewer_page(*captured),
+        "height": 300,
+        "mode": "focus",
+        "plane": None,
+        "aperture": 1.0,
+        "overlay": 0.0,
         "viewpoint": [0.0, 0.0],
-    }  # fmt: skip
+    }
     module = base64.b64encode(MODULE.read_bytes()).decode()
     text = json.dumps(values).replace("</", "<\\/")
     (tmp_path / "index.html").write_text(NOTEBOOK % (module, text), encoding="utf-8")
@@ -79,7 +88,9 @@ def test_page_and_model_keep_each_other_equal(browser, captured, tmp_path):
         browser.execute_script(f"{inner}.set({{ mode: 'sharp', q: [0, 2] }})")
         wait_for(browser, f"model.saved > {before} && model.values.mode === 'sharp'")
         assert browser.execute_script("return model.values.viewpoint") == [0, 2]
-        shown = browser.execute_script(f"return Array.from({inner}.pixels(40, 30, [100, 100], 4)).slice(0, 4000)")
+        shown = browser.execute_script(
+            f"return Array.from({inner}.pixels(40, 30, [100, 100], 4)).slice(0, 4000)"
+        )
         assert len(set(shown)) > 20, "the picture is not blank"
         assert [e for e in errors(browser) if "favicon" not in e] == []
         server.shutdown()

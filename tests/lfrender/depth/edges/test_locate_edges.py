@@ -16,16 +16,22 @@ from lfrender.depth.pipeline import prepare_flat
 
 @pytest.fixture(scope="module")
 def house_in_front():
-    """Branches before a house: flat, camera, depth without the edges, the true surface, the grey flat, its lattice."""
+    """Branches before a house: flat, camera, depth without the edges, the true surface, the grey
+    flat, its lattice.
+    """
     camera = Camera.design(size=(420, 340), pitch=20.0)
     shot = simulate(SCENES["house"](camera), camera, samples=16, seed=9)
     calibration = shot.truth.calibration
     depth = lfrender.analyze(shot.flat, calibration, edges=False)
     size = shot.truth.reference_patch_size
-    nearest = distance_transform_edt(~np.isfinite(size), return_distances=False, return_indices=True)
+    nearest = distance_transform_edt(
+        ~np.isfinite(size), return_distances=False, return_indices=True
+    )
     affine = shot.truth.reference_affine
     true = lfrender.data.surface.Surface(
-        np.ascontiguousarray(size[tuple(nearest)], np.float32), (affine[0, 2], affine[1, 2]), affine[0, 0]
+        np.ascontiguousarray(size[tuple(nearest)], np.float32),
+        (affine[0, 2], affine[1, 2]),
+        affine[0, 0],
     )
     gray, lattice, _ = prepare_flat(shot.flat, calibration, "balanced")
     return shot.flat, calibration, depth, true, gray, lattice
@@ -48,7 +54,8 @@ def test_fewer_places_beside_branches_have_the_depth_of_the_other_surface(house_
 
 def test_its_grid_is_finer_about_the_same_places(house_in_front):
     _, _, depth, _, gray, lattice = house_in_front
-    after, before = locate_edges(gray, lattice, depth).surface, depth.surface
+    after = locate_edges(gray, lattice, depth).surface
+    before = depth.surface
     finer = len(after.patch_size) // len(before.patch_size)
     assert finer == round(before.spacing / after.spacing) == FINER
     middle = after.first[0] + 0.5 * (finer - 1) * after.spacing
@@ -58,13 +65,18 @@ def test_its_grid_is_finer_about_the_same_places(house_in_front):
 def test_analyze_ends_with_it_where_asked_for(house_in_front):
     flat, calibration, depth, _, gray, lattice = house_in_front
     found = lfrender.analyze(flat, calibration, edges=True)
-    assert np.array_equal(found.surface.patch_size, locate_edges(gray, lattice, depth).surface.patch_size)
+    assert np.array_equal(
+        found.surface.patch_size, locate_edges(gray, lattice, depth).surface.patch_size
+    )
     assert np.array_equal(found.patch_size, depth.patch_size, equal_nan=True)
 
 
 def test_a_surface_without_edges_is_left_alone(house_in_front):
     _, _, depth, _, gray, lattice = house_in_front
-    even = replace(depth, surface=replace(depth.surface, patch_size=np.full_like(depth.surface.patch_size, 6.0)))
+    even = replace(
+        depth,
+        surface=replace(depth.surface, patch_size=np.full_like(depth.surface.patch_size, 6.0)),
+    )
     assert locate_edges(gray, lattice, even) is even
 
 
@@ -87,7 +99,9 @@ def test_parts_of_a_flat_have_the_same_edges(house_in_front):
     assert apart.mean() < 0.03
 
 
-def test_a_frame_after_another_has_edges_where_it_changed_and_the_old_ones_elsewhere(house_in_front):
+def test_a_frame_after_another_has_edges_where_it_changed_and_the_old_ones_elsewhere(
+    house_in_front,
+):
     flat, calibration, *_ = house_in_front
     before = lfrender.analyze(flat, calibration, edges=True)
     changed = flat.copy()

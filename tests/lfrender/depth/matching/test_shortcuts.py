@@ -19,7 +19,9 @@ def test_shifts_near_no_sampled_depth_are_skipped_without_changing_the_result(sc
     assert scenes.agreement(full, quick) > 0.99
 
 
-def test_blank_lenses_are_skipped_without_changing_the_others_and_shading_is_not_taken_for_fine_texture(scenes):
+def test_blank_lenses_are_skipped_without_changing_the_others_and_shading_is_not_taken_for_fine_texture(
+    scenes,
+):
     shot = scenes.shot_of(
         *blank(scenes.camera(), ratio=0.2).surfaces,
         scenes.card(0.3, (200, 150), (420, 330)),
@@ -38,14 +40,20 @@ def test_blank_lenses_are_skipped_without_changing_the_others_and_shading_is_not
 
 def test_a_card_before_a_blank_wall_is_one_plane_and_two_depths_are_not(scenes):
     wall = blank(scenes.camera(), ratio=0.2).surfaces
-    full, quick = scenes.both(scenes.shot_of(*wall, scenes.card(0.3, (150, 100), (450, 380)), noise=(4000, 5)))
+    full, quick = scenes.both(
+        scenes.shot_of(*wall, scenes.card(0.3, (150, 100), (450, 380)), noise=(4000, 5))
+    )
     assert scenes.agreement(full, quick) > 0.99
     for depth in (full, quick):
         known = depth.patch_size[depth.mode != 0]
         # A lens at the edge of the card sees little of it.
         assert np.quantile(np.abs(known - 0.3 * 23.2), 0.9) < 0.02
     full, quick = scenes.both(
-        scenes.shot_of(*wall, scenes.card(0.3, (150, 100), (300, 380)), scenes.card(0.34, (320, 100), (470, 380)))
+        scenes.shot_of(
+            *wall,
+            scenes.card(0.3, (150, 100), (300, 380)),
+            scenes.card(0.34, (320, 100), (470, 380)),
+        )
     )
     assert scenes.agreement(full, quick) > 0.99
     assert np.ptp(quick.patch_size[quick.mode != 0]) > 0.03 * 23.2
@@ -70,7 +78,9 @@ def test_texture_in_two_corners_of_a_blank_scene_is_found_and_fills_the_rest(sce
 
 
 def with_slopes(shot, strength):
-    """A capture whose microimages all grow brighter to the right, by so much from the middle to the rim."""
+    """A capture whose microimages all grow brighter to the right, by so much from the middle to the
+    rim.
+    """
     lattice = shot.truth.calibration.lattice
     y, x = np.mgrid[: shot.flat.shape[0], : shot.flat.shape[1]]
     points = np.stack([x, y], -1).reshape(-1, 2)

@@ -15,9 +15,15 @@ def test_scatter_of_pairs_raises_the_error_in_proportion(drawn_flat):
     rng = np.random.default_rng(3)
     median = []
     for scatter in (0.02, 0.06):
-        sizes = np.repeat(6.0 + scatter * rng.standard_normal((len(lattice), half, 1)), 2, 2).astype(np.float32)
+        sizes = np.repeat(
+            6.0 + scatter * rng.standard_normal((len(lattice), half, 1)), 2, 2
+        ).astype(np.float32)
         sizes[neighbours.forward < 0] = np.nan
-        pairs = PairFits(sizes, np.full(sizes.shape, 0.02**2, np.float32), np.zeros((*sizes.shape, 2), np.float32))
+        pairs = PairFits(
+            sizes,
+            np.full(sizes.shape, 0.02**2, np.float32),
+            np.zeros((*sizes.shape, 2), np.float32),
+        )
         lenses = fit_lens_planes(gray, neighbours, pairs, start)
         median.append(np.median(lenses.standard_error[inner]))
     # Three times the scatter, less outliers of the robust fit.
@@ -35,7 +41,9 @@ def test_lenses_on_the_other_side_of_a_depth_edge_have_no_influence(drawn_flat):
     whole = inner & (np.abs(left.centres[:, 0] - 210) > 12)
     neighbours = neighbours_of(lattice)
     start = truth.astype(np.float32)
-    pairs = fit_pairs(gray, neighbours.forward, start, np.full(len(start), 0.1, np.float32), 0.005, 6)
+    pairs = fit_pairs(
+        gray, neighbours.forward, start, np.full(len(start), 0.1, np.float32), 0.005, 6
+    )
     lenses = fit_lens_planes(gray, neighbours, pairs, start)
     error = np.abs(lenses.patch_size - truth)[whole]
     assert np.median(error) < 0.01

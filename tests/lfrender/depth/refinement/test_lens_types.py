@@ -14,13 +14,21 @@ from lfrender.depth.refinement.lens_plane import fit_lens_planes
 from lfrender.depth.refinement.pair_fit import fit_pairs
 from lfrender.flat.gray_flat import make_gray_flat
 
-RATIO, FOCUS = -0.4, (-0.1, 0.04, 0.18)
+RATIO = -0.4
+FOCUS = (-0.1, 0.04, 0.18)
 
 
 @cache
 def flat(gamma: bool = True, focus: tuple[float, ...] | float = FOCUS):
     camera = Camera.design((420, 360), 23.2, focus=focus)
-    return simulate(SCENES["plane"](camera, ratio=RATIO, seed=3), camera, samples=64, seed=3, gamma=gamma, bits=16)
+    return simulate(
+        SCENES["plane"](camera, ratio=RATIO, seed=3),
+        camera,
+        samples=64,
+        seed=3,
+        gamma=gamma,
+        bits=16,
+    )
 
 
 def errors(kinds: bool, gamma: bool = True) -> np.ndarray:
@@ -30,7 +38,9 @@ def errors(kinds: bool, gamma: bool = True) -> np.ndarray:
     gray = replace(gray, lens_type=shot.truth.lens_type.astype(np.int8) if kinds else None)
     start = (shot.truth.patch_size + 0.2).astype(np.float32)
     neighbours = neighbours_of(shot.truth.calibration.lattice)
-    pairs = fit_pairs(gray, neighbours.forward, start, np.full(len(start), 0.1, np.float32), 0.004, 5)
+    pairs = fit_pairs(
+        gray, neighbours.forward, start, np.full(len(start), 0.1, np.float32), 0.004, 5
+    )
     alone = fit_lens_planes(gray, neighbours, pairs, start)
     inner = (np.abs(gray.centres - np.array([209.5, 179.5])) < np.array([150, 120])).all(1)
     return (alone.patch_size - shot.truth.patch_size)[inner]

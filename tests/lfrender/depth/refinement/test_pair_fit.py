@@ -21,7 +21,9 @@ def test_pairs_of_a_plane_have_no_common_error_at_any_fraction_of_a_pixel(drawn_
         gray, lattice, truth, inner = drawn_flat(s)
         pairs, _ = measure(gray, lattice, truth + 0.4)
         error = np.nanmedian(pairs.patch_size[inner, :, 0] - s, axis=0)
-        assert np.abs(error).max() < 0.005, f"{s} px: off by {error} px along the lattice directions"
+        assert np.abs(error).max() < 0.005, (
+            f"{s} px: off by {error} px along the lattice directions"
+        )
 
 
 def test_each_lens_of_a_slanted_plane_measures_its_own_centre(drawn_flat):
@@ -81,5 +83,8 @@ def test_shading_left_in_microimages_hardly_moves_their_pairs(drawn_flat):
     delta = points - lattice.origin - np.rint(lattice.to_index(points)) @ lattice.basis
     rim = 1 - 0.02 * (delta**2).sum(1).reshape(x.shape) / gray.radius**2
     shaded = dataclasses.replace(gray, image=(gray.image * rim).astype(np.float32))
-    error = [np.median(np.abs(measure(flat, lattice, truth)[1].patch_size - truth)[inner]) for flat in (gray, shaded)]
+    error = [
+        np.median(np.abs(measure(flat, lattice, truth)[1].patch_size - truth)[inner])
+        for flat in (gray, shaded)
+    ]
     assert error[1] < 1.3 * error[0] + 0.004, f"{error} px without and with shading"

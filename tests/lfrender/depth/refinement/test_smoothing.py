@@ -11,7 +11,8 @@ from lfrender.depth.refinement.smoothing import smooth_fits
 from lfrender.flat.gray_flat import GrayFlat
 from lfrender.flat.lens_graph import neighbour_rows
 
-NOISE, RADIUS = 0.05, 8.5
+NOISE = 0.05
+RADIUS = 8.5
 
 
 def cameras(kind="hex"):
@@ -65,7 +66,9 @@ def test_depth_edges_stay_sharp():
 
 
 def test_an_uncertain_lens_between_two_depths_keeps_its_large_error():
-    """Neighbours that differ by far more than their errors have little weight, however small these are."""
+    """Neighbours that differ by far more than their errors have little weight, however small these
+    are.
+    """
     _, centres, neighbours = cameras()
     truth = np.where(centres[:, 0] < 300, -9.0, -8.0)
     own = fits(truth, 0.01)
@@ -82,25 +85,30 @@ def test_lenses_with_few_inlier_neighbours_hardly_bias_distant_ones():
     _, centres, neighbours = cameras()
     across = (centres[:, 0] - 300) / 20
     mixed = np.abs(across) % 10 < 2
-    truth, away = np.full(len(centres), -9.0), []
+    truth = np.full(len(centres), -9.0)
+    away = []
     for seed in range(4):
         own = fits(truth, seed=seed)
         own.slant_error[:] = 0.002
-        own.patch_size[mixed] += 5 * NOISE * np.random.default_rng(seed).uniform(0, 1, mixed.sum()).astype(np.float32)
+        own.patch_size[mixed] += (
+            5 * NOISE * np.random.default_rng(seed).uniform(0, 1, mixed.sum()).astype(np.float32)
+        )
         sizes, _ = smoothed(centres, neighbours, own)
         away.append((sizes - truth)[~mixed].mean())
     assert np.mean(away) < 0.23 * NOISE
 
 
 def bowl(centres, curvature, noise=0.002):
-    """A surface of this curvature [px / pitch^2]: sizes at the centres of lenses, their means over microimages, fits of
-    these with noise, and which lenses see its central part.
+    """A surface of this curvature [px / pitch^2]: sizes at the centres of lenses, their means over
+    microimages, fits of these with noise, and which lenses see its central part.
     """
     away = (centres - centres.mean(0)) / 20.0
     truth = -9.0 + 0.5 * curvature * (away**2).sum(1)
     told = truth + 0.5 * curvature * (RADIUS / truth) ** 2 / 2
     own = fits(told, noise)
-    own.slant[:] = -curvature * away / truth[:, None] + 0.004 * np.random.default_rng(1).standard_normal(away.shape)
+    own.slant[:] = -curvature * away / truth[:, None] + 0.004 * np.random.default_rng(
+        1
+    ).standard_normal(away.shape)
     own.slant_error[:] = 0.004
     return truth, told, own, (np.abs(away) < 5).all(1)
 
@@ -110,13 +118,16 @@ def test_curved_surfaces_stay_so(curvature):
     _, centres, neighbours = cameras()
     truth, _, own, inner = bowl(centres, curvature)
     sizes, _ = smoothed(centres, neighbours, own)
-    assert np.median(np.abs(sizes - truth)[inner]) < 0.0015 + 1.15 * np.median(np.abs(own.patch_size - truth)[inner])
+    assert np.median(np.abs(sizes - truth)[inner]) < 0.0015 + 1.15 * np.median(
+        np.abs(own.patch_size - truth)[inner]
+    )
 
 
 def test_lenses_of_unknown_error_have_no_influence():
     _, centres, neighbours = cameras()
     truth = np.full(len(centres), -9.0)
-    own, wanted = fits(truth), np.ones(len(centres), bool)
+    own = fits(truth)
+    wanted = np.ones(len(centres), bool)
     own.standard_error[::3] = np.inf
     own.patch_size[::3] = np.nan
     wanted[1::3] = False
@@ -124,7 +135,9 @@ def test_lenses_of_unknown_error_have_no_influence():
     assert np.isnan(sizes[::3]).all() and np.isinf(errors[::3]).all()
     np.testing.assert_array_equal(sizes[1::3], own.patch_size[1::3])
     assert np.isfinite(sizes[2::3]).all()
-    assert np.median(np.abs(sizes - truth)[2::3]) < 0.6 * np.median(np.abs(own.patch_size - truth)[2::3])
+    assert np.median(np.abs(sizes - truth)[2::3]) < 0.6 * np.median(
+        np.abs(own.patch_size - truth)[2::3]
+    )
 
 
 def test_an_analysis_smooths_what_its_lenses_measure(monkeypatch):

@@ -11,12 +11,17 @@ import lfrender
 from benchmarks.stress.plane_flats import PlaneFlat
 from lfrender.depth.surface.densify import densify
 
-NEAR, FAR, EDGE, CELLS = 9.0, 5.0, 214.0, 7
+NEAR = 9.0
+FAR = 5.0
+EDGE = 214.0
+CELLS = 7
 
 
 @pytest.fixture(scope="module")
 def edged_flat(drawn_flat):
-    """A plane before another, for scene points right of `EDGE`, and the patch sizes at the centres of lenses."""
+    """A plane before another, for scene points right of `EDGE`, and the patch sizes at the centres
+    of lenses.
+    """
     near, lattice, _, _ = drawn_flat(NEAR, seed=1)
     far, *_ = drawn_flat(FAR, seed=2)
     height, width = near.image.shape
@@ -39,7 +44,8 @@ def test_a_depth_edge_lies_where_the_pixels_have_it(edged_flat):
     gray, lattice, values = edged_flat
     nothing = np.full((len(values), 2), np.nan, np.float32)
     found = densify(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS)
-    # The lenses alone put it anywhere within half a pitch, values of twice the spacing within a whole cell.
+    # The lenses alone put it anywhere within half a pitch, values of twice the spacing within a
+    # whole cell.
     assert np.median(np.abs(_edges(found) - EDGE)) <= 0.5 * found.spacing
     assert np.mean(np.abs(_edges(found) - EDGE) > 1.5 * found.spacing) < 0.1
 
@@ -65,15 +71,29 @@ def test_values_far_from_an_edge_are_those_of_the_lenses_about_them(edged_flat):
 def test_lenses_of_no_confidence_leave_no_point_without_depth(edged_flat):
     gray, lattice, values = edged_flat
     nothing = np.full((len(values), 2), np.nan, np.float32)
-    found = densify(gray, lattice, values, nothing, np.where(values == FAR, np.float32(0), 1), 0.001, CELLS)
+    found = densify(
+        gray, lattice, values, nothing, np.where(values == FAR, np.float32(0), 1), 0.001, CELLS
+    )
     assert np.isfinite(found.patch_size).all()
 
 
 def test_a_coarse_grid_beyond_all_lenses_leaves_no_point_without_depth():
     # In the corners of a small flat of long cells no lens lies near.
     flat = PlaneFlat(
-        ratio=1.0, slant=(0.0095, 0.051), cell="oblong", pitch=6.0, degrees=137.14443558389954, size=(80, 40),
-        contrast=0.05, noise=0.0, grain=0.9, period=0.0, exposure=0.35651357544053813, fill=0.8, kind="f4", seed=60016,
-    )  # fmt: skip
+        ratio=1.0,
+        slant=(0.0095, 0.051),
+        cell="oblong",
+        pitch=6.0,
+        degrees=137.14443558389954,
+        size=(80, 40),
+        contrast=0.05,
+        noise=0.0,
+        grain=0.9,
+        period=0.0,
+        exposure=0.35651357544053813,
+        fill=0.8,
+        kind="f4",
+        seed=60016,
+    )
     depth = lfrender.analyze(flat.flat(), flat.calibration)
     assert np.isfinite(depth.surface.patch_size).all()

@@ -13,8 +13,19 @@ from lfrender.depth.validity.periodicity import find_periodic_texture
 @pytest.mark.parametrize(
     "plane",
     [
-        PlaneFlat(1.0, cell="square", pitch=9.4, degrees=0.0, size=(174, 173), contrast=0.15, period=0.86, fill=0.93),
-        PlaneFlat(-1.0, cell="sheared", pitch=13.4, degrees=1.0, size=(245, 148), period=0.73, fill=0.99),
+        PlaneFlat(
+            1.0,
+            cell="square",
+            pitch=9.4,
+            degrees=0.0,
+            size=(174, 173),
+            contrast=0.15,
+            period=0.86,
+            fill=0.93,
+        ),
+        PlaneFlat(
+            -1.0, cell="sheared", pitch=13.4, degrees=1.0, size=(245, 148), period=0.73, fill=0.99
+        ),
         PlaneFlat(2.4, cell="sheared", pitch=12.7, degrees=9.0, size=(139, 77), period=0.52),
     ],
 )
@@ -52,6 +63,7 @@ def test_a_wave_on_half_of_a_plane_is_found_with_shortcuts():
     flat = np.where(np.arange(900) < 450, rich.flat(), wave.flat()).astype(np.uint16)
     depth = lfrender.analyze(flat, rich.calibration)
     x = rich.lattice.centres()[:, 0]
-    # Only around the parts that are drawn; the exhaustive search leaves all of that half unresolved.
+    # Only around the parts that are drawn; the exhaustive search leaves all of that half
+    # unresolved.
     assert (depth.mode[x > 500] == 0).mean() > 0.5
     assert (depth.mode[x < 400] != 0).mean() > 0.9

@@ -14,12 +14,18 @@ def test_an_optimum_that_matches_as_well_over_fewer_pixels_is_a_rival():
     shifts = np.arange(41)
 
     def cost(rival):
-        peaks = 0.9 * np.exp(-(((shifts - 12) / 2.0) ** 2)) + rival * np.exp(-(((shifts - 32) / 2.0) ** 2))
+        peaks = 0.9 * np.exp(-(((shifts - 12) / 2.0) ** 2)) + rival * np.exp(
+            -(((shifts - 32) / 2.0) ** 2)
+        )
         return 1 - (peaks * trust)[None].astype(np.float32)
 
     trust = np.linspace(1.0, 0.4, 41).astype(np.float32)
-    no_rows, best, yes = np.empty((1, 0), np.int32), np.array([12]), np.ones(1, bool)
-    equal, less, none = (measure_ambiguity(cost(r), trust, no_rows, best, yes, 2)[0] for r in (0.9, 0.6, 0.0))
+    no_rows = np.empty((1, 0), np.int32)
+    best = np.array([12])
+    yes = np.ones(1, bool)
+    equal, less, none = (
+        measure_ambiguity(cost(r), trust, no_rows, best, yes, 2)[0] for r in (0.9, 0.6, 0.0)
+    )
     # As seen, the rival's cost is 0.5 against 0.3.
     assert abs(equal - 0.5) < 0.05
     assert less > 0.98
@@ -42,7 +48,12 @@ def test_planes_near_zero_patch_size_are_resolved_by_how_they_move(ratio):
 
 
 def test_shading_that_stays_with_its_lens_is_no_depth_however_strong():
-    shot = simulate(SCENES["blank"](Camera.design(size=(260, 220))), Camera.design(size=(260, 220)), samples=8, seed=2)
+    shot = simulate(
+        SCENES["blank"](Camera.design(size=(260, 220))),
+        Camera.design(size=(260, 220)),
+        samples=8,
+        seed=2,
+    )
     calibration = shot.truth.calibration
     y, x = np.mgrid[: shot.flat.shape[0], : shot.flat.shape[1]]
     index = calibration.lattice.to_index(np.stack([x, y], -1).reshape(-1, 2))
@@ -55,7 +66,9 @@ def test_shading_that_stays_with_its_lens_is_no_depth_however_strong():
 @functools.cache
 def _periodic(ratio, period):
     camera = Camera.design(size=(360, 300), pitch=24.0, lattice="square")
-    return simulate(SCENES["periodic"](camera, ratio=ratio, period=period), camera, samples=16, seed=2)
+    return simulate(
+        SCENES["periodic"](camera, ratio=ratio, period=period), camera, samples=16, seed=2
+    )
 
 
 def test_a_texture_that_repeats_along_the_lattice_yields_no_confident_wrong_depth():

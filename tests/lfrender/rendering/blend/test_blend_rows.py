@@ -1,4 +1,6 @@
-"""Blending row by row gives the picture of blending pixel by pixel, in any part and on any number of threads."""
+"""Blending row by row gives the picture of blending pixel by pixel, in any part and on any number
+of threads.
+"""
 
 import functools
 
@@ -14,14 +16,18 @@ from data_synth import SCENES, Camera, simulate
 def capture():
     camera = Camera.design(size=(300, 220), pitch=17.3, rotation=2.1)
     shot = simulate(SCENES["house"](camera), camera, samples=24, seed=2)
-    return shot.flat, shot.truth.calibration, lfrender.analyze(shot.flat, shot.truth.calibration, "fast")
+    return (
+        shot.flat,
+        shot.truth.calibration,
+        lfrender.analyze(shot.flat, shot.truth.calibration, "fast"),
+    )
 
 
 def shorts(flat):
     """The same in 16 bits, with lower bits set."""
-    return flat * np.uint16(257) - np.random.default_rng(3).integers(0, 200, flat.shape, np.uint16) % (
-        flat + np.uint16(1)
-    )
+    return flat * np.uint16(257) - np.random.default_rng(3).integers(
+        0, 200, flat.shape, np.uint16
+    ) % (flat + np.uint16(1))
 
 
 def view(flat, camera, depth, scale):
@@ -44,7 +50,8 @@ def test_pictures_of_integers_are_those_of_floats(channels, scale, drawn, made):
     pixels = drawn(flat / np.float32(np.iinfo(flat.dtype).max), camera, depth, scale)
     apart = np.abs(rows.image / np.float64(np.iinfo(flat.dtype).max) - pixels.image) * 255
     np.testing.assert_array_equal(rows.valid, pixels.valid)
-    # The flat is rounded to grey levels, and clipped, when the blur of interpolation is compensated.
+    # The flat is rounded to grey levels, and clipped, when the blur of interpolation is
+    # compensated.
     assert apart.mean() < 0.4
     assert (apart > 1.5).mean() < 3e-3
 

@@ -9,7 +9,10 @@ from lfcal import Lattice
 from lfrender.data.surface import Surface
 from lfrender.rendering.blend.occlusion import project_surface
 
-NEAR, FAR, EDGE, REACH = 9.0, 5.0, 199.0, 30.0
+NEAR = 9.0
+FAR = 5.0
+EDGE = 199.0
+REACH = 30.0
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +34,15 @@ def test_the_nearer_surface_is_seen_up_to_its_edge(stepped):
     delta = points - own
     at = (own[:, 0] - delta[:, 0] * lattice.pitch / NEAR).reshape(x.shape)
     inside = (np.linalg.norm(delta, axis=1) < 9).reshape(x.shape)
-    inside &= (np.abs(at - own[:, 0].reshape(x.shape)) < REACH - 4) & (x > 40) & (x < 380) & (y > 40) & (y < 340)
+    inside &= (
+        (np.abs(at - own[:, 0].reshape(x.shape)) < REACH - 4)
+        & (x > 40)
+        & (x < 380)
+        & (y > 40)
+        & (y < 340)
+    )
     of_edged = np.isin(own[:, 0].round(3), lattice.centres()[edged, 0].round(3)).reshape(x.shape)
-    hidden, open_ = inside & of_edged & (at > EDGE + 7), inside & of_edged & (at < EDGE - 7)
+    hidden = inside & of_edged & (at > EDGE + 7)
+    open_ = inside & of_edged & (at < EDGE - 7)
     assert hidden.sum() > 1000 and (seen[hidden] == NEAR).mean() > 0.99
     assert open_.sum() > 1000 and np.isnan(seen[open_]).mean() > 0.99
