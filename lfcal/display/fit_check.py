@@ -9,10 +9,9 @@ microimages of some ten pixels.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +21,9 @@ from ..lattice.lattice import Lattice, describe_orientation
 from ..runtime.arrays import Array, Floats, Frozen, Singles
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, CameraFileError, FlatError, check_type
 from .compare import REGIONS
+
+if TYPE_CHECKING:
+    from ..detection.search import Candidate
 
 __all__ = ["CameraCheck", "FitCheck", "check_camera", "check_fit", "choose_orientation"]
 
@@ -33,7 +35,7 @@ _SHIFT = 0.06
 _STRETCH = 0.033
 # Least probability of a lattice that a camera is compared with.
 _LIKELY = 0.5
-# The same at the basis of the camera: what repeats there is hardly anything else.
+# Least probability of a lattice, found at the basis of the camera, that may confirm the camera.
 _LIKELY_AT_BASIS = 0.05
 
 
@@ -354,28 +356,40 @@ def _compare(reduced: _Reduced, given: Lattice) -> tuple[Lattice | None, _Misfit
         design = np.column_stack([np.ones(len(index)), index])
         line: Array = np.linalg.lstsq(design, given.points(index), rcond=None)[0]
         given = Lattice(line[0], line[1:], given.image_size, given.radius)
+    from ..detection.search import find_candidates
+
     small = given.downscaled(reduced.factor)
-    first = None
+    own = _find_at_basis(reduced.picture, small)
+    if own is not None and own.evidence.probability > _LIKELY:
+        misfit = _Misfit.between(small, own.lattice)
+        if misfit is not None:
+            return own.lattice, misfit
+    other = None
     with suppress(CalibrationError, np.linalg.LinAlgError):
-        for found in _find_lattices(reduced.picture, small):
-            misfit = _Misfit.between(small, found)
+        for found in find_candidates(reduced.picture)[:3]:
+            if found.evidence.probability <= _LIKELY:
+                break
+            misfit = _Misfit.between(small, found.lattice)
             if misfit is not None:
-                return found, misfit
-            first = first or found
-    return first, None
+                return found.lattice, misfit
+            other = other or found.lattice
+    if other is None and own is not None and own.evidence.probability > _LIKELY_AT_BASIS:
+        # A faint lattice may confirm the camera; it is too uncertain to refute it.
+        misfit = _Misfit.between(small, own.lattice)
+        if misfit is not None and misfit.is_small:
+            return own.lattice, misfit
+    return other, None
 
 
-def _find_lattices(picture: Singles, given: Lattice) -> Iterator[Lattice]:
-    """Probable lattices on a picture: at the basis of the given one, and where none is there, any."""
-    from ..detection.search import find_candidates, measure_basis
+def _find_at_basis(picture: Singles, given: Lattice) -> Candidate | None:
+    """The most probable lattice on a picture near the basis of the given one."""
+    from ..detection.search import measure_basis
 
     with suppress(CalibrationError, np.linalg.LinAlgError):
-        own = measure_basis(picture, given)
-        if own and own[0].evidence.probability > _LIKELY_AT_BASIS:
-            yield own[0].lattice
-    for found in find_candidates(picture)[:3]:
-        if found.evidence.probability > _LIKELY:
-            yield found.lattice
+        found = measure_basis(picture, given)
+        if found:
+            return found[0]
+    return None
 
 
 def _fit_offsets(
