@@ -214,12 +214,13 @@ def _final(fit: LatticeFit, start: Lattice) -> FinalLattice:
 def _follow_gaps(
     fit: LatticeFit, picture: NDArray[np.float32], start: Candidate
 ) -> LatticeFit | None:
-    """The fit that explains the flat best: to its edges, to its gaps, or none, where the start is
-    better than both.
+    """The fit that explains the flat best: to its edges, to its gaps, to its steps, or none, where
+    the start is better than all.
 
     Scene detail that is alike in many lenses draws edges after it, but gaps are constant in all of
     them. This is tried only where the fit to the edges has left the start.
     """
+    from .detection.features import FlatFeatures
     from .images.preprocessing import normalise_locally
     from .scene_fit.fit import fit_scene
 
@@ -230,9 +231,12 @@ def _follow_gaps(
         return fit
     fits: list[LatticeFit | None] = [fit, None]
     darkness = np.minimum(normalise_locally(picture, 2 * found.pitch), 0)
-    with suppress(CalibrationError):
-        fits.append(fit_scene(darkness, found))
-    return max(fits, key=lambda one: start.explained(found.basis if one is None else one.basis))
+    for feature in (darkness, FlatFeatures(picture).steps):
+        with suppress(CalibrationError):
+            fits.append(fit_scene(feature, found))
+    lattices = [found if one is None else one for one in fits]
+    explained = [start.explained(one.origin, one.basis) for one in lattices]
+    return fits[int(np.argmax(explained))]
 
 
 def _apart(fit: LatticeFit, found: Lattice, index: NDArray[np.float64]) -> float:

@@ -11,6 +11,7 @@ from ..camera.evidence import Evidence
 from ..hough.circle_vote import Circles
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Floats, Singles
+from .borders import LineProfile
 from .cell_maps import CellMaps, CellParts
 from .folding import BINS, measure_repeatability
 from .neighbours import measure_parallax
@@ -35,12 +36,17 @@ _SHIFTS = ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3))
 
 
 def measure_evidence(
-    maps: CellMaps, centre: Floats, lattice: Lattice, marks: Sequence[Marks]
+    maps: CellMaps,
+    centre: Floats,
+    lattice: Lattice,
+    marks: Sequence[Marks],
+    lines: Sequence[LineProfile],
 ) -> Evidence:
     """Evidence from average cells and circles, without parallax and the agreement of halves.
 
     `centre` (2,) is that of the microimage in fractional coordinates of the maps, `marks` are
-    circles and peaks of its pitch, found without the lattice.
+    circles and peaks of its pitch, found without the lattice, `lines` the profiles of the steps
+    across the two lattice directions.
     """
     parts = CellParts.about(centre, maps.basis)
     middle = parts.middle
@@ -63,6 +69,9 @@ def measure_evidence(
         inverted=_inverted_likeness(maps.brightness),
         explained=maps.explained(),
         shape=_shape_share(maps, parts, centre),
+        borders=min(
+            line.contrast((along + 0.5) % 1) for line, along in zip(lines, centre, strict=True)
+        ),
     )
 
 

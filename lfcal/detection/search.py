@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice
 from typing import Any
 
@@ -18,6 +19,7 @@ from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
+from .borders import LineProfile, find_line_periods, fit_touching_cells, measure_borders
 from .cell_centre import find_round_centres
 from .cell_maps import CellMaps, CellParts, tile_side
 from .features import FlatFeatures
@@ -42,6 +44,8 @@ _HALVED = 11.0
 #: taken then.
 _CLEAR = 16.0
 _LIKELY = 0.5
+#: Contrast of lines between lenses from which on these may touch each other: lines place them then.
+_TOUCHING = 0.5
 
 
 @dataclass(frozen=True)
@@ -58,9 +62,14 @@ class Candidate:
         """RMS distance [px] of the lattices of two halves of the flat."""
         return self.evidence.halves * self.lattice.pitch
 
-    def explained(self, basis: Floats) -> float:
-        """How well a basis (2, 2) [px] explains the flat, as `CellMaps.explained`."""
+    def explained(self, origin: Floats, basis: Floats) -> float:
+        """How well a lattice [px] explains the flat: by its lines where lenses touch each other, else
+        as `CellMaps.explained`.
+        """
         scale = self.features.picture.shape[1] / self.lattice.image_size[0]
+        if self.evidence.borders > _TOUCHING:
+            place = (origin + 0.5) * scale - 0.5
+            return measure_borders(self.features.steps, place, basis * scale)
         return CellMaps.measure(self.features, basis * scale).explained()
 
 
@@ -131,17 +140,17 @@ def _search(
     """Candidates of all periods, or of those up to a certain one, the most probable first."""
     found: list[Candidate] = []
     tried: list[Floats] = []
+    refine = partial(_refine_period, features)
     found_periods = find_periods(features)
-    periods = chain(
-        islice(found_periods, 1),
-        _find_finer_periods(features, tried),
-        found_periods,
-        _find_more_periods(features, tried),
+    bases = chain(
+        map(refine, islice(found_periods, 1)),
+        map(refine, _find_finer_periods(features, tried)),
+        map(refine, found_periods),
+        find_line_periods(features.steps),
+        map(refine, _find_more_periods(features, tried)),
+        map(refine, hint.bases() if hint else ()),
     )
-    if hint is not None:
-        periods = chain(periods, hint.bases())
-    for period in periods:
-        basis = _refine_period(features, period)
+    for basis in bases:
         if np.hypot(*basis.T).min() < _SHORTEST or any(
             is_same_lattice(basis, other, 0.01) for other in tried
         ):
@@ -241,10 +250,13 @@ def _measure_period(
     found_marks = [find(picture, start.pitch) for find in (find_circles, find_peaks)]
     marks = [Marks.of(one, picture, start.pitch) for one in found_marks]
     middle = (np.array([width, height]) - 1) / 2
-    for centre in _propose_centres(maps):
+    lines = [LineProfile.measure(features.steps, one) for one in np.linalg.inv(basis).T]
+    for centre in _propose_centres(maps, lines):
         lattice = replace(start, origin=_nearest_point(middle, centre @ basis, basis))
         found.append(
-            Candidate(lattice, measure_evidence(maps, centre, lattice, marks), features, maps)
+            Candidate(
+                lattice, measure_evidence(maps, centre, lattice, marks, lines), features, maps
+            )
         )
     found.sort(key=lambda one: -one.evidence.outlined)
     return [one for rough in found[:most] for one in _refine_candidate(rough)]
@@ -257,6 +269,10 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
     lattice = rough.lattice
     maps = rough.maps
     fit = fit_harmonics(maps.tiles[1:], lattice.origin)
+    if rough.evidence.borders > _TOUCHING:
+        lines = fit_touching_cells(rough.features.steps, lattice.basis)
+        if lines.half_difference < fit.half_difference:
+            fit = lines
     if has_run_away(fit.basis, lattice.basis):
         return []
     basis = reduce_basis(fit.basis)
@@ -268,15 +284,14 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
     return [replace(rough, lattice=fitted, evidence=evidence)]
 
 
-def _propose_centres(maps: CellMaps) -> list[Floats]:
-    """Centres (2,) in fractional coordinates: round places, the cell between steps, and half a cell
-    from the first.
-    """
+def _propose_centres(maps: CellMaps, lines: list[LineProfile]) -> list[Floats]:
+    """Centres (2,) in fractional coordinates: round places, cells between steps, half-cell shifts."""
     guesses = [
         guess.position for guess in find_round_centres([maps.brightness, maps.edges], maps.basis)
     ]
     first = guesses[0]
     guesses.append(_between_steps(maps))
+    guesses.append((np.array([one.strongest for one in lines]) + 0.5) % 1)
     guesses += [(first + shift) % 1 for shift in ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5))]
     pitch = float(np.sqrt(abs(np.linalg.det(maps.basis))))
     distinct: list[Floats] = []

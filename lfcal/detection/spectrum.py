@@ -8,7 +8,7 @@ frequencies.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import chain, combinations
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import cv2
@@ -227,12 +227,10 @@ def _find_candidates(prominence: Singles, reduction: int) -> list[Candidate]:
 def find_periods(features: FlatFeatures) -> Iterator[Floats]:
     """Bases (2, 2) [px] of what repeats on a flat, the best supported by its spectrum first.
 
-    Brightness and edges show most lattices. Borders without gaps show in steps alone, whose peaks
-    are harmonics of the lattice along two lines: multiples of the periods found there are periods
-    too.
+    Brightness and edges show most lattices; `borders.find_line_periods` those without gaps.
     """
     given: list[Floats] = []
-    for basis in chain(_find_supported(features), _find_step_periods(features.steps)):
+    for basis in _find_supported(features):
         if not any(is_same_lattice(basis, other) for other in given):
             given.append(basis)
             yield basis
@@ -273,50 +271,3 @@ def _find_supported(features: FlatFeatures) -> Iterator[Floats]:
     found = [one for one in found if one.support >= _MIN_SUPPORT]
     for candidate in sorted(found, key=lambda one: -one.support)[:_MOST]:
         yield candidate.basis
-
-
-def _find_step_periods(steps: Singles) -> Iterator[Floats]:
-    """Periods of borders without gaps, from the two best combs of peaks on lines through zero
-    frequency.
-    """
-    log_power = _log_power([steps])
-    if log_power is None:
-        return
-    prominence = _whiten(log_power, _WIDE)
-    peaks, _ = _find_peaks(prominence)
-    if len(peaks) < 2:
-        return
-    size = len(prominence)
-    divided = (peaks[:, None] / np.arange(1, 13)[:, None]).reshape(-1, 2)
-    period = 1 / np.hypot(*divided.T)
-    combs = divided[(period >= 6) & (period <= size / 5)]
-    if len(combs) < 2:
-        return
-    score = _score_combs(prominence, combs)
-    order = np.argsort(-score, kind="stable")
-    first = combs[order[0]]
-    across = np.abs(combs @ np.array([-first[1], first[0]])) / np.hypot(*first) / np.hypot(*combs.T)
-    second = [k for k in order.tolist() if across[k] > 0.7]
-    for k in second[:1]:
-        yield reduce_basis(np.linalg.inv(np.array([first, combs[k]])).T)
-
-
-def _score_combs(prominence: Singles, combs: Floats) -> Floats:
-    """(m,) sum of the prominence at all multiples of frequencies (m, 2) [cycles per px], over its
-    deviation.
-
-    A fraction of the true frequency has as many peaks among more places, a multiple has fewer
-    peaks.
-    """
-    size = len(prominence)
-    highest = cv2.dilate(prominence, np.ones((3, 3), np.uint8))
-    highest = highest - np.float32(np.median(highest[::4]))
-    order = np.arange(1, 33)[:, None]
-    nodes = combs[:, None] * order
-    inside = np.abs(nodes).max(2) < 0.45
-    nodes = np.where(nodes[..., :1] < 0, -nodes, nodes)
-    x, y = np.moveaxis(np.rint(nodes * size).astype(int), -1, 0)
-    value = highest[(y + size // 2) % size, x.clip(0, highest.shape[1] - 1)]
-    value = np.clip(value, -_PROMINENCE, 2 * _PROMINENCE) * inside
-    scores: Floats = value.sum(1) / np.sqrt(np.maximum(inside.sum(1), 1))
-    return scores
