@@ -381,20 +381,7 @@ def _read(path: Path, size: tuple[int, int] | None, y_up: bool = False) -> Calib
     context_settings={"help_option_names": ["-h", "--help"]},
     others=(
         "lfrender",
-        (
-            "analyze",
-            "batch",
-            "demo",
-            "lenslet",
-            "live",
-            "refocus",
-            "render",
-            "report",
-            "view",
-            "views",
-            "volume",
-            "warm",
-        ),
+        "analyze batch demo lenslet live refocus render report view views volume warm",
     ),
 )
 @click.version_option(package_name="lfrender", prog_name="lfcal")

@@ -11,7 +11,7 @@ import click
 
 from lfcal import LightFieldError
 from lfcal.runtime import command_line as cl
-from lfcal.runtime.interrupts import end_by_interrupt
+from lfcal.runtime.command_line.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import check_output
 
 from . import figures

@@ -16,7 +16,7 @@ import sys
 from collections.abc import Iterator
 from types import FrameType
 
-from .output_file import discard_unfinished
+from ..output_file import discard_unfinished
 
 __all__ = ["GRACE", "end_by_interrupt", "handle_interrupts", "leave_if_interrupted"]
 

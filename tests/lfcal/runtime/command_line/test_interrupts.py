@@ -19,7 +19,7 @@ import cloup
 from lfcal.runtime.command_line import Program
 from lfcal.runtime.output_file import atomic_write
 
-@cloup.group(cls=Program, name="program", others=("other", ()))
+@cloup.group(cls=Program, name="program", others=("other", ""))
 def main():
     pass
 
@@ -69,9 +69,9 @@ SERVE = """
 import time
 import cloup
 from lfcal.runtime.command_line import Program
-from lfcal.runtime.interrupts import end_by_interrupt
+from lfcal.runtime.command_line.interrupts import end_by_interrupt
 
-@cloup.group(cls=Program, name="program", others=("other", ()))
+@cloup.group(cls=Program, name="program", others=("other", ""))
 def main():
     pass
 
