@@ -135,15 +135,18 @@ def _interrupt(
     seconds = time.perf_counter() - start
     code = process.returncode
     fault = ""
-    if seconds > _AT_ONCE:
-        fault = "later than 5 s after the interrupt"
+    if (
+        "Traceback" in errors
+        and str(_ROOT / "lfrender" / "__main__.py") not in errors
+        and after < 1
+    ):
+        kind = _BEFORE
+    elif "Traceback" in errors:
+        fault = f"traceback: {errors.strip()[-300:]}"
     elif code not in (0, 130, -signal.SIGINT):
         fault = f"ended with {code}"
-    before_ours = str(_ROOT / "lfrender" / "__main__.py") not in errors
-    if "Traceback" in errors and not (before_ours and after < 1):
-        fault = f"traceback: {errors.strip()[-300:]}"
-    elif "Traceback" in errors:
-        kind = _BEFORE
+    if seconds > _AT_ONCE:
+        fault = "later than 5 s after the interrupt"
     if output.exists():
         try:
             lfrender.DepthMap.load(output) if output.suffix == ".npz" else lfcal.read_flat(output)
