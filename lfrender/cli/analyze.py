@@ -132,7 +132,7 @@ def analyze(capture: CaptureInput, given: Any) -> None:
                     f"{forms['mesh']}: {len(surface.faces):,} triangles; {surface.metadata['axes']}."
                 )
     written = dict.fromkeys(map(str, (output, *forms.values())))
-    sentences = figures.capture_sentences(capture, calibration, depth, optics)
+    sentences = capture.sentences(calibration, depth, optics)
     report.finish(found, *sentences, f"{', '.join(written)} in {report.took}.", *closing)
 
 

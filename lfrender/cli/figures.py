@@ -11,7 +11,6 @@ if TYPE_CHECKING:
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
-    from .inputs import CaptureInput
 
 __all__ = [
     "brightness_sentences",
@@ -34,18 +33,14 @@ def rendering_settings(
     depth: DepthMap | None, patch_size: float | None, detail: str | None = None
 ) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
-    if depth is None and patch_size is None:
-        return {"rendering": "traditional"}
-    how = (
-        {"rendering": "all in focus", "preset": depth.preset}
-        if depth
-        else {"rendering": "one patch size"}
-    )
-    return (
-        how
-        | ({} if depth else {"patch_size": patch_size})
-        | ({} if detail is None else {"detail": detail})
-    )
+    settings: dict[str, Any]
+    if depth is not None:
+        settings = {"rendering": "all in focus", "preset": depth.preset, "detail": detail}
+    elif patch_size is not None:
+        settings = {"rendering": "one patch size", "patch_size": patch_size, "detail": detail}
+    else:
+        settings = {"rendering": "traditional"}
+    return {name: value for name, value in settings.items() if value is not None}
 
 
 def capture_figures(
@@ -81,9 +76,7 @@ def capture_figures(
     sizes = np.abs(depth.patch_size[depth.mode != 0])
     figures |= {
         "lenses_analysed": int(analysed.sum()),
-        "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items()}
-        if len(mode)
-        else {},
+        "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items() if len(mode)},
         "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan"),
         "unresolved": {
             REASONS[code]: float(np.mean(reason == code)) for code in np.unique(reason[mode == 0])
@@ -142,17 +135,12 @@ def percent(share: float) -> str:
 
 
 def capture_sentences(
-    capture: CaptureInput,
+    how: str,
     calibration: Calibration,
     depth: DepthMap | None = None,
     optics: Optics | None = None,
 ) -> list[str]:
-    """How many lenses there are and where the camera comes from, shares of the modes, and with
-    optics the distances.
-    """
-    sure = f" (confidence {percent(calibration.confidence)})"
-    where = "the flat itself" if capture.white is None else str(capture.white)
-    how = f"found on {where}{sure}" if capture.camera is None else f"with {capture.camera}"
+    """Number and pitch of the lenses, `how` they were found, shares of the modes, distances."""
     sentences = [
         f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}."
     ]

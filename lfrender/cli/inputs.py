@@ -23,11 +23,12 @@ from . import figures
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lfcal import Calibration, FlatSource
+    from lfcal import Calibration, FlatSource, Optics
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
     from ..live.recording import Recording
+    from ..sequence.frames import Frames
 
 __all__ = ["MOVING", "CaptureInput", "is_large", "is_published"]
 
@@ -96,6 +97,25 @@ class CaptureInput:
 
         return open_flat(self.flat, self.page, self.dark)
 
+    def open_frames(self, inputs: tuple[Path, ...], **chosen: Any) -> Frames:
+        """The frames of a sequence, less the dark frame; `chosen` as for `lfrender.open_frames`."""
+        from .. import open_frames
+
+        return open_frames(inputs, **self.raw_layout(inputs), dark=self.dark, **chosen)
+
+    def sentences(
+        self,
+        calibration: Calibration,
+        depth: DepthMap | None = None,
+        optics: Optics | None = None,
+    ) -> list[str]:
+        """What is told about the lenses: number, source of the camera, modes, distances."""
+        how = f"with {self.camera}"
+        if self.camera is None:
+            sure = figures.percent(calibration.confidence)
+            how = f"found on {self.white or 'the flat itself'} (confidence {sure})"
+        return figures.capture_sentences(how, calibration, depth, optics)
+
     def raw_layout(self, inputs: Iterable[Path]) -> dict[str, Any]:
         """How raw video among the `inputs` is read, as options of `lfcal.read_flat`."""
         size = self.size
@@ -125,9 +145,9 @@ class CaptureInput:
         agree with it.
         """
         with self.report.stage("calibrate"):
-            calibration = (
-                known if known is not None and _agrees(known, pixels) else self.find_camera(pixels)
-            )
+            calibration = known
+            if calibration is None or not _agrees(calibration, pixels):
+                calibration = self.find_camera(pixels)
             if calibration.mosaic is not None and pixels.ndim == 2:
                 from ..flat.demosaicing import demosaic
 
@@ -142,25 +162,20 @@ class CaptureInput:
         """
         if self.mosaic is not None and len(pixels.shape) == 3:
             raise click.UsageError(f"{self.flat} is in colour already; leave out --mosaic")
+        known = None
         if self.camera is not None:
-            calibration = _read_camera(self.camera, pixels)
-            calibration = (
-                calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
-            )
+            known = _read_camera(self.camera, pixels)
+        elif self.white is None and self.recording is not None:
+            known = self.recording.camera
+        if known is not None:
+            calibration = known if self.mosaic is None else known.with_mosaic(self.mosaic)
         elif self.white is not None:
             calibration = self._calibrate_white(self.white, pixels)
-        elif self.recording is not None and self.recording.camera is not None:
-            calibration = self.recording.camera
-            calibration = (
-                calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
-            )
         else:
             calibration = self._calibrate_scene(pixels)
-        encoded = calibration.encoded is None and self.flat.suffix.lower() in (
-            *VIDEO_FORMATS,
-            RAW_SUFFIX,
-        )
-        return replace(calibration, encoded=True) if encoded else calibration
+        if calibration.encoded is None and self.flat.suffix.lower() in {*VIDEO_FORMATS, RAW_SUFFIX}:
+            return replace(calibration, encoded=True)
+        return calibration
 
     def _calibrate_scene(self, pixels: NDArray[Any]) -> Calibration:
         from lfcal import calibrate
@@ -177,11 +192,9 @@ class CaptureInput:
 
         white = read_flat(path)
         if white.shape[:2] != pixels.shape[:2]:
-            sizes = " and ".join(
-                f"{shape[1]} x {shape[0]}" for shape in (white.shape, pixels.shape)
-            )
+            own, other = (f"{flat.shape[1]} x {flat.shape[0]}" for flat in (white, pixels))
             raise FlatError(
-                f"{path}: white image and flat must be of one size, they have {sizes} px"
+                f"{path}: white image and flat must be of one size, they have {own} and {other} px"
             )
         white = self._subtract_dark(white)
         with name_file_in_errors(path):

@@ -96,7 +96,7 @@ def render_in_tiles(
     }
     report.finish(
         found | figures.capture_figures(calibration, depth),
-        *figures.capture_sentences(capture, calibration, depth),
+        *capture.sentences(calibration, depth),
         f"{output}: {width} x {height} px in {made.tiles} tiles{kept}, in {report.took}.",
     )
 

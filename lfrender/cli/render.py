@@ -88,7 +88,7 @@ def render(capture: CaptureInput, given: Any) -> None:
             **figures.picture_figures(picture),
             **figures.capture_figures(calibration, depth),
         },
-        *figures.capture_sentences(capture, calibration, drawn),
+        *capture.sentences(calibration, drawn),
         figures.picture_sentence(output, picture, what, capture.report.took),
         *stated,
     )

@@ -60,7 +60,6 @@ def batch(capture: CaptureInput, given: Any) -> int:
     calibrated once, depth is kept where nothing moves, pictures already there are kept, and a frame
     that cannot be read is reported and does not stop the others (exit code 1).
     """
-    from .. import open_frames
     from ..output.formats import check_format
     from ..sequence.frames import is_video
 
@@ -77,9 +76,7 @@ def batch(capture: CaptureInput, given: Any) -> int:
         check_format(path, "film", inputs=[*given.inputs, *capture.files])
     chosen = {name: getattr(given, name) for name in ("frames", "start", "end")}
     with option_errors():
-        frames = open_frames(
-            given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark, **chosen
-        )
+        frames = capture.open_frames(given.inputs, **chosen)
     calibration = None
     if capture.camera or capture.white or capture.mosaic or capture.recording:
         with report.stage("calibrate"):

@@ -96,7 +96,7 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     found |= {"patch_sizes": sizes, **figures.picture_figures(pictures[0])}
     report.finish(
         found | figures.capture_figures(calibration, depth),
-        *figures.capture_sentences(capture, calibration),
+        *capture.sentences(calibration),
         figures.picture_sentence(named, pictures[0], what, report.took),
         *stated,
     )
@@ -165,7 +165,7 @@ def views(capture: CaptureInput, given: Any) -> None:
     stated += figures.brightness_sentences(given.gain)
     report.finish(
         {**found, **figures.capture_figures(calibration, depth)},
-        *figures.capture_sentences(capture, calibration, depth),
+        *capture.sentences(calibration, depth),
         f"{output}: {len(offsets)} views, in {report.took}.",
         *stated,
     )
