@@ -194,39 +194,11 @@ def _crop_of_both_modes(capture: Capture) -> NDArray[Any]:
 def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -> Any:
     """HTML of the comparison with the truth; `flat_crop` and `reference` are data URLs of pictures."""
     quality = figures["merit"]
-    calibrations = figures["calibration"]
-    psnr = {name: quality[name]["psnr"] for name in quality}
-    best_fixed = max(psnr[name] for name in figures["fixed_patch_size"])
-    names = {"all_in_focus": "all in focus"}
-    sources = {"scene": "the capture itself", "white": "the white image"}
-    depths = {
-        "mode_right": ("mode is right", ".1%"),
-        "mode_wrong": ("mode is the opposite one", ".1%"),
-        "magnification_error": ("M, median relative error (unresolved: 1)", ".2%"),
-    }
-    cards = {
-        "all in focus": f"{psnr['all_in_focus']:.1f} dB",
-        "better than the best single patch size": f"{psnr['all_in_focus'] - best_fixed:.1f} dB",
-        "modes right, lenses that see one depth": f"{figures['mode_right']['one_depth']:.1%}",
-        "error of M, median, all lenses": f"{figures['magnification_error']['all']:.1%}",
-        "RMS error of centres, from the capture alone": f"{calibrations['scene']['centre_error']:.3f} px",
-    }
+    best_fixed = max(quality[name]["psnr"] for name in figures["fixed_patch_size"])
     return fill(
         "demo.html",
         flat_crop=flat_crop,
         reference=reference,
-        cards=cards,
-        lenses=f"{figures['lenses_judged']:,}",
-        pictures=[
-            (names.get(name, f"one patch size, {name}"), f"{m['psnr']:.1f} dB", f"{m['ssim']:.3f}")
-            for name, m in quality.items()
-        ],
-        calibrations=[
-            (sources[kind], f"{c['centre_error']:.4f} px", f"{c['confidence']:.2f}")
-            for kind, c in calibrations.items()
-        ],
-        depths=[
-            (label, *(f"{figures[name][key]:{form}}" for key in ("all", "one_depth")))
-            for name, (label, form) in depths.items()
-        ],
+        figures=figures,
+        better=quality["all_in_focus"]["psnr"] - best_fixed,
     )

@@ -132,7 +132,7 @@ def write_report(
         reasons=dict(sorted(reasons.items(), key=lambda item: -item[1])),
         seconds=seconds or {},
         cards=_figures(calibration, depth, pictures, seconds or {}),
-        camera=_camera(calibration),
+        turned=float(np.degrees(np.arctan2(*calibration.lattice.basis[0, ::-1]))),
         saved={_SHORTCUTS.get(name, name): share for name, share in depth.saved.items()},
     )
     with atomic_write(path) as temporary:
@@ -212,25 +212,3 @@ def _figures(
     if seconds:
         figures["time"] = f"{sum(seconds.values()):.1f} s"
     return figures
-
-
-def _camera(calibration: Calibration) -> dict[str, str]:
-    """Names and values of the table about the camera."""
-    lattice = calibration.lattice
-    turned = float(np.degrees(np.arctan2(lattice.basis[0, 1], lattice.basis[0, 0])))
-    residual = calibration.residual_rms
-    facts = {
-        "Measured on": _SOURCES.get(calibration.source, calibration.source),
-        "Neighbours of a lens": "six (hexagonal)" if len(lattice.steps) == 6 else "four",
-        "Pitch": f"{lattice.pitch:.4f} px",
-        "First lattice vector": f"{turned:+.3f} degrees from the rows",
-        "Usable radius": f"{lattice.radius:.2f} px",
-        "Residual of single lenses": "" if np.isnan(residual) else f"{residual:.4f} px RMS",
-        "Distortion": "none found" if lattice.distortion is None else "corrected",
-        "Lens types": "one"
-        if calibration.lens_types is None
-        else str(calibration.lens_types.count),
-        "Confidence": f"{calibration.confidence:.2f}",
-        "Colour mosaic": calibration.mosaic or "",
-    }
-    return {name: value for name, value in facts.items() if value}
