@@ -1,5 +1,4 @@
-"""Rotation of an array against the sensor, and the gradient of its pitch, from centres of single
-microimages.
+"""Rotation of an array against the sensor, and the gradient of its pitch.
 
 With the sensor tilted against the array by `g` (tangents to the right and down), the array seen
 from a pupil at the distance `L`, a microimage at `x` from the axis is displaced by `x (g x) / L`.
@@ -42,7 +41,8 @@ class Alignment(NamedTuple):
     rows: str
     rotation: float  # [degrees]
     rotation_error: float
-    gradient: Array  # (2,) [px] displacement by a tilt to the right and down at half a diagonal from the middle
+    # (2,) [px] displacement by a tilt to the right and down, half a diagonal from the middle
+    gradient: Array
     gradient_error: float  # inf where not measured
 
 

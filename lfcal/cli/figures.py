@@ -104,7 +104,10 @@ def _describe_blur(blur: LensBlur) -> str:
         ratio = float(min(blur.ratios, key=abs))
         where = "Rims of microimages" if ratio == 0 else f"Places at s = {ratio:.2f} D"
         discs = _list_types(f"{disc:.1f}" for disc in blur.at([ratio])[0][:, 0])
-        return f"{where} are blurred over {discs} px; what microlenses blur elsewhere is measured on each capture."
+        return (
+            f"{where} are blurred over {discs} px; what microlenses blur elsewhere is "
+            "measured on each capture."
+        )
     ratio = float(max(blur.ratios, key=lambda one: abs(one - blur.focus).max()))
     foci = _list_types(f"{focus:.2f}" for focus in blur.focus)
     discs = _list_types(f"{disc:.1f}" for disc in blur.at([ratio])[0][:, 0])

@@ -1,6 +1,4 @@
-"""The figures that commands print, and the entries about the rendering that are stored with a
-picture.
-"""
+"""The figures that commands print, and the settings stored with a picture."""
 
 from __future__ import annotations
 
@@ -46,7 +44,7 @@ def rendering_settings(
 def capture_figures(
     calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None
 ) -> dict[str, Any]:
-    """Figures of the camera and warnings; with a depth map, those of the analysed lenses.
+    """Figures of the camera and warnings; with a depth map, those of analysed lenses.
 
     These are shares of the modes, of the reasons why some are unresolved, and of the work that
     shortcuts saved; with optics, median and range [m] of the distances of nine tenths of the
@@ -107,7 +105,8 @@ def few_pixels_problem(pitch: float) -> str | None:
     if pitch >= _FEW_PIXELS:
         return None
     return (
-        f"microimages of {pitch:.0f} px are small for depth from neighbouring lenses: many lenses may be unresolved or "
+        f"microimages of {pitch:.0f} px are small for depth from neighbouring lenses: many "
+        "lenses may be unresolved or "
         "wrong; for a grid of views use a program that matches views"
     )
 
@@ -142,7 +141,8 @@ def capture_sentences(
 ) -> list[str]:
     """Number and pitch of the lenses, `how` they were found, shares of the modes, distances."""
     sentences = [
-        f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}."
+        f"{len(calibration.lattice):,} microlenses, "
+        f"{calibration.lattice.pitch:.1f} px apart, {how}."
     ]
     if depth is None:
         return sentences
@@ -159,7 +159,8 @@ def capture_sentences(
     if optics is not None and figures["distance_median"] == figures["distance_median"]:
         near, far = figures["distance_range"]
         sentences.append(
-            f"Distances {near:.3g} to {far:.3g} m, half of them below {figures['distance_median']:.3g} m, each to "
+            f"Distances {near:.3g} to {far:.3g} m, half of them below "
+            f"{figures['distance_median']:.3g} m, each to "
             f"{figures['distance_error']:.2g} m."
         )
     return sentences
@@ -174,7 +175,7 @@ def eight_bits_sentence(white: float | None, dtype: Any) -> str:
 
 
 def brightness_sentences(gain: float) -> list[str]:
-    """That a picture was made brighter or darker, if it was."""
+    """A sentence about a changed brightness, if it was changed."""
     if gain == 1:
         return []
     import math

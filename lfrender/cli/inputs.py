@@ -1,6 +1,4 @@
-"""The inputs of commands: a flat, its camera and its depth, read from files or computed from the
-pixels.
-"""
+"""The inputs of commands: a flat, its camera and its depth, read or computed."""
 
 from __future__ import annotations
 
@@ -38,9 +36,7 @@ MOVING = (".gif", ".mkv", ".mov", ".mp4")
 
 @dataclass(frozen=True)
 class CaptureInput:
-    """A flat, and the files that its camera and its depth come from; its methods time the stages of
-    a command.
-    """
+    """A flat and the files of its camera and depth; methods time the stages of a command."""
 
     report: Report
     flat: Path
@@ -141,9 +137,7 @@ class CaptureInput:
     def calibrate(
         self, pixels: NDArray[Any], known: Calibration | None = None
     ) -> tuple[NDArray[Any], Calibration]:
-        """The flat in colour, and its camera: the one `known` from another flat, if the pixels
-        agree with it.
-        """
+        """The flat in colour and its camera: `known` from another flat if the pixels agree."""
         with self.report.stage("calibrate"):
             calibration = known
             if calibration is None or not _agrees(calibration, pixels):
@@ -184,7 +178,10 @@ class CaptureInput:
             calibration = calibrate(pixels, mosaic=self.mosaic)
         if calibration.source != "white":
             return calibration
-        warning = "this is a white image, there is no scene in it; give a capture, and this one as --white"
+        warning = (
+            "this is a white image, there is no scene in it; give a capture, and this one "
+            "as --white"
+        )
         return replace(calibration, warnings=(*calibration.warnings, warning))
 
     def _calibrate_white(self, path: Path, pixels: NDArray[Any]) -> Calibration:
@@ -214,8 +211,7 @@ class CaptureInput:
             return analyze(pixels, calibration, preset=self.chosen_preset, **options)
 
     def read_depth(self, flat: NDArray[Any] | FlatSource | None) -> DepthMap:
-        """The depth of the file, with a warning if it was made from another flat of this size; None
-        asks for no check.
+        """The depth of the file, with a warning if it was made from another flat of this size.
 
         Flats of a colour filter mosaic are checked in colour.
         """
@@ -230,7 +226,8 @@ class CaptureInput:
         depth = DepthMap.load(path)
         if flat is not None and depth.image_size == flat.shape[1::-1] and not depth.is_of(flat):
             self.report.warn(
-                f"{path} was made from another flat than {self.flat}: edges of the scene may be drawn at wrong places; "
+                f"{path} was made from another flat than {self.flat}: edges of the scene may be "
+                "drawn at wrong places; "
                 "analyse this flat"
             )
         return depth
@@ -238,8 +235,7 @@ class CaptureInput:
     def write(
         self, given: Any, pictures: list[Rendering], settings: list[dict[str, Any]], **options: Any
     ) -> tuple[list[Path], list[str]]:
-        """Write a picture, with `options`, a stack or an animation; the files, and what is to be
-        said about their bits.
+        """Write a picture, a stack or an animation; return the files and sentences about them.
 
         The values `given` are those of `output`, `eight_bits` and `exposure`.
 
@@ -285,9 +281,7 @@ class CaptureInput:
 
 
 def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
-    """Whether a flat can be read in parts and has more than `least_bytes`; smaller ones are faster
-    as a whole.
-    """
+    """Whether a flat can be read in parts and is too large to be faster as a whole."""
     from lfcal import LightFieldError, open_flat
 
     # A compressed file that is a hundred times smaller need not be opened: its flat is smaller too.
@@ -307,9 +301,7 @@ def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
 
 
 def is_published(path: Path) -> bool:
-    """Whether a camera file is of another program, so that its lattice may be moved onto the
-    pixels.
-    """
+    """Whether a camera file is of another program: its lattice may be moved onto the pixels."""
     return path.suffix.lower() != ".json"
 
 
@@ -323,8 +315,7 @@ def _agrees(calibration: Calibration, pixels: NDArray[Any]) -> bool:
 
 
 def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
-    """A camera file for flats of this size, with a warning if the pixels contradict it or show
-    nothing of it.
+    """A camera file for flats of this size, with a warning if the pixels contradict it.
 
     A published one is moved onto the microimages where the flat is a crop of the sensor; colour
     filters that it does not know are found on the flat. Raises CameraFileError where the flat shows
@@ -352,7 +343,10 @@ def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
         )
     check = check_camera(shown, part)
     if check.adjusted is not None and is_published(path) and part is pixels:
-        warning = "as published, the lattice lies beside the microimages, as in crops of a sensor; it was moved there"
+        warning = (
+            "as published, the lattice lies beside the microimages, as in crops of a "
+            "sensor; it was moved there"
+        )
         calibration = replace(check.adjusted, warnings=(*calibration.warnings, warning))
     else:
         calibration = check.warn(calibration, path)

@@ -84,7 +84,7 @@ def view(capture: CaptureInput, given: Any) -> None:
 
 
 def _find_flats(inputs: Iterable[Path]) -> list[Path]:
-    """The flats that are named, and those in folders, in the order of the numbers in their names."""
+    """The named flats and those in folders, sorted by the numbers in their names."""
     from ..sequence.frames import open_frames
 
     folders = {path for path in inputs if path.is_dir() and path.suffix.lower() != ".zarr"}
@@ -96,9 +96,7 @@ def _find_flats(inputs: Iterable[Path]) -> list[Path]:
 
 
 def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
-    """A function that loads one of the flats; a camera that is no file is found on the first that
-    is looked at.
-    """
+    """A function that loads a flat; a camera without a file is found on the first one."""
     found: list[Calibration] = []
 
     def load(number: int) -> Any:
@@ -171,9 +169,13 @@ def demo(report: cl.Report, given: Any) -> None:
     centres = found["calibration"]["scene"]["centre_error"]
     report.finish(
         found,
-        f"{found['lenses']:,} microlenses, {found['pitch']:.1f} px apart, found to {centres:.3f} px RMS from "
+        f"{found['lenses']:,} microlenses, {found['pitch']:.1f} px apart, found to {centres:.3f} "
+        "px RMS from "
         "the capture alone.",
-        f"The mode is right in {figures.percent(right['one_depth'])} of the lenses that see one depth, "
-        f"{figures.percent(right['all'])} of all that see detail; the picture is {merit:.1f} dB from the truth.",
-        f"{found['page']} in {report.took}, {report.seconds['simulate']:.1f} s of it for the simulation.",
+        f"The mode is right in {figures.percent(right['one_depth'])} of the lenses "
+        "that see one depth, "
+        f"{figures.percent(right['all'])} of all that see detail; the picture is {merit:.1f} dB "
+        "from the truth.",
+        f"{found['page']} in {report.took}, {report.seconds['simulate']:.1f} s of it for the "
+        "simulation.",
     )

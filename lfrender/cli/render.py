@@ -81,7 +81,10 @@ def render(capture: CaptureInput, given: Any) -> None:
     _, stated = capture.write(given, [picture], [settings], **stored)
     what = "a pixel per microlens" if traditional else "sharp at every depth"
     if patch_size is not None:
-        what = f"of one patch size, {patch_size:g} px{', mixed from all lenses' if given.blend else ''}"
+        what = (
+            f"of one patch size, {patch_size:g} "
+            f"px{', mixed from all lenses' if given.blend else ''}"
+        )
     capture.report.finish(
         {
             "picture": str(output),

@@ -1,6 +1,4 @@
-"""`lfrender refocus`, `views` and `lenslet`: another depth in focus, the scene seen from elsewhere,
-views as a flat.
-"""
+"""`lfrender refocus`, `views` and `lenslet`: refocused pictures, viewpoints, grids."""
 
 from __future__ import annotations
 
@@ -116,7 +114,8 @@ def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) ->
     "lfrender views flat.png -c camera.json -o scene --poses nerfstudio",
     output=("FOLDER|FILE", "Folder of a grid, or one file."),
     own={
-        "What to draw: a grid of views in a folder, or one file": "grid stereo animation quilt poses optics",
+        "What to draw: a grid of views in "
+        "a folder, or one file": "grid stereo animation quilt poses optics",
         "How to draw it": "view_aperture scale resize grid_format eight_bits exposure",
     },
 )
@@ -204,7 +203,8 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
         check_format(output, "picture", dtype=dtype, inputs=inputs)
     elif output.suffix.lower() in FORMATS and not output.is_dir():
         raise click.UsageError(
-            f"{output} is one file: say what it shows with --stereo, --animation N or --quilt 8x6, or give a folder"
+            f"{output} is one file: say what it shows with --stereo, --animation N or --quilt "
+            "8x6, or give a folder"
         )
     elif given.suffix.startswith(".yuv"):
         check_raw_format(check_folder(output), given.suffix[1:])
@@ -254,7 +254,7 @@ def _holds_eight_bits(given: Any) -> bool:
 
 
 def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering]) -> list[str]:
-    """Write the views; returns what is to be said about them."""
+    """Write the views; return sentences about them."""
     from ..output.formats import read_metadata
     from ..output.picture import write_picture
     from ..output.raw_video import write_view_videos
@@ -269,7 +269,8 @@ def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering
         ending = write_quilt(output, pictures, *given.quilt, **options)
         if not output.stem.endswith(ending):
             return [
-                f"Players take the grid from the name: call it {output.stem}{ending}{output.suffix} for them."
+                "Players take the grid from the name: call it "
+                f"{output.stem}{ending}{output.suffix} for them."
             ]
     elif given.stereo:
         write_picture(output, stereo_pair(*pictures), **options)
@@ -288,7 +289,7 @@ def _write_posed(
     offsets: list[Any],
     counted: Any,
 ) -> dict[str, Any]:
-    """Write views with their cameras; returns found about these."""
+    """Write views with their cameras; return figures about these."""
     from lfcal import Optics
 
     from ..output.posed_files import write_posed_views
@@ -357,7 +358,8 @@ def lenslet(report: cl.Report, given: Any) -> None:
             "grid": [rows, columns],
             "size": [width, height],
         },
-        f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and {camera_file}, in {report.took}.",
+        f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and "
+        f"{camera_file}, in {report.took}.",
     )
 
 

@@ -1,5 +1,4 @@
-"""A live session: the newest frame of a source, its depth and its pictures, as far as somebody
-looks at them.
+"""A live session: depth and pictures of the newest frame, as far as they are watched.
 
 Depth and the sharp picture are updated from a reference frame where nothing has moved. While a
 recording runs, they are made of each frame alone, so that they have the bits of those that are
@@ -199,7 +198,7 @@ class Session:
         self._thread = Thread(target=self._run, daemon=True)
 
     def start(self, strict: bool = False) -> None:
-        """Find the camera on the first frame, and begin; `strict` raises the error if that fails."""
+        """Find the camera on the first frame, and begin; `strict` raises an error of that."""
         try:
             self._calibrate(self.grabber.first)
         except LightFieldError as error:
@@ -211,9 +210,7 @@ class Session:
     def picture(
         self, kind: str, after: int, at: Place = (0.5, 0.5), timeout: float = 5.0
     ) -> tuple[View, bytes] | None:
-        """The picture of a frame later than number `after` as JPEG; None if there is none within so
-        many seconds.
-        """
+        """The JPEG of a frame later than number `after`; None if there is none in time."""
         end = time.monotonic() + timeout
         with self._published:
             while True:
@@ -235,9 +232,7 @@ class Session:
         return f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
 
     def status(self) -> dict[str, Any]:
-        """Counts, the time from the arrival of a frame to its picture [s], its light, and what is
-        to be said.
-        """
+        """Counts of frames, latency [s], light, camera and messages, as the page shows them."""
         grabber = self.grabber
         recorder = self.grabber.recorder
         camera = self.camera
@@ -254,7 +249,7 @@ class Session:
         }
 
     def command(self, name: str) -> None:
-        """Do `record`, `stop`, `snapshot` or `calibrate`; OutputError if a file cannot be written."""
+        """Do `record`, `stop`, `snapshot` or `calibrate`; OutputError if writing fails."""
         with self._recording:
             if name == "record" and self.grabber.recorder is None:
                 self.grabber.recorder = self._open_recorder("recording")
@@ -333,9 +328,7 @@ class Session:
         return camera
 
     def _analyze(self, view: View) -> str:
-        """Find camera, depth and sharp picture of a frame, as far as somebody wants them; what is
-        to be said of it.
-        """
+        """Find the camera, depth and pictures that somebody watches; return a message."""
         camera = self.camera
         message = ""
         if camera is None:
@@ -367,9 +360,7 @@ class Session:
         return message
 
     def _comparable(self, view: View, camera: Calibration) -> View | None:
-        """The frame that this one is compared with, if there is one and the picture may depend on
-        it.
-        """
+        """The frame that this one is compared with, or None."""
         if view.shot.recorded or self._reference is None or self._chain >= _CHAIN:
             return None
         before, of = self._reference

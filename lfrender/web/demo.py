@@ -1,6 +1,4 @@
-"""The demo: simulate a capture, calibrate, analyse and render it from its pixels alone, and compare
-with the truth.
-"""
+"""The demo: a simulated capture, its pictures, and their errors against the truth."""
 
 from __future__ import annotations
 
@@ -44,8 +42,7 @@ def run_demo(
     samples: int = 16,
     seed: int = 1,
 ) -> dict[str, Any]:
-    """Simulate the scene `house`, calibrate, analyse and render it, and write pictures and an HTML
-    page.
+    """Simulate the scene `house`, calibrate, analyse and render it, and write a page.
 
     Only the flat is used; the white image is calibrated as well, for comparison. The folder is made
     if it does not exist, files of the same names in it are replaced; OutputError if it cannot be
@@ -115,9 +112,7 @@ def run_demo(
 def _measure(
     capture: Capture, cameras: Mapping[str, Calibration], depth: DepthMap, pictures: ReportPictures
 ) -> dict[str, Any]:
-    """All errors against the truth, but those of the camera from the capture itself in its own
-    depth.
-    """
+    """All errors against the truth."""
     truth = capture.truth
     sharp = pictures.sharp
     true_lattice = truth.calibration.lattice
@@ -159,9 +154,7 @@ def _measure(
 
 
 def _compare(capture: Capture, picture: Rendering, resolvable: float = 0.75) -> dict[str, float]:
-    """PSNR and SSIM over pixels with `|s| / D` up to `resolvable`; beyond, microimages have too
-    little in common.
-    """
+    """PSNR and SSIM over pixels with `|s| / D` up to `resolvable`."""
     truth = capture.truth
     shape = picture.image.shape[:2]
     reference, inside = resample(truth.reference, truth.reference_affine, shape, picture.affine)
@@ -192,7 +185,7 @@ def _crop_of_both_modes(capture: Capture) -> NDArray[Any]:
 
 
 def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -> Any:
-    """HTML of the comparison with the truth; `flat_crop` and `reference` are data URLs of pictures."""
+    """HTML of the comparison with the truth; pictures are data URLs."""
     quality = figures["merit"]
     best_fixed = max(quality[name]["psnr"] for name in figures["fixed_patch_size"])
     return fill(

@@ -39,7 +39,8 @@ _HEADERS = {
     # Nothing is loaded from other hosts: scripts are inline, in data URLs, or among the files.
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self' 'unsafe-inline' data:; style-src 'unsafe-inline'; "
-        "img-src 'self' data: blob:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+        "img-src 'self' data: blob:; connect-src 'self'; frame-ancestors 'none'; base-uri "
+        "'none'; form-action 'none'"
     ),
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
@@ -55,7 +56,7 @@ class ServerError(LightFieldError, OSError):
 
 
 def page_routes(files: Any) -> dict[tuple[str, str], Answer]:
-    """Routes of the files that `files.get` gives for paths relative to the root; it may take long."""
+    """Routes of the files that `files.get` gives for paths below the root; it may take long."""
 
     def answer(request: Request) -> Response:
         path = request.path_params["path"] or "index.html"
@@ -156,7 +157,7 @@ class WebServer:
 
 
 class _Guard:
-    """Refuses requests before they reach the application, and adds headers to every answer (ASGI)."""
+    """Refuses requests before the application gets them, and adds headers to answers (ASGI)."""
 
     def __init__(self, app: Any, server: WebServer) -> None:
         self._app, self._server = app, server
@@ -183,7 +184,7 @@ class _Guard:
 
 
 class _Protocol(H11Protocol):
-    """HTTP/1.1 whose connections are closed when they are quiet, also in the middle of a request."""
+    """HTTP/1.1 that closes quiet connections, in the middle of a request too."""
 
     _timer: asyncio.TimerHandle | None = None
 
@@ -249,9 +250,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _own_address(host: str) -> str:
-    """The address of this machine towards others, of the kind of `host`; that of the loopback if
-    there is none.
-    """
+    """The address of this machine in its network, or of the loopback if it has none."""
     v6 = ":" in host
     outside = "2001:db8::1" if v6 else "192.0.2.1"  # of documentation: nothing is sent
     with (

@@ -28,7 +28,7 @@ _interrupted = False
 
 
 def handle_interrupts() -> None:
-    """Let the first Ctrl-C raise KeyboardInterrupt and start the time limit, unless Ctrl-C is ignored."""
+    """Let the first Ctrl-C raise KeyboardInterrupt within a time limit, unless it is ignored."""
     with contextlib.suppress(ValueError):  # not in the main thread
         if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, signal.SIG_DFL):
             signal.signal(signal.SIGINT, _interrupt)
@@ -36,7 +36,7 @@ def handle_interrupts() -> None:
 
 @contextlib.contextmanager
 def end_by_interrupt() -> Iterator[None]:
-    """Let Ctrl-C end the work inside, such as serving a page; the code after it has no time limit."""
+    """Let Ctrl-C end the work inside, such as serving a page; the code after it runs on."""
     global _interrupted
     try:
         yield

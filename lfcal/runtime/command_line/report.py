@@ -60,7 +60,7 @@ class Report:
 
     @contextmanager
     def progress(self, name: str) -> Iterator[Callable[..., None]]:
-        """Give a function to call with the finished steps, all steps (None: unknown), and a remark."""
+        """Give a function to call with finished steps, all steps (None: unknown), a remark."""
         with self._display.bar(name) as step:
 
             def step_with_remark(done: int, count: int | None, remark: str = "") -> None:
@@ -95,7 +95,7 @@ class Report:
 
     @property
     def took(self) -> str:
-        """The seconds of all stages so far, and of compiling kernels before, for a last sentence."""
+        """The seconds of all stages so far, and of compiling kernels before."""
         seconds = sum(self.seconds.values())
         text = f"{seconds / 60:.1f} min"
         if seconds < 100:
