@@ -20,10 +20,9 @@ from ..lattice.lattice import describe_orientation
 __all__ = ["Alignment", "measure_alignment"]
 
 Array = NDArray[np.float64]
-# [px] error that centres of a white image share over half the diagonal, whatever the scatter of
-# single ones.
+# [px] systematic error of the centres of a white image over half the diagonal.
 _WHITE_FAULT = 0.01
-# [pitch] the same of a scene, which moves microimages by what it shows in them.
+# [pitch] the same error of a scene, whose contents shift the measured centres.
 _SCENE_FAULT = 0.02
 # Quadratic displacements x^2, xy, y^2 in x, then in y, of a tilt to the right and down, and of a
 # radial distortion about a place to the right and below.

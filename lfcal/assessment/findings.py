@@ -47,7 +47,7 @@ class Seen(NamedTuple):
     f_number: float | None = None  # as seen from the sensor
     pupil: float | None = None  # [px] distance of the exit pupil
     pixel: float | None = None  # [mm]
-    top: float | None = None  # largest value that pixels can have, None where nobody knows
+    top: float | None = None  # largest value that pixels can have; None if unknown
 
     def length(self, pixels: float) -> str:
         """A distance in the unit that is known."""
@@ -275,7 +275,7 @@ def _find_vignetting(seen: Seen) -> Finding:
 def find_range(flats: list[NDArray[Any]], white_level: float | None = None) -> float | None:
     """Largest value that pixels of a sensor can have; None if nothing tells it.
 
-    Files of 16 bits hold sensors of 10, 12 or 14 bits too: of dim flats nobody knows which.
+    Files of 16 bits hold sensors of 10, 12 or 14 bits too. A dim flat does not show which.
     """
     if white_level is not None:
         return white_level

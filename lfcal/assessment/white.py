@@ -36,7 +36,7 @@ def assess(
     Parameters
     ----------
     white : (h, w) or (h, w, 3) array_like, or path-like
-        White image: an evenly lit surface. Of a scene nothing but the rotation is told.
+        White image: an evenly lit surface. A scene shows nothing but the rotation.
     scene : array_like or path-like, optional
         A scene of the same camera.
     calibration : Calibration, optional

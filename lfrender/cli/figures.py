@@ -186,7 +186,7 @@ def brightness_sentences(gain: float) -> list[str]:
 
 
 def picture_sentence(path: Any, picture: Rendering, what: str, took: str) -> str:
-    """Where a picture is, how large, what it shows, and how long all took."""
+    """A sentence about a picture file: name, size, content, seconds."""
     height, width = picture.image.shape[:2]
     unseen = 1 - float(picture.valid.mean())
     hole = f"; {percent(unseen)} of it seen by no lens" if unseen > 0.001 else ""

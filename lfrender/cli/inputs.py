@@ -33,6 +33,9 @@ __all__ = ["MOVING", "CaptureInput", "is_large", "is_published"]
 #: Suffixes of files that hold nothing but moving pictures.
 MOVING = (".gif", ".mkv", ".mov", ".mp4")
 
+# [bytes] Larger flats are drawn in tiles: smaller ones are faster as a whole.
+_LARGE = 1e8
+
 
 @dataclass(frozen=True)
 class CaptureInput:
@@ -105,7 +108,7 @@ class CaptureInput:
         depth: DepthMap | None = None,
         optics: Optics | None = None,
     ) -> list[str]:
-        """What is told about the lenses: number, source of the camera, modes, distances."""
+        """Sentences about the lenses: number, source of the camera, modes, distances."""
         how = f"with {self.camera}"
         if self.camera is None:
             sure = figures.percent(calibration.confidence)
@@ -280,7 +283,7 @@ class CaptureInput:
         return [output], stated
 
 
-def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
+def is_large(flat: Path) -> bool:
     """Whether a flat can be read in parts and is too large to be faster as a whole."""
     from lfcal import LightFieldError, open_flat
 
@@ -288,13 +291,13 @@ def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
     is_file = (
         flat.is_file()
         and flat.suffix.lower() in TIFF_SUFFIXES
-        and flat.stat().st_size >= least_bytes / 100
+        and flat.stat().st_size >= _LARGE / 100
     )
     if not (is_file or flat.is_dir()):
         return False
     try:
         with open_flat(flat) as source:
-            return source.in_parts and source.nbytes > least_bytes
+            return source.in_parts and source.nbytes > _LARGE
     except (LightFieldError, OSError):
         # Reading the file will report what is wrong with it.
         return False

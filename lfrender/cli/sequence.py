@@ -116,7 +116,7 @@ def _render(
     films: list[Path],
     further: dict[str, Any],
 ) -> tuple[list[FrameResult], Plan]:
-    """Render all frames; the plan is told before, the progress meanwhile."""
+    """Render all frames; print the plan before, and show the progress."""
     from .. import render_frames
     from ..sequence.film import render_film
 

@@ -41,13 +41,12 @@ __all__ = ["COMMANDS", "KINDS", "Session", "View"]
 COMMANDS = ("record", "stop", "snapshot", "calibrate")
 #: Pictures of a frame.
 KINDS = ("raw", "traditional", "sharp", "focus", "depth")
-# A picture that nobody has asked for during so long [s] is not made.
+# [s] A kind of picture that no page has asked for during this time is not made.
 _WATCHED = 5.0
-# Compared with a reference frame, a frame in which less than this share of the lenses is still
-# becomes the next one.
+# A frame becomes the next reference if less than this share of its lenses is still.
 _STILL = 0.9
-# After so many references in a row depth starts afresh, or changes smaller than the noise would add
-# up.
+# Number of references in a row before depth is analysed anew: changes smaller than the noise would
+# add up.
 _CHAIN = 30
 # Output pixels per pitch of the depth picture, which browsers enlarge: more would take longer than
 # the depth itself.
@@ -291,12 +290,12 @@ class Session:
             if shot is None:
                 if self.view is None or all(map(self.view.has, filter(self._watched, KINDS))):
                     continue
-                # The same frame once more, with a picture that nobody has looked at before.
+                # Draw the same frame once more, for a page that asks for another kind of picture.
                 shot = self.view.shot
             view = View(shot, shot.pixels, gain=self._gain)
             try:
                 self.message = self._analyze(view)
-            # What is wrong with one frame, such as its size, is said, and the next one is tried.
+            # An error of one frame, such as its size, is shown, and the next frame is tried.
             except Exception as error:
                 self.message, view.camera = (
                     " ".join(str(error).split()) or type(error).__name__,

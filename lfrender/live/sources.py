@@ -109,7 +109,7 @@ def _play_files(path: Path, rate: float | None) -> Iterator[Shot]:
 def _read_opencv(name: str) -> Iterator[Shot]:
     import cv2
 
-    # What is wrong is said once, by this program.
+    # This program reports errors itself, once.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     set_opencv_log(0)
     if name.isdigit():

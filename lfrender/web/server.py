@@ -32,8 +32,7 @@ QUIET = 30.0
 #: Of the first line and the headers of a request [bytes].
 LARGEST_HEAD = 1 << 14
 MOST_CONNECTIONS = 500
-#: A page sends this header with its commands. Browsers ask first before pages of others may, and
-#: get no leave.
+#: Header that the page sends with its commands. Browsers do not let pages of other sites send it.
 OWN_PAGE = "X-Lfrender"
 _HEADERS = {
     # Nothing is loaded from other hosts: scripts are inline, in data URLs, or among the files.
@@ -232,7 +231,7 @@ async def _in_thread(answer: Answer, request: Request) -> Response:
     def run() -> None:
         try:
             response = answer(request)
-        # The page is told, and the server goes on.
+        # The page shows the error, and the server goes on.
         except Exception as error:
             response = PlainTextResponse(" ".join(str(error).split()) or type(error).__name__, 500)
         with suppress(RuntimeError):  # the server was closed
