@@ -245,42 +245,26 @@ class CaptureInput:
         Animations go there and back again.
         """
         from ..output.formats import read_metadata
-        from ..output.picture import (
-            Brightness,
-            default_exposure,
-            needs_eight_bits,
-            write_picture,
-            write_stack,
-        )
-        from ..output.picture import eight_bits as to_eight_bits
+        from ..output.picture import write_picture, write_stack
 
         output = given.output
-        first = pictures[0]
-        stated = []
         embedded = read_metadata(self.flat)
-        brightness = Brightness(
-            default_exposure(output) if given.exposure is None else given.exposure
-        )
-        pictures = [brightness.apply(picture) for picture in pictures]
-        settings = [{**entries, **brightness.entries} for entries in settings]
-        if first.image.dtype.name != "uint8" and (
-            given.eight_bits or needs_eight_bits(output, first)
-        ):
-            stated = [figures.eight_bits_sentence(first.white, first.image.dtype)]
-            pictures = [to_eight_bits(picture) for picture in pictures]
-        stated += figures.brightness_sentences(brightness.gain)
+        finish = figures.PictureFinish(given, output)
+        pictures = [finish.apply(picture) for picture in pictures]
+        settings = [{**entries, **finish.entries} for entries in settings]
+        written = [output]
         with self.report.stage("write"):
             if output.suffix.lower() in MOVING:
                 from ..sequence.film_file import write_moving
 
                 write_moving(output, [*pictures, *pictures[-2:0:-1]])
             elif len(pictures) > 1:
-                return write_stack(output, pictures, settings=settings, embedded=embedded), stated
+                written = write_stack(output, pictures, settings=settings, embedded=embedded)
             else:
                 write_picture(
                     output, pictures[0], settings=settings[0], embedded=embedded, **options
                 )
-        return [output], stated
+        return written, finish.sentences
 
 
 def is_large(flat: Path) -> bool:

@@ -146,10 +146,9 @@ def views(capture: CaptureInput, given: Any) -> None:
     depth = capture.analyze(pixels, calibration)
     offsets = _offsets(given, given.aperture * calibration.lattice.radius)
     found: dict[str, Any] = {"views": str(output), "offsets": offsets}
-    given.gain, given.settings = (
-        1.0,
-        {"rendering": "views", "aperture": given.aperture, "preset": depth.preset},
-    )
+    given.settings = {"rendering": "views", "aperture": given.aperture, "preset": depth.preset}
+    one_file = given.animation or given.stereo or given.quilt
+    finish = figures.PictureFinish(given, output if one_file else Path(f"view{given.suffix}"))
     stated: list[str] = []
     with report.stage("render and write"), report.progress("views") as step, option_errors():
         if given.poses:
@@ -157,11 +156,9 @@ def views(capture: CaptureInput, given: Any) -> None:
                 given, pixels, calibration, depth, offsets, partial(_counted, step)
             )
         else:
-            drawn = _draw_views(capture, given, pixels, calibration, depth, offsets=offsets)
+            drawn = _draw_views(capture, given, finish, pixels, calibration, depth, offsets=offsets)
             stated = _write_views(capture, given, _counted(step, drawn, len(offsets)))
-    if pixels.dtype.name != "uint8" and (given.eight_bits or _holds_eight_bits(given)):
-        stated.append(figures.eight_bits_sentence(calibration.white_level, pixels.dtype))
-    stated += figures.brightness_sentences(given.gain)
+    stated += finish.sentences
     report.finish(
         {**found, **figures.capture_figures(calibration, depth)},
         *capture.sentences(calibration, depth),
@@ -218,39 +215,23 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
 
 
 def _draw_views(
-    capture: CaptureInput, given: Any, *flat_camera_depth: Any, offsets: list[Any]
+    capture: CaptureInput,
+    given: Any,
+    finish: figures.PictureFinish,
+    *flat_camera_depth: Any,
+    offsets: list[Any],
 ) -> Iterator[Rendering]:
     from .. import views as run
-    from ..output.picture import Brightness, default_exposure, eight_bits, needs_eight_bits
     from ..output.views import resize_view, scale_for_size
 
     camera = flat_camera_depth[1]
     size = given.resize
-    shown = given.output if given.output.suffix else Path(f"view{given.suffix}")
-    exposure = default_exposure(shown) if given.exposure is None else given.exposure
-    brightness = Brightness(exposure)
     scale = given.scale if size is None else scale_for_size(camera, size)
     for picture in run(*flat_camera_depth, offsets=offsets, scale=scale):
-        picture = _cut(picture if size is None else resize_view(picture, size), capture, camera)
-        picture = brightness.apply(picture)
-        given.gain = brightness.gain
-        given.settings.update(brightness.entries)
-        yield (
-            eight_bits(picture) if given.eight_bits or needs_eight_bits(shown, picture) else picture
-        )
-
-
-def _holds_eight_bits(given: Any) -> bool:
-    """Whether the files have 8 bits a channel whatever the flat has."""
-    from ..output.formats import FORMATS
-
-    suffix = given.output.suffix.lower()
-    kind = FORMATS.get(suffix if given.stereo or given.quilt else given.suffix)
-    return (
-        suffix not in (".mkv", ".mov")
-        if given.animation
-        else kind is not None and kind.pixel_types == ("uint8",)
-    )
+        picture = picture if size is None else resize_view(picture, size)
+        picture = finish.apply(_cut(picture, capture, camera))
+        given.settings.update(finish.entries)
+        yield picture
 
 
 def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering]) -> list[str]:
