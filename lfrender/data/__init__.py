@@ -5,6 +5,33 @@ For every room above; plots for notebooks and napari are made from them here too
 `clutter()`, `board()` and so on are sample data, `open_registry` those of a lab.
 """
 
-from lazy_loader import attach_stub
+from typing import TYPE_CHECKING, Any
 
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
+if TYPE_CHECKING:
+    from .registry import Registry, open_registry, write_registry
+    from .samples import board, cache_folder, clutter, example, house, periodic, plane, ramp, slope
+
+__all__ = [
+    "Registry",
+    "board",
+    "cache_folder",
+    "clutter",
+    "example",
+    "house",
+    "open_registry",
+    "periodic",
+    "plane",
+    "ramp",
+    "slope",
+    "write_registry",
+]
+
+
+def __getattr__(name: str) -> Any:
+    # At first use, as in `lfrender`: the rooms above import this one for its modules.
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    home = "registry" if name in ("Registry", "open_registry", "write_registry") else "samples"
+    return getattr(import_module(f".{home}", __name__), name)
