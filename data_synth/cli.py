@@ -1,4 +1,4 @@
-"""`lfsynth`: simulate a named scene and write the flat, the white image and the truth to a folder."""
+"""`lfsynth`: simulate a scene and write the flat, the white image and the truth."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ def _list_scenes(ctx: click.Context, _param: click.Parameter, wanted: bool) -> N
     for name, make in SCENES.items():
         click.echo(f"{name:10s} {(make.__doc__ or '').strip().splitlines()[0]}")
     click.echo(
-        "board      A checkerboard in random poses, for metric calibration (--poses, --k1, --tilt, --range)."
+        "board      A checkerboard in random poses, for metric calibration (--poses, --k1, "
+        "--tilt, --range)."
     )
     ctx.exit()
 
@@ -70,7 +71,7 @@ _EXAMPLES = """\b
 Examples:
   lfsynth house -o capture
   lfsynth clutter -o capture --size 2000x1500 --pitch 34.9 --lattice square --noise 9000,5
-  lfsynth board -o shoot --size 1600x1200 --pitch 28.3 --poses 12 --k1 -0.5 --tilt 0.2,0 --noise 12000,5
+  lfsynth board -o shoot --pitch 28.3 --poses 12 --k1 -0.5 --tilt 0.2,0 --noise 12000,5
 """
 
 
@@ -243,7 +244,8 @@ def main(
             click.echo(json.dumps(figures))
         elif not quiet:
             click.echo(
-                f"{output}: {poses} flats of a board with squares of {shoot.square} mm, {figures['seconds']} s"
+                f"{output}: {poses} flats of a board with squares of {shoot.square} mm, "
+                f"{figures['seconds']} s"
             )
         return
     capture = simulate(

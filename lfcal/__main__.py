@@ -1,13 +1,19 @@
-"""The program `lfcal`, and `python -m lfcal`: the command line, which Ctrl-C ends while it is
-loaded too.
+"""The program `lfcal`, and `python -m lfcal`.
+
+Until a command begins there is nothing to clean up: Ctrl-C ends the process at once, without a
+traceback.
 """
 
-from lfcal.runtime.interrupts import run_program
+import signal
 
 
 def run() -> None:
     """Run the command line in this process."""
-    run_program("lfcal")
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from lfcal.cli.main import main
+
+    main(prog_name="lfcal")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from .images.mosaic import check_mosaic, find_mosaic
 from .lattice.stated import LatticeHint
 from .runtime.errors import CalibrationError
 from .runtime.image_formats import Mosaic
+from .runtime.progress import Progress, Step, show_progress
 
 if TYPE_CHECKING:
     from .lattice_search import FittedLattice
@@ -27,6 +28,8 @@ SURE_CONFIDENCE = 0.8
 _DARK_CONFIDENCE = 0.4
 # Share of clipped pixels from which on a white image is over-exposed.
 _CLIPPED = 0.02
+# Of a calibration, for its progress: lattice, light of the microimages, blur of their rims.
+_STAGES = 3
 
 
 def calibrate(
@@ -35,6 +38,7 @@ def calibrate(
     mosaic: Mosaic | None = None,
     pitch: float | None = None,
     rotation: float | None = None,
+    progress: Progress = None,
 ) -> Calibration:
     """Find the microlens lattice on one or more flats of a camera.
 
@@ -57,6 +61,9 @@ def calibrate(
         as without the hint.
     rotation : float or None [degrees]
         With `pitch`: rotation as `lfcal info` prints it, right to 2 degrees.
+    progress : bool or callable, optional
+        True shows a bar on a terminal or in a notebook, and compiles the kernels of a new
+        installation first; a function is called with the numbers of finished and of all stages.
 
     Returns
     -------
@@ -90,11 +97,25 @@ def calibrate(
         raise ValueError("rotation is a hint beside pitch; give both")
     hint = None if pitch is None else LatticeHint(pitch, rotation)
     # Compiled code is loaded only once there is a flat.
-    from threadpoolctl import threadpool_limits
-
-    from .images.stack import check_flats, estimate_white_level, measure_overexposure
+    from .images.stack import check_flats
 
     flats = check_flats(image)
+    with show_progress(progress, "calibrate") as step:
+        return _combine(flats, kind, mosaic, hint, step)
+
+
+def _combine(
+    flats: list[NDArray[Any]],
+    kind: str,
+    mosaic: Mosaic | None,
+    hint: LatticeHint | None,
+    step: Step,
+) -> Calibration:
+    """The calibration of flats, with their white level, mosaic, exposure and blur."""
+    from threadpoolctl import threadpool_limits
+
+    from .images.stack import estimate_white_level, measure_overexposure
+
     clipped = max(measure_overexposure(flat) for flat in flats)
     for flat in flats:
         check_mosaic(mosaic, flat)
@@ -102,9 +123,8 @@ def calibrate(
         # The equations are too small for more threads to pay off.
         with threadpool_limits(1, "blas"):
             filtered = mosaic is not None or any(find_mosaic(flat) for flat in flats)
-            camera = _calibrate(
-                flats, kind, filtered and all(flat.ndim == 2 for flat in flats), hint
-            )
+            mosaics = filtered and all(flat.ndim == 2 for flat in flats)
+            camera = _calibrate(flats, kind, mosaics, hint, step)
     except CalibrationError as error:
         if clipped <= _CLIPPED:
             raise
@@ -121,11 +141,12 @@ def calibrate(
         from .lens_blur.rims import measure_rims
 
         camera = replace(camera, lens_blur=measure_rims(flats[0], camera))
+    step(_STAGES, _STAGES)
     return camera
 
 
 def _calibrate(
-    flats: list[NDArray[Any]], kind: str, filtered: bool, hint: LatticeHint | None
+    flats: list[NDArray[Any]], kind: str, filtered: bool, hint: LatticeHint | None, step: Step
 ) -> Calibration:
     from .detection.downscale import average_blocks, choose_block_size, upscale_calibration
     from .lattice_search import find_lattice
@@ -137,9 +158,14 @@ def _calibrate(
     if found is None and block > 1:
         size = flats[0].shape[1], flats[0].shape[0]
         small = hint and hint.scaled(block)
-        camera = _calibrate([average_blocks(flat, block) for flat in flats], kind, False, small)
+        averaged = [average_blocks(flat, block) for flat in flats]
+        camera = _calibrate(averaged, kind, False, small, step)
         return upscale_calibration(camera, block, size)
-    return _measure(found or find_lattice(flats, kind, filtered, hint))
+    found = found or find_lattice(flats, kind, filtered, hint)
+    step(1, _STAGES)
+    camera = _measure(found)
+    step(2, _STAGES)
+    return camera
 
 
 def _find_large(flat: NDArray[Any], kind: str, filtered: bool, block: int) -> FittedLattice | None:

@@ -20,7 +20,9 @@ def test_the_reference_lists_every_public_name_and_no_other(package):
     text = (DOCS / "api.rst").read_text(encoding="utf-8")
     part = text.partition(f".. currentmodule:: {package}\n")[2].partition(".. currentmodule::")[0]
     listed = re.findall(r"^   (\w+)$", part, re.MULTILINE)
-    assert sorted(listed) == sorted(import_module(package).__all__)
+    # These are documented as `lfcal.Optics`, and by sub-package.
+    elsewhere = {"Optics", "data", "dense_depth"} if package == "lfrender" else set()
+    assert sorted(listed) == sorted(set(import_module(package).__all__) - elsewhere)
 
 
 def _documented():

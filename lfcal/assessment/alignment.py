@@ -1,5 +1,4 @@
-"""Rotation of an array against the sensor, and the gradient of its pitch, from centres of single
-microimages.
+"""Rotation of an array against the sensor, and the gradient of its pitch.
 
 With the sensor tilted against the array by `g` (tangents to the right and down), the array seen
 from a pupil at the distance `L`, a microimage at `x` from the axis is displaced by `x (g x) / L`.
@@ -21,10 +20,9 @@ from ..lattice.lattice import describe_orientation
 __all__ = ["Alignment", "measure_alignment"]
 
 Array = NDArray[np.float64]
-# [px] error that centres of a white image share over half the diagonal, whatever the scatter of
-# single ones.
+# [px] systematic error of the centres of a white image over half the diagonal.
 _WHITE_FAULT = 0.01
-# [pitch] the same of a scene, which moves microimages by what it shows in them.
+# [pitch] the same error of a scene, whose contents shift the measured centres.
 _SCENE_FAULT = 0.02
 # Quadratic displacements x^2, xy, y^2 in x, then in y, of a tilt to the right and down, and of a
 # radial distortion about a place to the right and below.
@@ -42,7 +40,8 @@ class Alignment(NamedTuple):
     rows: str
     rotation: float  # [degrees]
     rotation_error: float
-    gradient: Array  # (2,) [px] displacement by a tilt to the right and down at half a diagonal from the middle
+    # (2,) [px] displacement by a tilt to the right and down, half a diagonal from the middle
+    gradient: Array
     gradient_error: float  # inf where not measured
 
 

@@ -1,6 +1,4 @@
-"""From what was measured to findings: values with errors, verdicts, and advice where both are sure
-enough.
-"""
+"""Findings from measurements: values with errors, verdicts, and advice."""
 
 from __future__ import annotations
 
@@ -40,9 +38,7 @@ _WAYS = ("right", "lower right", "bottom", "lower left", "left", "upper left", "
 
 
 class Seen(NamedTuple):
-    """A white image, its calibration, what was measured on both, and what is known of the main
-    lens.
-    """
+    """A white image, its calibration, measurements on both, and the main lens if known."""
 
     flat: NDArray[Any]
     camera: Calibration
@@ -51,7 +47,7 @@ class Seen(NamedTuple):
     f_number: float | None = None  # as seen from the sensor
     pupil: float | None = None  # [px] distance of the exit pupil
     pixel: float | None = None  # [mm]
-    top: float | None = None  # largest value that pixels can have, None where nobody knows
+    top: float | None = None  # largest value that pixels can have; None if unknown
 
     def length(self, pixels: float) -> str:
         """A distance in the unit that is known."""
@@ -85,14 +81,14 @@ def find_rotation(found: Alignment, camera: Calibration) -> Finding:
     here, back = ("clockwise", "counter-clockwise")[:: 1 if value > 0 else -1]
     return told(
         f"{rows} are turned {here} on the flat, by {drift:.1f} px over it",
-        f"to align them turn the array by {abs(value):.3g} degrees {back} as it looks on the flat, that is {here} seen "
+        f"to align them turn the array by {abs(value):.3g} degrees {back} as it looks on the "
+        f"flat, that is {here} seen "
         "from the main lens (unless the camera mirrors its flats)",
     )
 
 
 def find_tilt(seen: Seen) -> Finding:
-    """Tilt of the sensor against the array, from radii (by the f-number) and pitches (by the
-    distance of the pupil).
+    """Tilt of the sensor against the array, from radii and pitches of microimages.
 
     A microimage has the radius `b / 2N`: a tilt `g` changes it by `g / 2N` per pixel.
     """
@@ -132,7 +128,8 @@ def find_tilt(seen: Seen) -> Finding:
         tilts[0][1], tilts[1][1]
     ):
         return told(
-            "radii and pitches tell different tilts: the main lens distorts or cuts microimages on one side"
+            "radii and pitches tell different tilts: the main lens distorts or cuts microimages "
+            "on one side"
         )
     if value <= _SURE * error:
         limit = "" if per_number else f" larger than {_SURE * error:.2g} degrees"
@@ -150,9 +147,7 @@ def find_tilt(seen: Seen) -> Finding:
 
 
 def _is_confirmed(slope: Vector, bent: Vector, bent_error: float, field: MicroimageField) -> bool:
-    """Whether radii that change by `slope` [px] do so by a tilt: pitches grow that way too, or rims
-    get softer that way or the other, by a sixth to one and a half of what microimages get wider.
-    """
+    """Whether a change of radii comes from a tilt: pitches or rims change the same way."""
 
     def turned(one: Vector) -> float:
         return float(one @ slope) / max(float(np.hypot(*one) * np.hypot(*slope)), 1e-12)
@@ -166,8 +161,7 @@ def _is_confirmed(slope: Vector, bent: Vector, bent_error: float, field: Microim
 
 
 def _find_distance(seen: Seen) -> Finding:
-    """Sharpness of the rims, which are images of the exit pupil at `s = 0`: what the microlenses
-    are focused at.
+    """Sharpness of the rims, which are images of the exit pupil at `s = 0`.
 
     A microlens of the aperture `A` that is focused at `s` blurs the pupil over a disc of the
     diameter `A |s| / D`.
@@ -192,7 +186,8 @@ def _find_distance(seen: Seen) -> Finding:
         most = max(blur.value + _SURE * blur.error for blur in blurs)
         if most < 2:
             return told(
-                "rims are sharp: the sensor lies in the focal plane of the microlenses, or these are stopped down"
+                "rims are sharp: the sensor lies in the focal plane of the microlenses, or these "
+                "are stopped down"
             )
         return told(f"rims are blurred over {most:.1f} px at most")
     discs, focus = (
@@ -278,10 +273,9 @@ def _find_vignetting(seen: Seen) -> Finding:
 
 
 def find_range(flats: list[NDArray[Any]], white_level: float | None = None) -> float | None:
-    """Largest value that pixels of these flats of one sensor can have; None where neither they nor
-    a user tell it.
+    """Largest value that pixels of a sensor can have; None if nothing tells it.
 
-    Files of 16 bits hold sensors of 10, 12 or 14 bits too: of dim flats nobody knows which.
+    Files of 16 bits hold sensors of 10, 12 or 14 bits too. A dim flat does not show which.
     """
     if white_level is not None:
         return white_level
@@ -305,7 +299,8 @@ def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
         ranges = "10, 12, 14 or 16 bits"
         return unmeasured(
             "%",
-            f"{ranges}, nothing tells which: the brightest pixel is {brightest:g}; give --white-level",
+            f"{ranges}, nothing tells which: the brightest pixel is {brightest:g}; give "
+            "--white-level",
         )
     bright = float(np.percentile(flat[:: max(1, len(flat) // 1000)], 99)) / top
     clipped = float((flat >= top).mean()) if brightest >= top else 0.0
@@ -324,8 +319,7 @@ def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
 
 
 def _lens_light(seen: Seen) -> Field:
-    """Logarithm of the light of the lenses over the field, in the values of the flat: what the page
-    draws.
+    """Logarithm of the light of the lenses over the field, as the page draws it.
 
     Where there is no gain map, that of the tiles. Half the difference of both is part of the error
     of the slope.
@@ -423,7 +417,7 @@ def _find_dirt(seen: Seen) -> Finding:
     )
     if share > 0.01:
         return told(
-            f"{share:.1%} of the pixels differ from their like: much dirt, or an uneven white surface"
+            f"{share:.1%} of the pixels are defective: much dirt, or an uneven white surface"
         )
     single = int((area[1:] < _SPECK).sum())
     verdict = f"{len(specks)} specks, {seen_dead}, {single} single pixels of the sensor"
@@ -446,9 +440,7 @@ def _is_seen(
     box: NDArray[Any],
     camera: Calibration,
 ) -> bool:
-    """Whether a speck is darker or brighter by 10 % than the same place of lenses around it, of the
-    same type.
-    """
+    """Whether a speck differs by 10 % from the same place in lenses around, of its type."""
     left, top, wide, high = box[:4]
     place = np.argwhere(label[top : top + high, left : left + wide] == number)[:, ::-1] + (
         left,

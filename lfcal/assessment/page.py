@@ -37,9 +37,7 @@ def write_assessment(path: str | os.PathLike[str], found: Assessment, title: str
 
 
 def _draw_rotation(axes: Any, found: Assessment) -> None:
-    """Rows of the sensor, dashed, and of lenses, turned by a multiple of their angle that can be
-    seen.
-    """
+    """Rows of the sensor (dashed) and of lenses, with their angle enlarged."""
     value = found.rotation.value
     times = next((t for t in (1, 3, 10, 30) if abs(value) * t >= 3), 100)
     angle = np.radians(np.clip(value * times, -30, 30))

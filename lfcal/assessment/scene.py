@@ -1,6 +1,4 @@
-"""What a scene capture shows of how a camera is set up: whether the array has moved, exposure,
-focus of lens types.
-"""
+"""What a scene shows of a camera: position of the array, exposure, focus of lens types."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def assess(
     Parameters
     ----------
     white : (h, w) or (h, w, 3) array_like, or path-like
-        White image: an evenly lit surface. Of a scene nothing but the rotation is told.
+        White image: an evenly lit surface. A scene shows nothing but the rotation.
     scene : array_like or path-like, optional
         A scene of the same camera.
     calibration : Calibration, optional
@@ -120,5 +120,8 @@ def assess(
 def _without_advice(finding: Finding, camera: Calibration) -> Finding:
     if camera.confidence >= SURE_CONFIDENCE or not np.isfinite(finding.value):
         return finding
-    doubt = f"{finding.verdict}; no advice: the calibration is doubtful (confidence {camera.confidence:.2f})"
+    doubt = (
+        f"{finding.verdict}; no advice: the calibration is doubtful (confidence "
+        f"{camera.confidence:.2f})"
+    )
     return replace(finding, verdict=doubt, advice="")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from ..camera.calibration import Calibration
     from ..camera.lens_types import LensBlur
     from ..camera.optics import Optics
@@ -103,14 +101,12 @@ def _describe_blur(blur: LensBlur) -> str:
     if not blur.tells_aperture:
         ratio = float(min(blur.ratios, key=abs))
         where = "Rims of microimages" if ratio == 0 else f"Places at s = {ratio:.2f} D"
-        discs = _list_types(f"{disc:.1f}" for disc in blur.at([ratio])[0][:, 0])
-        return f"{where} are blurred over {discs} px; what microlenses blur elsewhere is measured on each capture."
+        discs = " / ".join(f"{disc:.1f}" for disc in blur.at([ratio])[0][:, 0])
+        return (
+            f"{where} are blurred over {discs} px; what microlenses blur elsewhere is "
+            "measured on each capture."
+        )
     ratio = float(max(blur.ratios, key=lambda one: abs(one - blur.focus).max()))
-    foci = _list_types(f"{focus:.2f}" for focus in blur.focus)
-    discs = _list_types(f"{disc:.1f}" for disc in blur.at([ratio])[0][:, 0])
+    foci = " / ".join(f"{focus:.2f}" for focus in blur.focus)
+    discs = " / ".join(f"{disc:.1f}" for disc in blur.at([ratio])[0][:, 0])
     return f"Microlenses are in focus at s = {foci} D; their blur is {discs} px at {ratio:.2f} D."
-
-
-def _list_types(figures: Iterable[str]) -> str:
-    """Figures of the lens types, in their order."""
-    return " / ".join(figures)

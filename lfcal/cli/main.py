@@ -1,6 +1,4 @@
-"""Command line of lfcal: calibrate a camera from images; show, compare, convert and apply camera
-files.
-"""
+"""Command line of lfcal: calibrate a camera; show, compare, convert camera files."""
 
 from __future__ import annotations
 
@@ -31,38 +29,70 @@ _SIZE = cl.Pair("WxH", "2048x1536")
 _CAMERA = cl.option(
     "-o --output", cl.OutputPath(".json"), "Camera file to write.", "CAMERA.json", required=True
 )
-# fmt: off
 _SIZE_OPTIONS = (
     cl.option("--size", _SIZE, "Size of the flats [px], for files without it (.xml, .csv)."),
     cl.option("--image", _INPUT, "An image of that size, instead of --size."),
 )
 _FILES = (_CAMERA, cl.option("--dark", _INPUT, "Dark frame that is subtracted from the images."))
 _KNOWN = (
-    cl.option("--kind", click.Choice(["auto", "white", "scene"]),
-        "What the images show: an evenly lit white surface, or any scene.", default="auto", show_default=True),
-    cl.option("--mosaic", click.Choice(MOSAICS, case_sensitive=False),
-        "Colour filters of the top left 2 x 2 pixels of a raw mosaic, row by row. By default it is detected."),
-    cl.option("--pitch", click.FloatRange(0, min_open=True), "Pitch, right to a tenth, as hint.", "PX"),
-    cl.option("--rotation", float, "Beside --pitch: as 'lfcal info' prints it, to 2 degrees.", "DEGREES"),
-    cl.option("--linear/--encoded", None, "Whether values are in proportion to light, or encoded for display. By "
-        "default 8 bits and videos are taken as encoded.", default=None),
+    cl.option(
+        "--kind",
+        click.Choice(["auto", "white", "scene"]),
+        "What the images show: an evenly lit white surface, or any scene.",
+        default="auto",
+        show_default=True,
+    ),
+    cl.option(
+        "--mosaic",
+        click.Choice(MOSAICS, case_sensitive=False),
+        "Colour filters of the top left 2 x 2 pixels of a raw mosaic, row by row. By default it "
+        "is detected.",
+    ),
+    cl.option(
+        "--pitch", click.FloatRange(0, min_open=True), "Pitch, right to a tenth, as hint.", "PX"
+    ),
+    cl.option(
+        "--rotation", float, "Beside --pitch: as 'lfcal info' prints it, to 2 degrees.", "DEGREES"
+    ),
+    cl.option(
+        "--linear/--encoded",
+        None,
+        "Whether values are in proportion to light, or encoded "
+        "for display. By "
+        "default 8 bits and videos are taken as encoded.",
+        default=None,
+    ),
 )
 _READING = (
-    cl.option("--page", click.IntRange(0), "Which picture of a TIFF of several, or frame of a video, from 0.", "N"),
+    cl.option(
+        "--page",
+        click.IntRange(0),
+        "Which picture of a TIFF of several, or frame of a video, from 0.",
+        "N",
+    ),
     cl.option("--size", _SIZE, "Of raw video (.yuv), if its name does not have it."),
     cl.option("--pixel-format", str, "Of raw video: yuv420p10, yuv444p, ...", "FORMAT"),
 )
 _LATTICE = (
     cl.option("--size", _SIZE, "Size of the flats [px].", required=True),
     cl.option("--pitch", float, "Distance between neighbouring centres [px].", "PX", required=True),
-    cl.option("--arrangement", click.Choice(["hexagonal", "hexagonal-vertical", "square"]),
-        "Of the microlenses; hexagonal ones in rows across, or down (vertical).", default="hexagonal",
-        show_default=True),
-    cl.option("--rotation", float, "Clockwise on the screen [degrees].", default=0.0, show_default=True),
-    cl.option("--centre", (float, float), "Of any microimage [px].  [default: middle of the flat]", "X Y"),
-    cl.option("--radius", float, "Usable radius of the microimages [px].  [default: half the pitch]", "PX"),
+    cl.option(
+        "--arrangement",
+        click.Choice(["hexagonal", "hexagonal-vertical", "square"]),
+        "Of the microlenses; hexagonal ones in rows across, or down (vertical).",
+        default="hexagonal",
+        show_default=True,
+    ),
+    cl.option(
+        "--rotation", float, "Clockwise on the screen [degrees].", default=0.0, show_default=True
+    ),
+    cl.option(
+        "--centre", (float, float), "Of any microimage [px].  [default: middle of the flat]", "X Y"
+    ),
+    cl.option(
+        "--radius", float, "Usable radius of the microimages [px].  [default: half the pitch]", "PX"
+    ),
 )
-# fmt: on
 
 
 def _output(metavar: str, text: str) -> Any:
@@ -291,7 +321,7 @@ def compare(report: cl.Report, given: Any) -> None:
 @cl.option(
     "--mode",
     click.Choice(["telescopic", "binocular"]),
-    "Of the captures, which a .cfg file states.  [default: as --image, or the focus of the lens types]",
+    "Mode of the captures, for a .cfg file.  [default: that of --image or of the lens types]",
 )
 @cl.option(
     "--y-up/--y-down",
@@ -381,20 +411,7 @@ def _read(path: Path, size: tuple[int, int] | None, y_up: bool = False) -> Calib
     context_settings={"help_option_names": ["-h", "--help"]},
     others=(
         "lfrender",
-        (
-            "analyze",
-            "batch",
-            "demo",
-            "lenslet",
-            "live",
-            "refocus",
-            "render",
-            "report",
-            "view",
-            "views",
-            "volume",
-            "warm",
-        ),
+        "analyze batch demo lenslet live refocus render report view views volume warm",
     ),
 )
 @click.version_option(package_name="lfrender", prog_name="lfcal")

@@ -1,6 +1,4 @@
-"""`lfcal metric` and `lfcal board`: measure the optics of a camera on flats of a board, and make
-the board.
-"""
+"""`lfcal metric` and `lfcal board`: optics from flats of a board, and the board."""
 
 from __future__ import annotations
 
@@ -21,29 +19,55 @@ __all__ = ["board", "metric"]
 _OUTPUT = cl.OutputPath()
 # Lenses are named by rounded focal lengths.
 _FOCAL_LENGTH_TOLERANCE = 0.1
-# fmt: off
 _BOARD = (
-    cl.option("--board corners", cl.Pair("COLUMNSxROWS", "9x6"), "Inner corners, such as 9x6.", required=True),
+    cl.option(
+        "--board corners",
+        cl.Pair("COLUMNSxROWS", "9x6"),
+        "Inner corners, such as 9x6.",
+        required=True,
+    ),
     cl.option("--square", cl.Quantity(after="mm"), "Side of a square [mm].", "MM", required=True),
-    cl.option("--pattern", click.Choice(["checkerboard", "charuco", "circles"]),
-        "Circles: an asymmetric grid, --square is the distance of its rows.", default="checkerboard",
-        show_default=True),
-    cl.option("--marker", cl.Quantity(after="mm"), "Side of markers, diameter of circles [mm].", "MM"),
-    cl.option("--dictionary", str, "Of ChArUco markers, in OpenCV.", default="5X5_1000", show_default=True),
+    cl.option(
+        "--pattern",
+        click.Choice(["checkerboard", "charuco", "circles"]),
+        "Circles: an asymmetric grid, --square is the distance of its rows.",
+        default="checkerboard",
+        show_default=True,
+    ),
+    cl.option(
+        "--marker", cl.Quantity(after="mm"), "Side of markers, diameter of circles [mm].", "MM"
+    ),
+    cl.option(
+        "--dictionary", str, "Of ChArUco markers, in OpenCV.", default="5X5_1000", show_default=True
+    ),
 )
 _METRIC = (
     cl.option("-c --camera", cl.InputPath(), "Camera file of 'lfcal calibrate'.", required=True),
     cl.option("-o --output", _OUTPUT, "Camera file to write.", "CAMERA.json", required=True),
     *_BOARD,
-    cl.option("--pixel", cl.Quantity(after="[uµ]m"), "Side of a pixel of the sensor [um]: the scale of F and L.", "UM"),
-    cl.option("--focal-length", cl.Quantity(after="mm"),
-        "Of the main lens, as written on it: a measured one that differs is warned of.", "MM"),
-    cl.option("--exchange", _OUTPUT, "For other programs: .js with poses beside it (libpleno), .yml or .xml (OpenCV's "
-        "pinhole) to write.", "FILE"),
+    cl.option(
+        "--pixel",
+        cl.Quantity(after="[uµ]m"),
+        "Side of a pixel of the sensor [um]: the scale of F and L.",
+        "UM",
+    ),
+    cl.option(
+        "--focal-length",
+        cl.Quantity(after="mm"),
+        "Of the main lens, as written on it: a measured one that differs is warned of.",
+        "MM",
+    ),
+    cl.option(
+        "--exchange",
+        _OUTPUT,
+        "For other programs: .js with poses beside it (libpleno), "
+        ".yml or .xml (OpenCV's "
+        "pinhole) to write.",
+        "FILE",
+    ),
     cl.option("--report page", _OUTPUT, "Residuals, poses, what to shoot next.", "PAGE.html"),
     cl.option("--poses", _OUTPUT, "Poses of the boards to write.", "POSES.json"),
 )
-# fmt: on
 
 
 def _read_board(given: Any) -> Board:
@@ -55,7 +79,8 @@ def _read_board(given: Any) -> Board:
 
 @cl.command(
     "lfcal metric board_*.png -c camera.json --board 9x6 --square 12.0 -o camera.json",
-    "lfcal metric board_*.png -c camera.json --board 9x6 --square 12 --pixel 5.5 -o metric.json --poses poses.json",
+    "lfcal metric board_*.png -c camera.json --board 9x6 --square 12 --pixel 5.5 -o metric.json "
+    "--poses poses.json",
 )
 @cl.several_inputs("flats", "FLAT...")
 @cl.with_options(*_METRIC)
@@ -110,17 +135,22 @@ def metric(report: cl.Report, given: Any) -> None:
         and abs(optics.focal_length / given.focal_length - 1) > _FOCAL_LENGTH_TOLERANCE
     ):
         report.warn(
-            f"the focal length is {optics.focal_length:.4g} mm, and not {given.focal_length:g} mm as stated: "
+            f"the focal length is {optics.focal_length:.4g} mm, and not {given.focal_length:g} "
+            "mm as stated: "
             "--pixel is wrong by as much, or the lens is zoomed"
         )
     distances = [pose.translation[2] / 1000 for pose in found.poses]
     report.finish(
         {"camera": str(output), **_describe(found)},
-        f"{len(found.residual):,} corners on {len(found.poses)} flats fit to {found.rms:.2f} px RMS.",
-        f"Focal length {optics.focal_length:.2f} mm; microlenses {optics.mla_distance:.2f} mm behind the main lens, "
+        f"{len(found.residual):,} corners on {len(found.poses)} flats "
+        f"fit to {found.rms:.2f} px RMS.",
+        f"Focal length {optics.focal_length:.2f} mm; microlenses {optics.mla_distance:.2f} mm "
+        "behind the main lens, "
         f"{optics.sensor_distance:.3f} mm before the sensor.",
-        f"Compare with a ruler: the boards stand {min(distances):.3g} to {max(distances):.3g} m before the main lens. "
-        "A wrong --square scales these distances and shows nowhere else; a wrong --pixel scales the focal length.",
+        f"Compare with a ruler: the boards stand {min(distances):.3g} to {max(distances):.3g} m "
+        "before the main lens. "
+        "A wrong --square scales these distances and shows nowhere else; a wrong --pixel scales "
+        "the focal length.",
         f"{output} in {report.took}: depth of its flats is in metres.",
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 from functools import partial
@@ -18,6 +18,7 @@ from ..camera.calibration import Calibration
 from ..camera.optics import Optics
 from ..runtime.arrays import Array
 from ..runtime.errors import CAMERA_ADVICE, BoardError, FlatError, check_number, check_type
+from ..runtime.progress import Progress, Step, show_progress
 from .bundle_adjustment import (
     BASE,
     POSE,
@@ -55,7 +56,7 @@ def calibrate_metric(
     *,
     pixel: float | None = None,
     names: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = None,
 ) -> MetricCalibration:
     """Measure main lens, distances, distortion and tilt of a camera on flats of a board in several
     poses.
@@ -77,9 +78,8 @@ def calibrate_metric(
         default that of `calibration.optics`, or 0.0055 with a warning.
     names : sequence of str, optional
         Of the flats, for messages and poses.
-    progress : function of two numbers, optional
-        Called after the board was searched for on a flat, with the numbers of flats done and of
-        all.
+    progress : bool or callable, optional
+        True shows a bar; a function is called with the numbers of searched and of all flats.
 
     Returns
     -------
@@ -129,7 +129,8 @@ def calibrate_metric(
         )
     if not 0 < check_number(pixel, "pixel") < 1:
         raise ValueError(f"pixel must be a positive number of mm below 1, got {pixel!r}")
-    found, missing = _prepare_all(flats, names, calibration, board, progress)
+    with show_progress(progress, "boards") as step:
+        found, missing = _prepare_all(flats, names, calibration, board, step)
     warnings += [f"{flat.name}: {flat.reason}; left out" for flat in missing]
     fitted, observations = _fit(found, calibration, board, pixel)
     return _result(
@@ -266,7 +267,7 @@ def _prepare_all(
     names: Sequence[str],
     calibration: Calibration,
     board: Board,
-    progress: Callable[[int, int], None] | None,
+    step: Step,
 ) -> tuple[list[BoardFlat], list[BoardFlat]]:
     """Flats with the board, and those without."""
     checked = [_checked(flat, name, calibration) for flat, name in zip(flats, names, strict=True)]
@@ -276,8 +277,7 @@ def _prepare_all(
     with ThreadPoolExecutor(max(1, min(len(checked), os.cpu_count() or 1, 8))) as pool:
         jobs = [pool.submit(work, *each) for each in zip(checked, names, strict=True)]
         for done, _ in enumerate(as_completed(jobs), 1):
-            if progress is not None:
-                progress(done, len(jobs))
+            step(done, len(jobs))
     prepared = [job.result() for job in jobs]
     found, missing = ([f for f in prepared if (f.reason == "") == good] for good in (True, False))
     others = Counter(f.other for f in prepared if f.other)

@@ -113,7 +113,8 @@ def analyze(capture: CaptureInput, given: Any) -> None:
                 forms["picture"], depth_picture(depth), settings={"magnification": [low, high]}
             )
             closing = [
-                f"{forms['picture']}: magnification M from {low:.1f} (blue) to {high:.1f} (red), logarithmic; "
+                f"{forms['picture']}: magnification M from {low:.1f} (blue) to {high:.1f} (red), "
+                "logarithmic; "
                 f"{_near_and_far(depth)}; grey: unresolved."
             ]
         if whole and pixels is not None:
@@ -129,17 +130,16 @@ def analyze(capture: CaptureInput, given: Any) -> None:
                 surface = mesh(pixels, calibration, depth, optics)
                 write_mesh(forms["mesh"], surface)
                 closing.append(
-                    f"{forms['mesh']}: {len(surface.faces):,} triangles; {surface.metadata['axes']}."
+                    f"{forms['mesh']}: {len(surface.faces):,} triangles; "
+                    f"{surface.metadata['axes']}."
                 )
     written = dict.fromkeys(map(str, (output, *forms.values())))
-    sentences = figures.capture_sentences(capture, calibration, depth, optics)
+    sentences = capture.sentences(calibration, depth, optics)
     report.finish(found, *sentences, f"{', '.join(written)} in {report.took}.", *closing)
 
 
 def _near_and_far(depth: DepthMap) -> str:
-    """Which colours are near: M falls toward the camera before the microlenses, and grows behind
-    them.
-    """
+    """Which colours are near: M falls toward the camera where telescopic, else it grows."""
     ends = {1: "blue is near, red is far", -1: "red is near, blue is far"}
     shown = [mode for mode in ends if (depth.mode == mode).mean() > 0.01]
     names = {1: " where telescopic", -1: " where binocular"}

@@ -1,23 +1,22 @@
-"""The figures that commands print, and the entries about the rendering that are stored with a
-picture.
-"""
+"""The figures that commands print, and the settings stored with a picture."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from lfcal import Calibration, Optics
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
-    from .inputs import CaptureInput
 
 __all__ = [
-    "brightness_sentences",
+    "PictureFinish",
     "capture_figures",
     "capture_sentences",
-    "eight_bits_sentence",
     "few_pixels_problem",
     "percent",
     "picture_figures",
@@ -34,24 +33,20 @@ def rendering_settings(
     depth: DepthMap | None, patch_size: float | None, detail: str | None = None
 ) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
-    if depth is None and patch_size is None:
-        return {"rendering": "traditional"}
-    how = (
-        {"rendering": "all in focus", "preset": depth.preset}
-        if depth
-        else {"rendering": "one patch size"}
-    )
-    return (
-        how
-        | ({} if depth else {"patch_size": patch_size})
-        | ({} if detail is None else {"detail": detail})
-    )
+    settings: dict[str, Any]
+    if depth is not None:
+        settings = {"rendering": "all in focus", "preset": depth.preset, "detail": detail}
+    elif patch_size is not None:
+        settings = {"rendering": "one patch size", "patch_size": patch_size, "detail": detail}
+    else:
+        settings = {"rendering": "traditional"}
+    return {name: value for name, value in settings.items() if value is not None}
 
 
 def capture_figures(
     calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None
 ) -> dict[str, Any]:
-    """Figures of the camera and warnings; with a depth map, those of the analysed lenses.
+    """Figures of the camera and warnings; with a depth map, those of analysed lenses.
 
     These are shares of the modes, of the reasons why some are unresolved, and of the work that
     shortcuts saved; with optics, median and range [m] of the distances of nine tenths of the
@@ -81,9 +76,7 @@ def capture_figures(
     sizes = np.abs(depth.patch_size[depth.mode != 0])
     figures |= {
         "lenses_analysed": int(analysed.sum()),
-        "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items()}
-        if len(mode)
-        else {},
+        "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items() if len(mode)},
         "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan"),
         "unresolved": {
             REASONS[code]: float(np.mean(reason == code)) for code in np.unique(reason[mode == 0])
@@ -114,7 +107,8 @@ def few_pixels_problem(pitch: float) -> str | None:
     if pitch >= _FEW_PIXELS:
         return None
     return (
-        f"microimages of {pitch:.0f} px are small for depth from neighbouring lenses: many lenses may be unresolved or "
+        f"microimages of {pitch:.0f} px are small for depth from neighbouring lenses: many "
+        "lenses may be unresolved or "
         "wrong; for a grid of views use a program that matches views"
     )
 
@@ -142,19 +136,15 @@ def percent(share: float) -> str:
 
 
 def capture_sentences(
-    capture: CaptureInput,
+    how: str,
     calibration: Calibration,
     depth: DepthMap | None = None,
     optics: Optics | None = None,
 ) -> list[str]:
-    """How many lenses there are and where the camera comes from, shares of the modes, and with
-    optics the distances.
-    """
-    sure = f" (confidence {percent(calibration.confidence)})"
-    where = "the flat itself" if capture.white is None else str(capture.white)
-    how = f"found on {where}{sure}" if capture.camera is None else f"with {capture.camera}"
+    """Number and pitch of the lenses, `how` they were found, shares of the modes, distances."""
     sentences = [
-        f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}."
+        f"{len(calibration.lattice):,} microlenses, "
+        f"{calibration.lattice.pitch:.1f} px apart, {how}."
     ]
     if depth is None:
         return sentences
@@ -171,33 +161,63 @@ def capture_sentences(
     if optics is not None and figures["distance_median"] == figures["distance_median"]:
         near, far = figures["distance_range"]
         sentences.append(
-            f"Distances {near:.3g} to {far:.3g} m, half of them below {figures['distance_median']:.3g} m, each to "
+            f"Distances {near:.3g} to {far:.3g} m, half of them below "
+            f"{figures['distance_median']:.3g} m, each to "
             f"{figures['distance_error']:.2g} m."
         )
     return sentences
 
 
-def eight_bits_sentence(white: float | None, dtype: Any) -> str:
-    """How pixels of more than 8 bits were written with 8."""
-    import numpy as np
+class PictureFinish:
+    """Brightness and bits of the pictures of a command, as `--exposure` and `--8bit` ask for."""
 
-    top = 1 if np.dtype(dtype).kind == "f" else white or np.iinfo(dtype).max
-    return f"Written with 8 bits: 0 to {top:g} became 0 to 255 in proportion, without a tone curve."
+    def __init__(self, given: Any, path: Path) -> None:
+        from ..output.picture import Brightness, default_exposure
 
+        exposure = default_exposure(path) if given.exposure is None else given.exposure
+        self._brightness = Brightness(exposure)
+        self._path = path
+        self._reduce = given.eight_bits or path.suffix.lower() == ".gif"
+        self._reduced: list[str] = []
 
-def brightness_sentences(gain: float) -> list[str]:
-    """That a picture was made brighter or darker, if it was."""
-    if gain == 1:
-        return []
-    import math
+    def apply(self, picture: Rendering) -> Rendering:
+        """A picture as it is to be written."""
+        import numpy as np
 
-    return [
-        f"Brightness times {gain:.3g} ({math.log2(gain):+.1f} EV); --exposure 0 leaves it as it is."
-    ]
+        from ..output.picture import eight_bits, needs_eight_bits
+
+        picture = self._brightness.apply(picture)
+        dtype = picture.image.dtype
+        if dtype == np.uint8 or not (self._reduce or needs_eight_bits(self._path, picture)):
+            return picture
+        top = 1 if dtype.kind == "f" else picture.white or np.iinfo(dtype).max
+        self._reduced = [
+            f"Written with 8 bits: 0 to {top:g} became 0 to 255 in proportion, "
+            "without a tone curve."
+        ]
+        reduced: Rendering = eight_bits(picture)
+        return reduced
+
+    @property
+    def entries(self) -> dict[str, float]:
+        """Settings to store with the pictures, once one was finished."""
+        return self._brightness.entries
+
+    @property
+    def sentences(self) -> list[str]:
+        """What was done to the pictures."""
+        gain = self._brightness.gain
+        if gain == 1:
+            return self._reduced
+        stops = f"{math.log2(gain):+.1f} EV"
+        return [
+            *self._reduced,
+            f"Brightness times {gain:.3g} ({stops}); --exposure 0 leaves it as it is.",
+        ]
 
 
 def picture_sentence(path: Any, picture: Rendering, what: str, took: str) -> str:
-    """Where a picture is, how large, what it shows, and how long all took."""
+    """A sentence about a picture file: name, size, content, seconds."""
     height, width = picture.image.shape[:2]
     unseen = 1 - float(picture.valid.mean())
     hole = f"; {percent(unseen)} of it seen by no lens" if unseen > 0.001 else ""

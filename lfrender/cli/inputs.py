@@ -1,6 +1,4 @@
-"""The inputs of commands: a flat, its camera and its depth, read from files or computed from the
-pixels.
-"""
+"""The inputs of commands: a flat, its camera and its depth, read or computed."""
 
 from __future__ import annotations
 
@@ -23,23 +21,25 @@ from . import figures
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lfcal import Calibration, FlatSource
+    from lfcal import Calibration, FlatSource, Optics
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
     from ..live.recording import Recording
+    from ..sequence.frames import Frames
 
 __all__ = ["MOVING", "CaptureInput", "is_large", "is_published"]
 
 #: Suffixes of files that hold nothing but moving pictures.
 MOVING = (".gif", ".mkv", ".mov", ".mp4")
 
+# [bytes] Larger flats are drawn in tiles: smaller ones are faster as a whole.
+_LARGE = 1e8
+
 
 @dataclass(frozen=True)
 class CaptureInput:
-    """A flat, and the files that its camera and its depth come from; its methods time the stages of
-    a command.
-    """
+    """A flat and the files of its camera and depth; methods time the stages of a command."""
 
     report: Report
     flat: Path
@@ -96,6 +96,25 @@ class CaptureInput:
 
         return open_flat(self.flat, self.page, self.dark)
 
+    def open_frames(self, inputs: tuple[Path, ...], **chosen: Any) -> Frames:
+        """The frames of a sequence, less the dark frame; `chosen` as for `lfrender.open_frames`."""
+        from .. import open_frames
+
+        return open_frames(inputs, **self.raw_layout(inputs), dark=self.dark, **chosen)
+
+    def sentences(
+        self,
+        calibration: Calibration,
+        depth: DepthMap | None = None,
+        optics: Optics | None = None,
+    ) -> list[str]:
+        """Sentences about the lenses: number, source of the camera, modes, distances."""
+        how = f"with {self.camera}"
+        if self.camera is None:
+            sure = figures.percent(calibration.confidence)
+            how = f"found on {self.white or 'the flat itself'} (confidence {sure})"
+        return figures.capture_sentences(how, calibration, depth, optics)
+
     def raw_layout(self, inputs: Iterable[Path]) -> dict[str, Any]:
         """How raw video among the `inputs` is read, as options of `lfcal.read_flat`."""
         size = self.size
@@ -121,13 +140,11 @@ class CaptureInput:
     def calibrate(
         self, pixels: NDArray[Any], known: Calibration | None = None
     ) -> tuple[NDArray[Any], Calibration]:
-        """The flat in colour, and its camera: the one `known` from another flat, if the pixels
-        agree with it.
-        """
+        """The flat in colour and its camera: `known` from another flat if the pixels agree."""
         with self.report.stage("calibrate"):
-            calibration = (
-                known if known is not None and _agrees(known, pixels) else self.find_camera(pixels)
-            )
+            calibration = known
+            if calibration is None or not _agrees(calibration, pixels):
+                calibration = self.find_camera(pixels)
             if calibration.mosaic is not None and pixels.ndim == 2:
                 from ..flat.demosaicing import demosaic
 
@@ -142,25 +159,20 @@ class CaptureInput:
         """
         if self.mosaic is not None and len(pixels.shape) == 3:
             raise click.UsageError(f"{self.flat} is in colour already; leave out --mosaic")
+        known = None
         if self.camera is not None:
-            calibration = _read_camera(self.camera, pixels)
-            calibration = (
-                calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
-            )
+            known = _read_camera(self.camera, pixels)
+        elif self.white is None and self.recording is not None:
+            known = self.recording.camera
+        if known is not None:
+            calibration = known if self.mosaic is None else known.with_mosaic(self.mosaic)
         elif self.white is not None:
             calibration = self._calibrate_white(self.white, pixels)
-        elif self.recording is not None and self.recording.camera is not None:
-            calibration = self.recording.camera
-            calibration = (
-                calibration.with_mosaic(self.mosaic) if self.mosaic is not None else calibration
-            )
         else:
             calibration = self._calibrate_scene(pixels)
-        encoded = calibration.encoded is None and self.flat.suffix.lower() in (
-            *VIDEO_FORMATS,
-            RAW_SUFFIX,
-        )
-        return replace(calibration, encoded=True) if encoded else calibration
+        if calibration.encoded is None and self.flat.suffix.lower() in {*VIDEO_FORMATS, RAW_SUFFIX}:
+            return replace(calibration, encoded=True)
+        return calibration
 
     def _calibrate_scene(self, pixels: NDArray[Any]) -> Calibration:
         from lfcal import calibrate
@@ -169,7 +181,10 @@ class CaptureInput:
             calibration = calibrate(pixels, mosaic=self.mosaic)
         if calibration.source != "white":
             return calibration
-        warning = "this is a white image, there is no scene in it; give a capture, and this one as --white"
+        warning = (
+            "this is a white image, there is no scene in it; give a capture, and this one "
+            "as --white"
+        )
         return replace(calibration, warnings=(*calibration.warnings, warning))
 
     def _calibrate_white(self, path: Path, pixels: NDArray[Any]) -> Calibration:
@@ -177,11 +192,9 @@ class CaptureInput:
 
         white = read_flat(path)
         if white.shape[:2] != pixels.shape[:2]:
-            sizes = " and ".join(
-                f"{shape[1]} x {shape[0]}" for shape in (white.shape, pixels.shape)
-            )
+            own, other = (f"{flat.shape[1]} x {flat.shape[0]}" for flat in (white, pixels))
             raise FlatError(
-                f"{path}: white image and flat must be of one size, they have {sizes} px"
+                f"{path}: white image and flat must be of one size, they have {own} and {other} px"
             )
         white = self._subtract_dark(white)
         with name_file_in_errors(path):
@@ -201,8 +214,7 @@ class CaptureInput:
             return analyze(pixels, calibration, preset=self.chosen_preset, **options)
 
     def read_depth(self, flat: NDArray[Any] | FlatSource | None) -> DepthMap:
-        """The depth of the file, with a warning if it was made from another flat of this size; None
-        asks for no check.
+        """The depth of the file, with a warning if it was made from another flat of this size.
 
         Flats of a colour filter mosaic are checked in colour.
         """
@@ -217,7 +229,8 @@ class CaptureInput:
         depth = DepthMap.load(path)
         if flat is not None and depth.image_size == flat.shape[1::-1] and not depth.is_of(flat):
             self.report.warn(
-                f"{path} was made from another flat than {self.flat}: edges of the scene may be drawn at wrong places; "
+                f"{path} was made from another flat than {self.flat}: edges of the scene may be "
+                "drawn at wrong places; "
                 "analyse this flat"
             )
         return depth
@@ -225,78 +238,57 @@ class CaptureInput:
     def write(
         self, given: Any, pictures: list[Rendering], settings: list[dict[str, Any]], **options: Any
     ) -> tuple[list[Path], list[str]]:
-        """Write a picture, with `options`, a stack or an animation; the files, and what is to be
-        said about their bits.
+        """Write a picture, a stack or an animation; return the files and sentences about them.
 
         The values `given` are those of `output`, `eight_bits` and `exposure`.
 
         Animations go there and back again.
         """
         from ..output.formats import read_metadata
-        from ..output.picture import (
-            Brightness,
-            default_exposure,
-            needs_eight_bits,
-            write_picture,
-            write_stack,
-        )
-        from ..output.picture import eight_bits as to_eight_bits
+        from ..output.picture import write_picture, write_stack
 
         output = given.output
-        first = pictures[0]
-        stated = []
         embedded = read_metadata(self.flat)
-        brightness = Brightness(
-            default_exposure(output) if given.exposure is None else given.exposure
-        )
-        pictures = [brightness.apply(picture) for picture in pictures]
-        settings = [{**entries, **brightness.entries} for entries in settings]
-        if first.image.dtype.name != "uint8" and (
-            given.eight_bits or needs_eight_bits(output, first)
-        ):
-            stated = [figures.eight_bits_sentence(first.white, first.image.dtype)]
-            pictures = [to_eight_bits(picture) for picture in pictures]
-        stated += figures.brightness_sentences(brightness.gain)
+        finish = figures.PictureFinish(given, output)
+        pictures = [finish.apply(picture) for picture in pictures]
+        settings = [{**entries, **finish.entries} for entries in settings]
+        written = [output]
         with self.report.stage("write"):
             if output.suffix.lower() in MOVING:
                 from ..sequence.film_file import write_moving
 
                 write_moving(output, [*pictures, *pictures[-2:0:-1]])
             elif len(pictures) > 1:
-                return write_stack(output, pictures, settings=settings, embedded=embedded), stated
+                written = write_stack(output, pictures, settings=settings, embedded=embedded)
             else:
                 write_picture(
                     output, pictures[0], settings=settings[0], embedded=embedded, **options
                 )
-        return [output], stated
+        return written, finish.sentences
 
 
-def is_large(flat: Path, least_bytes: float = 1e8) -> bool:
-    """Whether a flat can be read in parts and has more than `least_bytes`; smaller ones are faster
-    as a whole.
-    """
+def is_large(flat: Path) -> bool:
+    """Whether a flat can be read in parts and is too large to be faster as a whole."""
     from lfcal import LightFieldError, open_flat
 
     # A compressed file that is a hundred times smaller need not be opened: its flat is smaller too.
     is_file = (
         flat.is_file()
         and flat.suffix.lower() in TIFF_SUFFIXES
-        and flat.stat().st_size >= least_bytes / 100
+        and flat.stat().st_size >= _LARGE / 100
     )
     if not (is_file or flat.is_dir()):
         return False
     try:
         with open_flat(flat) as source:
-            return source.in_parts and source.nbytes > least_bytes
+            return source.in_parts and source.nbytes > _LARGE
     except (LightFieldError, OSError):
         # Reading the file will report what is wrong with it.
         return False
 
 
 def is_published(path: Path) -> bool:
-    """Whether a camera file is of another program, so that its lattice may be moved onto the
-    pixels.
-    """
+    """Whether a camera file is of another program: its lattice may be moved onto the pixels."""
     return path.suffix.lower() != ".json"
 
 
@@ -310,8 +302,7 @@ def _agrees(calibration: Calibration, pixels: NDArray[Any]) -> bool:
 
 
 def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
-    """A camera file for flats of this size, with a warning if the pixels contradict it or show
-    nothing of it.
+    """A camera file for flats of this size, with a warning if the pixels contradict it.
 
     A published one is moved onto the microimages where the flat is a crop of the sensor; colour
     filters that it does not know are found on the flat. Raises CameraFileError where the flat shows
@@ -339,7 +330,10 @@ def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
         )
     check = check_camera(shown, part)
     if check.adjusted is not None and is_published(path) and part is pixels:
-        warning = "as published, the lattice lies beside the microimages, as in crops of a sensor; it was moved there"
+        warning = (
+            "as published, the lattice lies beside the microimages, as in crops of a "
+            "sensor; it was moved there"
+        )
         calibration = replace(check.adjusted, warnings=(*calibration.warnings, warning))
     else:
         calibration = check.warn(calibration, path)

@@ -1,6 +1,4 @@
-"""The commands `analyze` and `render` on flats that are too large for memory, with the same options
-and figures.
-"""
+"""The commands `analyze` and `render` on flats that are too large for memory."""
 
 from __future__ import annotations
 
@@ -34,9 +32,7 @@ def analyze_in_tiles(
 def render_in_tiles(
     capture: CaptureInput, given: Any, cluster: dict[str, Any], **options: Any
 ) -> None:
-    """Calibrate, analyse and render in tiles; depth and finished tiles are kept until the picture
-    is there.
-    """
+    """Calibrate, analyse and render in tiles; what is finished is kept until the end."""
     from .. import render_large
     from ..data.depth_map import DepthMap
     from ..large.render import check_large_picture
@@ -96,7 +92,7 @@ def render_in_tiles(
     }
     report.finish(
         found | figures.capture_figures(calibration, depth),
-        *figures.capture_sentences(capture, calibration, depth),
+        *capture.sentences(calibration, depth),
         f"{output}: {width} x {height} px in {made.tiles} tiles{kept}, in {report.took}.",
     )
 

@@ -11,7 +11,7 @@ import click
 import cloup
 
 from lfcal.runtime import command_line as cl
-from lfcal.runtime.interrupts import end_by_interrupt
+from lfcal.runtime.command_line.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import make_folder
 
 from .inputs import CaptureInput

@@ -50,18 +50,7 @@ def warm(report: cl.Report, given: Any) -> None:
     context_settings={"help_option_names": ["-h", "--help"]},
     others=(
         "lfcal",
-        (
-            "assess",
-            "board",
-            "calibrate",
-            "compare",
-            "convert",
-            "flatten",
-            "info",
-            "lattice",
-            "metric",
-            "show",
-        ),
+        "assess board calibrate compare convert flatten info lattice metric show",
     ),
 )
 @click.version_option(package_name="lfrender", prog_name="lfrender")

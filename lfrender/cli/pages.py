@@ -11,7 +11,7 @@ import click
 
 from lfcal import LightFieldError
 from lfcal.runtime import command_line as cl
-from lfcal.runtime.interrupts import end_by_interrupt
+from lfcal.runtime.command_line.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import check_output
 
 from . import figures
@@ -62,7 +62,7 @@ def view(capture: CaptureInput, given: Any) -> None:
     else:
         capture = replace(capture, flat=flats[0])
         loaded = capture.load()
-        load, sentences = (lambda _: loaded), figures.capture_sentences(capture, *loaded[1:])
+        load, sentences = (lambda _: loaded), capture.sentences(*loaded[1:])
         found = {"warnings": figures.capture_figures(*loaded[1:])["warnings"]}
     one_folder = len({flat.parent for flat in flats}) == 1
     pages = FlatPages([flat.name if one_folder else str(flat) for flat in flats], load)
@@ -84,7 +84,7 @@ def view(capture: CaptureInput, given: Any) -> None:
 
 
 def _find_flats(inputs: Iterable[Path]) -> list[Path]:
-    """The flats that are named, and those in folders, in the order of the numbers in their names."""
+    """The named flats and those in folders, sorted by the numbers in their names."""
     from ..sequence.frames import open_frames
 
     folders = {path for path in inputs if path.is_dir() and path.suffix.lower() != ".zarr"}
@@ -96,9 +96,7 @@ def _find_flats(inputs: Iterable[Path]) -> list[Path]:
 
 
 def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
-    """A function that loads one of the flats; a camera that is no file is found on the first that
-    is looked at.
-    """
+    """A function that loads a flat; a camera without a file is found on the first one."""
     found: list[Calibration] = []
 
     def load(number: int) -> Any:
@@ -143,7 +141,7 @@ def report(capture: CaptureInput, given: Any) -> None:
         write_report(
             output, pixels, calibration, depth, pictures, title=capture.flat.name, seconds=seconds
         )
-    sentences = figures.capture_sentences(capture, calibration, depth)
+    sentences = capture.sentences(calibration, depth)
     found = {"report": str(output), **figures.capture_figures(calibration, depth)}
     progress.finish(found, *sentences, f"{output} in {progress.took}: open it in a browser.")
 
@@ -171,9 +169,13 @@ def demo(report: cl.Report, given: Any) -> None:
     centres = found["calibration"]["scene"]["centre_error"]
     report.finish(
         found,
-        f"{found['lenses']:,} microlenses, {found['pitch']:.1f} px apart, found to {centres:.3f} px RMS from "
+        f"{found['lenses']:,} microlenses, {found['pitch']:.1f} px apart, found to {centres:.3f} "
+        "px RMS from "
         "the capture alone.",
-        f"The mode is right in {figures.percent(right['one_depth'])} of the lenses that see one depth, "
-        f"{figures.percent(right['all'])} of all that see detail; the picture is {merit:.1f} dB from the truth.",
-        f"{found['page']} in {report.took}, {report.seconds['simulate']:.1f} s of it for the simulation.",
+        f"The mode is right in {figures.percent(right['one_depth'])} of the lenses "
+        "that see one depth, "
+        f"{figures.percent(right['all'])} of all that see detail; the picture is {merit:.1f} dB "
+        "from the truth.",
+        f"{found['page']} in {report.took}, {report.seconds['simulate']:.1f} s of it for the "
+        "simulation.",
     )

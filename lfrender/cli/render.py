@@ -81,14 +81,17 @@ def render(capture: CaptureInput, given: Any) -> None:
     _, stated = capture.write(given, [picture], [settings], **stored)
     what = "a pixel per microlens" if traditional else "sharp at every depth"
     if patch_size is not None:
-        what = f"of one patch size, {patch_size:g} px{', mixed from all lenses' if given.blend else ''}"
+        what = (
+            f"of one patch size, {patch_size:g} "
+            f"px{', mixed from all lenses' if given.blend else ''}"
+        )
     capture.report.finish(
         {
             "picture": str(output),
             **figures.picture_figures(picture),
             **figures.capture_figures(calibration, depth),
         },
-        *figures.capture_sentences(capture, calibration, drawn),
+        *capture.sentences(calibration, drawn),
         figures.picture_sentence(output, picture, what, capture.report.took),
         *stated,
     )

@@ -34,7 +34,8 @@ __all__ = ["batch"]
     "lfrender batch film.mkv -c camera.json -o sharp.mp4 --depth-maps depth.mp4",
     "lfrender batch film.mkv -c camera.json -o sharp.mov --start 2.5 --end 10",
     "lfrender batch frames/*.png -o pictures --workers 4",
-    "lfrender batch film_2048x2048_420p10.yuv -c camera.cfg -o views --views 5x5 --format yuv --resize 1920x1080",
+    "lfrender batch film_2048x2048_420p10.yuv -c camera.cfg -o views --views 5x5 --format yuv "
+    "--resize 1920x1080",
     output=(
         "FOLDER|FILM",
         "Folder for the pictures, or a film: .mp4, .mov for cutting, or .mkv without any loss.",
@@ -42,7 +43,8 @@ __all__ = ["batch"]
     own={
         "Files": "depth_maps overwrite",
         "Which frames": "frames start end",
-        "What to draw": "scale frame_format eight_bits exposure fps frame_views frame_aperture resize",
+        "What to draw": "scale frame_format eight_bits exposure fps "
+        "frame_views frame_aperture resize",
         "Several processes": "workers scheduler",
     },
     refused={
@@ -60,7 +62,6 @@ def batch(capture: CaptureInput, given: Any) -> int:
     calibrated once, depth is kept where nothing moves, pictures already there are kept, and a frame
     that cannot be read is reported and does not stop the others (exit code 1).
     """
-    from .. import open_frames
     from ..output.formats import check_format
     from ..sequence.frames import is_video
 
@@ -77,9 +78,7 @@ def batch(capture: CaptureInput, given: Any) -> int:
         check_format(path, "film", inputs=[*given.inputs, *capture.files])
     chosen = {name: getattr(given, name) for name in ("frames", "start", "end")}
     with option_errors():
-        frames = open_frames(
-            given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark, **chosen
-        )
+        frames = capture.open_frames(given.inputs, **chosen)
     calibration = None
     if capture.camera or capture.white or capture.mosaic or capture.recording:
         with report.stage("calibrate"):
@@ -117,7 +116,7 @@ def _render(
     films: list[Path],
     further: dict[str, Any],
 ) -> tuple[list[FrameResult], Plan]:
-    """Render all, and tell what is done."""
+    """Render all frames; print the plan before, and show the progress."""
     from .. import render_frames
     from ..sequence.film import render_film
 
@@ -170,7 +169,7 @@ def _render(
 
 
 def _describe(plan: Plan, given: Any, rate: Any) -> str:
-    """What is about to be written, in one line; `rate` is that of a film."""
+    """One line about what will be written; `rate` is that of a film."""
     size = "" if plan.size is None else " of {} x {} px".format(*plan.size)
     speed = "" if rate is None else f", {float(rate):.4g} a second,"
     kept = f" ({plan.kept:,} kept from before)" if plan.kept else ""
@@ -225,7 +224,7 @@ def _drawing_options(given: Any, film: bool) -> dict[str, Any]:
 
 
 def _find_camera(frames: Frames, capture: CaptureInput) -> Calibration:
-    """The camera, with what the first frame that can be read shows of it."""
+    """The camera, checked on the first frame that can be read."""
     for frame in frames:
         with suppress(FlatError):
             pixels = frame.read()

@@ -1,6 +1,4 @@
-"""`lfrender refocus`, `views` and `lenslet`: another depth in focus, the scene seen from elsewhere,
-views as a flat.
-"""
+"""`lfrender refocus`, `views` and `lenslet`: refocused pictures, viewpoints, grids."""
 
 from __future__ import annotations
 
@@ -96,7 +94,7 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     found |= {"patch_sizes": sizes, **figures.picture_figures(pictures[0])}
     report.finish(
         found | figures.capture_figures(calibration, depth),
-        *figures.capture_sentences(capture, calibration),
+        *capture.sentences(calibration),
         figures.picture_sentence(named, pictures[0], what, report.took),
         *stated,
     )
@@ -116,7 +114,8 @@ def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) ->
     "lfrender views flat.png -c camera.json -o scene --poses nerfstudio",
     output=("FOLDER|FILE", "Folder of a grid, or one file."),
     own={
-        "What to draw: a grid of views in a folder, or one file": "grid stereo animation quilt poses optics",
+        "What to draw: a grid of views in "
+        "a folder, or one file": "grid stereo animation quilt poses optics",
         "How to draw it": "view_aperture scale resize grid_format eight_bits exposure",
     },
 )
@@ -147,10 +146,9 @@ def views(capture: CaptureInput, given: Any) -> None:
     depth = capture.analyze(pixels, calibration)
     offsets = _offsets(given, given.aperture * calibration.lattice.radius)
     found: dict[str, Any] = {"views": str(output), "offsets": offsets}
-    given.gain, given.settings = (
-        1.0,
-        {"rendering": "views", "aperture": given.aperture, "preset": depth.preset},
-    )
+    given.settings = {"rendering": "views", "aperture": given.aperture, "preset": depth.preset}
+    one_file = given.animation or given.stereo or given.quilt
+    finish = figures.PictureFinish(given, output if one_file else Path(f"view{given.suffix}"))
     stated: list[str] = []
     with report.stage("render and write"), report.progress("views") as step, option_errors():
         if given.poses:
@@ -158,14 +156,12 @@ def views(capture: CaptureInput, given: Any) -> None:
                 given, pixels, calibration, depth, offsets, partial(_counted, step)
             )
         else:
-            drawn = _draw_views(capture, given, pixels, calibration, depth, offsets=offsets)
+            drawn = _draw_views(capture, given, finish, pixels, calibration, depth, offsets=offsets)
             stated = _write_views(capture, given, _counted(step, drawn, len(offsets)))
-    if pixels.dtype.name != "uint8" and (given.eight_bits or _holds_eight_bits(given)):
-        stated.append(figures.eight_bits_sentence(calibration.white_level, pixels.dtype))
-    stated += figures.brightness_sentences(given.gain)
+    stated += finish.sentences
     report.finish(
         {**found, **figures.capture_figures(calibration, depth)},
-        *figures.capture_sentences(capture, calibration, depth),
+        *capture.sentences(calibration, depth),
         f"{output}: {len(offsets)} views, in {report.took}.",
         *stated,
     )
@@ -204,7 +200,8 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
         check_format(output, "picture", dtype=dtype, inputs=inputs)
     elif output.suffix.lower() in FORMATS and not output.is_dir():
         raise click.UsageError(
-            f"{output} is one file: say what it shows with --stereo, --animation N or --quilt 8x6, or give a folder"
+            f"{output} is one file: say what it shows with --stereo, --animation N or --quilt "
+            "8x6, or give a folder"
         )
     elif given.suffix.startswith(".yuv"):
         check_raw_format(check_folder(output), given.suffix[1:])
@@ -218,43 +215,27 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
 
 
 def _draw_views(
-    capture: CaptureInput, given: Any, *flat_camera_depth: Any, offsets: list[Any]
+    capture: CaptureInput,
+    given: Any,
+    finish: figures.PictureFinish,
+    *flat_camera_depth: Any,
+    offsets: list[Any],
 ) -> Iterator[Rendering]:
     from .. import views as run
-    from ..output.picture import Brightness, default_exposure, eight_bits, needs_eight_bits
     from ..output.views import resize_view, scale_for_size
 
     camera = flat_camera_depth[1]
     size = given.resize
-    shown = given.output if given.output.suffix else Path(f"view{given.suffix}")
-    exposure = default_exposure(shown) if given.exposure is None else given.exposure
-    brightness = Brightness(exposure)
     scale = given.scale if size is None else scale_for_size(camera, size)
     for picture in run(*flat_camera_depth, offsets=offsets, scale=scale):
-        picture = _cut(picture if size is None else resize_view(picture, size), capture, camera)
-        picture = brightness.apply(picture)
-        given.gain = brightness.gain
-        given.settings.update(brightness.entries)
-        yield (
-            eight_bits(picture) if given.eight_bits or needs_eight_bits(shown, picture) else picture
-        )
-
-
-def _holds_eight_bits(given: Any) -> bool:
-    """Whether the files have 8 bits a channel whatever the flat has."""
-    from ..output.formats import FORMATS
-
-    suffix = given.output.suffix.lower()
-    kind = FORMATS.get(suffix if given.stereo or given.quilt else given.suffix)
-    return (
-        suffix not in (".mkv", ".mov")
-        if given.animation
-        else kind is not None and kind.pixel_types == ("uint8",)
-    )
+        picture = picture if size is None else resize_view(picture, size)
+        picture = finish.apply(_cut(picture, capture, camera))
+        given.settings.update(finish.entries)
+        yield picture
 
 
 def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering]) -> list[str]:
-    """Write the views; returns what is to be said about them."""
+    """Write the views; return sentences about them."""
     from ..output.formats import read_metadata
     from ..output.picture import write_picture
     from ..output.raw_video import write_view_videos
@@ -269,7 +250,8 @@ def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering
         ending = write_quilt(output, pictures, *given.quilt, **options)
         if not output.stem.endswith(ending):
             return [
-                f"Players take the grid from the name: call it {output.stem}{ending}{output.suffix} for them."
+                "Players take the grid from the name: call it "
+                f"{output.stem}{ending}{output.suffix} for them."
             ]
     elif given.stereo:
         write_picture(output, stereo_pair(*pictures), **options)
@@ -288,7 +270,7 @@ def _write_posed(
     offsets: list[Any],
     counted: Any,
 ) -> dict[str, Any]:
-    """Write views with their cameras; returns found about these."""
+    """Write views with their cameras; return figures about these."""
     from lfcal import Optics
 
     from ..output.posed_files import write_posed_views
@@ -357,7 +339,8 @@ def lenslet(report: cl.Report, given: Any) -> None:
             "grid": [rows, columns],
             "size": [width, height],
         },
-        f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and {camera_file}, in {report.took}.",
+        f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and "
+        f"{camera_file}, in {report.took}.",
     )
 
 

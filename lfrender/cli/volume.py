@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -14,8 +14,6 @@ from .inputs import CaptureInput
 from .options import capture_command, option_errors
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from lfcal import Calibration
 
     from ..volume.volume import Volume
@@ -52,22 +50,16 @@ def volume(capture: CaptureInput, given: Any) -> None:
     in pixels of the flat and slopes k = -D / s. Of several flats, folders or videos, each starts
     from the volume before.
     """
-    from .. import Microscope, open_frames
+    from .. import Microscope, reconstruct_volume
     from ..volume.files import SUFFIXES, check_volume_file
 
     report = capture.report
     output = given.output
     one_file = output.suffix.lower() in SUFFIXES
     with option_errors():
-        microscope = Microscope(
-            given.na,
-            given.magnification,
-            given.medium_index,
-            given.microlens_focal_length,
-            given.pixel_size,
-            given.wavelength,
-        )
-        frames = open_frames(given.inputs, **capture.raw_layout(given.inputs), dark=capture.dark)
+        optics = (field.name for field in fields(Microscope))
+        microscope = Microscope(**{name: getattr(given, name) for name in optics})
+        frames = capture.open_frames(given.inputs)
     if one_file:
         check_volume_file(output, [*given.inputs, *capture.files])
         if frames.count != 1:
@@ -78,10 +70,25 @@ def volume(capture: CaptureInput, given: Any) -> None:
     written: list[str] = []
     found: Volume | None = None
     calibration: Calibration | None = None
-    for number, (name, pixels) in enumerate(_flats(frames), 1):
-        pixels, calibration = _calibrate(capture, pixels, calibration)
-        target = output if one_file else output / f"{name}.ome.tif"
-        found = _reconstruct(capture, given, microscope, pixels, calibration, found, number)
+    for number, frame in enumerate(frames, 1):
+        pixels = frame.read()
+        if calibration is None:
+            pixels, calibration = capture.calibrate(pixels)
+            _check_white(capture, calibration, pixels)
+        target = output if one_file else output / f"{frame.name}.ome.tif"
+        name = f"volume {number}"
+        with report.stage("reconstruct"), report.progress(name) as step, option_errors():
+            found = reconstruct_volume(
+                pixels,
+                calibration,
+                microscope,
+                depth_range=given.depth_range,
+                planes=given.planes,
+                steps=given.steps,
+                voxels=given.voxels,
+                start=found,
+                progress=step,
+            )
         with report.stage("write"):
             found.save(target)
         written.append(str(target))
@@ -98,65 +105,24 @@ def volume(capture: CaptureInput, given: Any) -> None:
         "steps": found.fit.steps,
         "stopped": found.fit.reason,
     }
-    of_camera = figures.capture_figures(calibration)
-    about |= of_camera | {"warnings": list(found.warnings)}
+    about |= figures.capture_figures(calibration) | {"warnings": list(found.warnings)}
     report.finish(
         about,
-        *figures.capture_sentences(capture, calibration),
+        *capture.sentences(calibration),
         _describe(found),
         f"{where}, in {report.took}.",
     )
 
 
-def _flats(frames: Any) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Name and pixels of each flat."""
-    for frame in frames:
-        yield frame.name, frame.read()
-
-
-def _calibrate(
-    capture: CaptureInput, pixels: NDArray[Any], known: Calibration | None
-) -> tuple[NDArray[Any], Calibration]:
-    """The flat in colour and its camera, which is that of the first flat."""
+def _check_white(capture: CaptureInput, calibration: Calibration, pixels: Any) -> None:
+    """Raise an error if the white image is of another camera than the first flat."""
     from lfcal import CalibrationError, check_camera
 
-    if known is not None:
-        return pixels, known
-    pixels, calibration = capture.calibrate(pixels)
-    if capture.white is not None:
-        problem = check_camera(calibration, pixels).problem
-        if problem is not None:
-            other = f"{capture.white}: is the white image of another camera"
-            raise CalibrationError(f"{other}: {problem}")
-    return pixels, calibration
-
-
-def _reconstruct(
-    capture: CaptureInput,
-    given: Any,
-    microscope: Any,
-    pixels: NDArray[Any],
-    calibration: Calibration,
-    before: Volume | None,
-    number: int,
-) -> Volume:
-    """The volume of a flat, with progress."""
-    from .. import reconstruct_volume
-
-    report = capture.report
-    name = f"volume {number}" if before is not None else "volume"
-    with report.stage("reconstruct"), report.progress(name) as step, option_errors():
-        return reconstruct_volume(
-            pixels,
-            calibration,
-            microscope,
-            depth_range=given.depth_range,
-            planes=given.planes,
-            steps=given.steps,
-            voxels=given.voxels,
-            start=before,
-            progress=step,
-        )
+    if capture.white is None:
+        return
+    problem = check_camera(calibration, pixels).problem
+    if problem is not None:
+        raise CalibrationError(f"{capture.white}: is the white image of another camera: {problem}")
 
 
 def _describe(found: Volume) -> str:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from numpy.typing import NDArray
 
 from lfcal import Calibration
+from lfcal.runtime.progress import Progress, show_progress
 
 from ..data.depth_map import DepthMap, sample_flat
 from ..flat.lens_blur import find_lens_blur
@@ -21,6 +22,9 @@ from .region import check_region, crop_flat, embed_region, rescale_depth, select
 
 __all__ = ["PRESETS", "analyze"]
 
+# Of an analysis, for its progress: reading the flat, matching, edges, blur of the microlenses.
+_STAGES = 4
+
 
 def analyze(
     flat: NDArray,
@@ -31,6 +35,7 @@ def analyze(
     roi: tuple[float, float, float, float] | None = None,
     previous: tuple[NDArray, DepthMap] | None = None,
     edges: bool | None = None,
+    progress: Progress = None,
 ) -> DepthMap:
     """Estimate the signed patch size, mode and magnification of every microlens.
 
@@ -64,6 +69,9 @@ def analyze(
         Locate depth edges of the surface on the pixels of the microimages, which draws scenes with
         occlusion 1 to 3 dB better and takes about as long as the rest of `"balanced"`. By default
         `"balanced"` does so.
+    progress : bool or callable, optional
+        True shows a bar on a terminal or in a notebook, and compiles the kernels of a new
+        installation first; a function is called with the numbers of finished and of all stages.
 
     Returns
     -------
@@ -111,13 +119,19 @@ def analyze(
             flat_samples=sample_flat(flat),
             lens_blur=previous[-1].lens_blur,
         )
-    gray, small, factor = prepare_flat(flat, calibration, preset)
-    small_part = small
-    if inside is not None:
-        gray, small_part = crop_flat(gray, small, inside)
-    depth = estimate_depth_map(gray, small_part, preset, shortcuts)
-    depth = locate_edges(gray, small_part, depth) if edges else depth
-    if inside is not None:
-        depth = embed_region(depth, small_part, small, inside)
-    depth = rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
-    return replace(depth, lens_blur=find_lens_blur(flat, (0, 0), calibration, depth.patch_size))
+    with show_progress(progress, "analyze") as step:
+        gray, small, factor = prepare_flat(flat, calibration, preset)
+        small_part = small
+        if inside is not None:
+            gray, small_part = crop_flat(gray, small, inside)
+        step(1, _STAGES)
+        depth = estimate_depth_map(gray, small_part, preset, shortcuts)
+        step(2, _STAGES)
+        depth = locate_edges(gray, small_part, depth) if edges else depth
+        step(3, _STAGES)
+        if inside is not None:
+            depth = embed_region(depth, small_part, small, inside)
+        depth = rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
+        blur = find_lens_blur(flat, (0, 0), calibration, depth.patch_size)
+        step(_STAGES, _STAGES)
+    return replace(depth, lens_blur=blur)

@@ -8,7 +8,7 @@ flat.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatSource, Lattice, LensBlur
+from lfcal.runtime.progress import Progress, Step, show_progress
 
 from ..data.depth_map import DepthMap, sample_flat
 from ..data.surface import Surface
@@ -48,7 +49,7 @@ def analyze_large(
     preset: Preset = "balanced",
     *,
     skip: bool | Iterable[Shortcut] = True,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = None,
     client: Any = None,
     threads: int | None = None,
     memory: float = 6e8,
@@ -65,8 +66,8 @@ def analyze_large(
         From `lfcal.open_flat`.
     calibration, preset, skip
         As in `analyze`.
-    progress : callable or None
-        Called with the number of finished tiles and of all.
+    progress : bool or callable, optional
+        True shows a bar; a function is called with the numbers of finished and of all tiles.
     client : distributed.Client or None
         Have tiles analysed by the workers of this cluster, with the same results bit for bit. They
         read the flat themselves: it must lie on storage that all of them see under the same path.
@@ -106,7 +107,8 @@ def analyze_large(
         reader.channels * source.dtype.itemsize,
         memory,
     )
-    depth = _analyze_tiles(flat, workers, list(tiles), progress)
+    with show_progress(progress, "tiles") as step:
+        depth = _analyze_tiles(flat, workers, list(tiles), step)
     # Those of a colour filter mosaic are not those of the flat in colour.
     raw = calibration.mosaic is not None and len(source.shape) == 2
     samples = None if raw else sample_flat(source)
@@ -210,7 +212,7 @@ def _analyze_tiles(
     flat: _Flat,
     workers: Workers,
     tiles: list[LensTile],
-    progress: Callable[[int, int], None] | None,
+    step: Step,
 ) -> DepthMap:
     lattice = flat.lattice
     preset = flat.preset
@@ -227,8 +229,7 @@ def _analyze_tiles(
         _paste(surface, depth.surface, part, spacing, finer)
         for name, share in depth.saved.items():
             saved[name] = saved.get(name, 0.0) + share * len(rows) / len(lattice)
-        if progress is not None:
-            progress(number + 1, len(tiles))
+        step(number + 1, len(tiles))
     corner = first[0] - 0.5 * (1 - 1 / finer) * spacing
     fine = Surface(surface, (corner, corner), spacing / finer)
     return DepthMap(

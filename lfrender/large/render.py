@@ -5,7 +5,7 @@ drawn as a whole.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatSource
 from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.progress import Progress, show_progress
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Part, Rendering
@@ -65,7 +66,7 @@ def render_large(
     alpha: bool = False,
     compress: bool = False,
     settings: Mapping[str, Any] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = None,
     client: Any = None,
     threads: int | None = None,
 ) -> LargePicture:
@@ -168,9 +169,9 @@ def render_large(
         checkpoint.keep("picture", key, done)
 
     # Each tile is stored while the next one is drawn.
-    for count, _ in enumerate(ahead(store, zip(missing, drawn, strict=True), 1), kept + 1):
-        if progress is not None:
-            progress(count, len(parts))
+    with show_progress(progress, "tiles") as step:
+        for count, _ in enumerate(ahead(store, zip(missing, drawn, strict=True), 1), kept + 1):
+            step(count, len(parts))
     if direct:
         writer.finish(output)
     else:

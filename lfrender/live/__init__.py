@@ -1,3 +1,1 @@
-"""Live pictures of a camera: sources, the newest frame analysed and drawn, recordings, a page for
-browsers.
-"""
+"""Live pictures of a camera: sources, session, recordings, and the page."""

@@ -1,5 +1,4 @@
-"""Reading a source in a thread of its own: the newest frame only, frames counted, and opened again
-when it comes back.
+"""Reading a source in a thread: the newest frame is kept, lost frames are counted.
 
 A slow reader never blocks the camera: a frame that is not taken before the next one arrives is
 counted as lost.
@@ -24,9 +23,7 @@ _AGAIN = 1.0
 
 
 class Grabber:
-    """Reads the frames that `open_source` gives; errors of the first frame are raised, later ones
-    are a `message`.
-    """
+    """Reads frames in a thread; an error of the first is raised, later ones are a message."""
 
     def __init__(self, open_source: Callable[[], Iterator[Shot]]) -> None:
         self.received = self.lost = 0
@@ -42,9 +39,7 @@ class Grabber:
         self._thread.start()
 
     def take(self, timeout: float) -> Shot | None:
-        """The newest frame that has not been taken yet; None if none arrives within so many
-        seconds.
-        """
+        """The newest frame that was not taken yet; None if there is none within `timeout` [s]."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None, timeout)
             shot, self._newest = self._newest, None

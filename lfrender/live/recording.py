@@ -1,5 +1,4 @@
-"""Recordings: raw frames with their times, the camera and the settings in one TIFF, which all
-commands read.
+"""Recordings: one TIFF with raw frames, their times, the camera and the settings.
 
 Page by page the pixels are as the source gave them. The description of each page is a JSON text
 with the number and the times of the frame; that of the first one holds the camera and the settings
@@ -57,7 +56,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording | None:
 
 
 class Recorder:
-    """Writes frames into a new file, in a thread of its own; `about` is stored with the first one."""
+    """Writes frames into a new file in a thread; `about` is stored with the first frame."""
 
     def __init__(self, path: Path, about: Mapping[str, Any]) -> None:
         import tifffile
@@ -83,7 +82,10 @@ class Recorder:
     @property
     def told(self) -> str:
         """The file, and how many frames are in it and were skipped."""
-        return f"{self.path}: {self.frames} frames{f', {self.skipped} skipped' if self.skipped else ''}"
+        return (
+            f"{self.path}: {self.frames} "
+            f"frames{f', {self.skipped} skipped' if self.skipped else ''}"
+        )
 
     def close(self) -> None:
         """Write what waits, and close the file."""
@@ -97,7 +99,10 @@ class Recorder:
                     self._write(shot)
                 except OSError as error:
                     self.skipped += 1
-                    self.message = f"{self.path}: recording has ended ({error.strerror or 'is the disk full?'})"
+                    self.message = (
+                        f"{self.path}: recording has ended "
+                        f"({error.strerror or 'is the disk full?'})"
+                    )
 
     def _write(self, shot: Shot) -> None:
         if self.message:

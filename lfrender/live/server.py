@@ -1,7 +1,7 @@
 """The live page: pictures as JPEG, the status as JSON, and commands.
 
 A page asks for the picture after the last one that it has shown, and waits until there is one: a
-slow browser gets fewer pictures, and holds up nobody.
+slow browser gets fewer pictures and does not delay others.
 """
 
 from __future__ import annotations
@@ -55,8 +55,7 @@ class LiveServer(WebServer):
             return JSONResponse({"message": str(error)}, 400)
         try:
             found = self._session.picture(kind, after, place)
-        # What is wrong with one picture, such as a place without depth, is said, and the page goes
-        # on.
+        # An error of one picture, such as a place without depth, is shown, and the page goes on.
         except Exception as error:
             return JSONResponse({"message": " ".join(str(error).split())}, 500)
         if found is None:

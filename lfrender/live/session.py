@@ -1,5 +1,4 @@
-"""A live session: the newest frame of a source, its depth and its pictures, as far as somebody
-looks at them.
+"""A live session: depth and pictures of the newest frame, as far as they are watched.
 
 Depth and the sharp picture are updated from a reference frame where nothing has moved. While a
 recording runs, they are made of each frame alone, so that they have the bits of those that are
@@ -42,13 +41,12 @@ __all__ = ["COMMANDS", "KINDS", "Session", "View"]
 COMMANDS = ("record", "stop", "snapshot", "calibrate")
 #: Pictures of a frame.
 KINDS = ("raw", "traditional", "sharp", "focus", "depth")
-# A picture that nobody has asked for during so long [s] is not made.
+# [s] A kind of picture that no page has asked for during this time is not made.
 _WATCHED = 5.0
-# Compared with a reference frame, a frame in which less than this share of the lenses is still
-# becomes the next one.
+# A frame becomes the next reference if less than this share of its lenses is still.
 _STILL = 0.9
-# After so many references in a row depth starts afresh, or changes smaller than the noise would add
-# up.
+# Number of references in a row before depth is analysed anew: changes smaller than the noise would
+# add up.
 _CHAIN = 30
 # Output pixels per pitch of the depth picture, which browsers enlarge: more would take longer than
 # the depth itself.
@@ -199,7 +197,7 @@ class Session:
         self._thread = Thread(target=self._run, daemon=True)
 
     def start(self, strict: bool = False) -> None:
-        """Find the camera on the first frame, and begin; `strict` raises the error if that fails."""
+        """Find the camera on the first frame, and begin; `strict` raises an error of that."""
         try:
             self._calibrate(self.grabber.first)
         except LightFieldError as error:
@@ -211,9 +209,7 @@ class Session:
     def picture(
         self, kind: str, after: int, at: Place = (0.5, 0.5), timeout: float = 5.0
     ) -> tuple[View, bytes] | None:
-        """The picture of a frame later than number `after` as JPEG; None if there is none within so
-        many seconds.
-        """
+        """The JPEG of a frame later than number `after`; None if there is none in time."""
         end = time.monotonic() + timeout
         with self._published:
             while True:
@@ -235,9 +231,7 @@ class Session:
         return f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
 
     def status(self) -> dict[str, Any]:
-        """Counts, the time from the arrival of a frame to its picture [s], its light, and what is
-        to be said.
-        """
+        """Counts of frames, latency [s], light, camera and messages, as the page shows them."""
         grabber = self.grabber
         recorder = self.grabber.recorder
         camera = self.camera
@@ -254,7 +248,7 @@ class Session:
         }
 
     def command(self, name: str) -> None:
-        """Do `record`, `stop`, `snapshot` or `calibrate`; OutputError if a file cannot be written."""
+        """Do `record`, `stop`, `snapshot` or `calibrate`; OutputError if writing fails."""
         with self._recording:
             if name == "record" and self.grabber.recorder is None:
                 self.grabber.recorder = self._open_recorder("recording")
@@ -296,12 +290,12 @@ class Session:
             if shot is None:
                 if self.view is None or all(map(self.view.has, filter(self._watched, KINDS))):
                     continue
-                # The same frame once more, with a picture that nobody has looked at before.
+                # Draw the same frame once more, for a page that asks for another kind of picture.
                 shot = self.view.shot
             view = View(shot, shot.pixels, gain=self._gain)
             try:
                 self.message = self._analyze(view)
-            # What is wrong with one frame, such as its size, is said, and the next one is tried.
+            # An error of one frame, such as its size, is shown, and the next frame is tried.
             except Exception as error:
                 self.message, view.camera = (
                     " ".join(str(error).split()) or type(error).__name__,
@@ -333,9 +327,7 @@ class Session:
         return camera
 
     def _analyze(self, view: View) -> str:
-        """Find camera, depth and sharp picture of a frame, as far as somebody wants them; what is
-        to be said of it.
-        """
+        """Find the camera, depth and pictures that somebody watches; return a message."""
         camera = self.camera
         message = ""
         if camera is None:
@@ -367,9 +359,7 @@ class Session:
         return message
 
     def _comparable(self, view: View, camera: Calibration) -> View | None:
-        """The frame that this one is compared with, if there is one and the picture may depend on
-        it.
-        """
+        """The frame that this one is compared with, or None."""
         if view.shot.recorded or self._reference is None or self._chain >= _CHAIN:
             return None
         before, of = self._reference

@@ -1,5 +1,4 @@
-"""Sources of live frames: files played in a loop, devices and streams of OpenCV, GenICam cameras by
-GenTL or Aravis.
+"""Sources of live frames: files in a loop, OpenCV, and GenICam by GenTL or Aravis.
 
 A source is a generator of shots: it opens its camera when the first one is asked for, raises
 `SourceError` as soon as the camera is gone, and gives it back when it is closed. Pixels are copied
@@ -61,8 +60,7 @@ class Shot:
 def open_source(
     name: str, pixel_format: str | None = None, rate: float | None = None
 ) -> Iterator[Shot]:
-    """The frames of a source, by its name (docs/live.md); of files, `rate` a second, by default as
-    the video, or 10.
+    """The frames of a source by its name (docs/live.md); `rate` [1/s] is for files.
 
     GenICam cameras are set to a `pixel_format` such as `"Mono12"`, if it is given.
     """
@@ -111,7 +109,7 @@ def _play_files(path: Path, rate: float | None) -> Iterator[Shot]:
 def _read_opencv(name: str) -> Iterator[Shot]:
     import cv2
 
-    # What is wrong is said once, by this program.
+    # This program reports errors itself, once.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     set_opencv_log(0)
     if name.isdigit():
@@ -119,7 +117,8 @@ def _read_opencv(name: str) -> Iterator[Shot]:
     elif " ! " in name:
         if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):
             raise SourceError(
-                f"{name}: this OpenCV is built without GStreamer, as those of PyPI are; use Debian's"
+                f"{name}: this OpenCV is built without GStreamer, as those of PyPI are; use "
+                "Debian's"
             )
         device = cv2.VideoCapture(name, cv2.CAP_GSTREAMER)
     elif "://" in name:
@@ -146,8 +145,7 @@ def _read_opencv(name: str) -> Iterator[Shot]:
 
 
 def to_flat(name: str, data: NDArray[Any], width: int, height: int) -> Shot:
-    """A frame of a GenICam camera from the name of its pixel format (PFNC) and its data; the pixels
-    are a copy.
+    """A copy of the frame of a GenICam camera, by the name of its pixel format (PFNC).
 
     Pixels of 8 bits, of 10 to 16 in two bytes, and of 12 in three bytes for two are read: grey,
     colours, and Bayer mosaics. SourceError for others.
@@ -156,7 +154,8 @@ def to_flat(name: str, data: NDArray[Any], width: int, height: int) -> Shot:
     colours, bits, packed = found.groups() if found else ("", "", None)
     if not found or (packed and data.dtype == np.uint8 and bits != "12"):
         raise SourceError(
-            f"pixels of the camera of kind {name} are not read; set Mono8, Mono12, BayerRG8 or the like"
+            f"pixels of the camera of kind {name} are not read; set Mono8, Mono12, BayerRG8 or "
+            "the like"
         )
     if packed and data.dtype == np.uint8:
         first, middle, last = (
@@ -254,7 +253,8 @@ def _read_aravis(name: str, pixel_format: str | None) -> Iterator[Shot]:
         from gi.repository import Aravis, GLib
     except (ImportError, ValueError) as error:
         raise SourceError(
-            f"{name}: needs Aravis for Python: apt install gir1.2-aravis-0.8 python3-gi, and an environment made with "
+            f"{name}: needs Aravis for Python: apt install gir1.2-aravis-0.8 python3-gi, and an "
+            "environment made with "
             "python3 -m venv --system-site-packages"
         ) from error
     camera = None

@@ -1,3 +1,1 @@
-"""The plugin for napari (`pip install 'lfrender[napari]'`): readers, sample data, and widgets, by
-`napari.yaml`.
-"""
+"""The plugin for napari (`pip install 'lfrender[napari]'`): readers and widgets."""

@@ -1,4 +1,4 @@
-"""Files as layers of napari: flats, camera files and depth maps, all in scene coordinates."""
+"""Files as layers of napari in scene coordinates: flats, camera files, depth maps."""
 
 from __future__ import annotations
 

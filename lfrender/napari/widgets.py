@@ -1,5 +1,4 @@
-"""Functions that napari makes widgets of: calibrate, analyze, render; layers in, layers out, in
-scene coordinates.
+"""Functions that napari makes widgets of: calibrate, analyze, render.
 
 Annotations name napari's types without importing it: magicgui resolves these strings, and these
 alone, so that all other annotations have to be types.
@@ -44,9 +43,7 @@ def analyze(
     preset: Preset = "balanced",
     save_to: Path = Path(),
 ) -> list["napari.types.LayerDataTuple"]:
-    """The magnification over the scene as an image; without a camera file the flat itself is
-    calibrated.
-    """
+    """The magnification over the scene; without a camera file the flat is calibrated."""
     pixels, calibration = _prepare(flat, camera)
     depth = find_depth(pixels, calibration, preset)
     if save_to.suffix:
@@ -60,9 +57,7 @@ def render(
     preset: Preset = "balanced",
     pixels_per_pitch: float = 0.0,
 ) -> list["napari.types.LayerDataTuple"]:
-    """The picture that is sharp everywhere, and its depth; with 0 pixels per pitch in full
-    resolution.
-    """
+    """The all-in-focus picture and its depth; 0 pixels per pitch: full resolution."""
     pixels, calibration = _prepare(flat, camera)
     depth = find_depth(pixels, calibration, preset)
     picture = draw(pixels, calibration, depth, scale=pixels_per_pitch or None)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 from lfcal.runtime.errors import check_type
+from lfcal.runtime.progress import Progress, show_progress
 
 from ..data.depth_map import DEPTH_ADVICE, DepthMap, check_depth, default_scale
 from ..data.rendering import Part, Rendering, check_patch_size, check_scale, finish_picture
@@ -40,6 +41,7 @@ def render(
     detail: Detail | None = None,
     roi: tuple[float, float, float, float] | None = None,
     previous: tuple[NDArray, DepthMap, Rendering] | None = None,
+    progress: Progress = None,
 ) -> Rendering:
     """Draw the scene that a flat shows, sharp at every depth.
 
@@ -76,6 +78,8 @@ def render(
         same options. Pixels whose depth and lenses have not changed by more than noise keep their
         colour, so that still parts do not flicker; all others are as in a new picture. Fast if
         `depth` was analysed with the same `previous` frame.
+    progress : bool or callable, optional
+        As in `analyze`: of the analysis, if there is one, then of the drawing.
 
     Returns
     -------
@@ -118,7 +122,9 @@ def render(
             )
         scale = previous[2].scale
     if patch_size is None and depth is None:
-        depth = analyze(pixels, calibration, roi=roi and expand_roi(roi, calibration))
+        depth = analyze(
+            pixels, calibration, roi=roi and expand_roi(roi, calibration), progress=progress
+        )
     plain = all(option is None for option in (patch_size, scale, blend, roi, previous))
     if (
         depth is not None
@@ -134,22 +140,25 @@ def render(
         # Pixels that stay were restored against the noise measured then.
         noise = previous[2].noise
         detail = "off"
-    renderer = make_renderer(
-        lambda part: pixels[part[1] : part[3], part[0] : part[2]],
-        exposed,
-        depth,
-        patch_size,
-        scale,
-        blend,
-        detail,
-        noise,
-    )
-    part = renderer.grid.whole if roi is None else renderer.grid.part_of_region(roi)
-    if previous is None:
-        image, valid = renderer.draw(pixels, part=part, dtype=pixels.dtype)
-    else:
-        assert depth is not None
-        image, valid = redraw(renderer, pixels, exposed, depth, *previous)
+    with show_progress(progress, "render") as step:
+        renderer = make_renderer(
+            lambda part: pixels[part[1] : part[3], part[0] : part[2]],
+            exposed,
+            depth,
+            patch_size,
+            scale,
+            blend,
+            detail,
+            noise,
+        )
+        step(1, 2)
+        part = renderer.grid.whole if roi is None else renderer.grid.part_of_region(roi)
+        if previous is None:
+            image, valid = renderer.draw(pixels, part=part, dtype=pixels.dtype)
+        else:
+            assert depth is not None
+            image, valid = redraw(renderer, pixels, exposed, depth, *previous)
+        step(2, 2)
     picture = finish_picture(
         image, valid, renderer.grid.affine(part), renderer.grid.scale, flat, calibration
     )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
 from lfcal.runtime.errors import check_type
+from lfcal.runtime.progress import Progress, show_progress
 
 from ..flat.validation import check_flat
 from .footprint import blur_planes
@@ -40,7 +39,7 @@ def reconstruct_volume(
     steps: int = 40,
     voxels: int = 8,
     start: Volume | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = None,
 ) -> Volume:
     """Deconvolve a flat of a light-field microscope into a volume (experimental).
 
@@ -67,8 +66,8 @@ def reconstruct_volume(
         Along each side of a microlens.
     start : Volume, optional
         Of the frame before, on the same grid: fewer steps are needed.
-    progress : callable, optional
-        Called after each step with the number of steps done and `steps`.
+    progress : bool or callable, optional
+        True shows a bar; a function is called with the numbers of finished and of all steps.
 
     Returns
     -------
@@ -115,7 +114,8 @@ def reconstruct_volume(
     projector = grid.projector(used, lattice, scale)
     before = None if start is None else grid.pad(start.data)
     variance = measure_variance(grey, calibration)
-    found, fit = deconvolve(projector, used, variance, steps, before, progress)
+    with show_progress(progress, "volume") as step:
+        found, fit = deconvolve(projector, used, variance, steps, before, step)
     blur_planes(found, grid.null_space(used, lattice))
     data = grid.crop(found)
     spacing = grid.spacing * scale.pixel

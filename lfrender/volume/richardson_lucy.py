@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from lfcal.runtime.progress import Step
+
 from .pixels import FlatPixels
 from .projection import Projector
 
@@ -71,7 +73,7 @@ def deconvolve(
     variance: Callable[[NDArray[np.float32]], NDArray[np.float32]],
     steps: int,
     start: NDArray[np.float32] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Step | None = None,
 ) -> tuple[NDArray[np.float32], Fit]:
     """The volume (n, h, w) that the pixels show, before the last box of the projector smooths it,
     and the fit.

@@ -1,3 +1,1 @@
-"""Pages for the browser, from a flat, its calibration and its depth: the report, the viewer, and
-the demo.
-"""
+"""Pages for the browser: the report, the viewer, and the demo."""

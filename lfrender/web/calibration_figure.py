@@ -1,5 +1,4 @@
-"""The calibration over its flat: enlarged crops with circles, offsets of regions, light of a
-microimage, as vectors.
+"""Panels of a calibration: crops with circles, offsets, light of a microimage.
 
 Every panel is a figure of its own, so that a page lays them out side by side or below each other.
 """

@@ -1,6 +1,4 @@
-"""The demo: simulate a capture, calibrate, analyse and render it from its pixels alone, and compare
-with the truth.
-"""
+"""The demo: a simulated capture, its pictures, and their errors against the truth."""
 
 from __future__ import annotations
 
@@ -42,10 +40,8 @@ def run_demo(
     *,
     flat_size: tuple[int, int] = (1600, 1200),
     samples: int = 16,
-    seed: int = 1,
 ) -> dict[str, Any]:
-    """Simulate the scene `house`, calibrate, analyse and render it, and write pictures and an HTML
-    page.
+    """Simulate the scene `house`, calibrate, analyse and render it, and write a page.
 
     Only the flat is used; the white image is calibrated as well, for comparison. The folder is made
     if it does not exist, files of the same names in it are replaced; OutputError if it cannot be
@@ -58,7 +54,7 @@ def run_demo(
         camera = Camera.design(flat_size, pitch=23.2, lattice="hex", rotation=0.7)
         # Noise of a pixel: a full well of 9000 electrons, and 5 of them when it is read.
         capture = simulate(
-            SCENES["house"](camera), camera, samples=samples, seed=seed, noise=(9000.0, 5.0)
+            SCENES["house"](camera), camera, samples=samples, seed=1, noise=(9000.0, 5.0)
         )
     flat = capture.flat
     truth = capture.truth
@@ -115,9 +111,7 @@ def run_demo(
 def _measure(
     capture: Capture, cameras: Mapping[str, Calibration], depth: DepthMap, pictures: ReportPictures
 ) -> dict[str, Any]:
-    """All errors against the truth, but those of the camera from the capture itself in its own
-    depth.
-    """
+    """All errors against the truth."""
     truth = capture.truth
     sharp = pictures.sharp
     true_lattice = truth.calibration.lattice
@@ -159,9 +153,7 @@ def _measure(
 
 
 def _compare(capture: Capture, picture: Rendering, resolvable: float = 0.75) -> dict[str, float]:
-    """PSNR and SSIM over pixels with `|s| / D` up to `resolvable`; beyond, microimages have too
-    little in common.
-    """
+    """PSNR and SSIM over pixels with `|s| / D` up to `resolvable`."""
     truth = capture.truth
     shape = picture.image.shape[:2]
     reference, inside = resample(truth.reference, truth.reference_affine, shape, picture.affine)
@@ -192,41 +184,13 @@ def _crop_of_both_modes(capture: Capture) -> NDArray[Any]:
 
 
 def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -> Any:
-    """HTML of the comparison with the truth; `flat_crop` and `reference` are data URLs of pictures."""
+    """HTML of the comparison with the truth; pictures are data URLs."""
     quality = figures["merit"]
-    calibrations = figures["calibration"]
-    psnr = {name: quality[name]["psnr"] for name in quality}
-    best_fixed = max(psnr[name] for name in figures["fixed_patch_size"])
-    names = {"all_in_focus": "all in focus"}
-    sources = {"scene": "the capture itself", "white": "the white image"}
-    depths = {
-        "mode_right": ("mode is right", ".1%"),
-        "mode_wrong": ("mode is the opposite one", ".1%"),
-        "magnification_error": ("M, median relative error (unresolved: 1)", ".2%"),
-    }
-    cards = {
-        "all in focus": f"{psnr['all_in_focus']:.1f} dB",
-        "better than the best single patch size": f"{psnr['all_in_focus'] - best_fixed:.1f} dB",
-        "modes right, lenses that see one depth": f"{figures['mode_right']['one_depth']:.1%}",
-        "error of M, median, all lenses": f"{figures['magnification_error']['all']:.1%}",
-        "RMS error of centres, from the capture alone": f"{calibrations['scene']['centre_error']:.3f} px",
-    }
+    best_fixed = max(quality[name]["psnr"] for name in figures["fixed_patch_size"])
     return fill(
         "demo.html",
         flat_crop=flat_crop,
         reference=reference,
-        cards=cards,
-        lenses=f"{figures['lenses_judged']:,}",
-        pictures=[
-            (names.get(name, f"one patch size, {name}"), f"{m['psnr']:.1f} dB", f"{m['ssim']:.3f}")
-            for name, m in quality.items()
-        ],
-        calibrations=[
-            (sources[kind], f"{c['centre_error']:.4f} px", f"{c['confidence']:.2f}")
-            for kind, c in calibrations.items()
-        ],
-        depths=[
-            (label, *(f"{figures[name][key]:{form}}" for key in ("all", "one_depth")))
-            for name, (label, form) in depths.items()
-        ],
+        figures=figures,
+        better=quality["all_in_focus"]["psnr"] - best_fixed,
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from importlib.metadata import version
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,23 +13,19 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.page import to_svg
 
-from ..data.depth_map import MODES, REASONS, DepthMap
+from ..data.depth_map import BINOCULAR, MODES, REASONS, TELESCOPIC, DepthMap
 from ..data.rendering import PictureGrid
 from ..output.depth_picture import MODE_COLOURS, lens_maps, magnification_limits
 from .calibration_figure import calibration_panels, flat_part
 from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_url, reduce_picture
-from .templates import fill, read_asset
+from .templates import Markup, fill, read_asset
 
 __all__ = ["write_report"]
 
-# Bars between the limits; width and height of the drawing, its left margin and that below, in its
-# own units.
+# Bars of the histogram between its limits.
 _BINS = 40
-_WIDTH = 900
-_HEIGHT = 280
-_LEFT = 84
-_BELOW = 30
 _SHORTCUTS = {
     "blank": "lenses without texture, which were not matched",
     "ranges": "shifts that occur in no lens of a sample, which were not tried",
@@ -137,7 +132,7 @@ def write_report(
         reasons=dict(sorted(reasons.items(), key=lambda item: -item[1])),
         seconds=seconds or {},
         cards=_figures(calibration, depth, pictures, seconds or {}),
-        camera=_camera(calibration),
+        turned=float(np.degrees(np.arctan2(*calibration.lattice.basis[0, ::-1]))),
         saved={_SHORTCUTS.get(name, name): share for name, share in depth.saved.items()},
     )
     with atomic_write(path) as temporary:
@@ -158,58 +153,35 @@ def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
 
 
 def _histogram(depth: DepthMap) -> Any:
-    """SVG: number of lenses over magnification on a logarithmic scale, telescopic ones above the
-    axis, binocular below.
+    """SVG: number of lenses over magnification, telescopic ones above the axis, binocular below.
 
     Heights are square roots: a wall has thousands of lenses of one M, and single branches are seen
-    beside it. What lies beyond the limits of the scale, mostly errors, is in a pale bar at each
-    end.
+    beside it. Pale bars at the ends are lenses beyond the scale, mostly errors.
     """
+    from matplotlib.figure import Figure
+
     low, high = magnification_limits(depth.magnification)
-    edges = np.array([0.0, *np.geomspace(low, high, _BINS + 1), np.inf])
-    counts = {
-        code: np.histogram(depth.magnification[depth.mode == code], edges)[0] for code in (1, -1)
-    }
-    tall = {code: np.sqrt(max(count.max(), 1)) for code, count in counts.items()}
-    # Both modes have one scale; the axis lies where it leaves room for either.
-    tall = {code: max(n, 0.12 * max(tall.values())) for code, n in tall.items()}
-    unit = (_HEIGHT - _BELOW - 20) / sum(tall.values())
-    axis = 10 + unit * tall[1]
-    step = (_WIDTH - _LEFT - 8) / (_BINS + 2)
-    spans = [f"below {low:.2f}", *(f"{a:.2f} to {b:.2f}" for a, b in pairwise(edges[1:-1]))]
-    spans.append(f"above {high:.2f}")
-    bars = [
-        {
-            "x": _LEFT + step * n + 0.5,
-            "height": (bar := unit * float(np.sqrt(count[n]))),
-            "count": int(count[n]),
-            "y": axis - bar if code > 0 else axis,
-            "mode": MODES[code],
-            "colour": MODE_COLOURS[code],
-            "span": spans[n],
-            "pale": n in (0, _BINS + 1),
-        }
-        for code, count in counts.items()
-        for n in np.nonzero(count)[0].tolist()
-    ]
-    # Round numbers, if enough of them lie on the scale.
-    powers = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
-    ticks = np.unique(np.outer(10.0**powers, (1, 1.5, 2, 3, 4, 5, 7)).round(6))
-    ticks = ticks[(ticks >= low) & (ticks <= high)]
-    ticks = ticks if len(ticks) >= 3 else np.geomspace(low, high, 5)
-    places = _LEFT + step * (1 + _BINS * np.log(ticks / low) / np.log(high / low))
-    return fill(
-        "histogram.svg",
-        width=_WIDTH,
-        height=_HEIGHT,
-        left=_LEFT,
-        axis=axis,
-        bars=bars,
-        step=step,
-        ticks=list(zip(places.tolist(), ticks.tolist(), strict=True)),
-        most=[int(counts[1].max()), int(counts[-1].max())],
-        lenses=int(sum(count.sum() for count in counts.values())),
-    )
+    step = (high / low) ** (1 / _BINS)
+    edges = np.geomspace(low / step, high * step, _BINS + 3)
+    figure = Figure((9, 2.8), facecolor="none", layout="constrained")
+    axes = figure.subplots()
+    for code in (TELESCOPIC, BINOCULAR):
+        found = np.clip(depth.magnification[depth.mode == code], edges[0], edges[-1])
+        heights = code * np.sqrt(np.histogram(found, edges)[0])
+        colour = np.array(MODE_COLOURS[code]) / 255
+        bars = axes.bar(edges[:-1], heights, 0.95 * np.diff(edges), align="edge", color=colour)
+        for beyond in (bars[0], bars[-1]):
+            beyond.set_alpha(0.45)
+    axes.axhline(0, color="0.5", linewidth=1)
+    axes.set(xscale="log", xlim=edges[[0, -1]], facecolor="none")
+    # Grey is read on dark and on light pages.
+    axes.tick_params(which="both", colors="0.5")
+    axes.spines[:].set_visible(False)
+    axes.set_xticks(np.geomspace(low, high, 6))
+    axes.minorticks_off()
+    axes.xaxis.set_major_formatter("{x:.3g}")
+    axes.yaxis.set_major_formatter(lambda height, _: f"{height**2:.0f}")
+    return Markup(to_svg(figure))
 
 
 def _figures(
@@ -240,25 +212,3 @@ def _figures(
     if seconds:
         figures["time"] = f"{sum(seconds.values()):.1f} s"
     return figures
-
-
-def _camera(calibration: Calibration) -> dict[str, str]:
-    """Names and values of the table about the camera."""
-    lattice = calibration.lattice
-    turned = float(np.degrees(np.arctan2(lattice.basis[0, 1], lattice.basis[0, 0])))
-    residual = calibration.residual_rms
-    facts = {
-        "Measured on": _SOURCES.get(calibration.source, calibration.source),
-        "Neighbours of a lens": "six (hexagonal)" if len(lattice.steps) == 6 else "four",
-        "Pitch": f"{lattice.pitch:.4f} px",
-        "First lattice vector": f"{turned:+.3f} degrees from the rows",
-        "Usable radius": f"{lattice.radius:.2f} px",
-        "Residual of single lenses": "" if np.isnan(residual) else f"{residual:.4f} px RMS",
-        "Distortion": "none found" if lattice.distortion is None else "corrected",
-        "Lens types": "one"
-        if calibration.lens_types is None
-        else str(calibration.lens_types.count),
-        "Confidence": f"{calibration.confidence:.2f}",
-        "Colour mosaic": calibration.mosaic or "",
-    }
-    return {name: value for name, value in facts.items() if value}

@@ -40,8 +40,7 @@ class ReportPictures:
 
 
 def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> ReportPictures:
-    """Draw a flat all in focus, traditionally, and with the median patch size of each mode that it
-    shows.
+    """Draw a flat all in focus, traditionally, and with the median patch size of each mode.
 
     A mode that fewer than one lens of a hundred has is taken for errors.
     """
@@ -62,8 +61,7 @@ def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> R
 def data_urls(
     pictures: Mapping[str, ArrayLike], most: int, white: float | None = None, gain: float = 1.0
 ) -> tuple[dict[str, str], float]:
-    """Pictures (h, w) or (h, w, 3) as WebP in data URLs of at most `most` characters in all, and
-    their scale.
+    """Pictures as WebP in data URLs of at most `most` characters in all, and their scale.
 
     All have the same quality, the best that fits, and below that the same reduction of width and
     height. `white` is the white level of integer pictures of more than 8 bits, by default the

@@ -32,14 +32,14 @@ QUIET = 30.0
 #: Of the first line and the headers of a request [bytes].
 LARGEST_HEAD = 1 << 14
 MOST_CONNECTIONS = 500
-#: A page sends this header with its commands. Browsers ask first before pages of others may, and
-#: get no leave.
+#: Header that the page sends with its commands. Browsers do not let pages of other sites send it.
 OWN_PAGE = "X-Lfrender"
 _HEADERS = {
     # Nothing is loaded from other hosts: scripts are inline, in data URLs, or among the files.
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self' 'unsafe-inline' data:; style-src 'unsafe-inline'; "
-        "img-src 'self' data: blob:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+        "img-src 'self' data: blob:; connect-src 'self'; frame-ancestors 'none'; base-uri "
+        "'none'; form-action 'none'"
     ),
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
@@ -55,7 +55,7 @@ class ServerError(LightFieldError, OSError):
 
 
 def page_routes(files: Any) -> dict[tuple[str, str], Answer]:
-    """Routes of the files that `files.get` gives for paths relative to the root; it may take long."""
+    """Routes of the files that `files.get` gives for paths below the root; it may take long."""
 
     def answer(request: Request) -> Response:
         path = request.path_params["path"] or "index.html"
@@ -156,7 +156,7 @@ class WebServer:
 
 
 class _Guard:
-    """Refuses requests before they reach the application, and adds headers to every answer (ASGI)."""
+    """Refuses requests before the application gets them, and adds headers to answers (ASGI)."""
 
     def __init__(self, app: Any, server: WebServer) -> None:
         self._app, self._server = app, server
@@ -183,7 +183,7 @@ class _Guard:
 
 
 class _Protocol(H11Protocol):
-    """HTTP/1.1 whose connections are closed when they are quiet, also in the middle of a request."""
+    """HTTP/1.1 that closes quiet connections, in the middle of a request too."""
 
     _timer: asyncio.TimerHandle | None = None
 
@@ -231,7 +231,7 @@ async def _in_thread(answer: Answer, request: Request) -> Response:
     def run() -> None:
         try:
             response = answer(request)
-        # The page is told, and the server goes on.
+        # The page shows the error, and the server goes on.
         except Exception as error:
             response = PlainTextResponse(" ".join(str(error).split()) or type(error).__name__, 500)
         with suppress(RuntimeError):  # the server was closed
@@ -249,9 +249,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _own_address(host: str) -> str:
-    """The address of this machine towards others, of the kind of `host`; that of the loopback if
-    there is none.
-    """
+    """The address of this machine in its network, or of the loopback if it has none."""
     v6 = ":" in host
     outside = "2001:db8::1" if v6 else "192.0.2.1"  # of documentation: nothing is sent
     with (

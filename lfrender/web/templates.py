@@ -1,6 +1,4 @@
-"""The templates of pages, in the folder `assets`: values are escaped, and what is returned may be
-put into pages.
-"""
+"""The templates of pages, in the folder `assets`; values are escaped."""
 
 from __future__ import annotations
 

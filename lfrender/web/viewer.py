@@ -1,4 +1,4 @@
-"""The viewer: a web page on which a light field is refocused, as files for any web server or disk."""
+"""The viewer: a page on which a light field is refocused, for any web server or disk."""
 
 from __future__ import annotations
 
@@ -53,9 +53,7 @@ def viewer_page(
 
 
 def _page(title: str, data: dict[str, str] | None = None, **place: Any) -> str:
-    """The page, with the data files in it, or loading them from a folder; `place` is that among
-    several flats.
-    """
+    """The page with its data in it, or loading it; `place` tells which flat of several."""
     # Modules are data URLs: browsers do not fetch files for a page that was opened from a disk.
     urls = {}
     for name in _MODULES:
@@ -86,8 +84,7 @@ def write_viewer(
     depth: DepthMap,
     title: str = "Light field",
 ) -> Path:
-    """Write the viewer as one page that holds everything, or as static files; returns the path of
-    its page.
+    """Write the viewer as one page, or as static files; return the path of its page.
 
     The page works where it is served, and from a disk; to put it on a web page, use an `iframe`.
     `folder` is one page, if it ends with `.html` or `.htm`; else the folder of the files, made if
@@ -140,7 +137,7 @@ class FlatPages:
         self._wanted, self._turn = 0, threading.Lock()
 
     def get(self, path: str) -> bytes | None:
-        """The content of a file; None if there is none, or another flat has been asked for since."""
+        """The content of a file; None if there is none, or if another flat was asked for since."""
         if path in self._pages:
             return self._page(self._pages.index(path))
         found = re.fullmatch(r"data/(\d{1,6})/.*", path)

@@ -1,6 +1,4 @@
-"""The data of the viewer's shader: the flat in tiles, depths of its pixels, and the tables of the
-blending kernel.
-"""
+"""The data of the viewer's shader: tiles of the flat, depth of its pixels, tables."""
 
 from __future__ import annotations
 
@@ -46,8 +44,7 @@ def viewer_scene(
     tile: int = 2048,
     compression: int = 1,
 ) -> Iterator[tuple[str, bytes]]:
-    """The data of the viewer: names and contents of one JSON object, and of pictures and arrays
-    beside it.
+    """The data of the viewer: names and contents of a JSON object, pictures and arrays.
 
     These are `scene.json`, `surface.f32`, `confidence.u8`, `flat-COLUMN-ROW.png` (8 bits per
     channel), `occlusion- COLUMN-ROW.png`, `traditional.png` and, where the optics of the camera are
@@ -134,7 +131,7 @@ def _tiles(size: tuple[int, int], largest: int) -> tuple[int, dict[str, tuple[in
 
 
 def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
-    """A tile cut off one pixel beyond the border of the flat, whose last pixels are repeated there."""
+    """A tile that reaches one pixel beyond the flat, whose last pixels are repeated there."""
     ends = [
         (k, min(k + side, n + 1), n) for k, n in ((top, pixels.shape[0]), (left, pixels.shape[1]))
     ]
@@ -146,8 +143,7 @@ def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
 def _occlusion_codes(
     calibration: Calibration, depth: DepthMap, edge: float
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """(H, W) codes of the patch size of the surface that each flat pixel shows, for any viewpoint
-    and the central one.
+    """(H, W) codes of the patch size at each flat pixel, for any view and the central one.
 
     For other viewpoints, lenses are read at places farther from them. The second code is 0 for
     unknown, 255 for the same as the first, else -D to D.
@@ -221,9 +217,7 @@ def _tables(
 
 
 def _blur_line(calibration: Calibration, depth: DepthMap) -> dict[str, Any]:
-    """Slope and offset [px] of the disc over the patch size, as a mean of the lens types; `None` if
-    it is not known.
-    """
+    """Slope and offset [px] of the mean disc over the patch size; None if unknown."""
     known = choose_blur(calibration, depth)
     line = None
     if known is not None and known.tells_aperture:

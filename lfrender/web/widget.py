@@ -1,6 +1,4 @@
-"""The viewer of `lfrender view` as a widget of notebooks (anywidget): the same page, with its
-settings as traits.
-"""
+"""The viewer of `lfrender view` as a widget of notebooks (anywidget)."""
 
 from __future__ import annotations
 

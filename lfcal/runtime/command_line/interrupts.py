@@ -14,48 +14,29 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from importlib import import_module
 from types import FrameType
 
-from .output_file import discard_unfinished
+from ..output_file import discard_unfinished
 
-__all__ = ["GRACE", "end_by_interrupt", "handle_interrupts", "leave_if_interrupted", "run_program"]
+__all__ = ["GRACE", "end_by_interrupt", "handle_interrupts", "leave_if_interrupted"]
 
-#: Seconds that a command has after Ctrl-C to put away what it works on; after a second Ctrl-C it
-#: has none.
+#: Seconds that a command has after Ctrl-C to clean up; a second Ctrl-C ends it at once.
 GRACE = 3.0
 _CODE = 130  # 128 and the number of the signal, as shells say it
 
 _interrupted = False
 
 
-def run_program(name: str) -> None:
-    """Load the command line of the package `name`, and run it; an interrupt meanwhile ends the
-    process.
-    """
-    handle_interrupts()
-    try:
-        main = import_module(f"{name}.cli.main").main
-    except BaseException:
-        leave_if_interrupted(_CODE)
-        raise
-    main(prog_name=name)
-
-
 def handle_interrupts() -> None:
-    """Let the first Ctrl-C from now on raise KeyboardInterrupt, with the limit; nothing where it is
-    ignored.
-    """
+    """Let the first Ctrl-C raise KeyboardInterrupt within a time limit, unless it is ignored."""
     with contextlib.suppress(ValueError):  # not in the main thread
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, signal.SIG_DFL):
             signal.signal(signal.SIGINT, _interrupt)
 
 
 @contextlib.contextmanager
 def end_by_interrupt() -> Iterator[None]:
-    """Work that Ctrl-C ends as it should, such as serving a page: what follows, a recording for
-    one, has time.
-    """
+    """Let Ctrl-C end the work inside, such as serving a page; the code after it runs on."""
     global _interrupted
     try:
         yield
@@ -67,9 +48,7 @@ def end_by_interrupt() -> Iterator[None]:
 
 
 def leave_if_interrupted(code: int) -> None:
-    """End the process at once, with an exit code, if it was interrupted; threads are not waited
-    for.
-    """
+    """End an interrupted process at once with an exit code, without joining its threads."""
     if _interrupted:
         _leave(code)
 

@@ -21,7 +21,7 @@ import lfcal.cli.main
 import lfrender.cli.main
 from lfcal import FlatError
 from lfcal.runtime import command_line as cl
-from lfcal.runtime import compile_ahead
+from lfcal.runtime import compile_ahead, progress
 
 PROGRAMS = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main}
 
@@ -37,7 +37,7 @@ def folder(tmp_path, monkeypatch):
 
 def program(error=None):
     """A program with two commands, one of which raises an error."""
-    tool = cl.Program("tool", others=("other", ["cut"]))
+    tool = cl.Program("tool", others=("other", "cut"))
 
     @cl.command("tool one flat.png")
     @click.argument("flat", type=cl.InputPath())
@@ -125,7 +125,7 @@ def test_ctrl_c_is_exit_code_130_and_programming_errors_are_not_hidden(folder):
 def test_each_program_knows_the_commands_of_the_other():
     for name, other in (("lfcal", "lfrender"), ("lfrender", "lfcal")):
         assert PROGRAMS[name].others[0] == other
-        assert set(PROGRAMS[name].others[1]) == set(PROGRAMS[other].commands)
+        assert set(PROGRAMS[name].others[1].split()) == set(PROGRAMS[other].commands)
 
 
 def test_json_report_is_one_object_without_nan(capsys):
@@ -208,10 +208,9 @@ def on_a_terminal(code):
     return shown.decode()
 
 
-def test_a_terminal_shows_stage_steps_rate_and_remaining_time_unless_quiet():
+def test_a_terminal_shows_stage_steps_share_and_time_unless_quiet():
     shown = on_a_terminal(WORK.format(quiet=False))
-    # Seven of ten, of which three were done before.
-    for words in ("render", "tiles", "7/10", "a second", " s left"):
+    for words in ("render", "tiles", "7/10", "70%", "0:00:00"):
         assert words in shown
     assert on_a_terminal(WORK.format(quiet=True)) == ""
     done = subprocess.run(
@@ -259,7 +258,7 @@ def test_numbers_beyond_any_flat_are_one_sentence_without_lines_of_libraries(tmp
 @pytest.mark.parametrize("words", [[], ["--json"]])
 def test_compiling_is_told_where_nothing_is_a_terminal(monkeypatch, capsys, words):
     monkeypatch.setattr(compile_ahead, "is_compiled", lambda: False)
-    monkeypatch.setattr(cl, "_TOLD_EVERY", 0.1)
+    monkeypatch.setattr(progress, "_LINE_EVERY", 0.1)
 
     def compile_once(processes, step):
         for done in range(4):

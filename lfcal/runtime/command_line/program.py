@@ -1,0 +1,175 @@
+"""Programs of several commands: errors of one line, exit codes, and hints for mistyped names."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import warnings
+from collections.abc import Callable
+from difflib import get_close_matches
+from functools import reduce, wraps
+from types import SimpleNamespace
+from typing import Any
+
+import click
+import cloup
+
+from ..errors import LightFieldError
+from .interrupts import handle_interrupts, leave_if_interrupted
+from .parameters import INPUTS
+from .report import Report, echo
+
+__all__ = ["Program", "command", "option", "report_options", "with_options"]
+
+
+class Program(cloup.Group):
+    """A group of commands that reports each error a user can mend as one line with exit code 2.
+
+    `others` are another program and the names of its commands, in one text: users who look for
+    them here are told where they are.
+    """
+
+    def __init__(self, *args: Any, others: tuple[str, str], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.others = others
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        program, commands = self.others
+        if args[0] in commands.split():
+            ctx.fail(f"No such command {args[0]!r}. Did you mean '{program} {args[0]}'?")
+        return super().resolve_command(ctx, args)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run as a process of its own, which Ctrl-C ends in any case."""
+        handle_interrupts()
+        try:
+            return self.main(*args, **kwargs)
+        except SystemExit as end:
+            leave_if_interrupted(end.code if isinstance(end.code, int) else 0)
+            raise
+        except Exception:
+            # Libraries turn an interrupt while they are imported into errors of their own.
+            leave_if_interrupted(130)
+            raise
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        if "numpy" not in sys.modules:
+            # Our matrices are small: threads that wait for each other take several times as long.
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        try:
+            # Python warnings are for developers; results have warnings of their own for users.
+            with warnings.catch_warnings():
+                if not sys.warnoptions:
+                    warnings.simplefilter("ignore")
+                code = super().main(*args, **{**kwargs, "standalone_mode": False})
+            sys.exit(code if isinstance(code, int) else 0)
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
+            sys.exit(2)
+        except (KeyboardInterrupt, click.Abort):
+            click.echo("interrupted", err=True)
+            sys.exit(130)
+        except BrokenPipeError:
+            # The reader of our output has ended. Python would report it again at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(1)
+        except click.ClickException as error:
+            message = error.format_message()
+            if isinstance(error, click.UsageError) and error.ctx:
+                stop = "" if message.endswith((".", "?", ")")) else "."
+                message += f"{stop} See '{error.ctx.command_path} --help'."
+        except MemoryError:
+            message = "not enough memory for an image of this size"
+        except OSError as error:
+            message = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        except LightFieldError as error:
+            message = str(error)
+        echo(f"{self.name}: {' '.join(message.split())}", err=True)
+        sys.exit(2)
+
+
+class _Command(cloup.Command):
+    """A command whose inputs must exist; similar names are suggested for a mistyped one.
+
+    The values of an option that takes several may stand in one word, with commas between. An
+    option of another command is refused with the name of that command.
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        several = {
+            name: param.nargs for param in self.params for name in param.opts if param.nargs > 1
+        }
+        words: list[str] = []
+        for word in args:
+            numbers = re.split(r"[,;]", word)
+            in_one_word = words and several.get(words[-1]) == len(numbers)
+            words += numbers if in_one_word else [word]
+        try:
+            return super().parse_args(ctx, words)
+        except click.NoSuchOption as error:
+            owners = self._find_owners(ctx, error.option_name)
+            if not owners:
+                raise
+            belongs = f"No such option: {error.option_name}; it belongs to {', '.join(owners)}"
+            raise click.UsageError(belongs, ctx) from error
+
+    def _find_owners(self, ctx: click.Context, option: str) -> list[str]:
+        """Names of the other commands of the program that have an option."""
+        commands = getattr(ctx.parent and ctx.parent.command, "commands", {})
+        return [
+            name
+            for name, other in commands.items()
+            if any(option in param.opts for param in other.params)
+        ]
+
+    def invoke(self, ctx: click.Context) -> Any:
+        for path in ctx.meta.get(INPUTS, ()):
+            if not path.exists():
+                names = os.listdir(path.parent) if path.parent.is_dir() else []
+                similar = get_close_matches(path.name, names, 2)
+                hint = " or ".join(str(path.with_name(name)) for name in similar)
+                ending = f"; did you mean {hint}?" if hint else ""
+                raise click.ClickException(f"{path}: does not exist{ending}")
+            if not (path.is_file() or path.is_dir()):
+                raise click.ClickException(
+                    f"{path}: is a device or a pipe; give a file, or - for a pipe"
+                )
+        return super().invoke(ctx)
+
+
+def command(*examples: str) -> Callable[[Any], cloup.Command]:
+    """Make a function a command whose help ends with examples of its use."""
+    lines = "\n".join(f"  {line}" for line in examples)
+    return cloup.command(cls=_Command, epilog=f"\b\nExamples:\n{lines}")
+
+
+def option(
+    names: str, kind: Any, text: str, metavar: str | None = None, **more: Any
+) -> Callable[[Any], Any]:
+    """`click.option` with all its names, the type of its value (bool: a flag), and its help."""
+    more |= {"is_flag": True} if kind is bool else {"type": kind}
+    return click.option(*names.split(), help=text, metavar=metavar, **more)
+
+
+def with_options(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Give a command options; its help shows them in this order."""
+    return lambda function: reduce(lambda given, add: add(given), reversed(options), function)
+
+
+def report_options(function: Callable[[Report, Any], Any]) -> Callable[..., Any]:
+    """Give a command `--json`, `--quiet` and `--verbose`.
+
+    Its function is called with a `Report` and the values of its other options.
+    """
+
+    @with_options(
+        option("--json as_json", bool, "Print the figures as one JSON object."),
+        option("--quiet", bool, "Print nothing but warnings."),
+        option("--verbose", bool, "Print the seconds of each stage on stderr when it ends."),
+    )
+    @wraps(function)
+    def run(as_json: bool, quiet: bool, verbose: bool, **values: Any) -> Any:
+        return function(Report(as_json, quiet, verbose), SimpleNamespace(**values))
+
+    return run
