@@ -28,9 +28,10 @@ __all__ = [
     "sure_discs",
 ]
 
-#: [pitch] Aperture of the microlenses where nothing tells it. Ray-traced cameras have 0.14 to 0.5;
-#: with 0.2 coarse pictures of four random scenes lose up to 0.1 dB, with 0.15 up to 0.3 dB.
-TYPICAL_APERTURE = 0.22
+#: [pitch] Aperture of the microlenses where nothing tells it; ray-traced cameras have 0.14 to 0.5.
+#: Of nine random scenes with true depth, coarse pictures lose 0.06 dB in the mean against the true
+#: discs with 0.2, 0.07 with 0.22, 0.08 with 0.18.
+TYPICAL_APERTURE = 0.2
 #: [s / D] Distance from focus of the types of a multi-focus array whose foci are not known: the mean
 #: distance of a depth from three foci that are 0.11 to 0.17 apart.
 _TYPICAL_DISTANCE = 0.13
@@ -76,6 +77,12 @@ def likely_discs(
         away = np.abs(ratios - types.focus[:, None])
         away[np.isnan(away)] = _TYPICAL_DISTANCE
     typical = TYPICAL_APERTURE * calibration.lattice.pitch * away
+    rims = calibration.lens_blur
+    if rims is not None and len(rims.focus) == len(typical):
+        # Scenes lie on the side of `s = 0` where the microlenses are in focus.
+        edge, error = rims.at([0.0])
+        beside = np.abs(TYPICAL_APERTURE * calibration.lattice.pitch * np.abs(ratios) - edge)
+        typical = np.where(edge > 2 * error, beside, typical)
     if blur is None:
         return np.asarray(typical)
     discs, errors = blur.at(ratios)
