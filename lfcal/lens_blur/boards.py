@@ -33,6 +33,7 @@ class Edges(NamedTuple):
     kind: NDArray[np.int64]  # (n,) lens type
     ratio: _Array  # (n,) s / D
     width: _Array  # (n,) [px] standard deviation of the Gaussian that blurs an edge most alike
+    spread: _Array  # (n,) [px] scatter of the widths: wide where unknown lens types are mixed
 
 
 @lru_cache(1)
@@ -73,7 +74,8 @@ def fit_discs(edges: Edges, count: int, pitch: float, rims: LensBlur | None) -> 
         return None
     kinds = edges.kind
     ratios = edges.ratio
-    faults = _FAULT / np.minimum(seen + 0.1, 1.0)
+    spread = np.interp(edges.width + edges.spread, widths, discs) - seen
+    faults = np.hypot(_FAULT / np.minimum(seen + 0.1, 1.0), spread)
     if rims is not None and not rims.tells_aperture and len(rims.focus) == count:
         rim, errors = rims.at([0.0])
         kinds = np.append(kinds, np.arange(count))

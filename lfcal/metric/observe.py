@@ -167,10 +167,13 @@ def _fit_edges(
         errors.append(fits.error[kept])
         for kind in np.unique(sample.kind[kept]):
             own = kept & (sample.kind == kind)
-            rows.append((kind, np.median(sample.ratio[own]), np.median(fits.blur[own])))
-    kinds, ratios, widths = np.array(rows, np.float64).reshape(-1, 3).T
+            blur = fits.blur[own]
+            width = np.median(blur)
+            spread = 1.4826 * np.median(np.abs(blur - width))
+            rows.append((kind, np.median(sample.ratio[own]), width, spread))
+    kinds, ratios, widths, spreads = np.array(rows, np.float64).reshape(-1, 4).T
     error = float(np.median(np.concatenate(errors))) if rows else np.inf
-    return Edges(kinds.astype(np.int64), ratios, widths), error
+    return Edges(kinds.astype(np.int64), ratios, widths, spreads), error
 
 
 def _expected_sign(board: Board, corner: Array, contrast: Array) -> Array:

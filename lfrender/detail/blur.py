@@ -35,6 +35,8 @@ TYPICAL_APERTURE = 0.2
 #: [s / D] Distance from focus of the types of a multi-focus array whose foci are not known: the mean
 #: distance of a depth from three foci that are 0.11 to 0.17 apart.
 _TYPICAL_DISTANCE = 0.13
+#: [s / D] Microlenses are focused no farther from `s = 0` than this; wider rims mean wider apertures.
+_FARTHEST_FOCUS = 0.5
 #: [px] Discs that are known to this, or to half of themselves, are taken as measured.
 _KNOWN = 0.5
 #: [px^2] What interpolation averages, which `prefilter_flat` does not undo at high frequencies;
@@ -76,13 +78,16 @@ def likely_discs(
         assert types.focus is not None
         away = np.abs(ratios - types.focus[:, None])
         away[np.isnan(away)] = _TYPICAL_DISTANCE
-    typical = TYPICAL_APERTURE * calibration.lattice.pitch * away
+    aperture = TYPICAL_APERTURE * calibration.lattice.pitch
+    typical = aperture * away
     rims = calibration.lens_blur
     if rims is not None and len(rims.focus) == len(typical):
-        # Scenes lie on the side of `s = 0` where the microlenses are in focus.
         edge, error = rims.at([0.0])
-        beside = np.abs(TYPICAL_APERTURE * calibration.lattice.pitch * np.abs(ratios) - edge)
-        typical = np.where(edge > 2 * error, beside, typical)
+        known = edge > 2 * error
+        widest = float(np.max(edge, where=known, initial=0.0))
+        aperture = max(aperture, widest / _FARTHEST_FOCUS)
+        # Scenes lie on the side of `s = 0` where the microlenses are in focus.
+        typical = np.where(known, np.abs(aperture * np.abs(ratios) - edge), typical)
     if blur is None:
         return np.asarray(typical)
     discs, errors = blur.at(ratios)
