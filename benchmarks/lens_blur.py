@@ -96,7 +96,8 @@ def _row(case: _Known) -> tuple[str, list[float]]:
         above += (least - truth).ravel().tolist()
         some = np.unique(np.linspace(0, len(blur.ratios) - 1, 3).astype(int))
         told = [
-            f"{blur.ratios[k]:+.2f} D: {_list(blur.discs[:, k])}, {_list(least[:, k])} ({_list(truth[:, k])})"
+            f"{blur.ratios[k]:+.2f} D: {_list(blur.discs[:, k])}, {_list(least[:, k])} "
+            f"({_list(truth[:, k])})"
             for k in some
         ]
         cells.append("; ".join(told))
@@ -116,7 +117,8 @@ def _print_capture(path: Path) -> None:
         return
     for ratio, discs, errors in zip(blur.ratios, blur.discs.T, blur.disc_errors.T, strict=True):
         print(
-            f"{path.name}: at {ratio:+.2f} D likeliest {_list(discs)}, least {_list(discs - errors)} px"
+            f"{path.name}: at {ratio:+.2f} D likeliest {_list(discs)}, "
+            f"least {_list(discs - errors)} px"
         )
 
 
@@ -237,7 +239,8 @@ def main(arguments: list[str]) -> None:
         else _truth_cases(Path(arguments[0]) / "truth")
     )
     print(
-        "| flat | rims (truth) [px] | capture: likeliest, least (truth) [px] | with rims |\n|---|---|---|---|"
+        "| flat | rims (truth) [px] | capture: likeliest, least (truth) [px] | with rims |\n"
+        "|---|---|---|---|"
     )
     above: list[float] = []
     for case in cases:
@@ -247,7 +250,8 @@ def main(arguments: list[str]) -> None:
     if above:
         over = int((np.array(above) > _TOLERANCE).sum())
         print(
-            f"least discs above the truth by more than {_TOLERANCE} px: {over} of {len(above)}, most {max(above):.2f}"
+            f"least discs above the truth by more than {_TOLERANCE} px: {over} of {len(above)}, "
+            f"most {max(above):.2f}"
         )
     for name in _CAPTURES if len(arguments) == 1 else ():
         _print_capture(Path(arguments[0]) / "captures" / name)

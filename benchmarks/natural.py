@@ -1,9 +1,8 @@
-"""What `detail="natural"` gains over `"off"` on random pictures: `python -m benchmarks.natural FIRST
-LAST`.
+"""Gain of `detail="natural"` on random pictures: `python -m benchmarks.natural FIRST LAST`.
 
-For each of the random cameras and scenes of `benchmarks.detail` with these seeds, PSNR [dB] of the
-picture with `"off"` and what `"natural"` adds, at 0.15 and 0.3 pitches a pixel, with the depth that
-is found; the reference is averaged over the area of an output pixel. The last lines are the mean
+PSNR [dB] of the picture with `"off"`, and the gain of `"natural"`, for the random cameras and
+scenes of `benchmarks.detail` with these seeds, at 0.15 and 0.3 pitches a pixel, with the depth that
+is found. The reference is averaged over the area of an output pixel. The last lines are the mean
 gain of each kind of scene, and how many pictures lose more than 0.1 dB.
 """
 

@@ -42,7 +42,8 @@ class Alignment(NamedTuple):
     rows: str
     rotation: float  # [degrees]
     rotation_error: float
-    gradient: Array  # (2,) [px] displacement by a tilt to the right and down at half a diagonal from the middle
+    # (2,) [px] displacement by a tilt to the right and down, half a diagonal from the middle
+    gradient: Array
     gradient_error: float  # inf where not measured
 
 

@@ -85,7 +85,8 @@ def find_rotation(found: Alignment, camera: Calibration) -> Finding:
     here, back = ("clockwise", "counter-clockwise")[:: 1 if value > 0 else -1]
     return told(
         f"{rows} are turned {here} on the flat, by {drift:.1f} px over it",
-        f"to align them turn the array by {abs(value):.3g} degrees {back} as it looks on the flat, that is {here} seen "
+        f"to align them turn the array by {abs(value):.3g} degrees {back} as it looks on the flat, "
+        f"that is {here} seen "
         "from the main lens (unless the camera mirrors its flats)",
     )
 
@@ -132,7 +133,8 @@ def find_tilt(seen: Seen) -> Finding:
         tilts[0][1], tilts[1][1]
     ):
         return told(
-            "radii and pitches tell different tilts: the main lens distorts or cuts microimages on one side"
+            "radii and pitches tell different tilts: the main lens distorts or cuts microimages "
+            "on one side"
         )
     if value <= _SURE * error:
         limit = "" if per_number else f" larger than {_SURE * error:.2g} degrees"
@@ -192,7 +194,8 @@ def _find_distance(seen: Seen) -> Finding:
         most = max(blur.value + _SURE * blur.error for blur in blurs)
         if most < 2:
             return told(
-                "rims are sharp: the sensor lies in the focal plane of the microlenses, or these are stopped down"
+                "rims are sharp: the sensor lies in the focal plane of the microlenses, "
+                "or these are stopped down"
             )
         return told(f"rims are blurred over {most:.1f} px at most")
     discs, focus = (
@@ -305,7 +308,8 @@ def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
         ranges = "10, 12, 14 or 16 bits"
         return unmeasured(
             "%",
-            f"{ranges}, nothing tells which: the brightest pixel is {brightest:g}; give --white-level",
+            f"{ranges}, nothing tells which: the brightest pixel is {brightest:g}; "
+            "give --white-level",
         )
     bright = float(np.percentile(flat[:: max(1, len(flat) // 1000)], 99)) / top
     clipped = float((flat >= top).mean()) if brightest >= top else 0.0
@@ -423,7 +427,8 @@ def _find_dirt(seen: Seen) -> Finding:
     )
     if share > 0.01:
         return told(
-            f"{share:.1%} of the pixels differ from their like: much dirt, or an uneven white surface"
+            f"{share:.1%} of the pixels differ from their like: much dirt, "
+            "or an uneven white surface"
         )
     single = int((area[1:] < _SPECK).sum())
     verdict = f"{len(specks)} specks, {seen_dead}, {single} single pixels of the sensor"

@@ -120,5 +120,6 @@ def assess(
 def _without_advice(finding: Finding, camera: Calibration) -> Finding:
     if camera.confidence >= SURE_CONFIDENCE or not np.isfinite(finding.value):
         return finding
-    doubt = f"{finding.verdict}; no advice: the calibration is doubtful (confidence {camera.confidence:.2f})"
+    reason = f"the calibration is doubtful (confidence {camera.confidence:.2f})"
+    doubt = f"{finding.verdict}; no advice: {reason}"
     return replace(finding, verdict=doubt, advice="")

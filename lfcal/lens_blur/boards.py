@@ -1,7 +1,7 @@
 """The discs of the microlenses from edges of boards at many known depths.
 
-An edge in a microimage is blurred by the pixel, by the disc `A |s / D - f|` of its microlens, and by
-something that all depths share (print, diffraction, other aberrations), taken as one more disc. The
+An edge in a microimage is blurred by the pixel, by the disc `A |s / D - f|` of its microlens, and
+by a blur that all depths share (print, diffraction, aberrations), taken as one more disc. The
 squares of the discs add up, so that they are a parabola over `s / D`: its width is the aperture `A`
 and its vertex the focus `f` of each lens type.
 """
@@ -38,7 +38,7 @@ class Edges(NamedTuple):
 
 @lru_cache(1)
 def _tabulate_widths() -> tuple[_Array, _Array]:
-    """Discs [px] and the Gaussians [px] whose edges are nearest to theirs, seen by square pixels."""
+    """Discs [px] and the Gaussians [px] whose edges are nearest to theirs, on square pixels."""
     from scipy.optimize import minimize_scalar
     from scipy.special import erf
 
@@ -59,7 +59,7 @@ def _tabulate_widths() -> tuple[_Array, _Array]:
 
 
 def fit_discs(edges: Edges, count: int, pitch: float, rims: LensBlur | None) -> LensBlur | None:
-    """The aperture and the focus of each of `count` lens types; None if the boards do not tell them.
+    """The aperture and the focus of `count` lens types; None if the boards do not tell them.
 
     Where `rims` of a white image are known, they are one more measurement of each type.
     """

@@ -258,7 +258,8 @@ def measure_lens_blur(
     >>> import lfrender
     >>> flat, camera, depth = lfrender.data.example()
     >>> grey = (flat.mean(2) / 255) ** 2
-    >>> measure_lens_blur(lambda p: grey[p[1] : p[3], p[0] : p[2]], camera, depth.patch_size, 9.0) is None
+    >>> light = lambda p: grey[p[1] : p[3], p[0] : p[2]]
+    >>> measure_lens_blur(light, camera, depth.patch_size, 9.0) is None
     True
     """
     pitch = calibration.lattice.pitch

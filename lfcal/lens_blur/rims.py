@@ -29,10 +29,10 @@ _APERTURE = 0.3
 
 
 def measure_rims(flat: NDArray[Any], camera: Calibration) -> LensBlur | None:
-    """The discs at `s = 0` from a flat (h, w) or (h, w, C); None where its microimages have no rims.
+    """The discs at `s = 0` from a flat (h, w) or (h, w, C); None if microimages have no rims.
 
-    The error of the aperture is a pitch, so that no other depth has a disc that is sure. Of a scene,
-    rims are measured on the mean of many microimages.
+    The error of the aperture is a pitch, so that no other depth has a disc that is sure. Of a
+    scene, rims are measured on the mean of many microimages.
     """
     field = measure_microimages(flat, camera, _TILES)
     if field is None:

@@ -29,7 +29,7 @@ _BLURRED = 300
 
 
 class BoardFlat(NamedTuple):
-    """A flat of a board, with the light of its camera divided out, and the board as first detected."""
+    """A flat of a board, divided by the gain of its camera, and the board as first detected."""
 
     name: str
     light: Singles  # (h, w)

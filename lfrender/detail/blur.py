@@ -32,10 +32,10 @@ __all__ = [
 #: Of nine random scenes with true depth, coarse pictures lose 0.06 dB in the mean against the true
 #: discs with 0.2, 0.07 with 0.22, 0.08 with 0.18.
 TYPICAL_APERTURE = 0.2
-#: [s / D] Distance from focus of the types of a multi-focus array whose foci are not known: the mean
-#: distance of a depth from three foci that are 0.11 to 0.17 apart.
+#: [s / D] Distance from focus of the types of a multi-focus array whose foci are not known: the
+#: mean distance of a depth from three foci that are 0.11 to 0.17 apart.
 _TYPICAL_DISTANCE = 0.13
-#: [s / D] Microlenses are focused no farther from `s = 0` than this; wider rims mean wider apertures.
+#: [s / D] Microlenses are focused no farther from `s = 0`; wider rims mean wider apertures.
 _FARTHEST_FOCUS = 0.5
 #: [px] Discs that are known to this, or to half of themselves, are taken as measured.
 _KNOWN = 0.5

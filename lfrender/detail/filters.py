@@ -141,8 +141,10 @@ class _Levels:
     grown: _Table  # (n, 1) side of a pixel of the flat [px of the picture]
     discs: _Table  # (n, types) diameters [px of the picture]
     shares: _Table  # (n, types) weights of the types, whose sum is 1
-    apart: _Table  # (n, 1) side of the square over which an output pixel is averaged [px of the picture]
-    variance: _Table  # (n, 1) of the noise of a picture's pixel with the light of white, were it one of the flat
+    # (n, 1) side of the square over which an output pixel is averaged [px of the picture]
+    apart: _Table
+    # (n, 1) of the noise of a picture's pixel with the light of white, were it one of the flat
+    variance: _Table
 
     @classmethod
     def of(

@@ -64,7 +64,7 @@ class _Lookup(NamedTuple):
 def choose_filters(
     filters: DetailFilters, surface: Surface, grid: PictureGrid
 ) -> NDArray[np.uint16]:
-    """Index (r, c) of the filter of each value of the surface: none beside depth edges of 0.04 D."""
+    """Index (r, c) of the filter of each value of the surface; none beside edges of 0.04 D."""
     import cv2
 
     sizes = surface.patch_size
