@@ -17,6 +17,7 @@ from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import distance_transform_edt
 
 import lfrender
@@ -26,7 +27,7 @@ from lfrender.runtime.choices import Detail
 
 from .detail import Case, random_case, truth_cases
 
-__all__ = ["main"]
+__all__ = ["main", "measure_psnr"]
 
 _STEPS = (
     0.06,
@@ -51,19 +52,20 @@ def average_areas(
     shape: tuple[int, int],
     wanted: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Exact means of the pixels of a reference, each even over its own square, over those of
-    another grid.
+    """Means of a reference over the pixels of another grid.
+
+    Pixels of the reference are means over their own squares. Their sums are known at their edges,
+    and interpolated by cubic splines: if each were taken as even over its square, the reference
+    would be softer than the scene, by 1.5 dB where a picture has hardly larger pixels.
     """
     mean = reference / (np.iinfo(reference.dtype).max if reference.dtype.kind in "ui" else 1.0)
     for axis, k in ((1, 0), (0, 1)):
         sums = np.insert(np.cumsum(mean, axis), 0, 0, axis)
         edges = wanted[k, k] * (np.arange(shape[axis] + 1) - 0.5) + wanted[k, 2]
         place = np.clip((edges - affine[k, 2]) / affine[k, k] + 0.5, 0, mean.shape[axis])
-        whole = np.minimum(place.astype(int), mean.shape[axis] - 1)
+        until = make_interp_spline(np.arange(sums.shape[axis]), sums, 3, axis=axis)(place)
         broad = [1] * mean.ndim
         broad[axis] = -1
-        share = (place - whole).reshape(broad)
-        until = np.take(sums, whole, axis) * (1 - share) + np.take(sums, whole + 1, axis) * share
         mean = np.diff(until, axis=axis) / np.maximum(np.diff(place), 1e-9).reshape(broad)
     return np.asarray(mean)
 
@@ -79,7 +81,8 @@ def _true_depth(case: Case, depth: lfrender.DepthMap) -> lfrender.DepthMap:
     return replace(depth, surface=surface)
 
 
-def _psnr(case: Case, depth: lfrender.DepthMap, scale: float, detail: Detail) -> float:
+def measure_psnr(case: Case, depth: lfrender.DepthMap, scale: float, detail: Detail) -> float:
+    """PSNR [dB] of a picture against the reference averaged over the areas of its pixels."""
     picture = lfrender.render(case.flat, case.camera, depth, scale=scale, detail=detail)
     shape = picture.valid.shape
     beyond = ~(np.abs(case.size) < _RESOLVABLE * case.camera.lattice.pitch)
@@ -102,17 +105,20 @@ def main(arguments: list[str]) -> None:
     else:
         cases = truth_cases(Path(arguments[0]))
     print(
-        f"| flat | depth | detail | {' | '.join(f'{step:.2f}' for step in _STEPS)} |\n|{'---|' * (len(_STEPS) + 3)}"
+        f"| flat | depth | detail | {' | '.join(f'{step:.2f}' for step in _STEPS)} |\n"
+        f"|{'---|' * (len(_STEPS) + 3)}"
     )
     for case in cases:
         own = lfrender.analyze(case.flat, case.camera)
         for name, depth in (("balanced", own), ("true", _true_depth(case, own))):
             for detail in get_args(Detail):
                 found = [
-                    _psnr(case, depth, step * case.camera.lattice.pitch, detail) for step in _STEPS
+                    measure_psnr(case, depth, step * case.camera.lattice.pitch, detail)
+                    for step in _STEPS
                 ]
                 print(
-                    f"| {case.name} | {name} | {detail} | {' | '.join(f'{one:.1f}' for one in found)} |",
+                    f"| {case.name} | {name} | {detail} | "
+                    f"{' | '.join(f'{one:.1f}' for one in found)} |",
                     flush=True,
                 )
 

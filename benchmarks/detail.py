@@ -72,7 +72,7 @@ def _simulated_cases() -> Iterator[Case]:
         )
 
 
-def random_shot(seed: int) -> tuple[str, Camera, Capture]:
+def random_shot(seed: int, samples: int = 96) -> tuple[str, Camera, Capture]:
     """Name, camera and capture of a random scene before a random camera."""
     rng = np.random.default_rng(seed)
     kind = ("plane", "slope", "house", "clutter", "plane", "slope", "clutter")[seed % 7]
@@ -97,7 +97,7 @@ def random_shot(seed: int) -> tuple[str, Camera, Capture]:
     scene = SCENES[kind](camera, seed=seed, **where.get(kind, {}))
     well = np.exp(rng.uniform(np.log(600), np.log(30000)))
     form: dict[str, Any] = {"bits": 16, "gamma": False} if seed % 5 == 3 else {}
-    shot = simulate(scene, camera, samples=96, seed=seed, noise=(well, 5), **form)
+    shot = simulate(scene, camera, samples=samples, seed=seed, noise=(well, 5), **form)
     return (
         f"{seed}: {kind}, D = {pitch:.0f} px" + (", three types" if several else ""),
         camera,
@@ -105,9 +105,9 @@ def random_shot(seed: int) -> tuple[str, Camera, Capture]:
     )
 
 
-def random_case(seed: int, quality: int | None = None) -> Case:
+def random_case(seed: int, quality: int | None = None, samples: int = 96) -> Case:
     """The capture of `random_shot`, of some seeds as JPEG or in gray."""
-    name, _, shot = random_shot(seed)
+    name, _, shot = random_shot(seed, samples)
     flat = shot.flat
     reference = shot.truth.reference
     if seed % 4 == 1:

@@ -137,7 +137,9 @@ def _combine(
     camera = replace(camera, white_level=estimate_white_level(flats), mosaic=mosaic)
     for flat in flats:
         camera = camera.with_mosaic_of(flat)
-    if camera.source == "white" and camera.confidence >= SURE_CONFIDENCE:
+    # Rims of several lens types take seconds to fit: of scenes, those of one type are measured.
+    quick = camera.source == "white" or camera.lens_types is None
+    if quick and camera.confidence >= SURE_CONFIDENCE:
         from .lens_blur.rims import measure_rims
 
         camera = replace(camera, lens_blur=measure_rims(flats[0], camera))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,19 +22,25 @@ __all__ = ["write_assessment"]
 
 def write_assessment(path: str | os.PathLike[str], found: Assessment, title: str) -> None:
     """See `Assessment.write_page`."""
-    from matplotlib.figure import Figure
-
     check_output(path, {".html", ".htm"})
     findings = []
     for name, finding in found.grouped():
         drawing = ""
         if name in _DRAWINGS and finding.measured:
-            figure = Figure((4.4, 3.0), layout="constrained")
-            _DRAWINGS[name](figure.subplots(), found)
-            drawing = to_svg(figure)
+            drawing = _draw(_DRAWINGS[name], found)
+        if name == "distance" and found.calibration.lens_blur is not None:
+            drawing += _draw(_draw_blur, found)
         findings.append((name, finding, drawing))
     template = Path(__file__).with_name("assets") / "assessment.html"
     write_page(path, template, title=title, camera=found.calibration, findings=findings)
+
+
+def _draw(draw: Callable[[Any, Assessment], None], found: Assessment) -> str:
+    from matplotlib.figure import Figure
+
+    figure = Figure((4.4, 3.0), layout="constrained")
+    draw(figure.subplots(), found)
+    return to_svg(figure)
 
 
 def _draw_rotation(axes: Any, found: Assessment) -> None:
@@ -80,6 +87,26 @@ def _draw_distance(axes: Any, found: Assessment) -> None:
     axes.set(
         xlabel="distance from the centre [px]", ylim=(0, None), title="light in the mean microimage"
     )
+
+
+def _draw_blur(axes: Any, found: Assessment) -> None:
+    """Measured discs of each lens type, and the line between them where the aperture is known."""
+    blur = found.calibration.lens_blur
+    assert blur is not None
+    reach = max(0.5, 1.1 * float(np.abs(blur.ratios).max()))
+    ratios = np.linspace(-reach, reach, 201)
+    discs, errors = blur.at(ratios)
+    for kind, measured in enumerate(blur.discs):
+        colour = TYPE_COLOURS[kind % len(TYPE_COLOURS)]
+        own = blur.disc_errors[kind]
+        axes.errorbar(blur.ratios, measured, own, fmt=".", color=colour, label=f"type {kind + 1}")
+        if blur.tells_aperture:
+            axes.plot(ratios, discs[kind], color=colour, linewidth=1)
+            low = np.maximum(discs[kind] - errors[kind], 0)
+            axes.fill_between(ratios, low, discs[kind] + errors[kind], color=colour, alpha=0.2)
+    if len(blur.discs) > 1:
+        axes.legend()
+    axes.set(xlabel="s / D", xlim=(-reach, reach), ylim=(0, None), title="blur [px]")
 
 
 def _draw_apertures(axes: Any, found: Assessment) -> None:

@@ -151,11 +151,18 @@ def _add_pixels(
 
 
 def fit_corners(
-    flat: Singles, centres: Array, radius: float, predicted: Array, shape: Array, board: Board
+    flat: Singles,
+    centres: Array,
+    radius: float,
+    predicted: Array,
+    shape: Array,
+    board: Board,
+    linear: bool = False,
 ) -> CornerFits:
     """Fit corners predicted at (n, 2) [px] in the microimages with centres (n, 2) [px].
 
-    `shape` (n, 2, 2) [px] are the columns d(position) / d(board), one square long.
+    `shape` (n, 2, 2) [px] are the columns d(position) / d(board), one square long. If values are
+    `linear`, in proportion to light, no curve of the transfer is fitted.
     """
     n = len(predicted)
     parameters = np.zeros((n, _UNKNOWNS))
@@ -176,7 +183,7 @@ def fit_corners(
         noise = np.sqrt(square / np.maximum(pixels - _UNKNOWNS, 1))
         clear = noise < 0.2 * np.abs(parameters[:, 3])
         parameters = _stepped(parameters, sums.normal, iteration)
-        if iteration >= 3 and clear.any():
+        if not linear and iteration >= 3 and clear.any():
             one, mixed, two, *right = sums.bend[clear].sum(0)
             transfer += np.linalg.lstsq([[one, mixed], [mixed, two]], right, rcond=1e-6)[0]
             transfer = np.clip(transfer, -0.45, 0.45)

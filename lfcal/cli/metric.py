@@ -8,7 +8,7 @@ import click
 
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
-from .figures import describe_optics
+from .figures import describe_optics, summarise
 
 if TYPE_CHECKING:
     from ..boards.board import Board
@@ -151,6 +151,7 @@ def metric(report: cl.Report, given: Any) -> None:
         "before the main lens. "
         "A wrong --square scales these distances and shows nowhere else; a wrong --pixel scales "
         "the focal length.",
+        *summarise(found.calibration)[2:],
         f"{output} in {report.took}: depth of its flats is in metres.",
     )
 

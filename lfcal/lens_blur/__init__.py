@@ -1,3 +1,1 @@
-"""The discs over which microlenses blur: from rims of white images (`rims`, `microimages`) and from
-captures (`captures`).
-"""
+"""The discs over which microlenses blur, from rims of white images, boards and captures."""

@@ -48,6 +48,9 @@ _RANGE = 0.03
 _MOST_RANGES = 6
 #: [pitch] Difference of the patch sizes of lenses that show one surface.
 _ALIKE = 0.03
+#: [s / D] Error of the focus of a lens type, as its sharpness over depth tells it: the distance of
+#: the depths that are compared.
+_FOCUS_ERROR = 0.05
 #: [px] Half sides of windows.
 _NARROWEST = 4
 _WIDEST = 12
@@ -255,7 +258,8 @@ def measure_lens_blur(
     >>> import lfrender
     >>> flat, camera, depth = lfrender.data.example()
     >>> grey = (flat.mean(2) / 255) ** 2
-    >>> measure_lens_blur(lambda p: grey[p[1] : p[3], p[0] : p[2]], camera, depth.patch_size, 9.0) is None
+    >>> light = lambda p: grey[p[1] : p[3], p[0] : p[2]]
+    >>> measure_lens_blur(light, camera, depth.patch_size, 9.0) is None
     True
     """
     pitch = calibration.lattice.pitch
@@ -279,6 +283,9 @@ def measure_lens_blur(
         cost += (
             (apertures * np.abs(foci) - known[..., None]) / np.maximum(errors[..., None], 0.05)
         ) ** 2
+    if types is not None and types.focus is not None:
+        for kind in np.flatnonzero(np.isfinite(types.focus)):
+            cost[kind] += ((foci - types.focus[kind]) / _FOCUS_ERROR) ** 2
     # The aperture is common to all types: each adds the misfit of its best focus.
     cost += (cost.min(2).sum(0) - cost.min(2))[..., None]
     ratios = np.unique(np.quantile(pairs.size / pitch, np.linspace(0.02, 0.98, 9)).round(3))

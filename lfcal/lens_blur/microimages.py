@@ -104,7 +104,7 @@ class MicroimageField:
 
 
 class _Tile(NamedTuple):
-    """The mean microimage of each type in a tile of the flat: pixels in small squares of the cell."""
+    """The mean microimage of each type in a tile of the flat, in small squares of the cell."""
 
     place: Array  # (2,) in half diagonals from the middle of the flat
     level: float  # light in the middles of microimages

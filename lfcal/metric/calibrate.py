@@ -30,7 +30,7 @@ from .bundle_adjustment import (
     select_order,
 )
 from .camera_model import INTERNAL
-from .observe import BoardFlat, measure, prepare
+from .observe import BoardFlat, measure, measure_blur, prepare
 from .result import BoardPose, MetricCalibration, pose_of
 from .start import first_camera, planar_poses
 from .uncertainty import (
@@ -342,8 +342,9 @@ def _result(
     widened = replace(fitted, covariance=fitted.covariance * factor + shared)
     optics = optics_of(widened, pixel)
     optics = replace(optics, microlens_focal_lengths=_microlenses(optics, calibration))
+    blur = measure_blur(flats, calibration, board, fitted.camera, pixel, fitted.poses)
     return MetricCalibration(
-        calibration=replace(calibration, optics=optics),
+        calibration=replace(calibration, optics=optics, lens_blur=blur or calibration.lens_blur),
         board=board,
         poses=tuple(
             pose_of(widened, m, board, observations, flat.name) for m, flat in enumerate(flats)

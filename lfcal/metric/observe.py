@@ -14,17 +14,22 @@ from ..boards.board import Board
 from ..boards.corner_fit import fit_corners
 from ..boards.detection import DetectedBoard, FocusSweep, detect, other_size
 from ..camera.calibration import Calibration
+from ..camera.lens_types import LensBlur
 from ..images.mosaic import equalise_mosaic, find_mosaic
 from ..images.preprocessing import luminance
-from ..runtime.arrays import Array, Singles
+from ..lens_blur.boards import Edges, fit_discs
+from ..runtime.arrays import Array, Integers, Singles
 from .bundle_adjustment import Observations, Poses
 from .camera_model import project
 
-__all__ = ["BoardFlat", "measure", "prepare"]
+__all__ = ["BoardFlat", "measure", "measure_blur", "prepare"]
+
+#: Corners in microimages whose blur is measured of each flat: their medians scatter by 0.002 px.
+_BLURRED = 300
 
 
 class BoardFlat(NamedTuple):
-    """A flat of a board, with the light of its camera divided out, and the board as first detected."""
+    """A flat of a board, divided by the gain of its camera, and the board as first detected."""
 
     name: str
     light: Singles  # (h, w)
@@ -87,6 +92,88 @@ def measure(
             (np.full(kept.sum(), m), corner[kept], centre[kept], fits.position[kept], error)
         )
     return Observations(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+class _Sample(NamedTuple):
+    """Some corners of a flat in microimages, at depths that are known."""
+
+    light: Singles  # (h, w) of the flat
+    ratio: Array  # (n,) s / D
+    kind: Integers  # (n,) lens type
+    centre: Array  # (n, 2) [px] of the microimage
+    predicted: Array  # (n, 2) [px]
+    shape: Array  # (n, 2, 2) as `fit_corners`
+
+
+def measure_blur(
+    flats: Sequence[BoardFlat],
+    calibration: Calibration,
+    board: Board,
+    camera: Array,
+    pixel: float,
+    poses: Poses,
+) -> LensBlur | None:
+    """The discs of the microlenses from the edges of boards in known poses.
+
+    None if the boards do not tell the aperture. Lenses blur light: if the camera file does not say
+    whether values are in proportion to it or to its square root, the edges tell which fits better.
+    """
+    lattice = calibration.lattice
+    types = calibration.lens_types
+    centres = lattice.centres()
+    kinds = np.zeros(len(centres), np.int64)
+    count = 1
+    if types is not None:
+        kinds = types.of(lattice.indices()).astype(np.int64)
+        count = types.count
+    tree = cKDTree(centres)
+    samples = []
+    for m, flat in enumerate(flats):
+        assert flat.detected is not None
+        pose = Poses(poses.rotation[m : m + 1], poses.translation[m : m + 1])
+        corners = _predict(
+            camera, pixel, pose, board, flat.detected.corner, centres, tree, lattice.radius
+        )
+        some = slice(None, None, max(1, len(corners[0]) // _BLURRED))
+        corner, centre, predicted, shape = (values[some] for values in corners)
+        points = board.points[corner] - board.middle
+        depth = pose.of_board(points, np.zeros(len(points), np.int64))[:, 2]
+        ratio = 1 / (camera[1] + camera[2] / depth)
+        kind = kinds[tree.query(centre)[1]]
+        samples.append(_Sample(flat.light, ratio, kind, centre, predicted, shape))
+    powers = [1.0, 2.0]
+    if calibration.encoded is not None:
+        powers = [2.0 if calibration.encoded else 1.0]
+    fits = [_fit_edges(samples, power, lattice.radius, board) for power in powers]
+    edges, _ = min(fits, key=lambda fit: fit[1])
+    return fit_discs(edges, count, lattice.pitch, calibration.lens_blur)
+
+
+def _fit_edges(
+    samples: list[_Sample], power: float, radius: float, board: Board
+) -> tuple[Edges, float]:
+    """The median blur of each flat and lens type, and the median error of the corners [px].
+
+    Light is taken as this power of the values.
+    """
+    rows = []
+    errors = []
+    for sample in samples:
+        light = np.maximum(sample.light, 0) ** np.float32(power)
+        fits = fit_corners(
+            light, sample.centre, radius, sample.predicted, sample.shape, board, linear=True
+        )
+        kept = fits.good & (np.hypot(*(fits.position - sample.centre).T) < radius - 3)
+        errors.append(fits.error[kept])
+        for kind in np.unique(sample.kind[kept]):
+            own = kept & (sample.kind == kind)
+            blur = fits.blur[own]
+            width = np.median(blur)
+            spread = 1.4826 * np.median(np.abs(blur - width))
+            rows.append((kind, np.median(sample.ratio[own]), width, spread))
+    kinds, ratios, widths, spreads = np.array(rows, np.float64).reshape(-1, 4).T
+    error = float(np.median(np.concatenate(errors))) if rows else np.inf
+    return Edges(kinds.astype(np.int64), ratios, widths, spreads), error
 
 
 def _expected_sign(board: Board, corner: Array, contrast: Array) -> Array:

@@ -61,14 +61,12 @@ def make_filters(
     noise: float,
     scale: float,
     reach: float,
-    full: float,
     depths: tuple[float, float],
 ) -> DetailFilters:
     """The filters for a blended picture of `scale` pixels per pitch whose patch sizes lie between
     `depths` [px].
 
-    `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged; `full` is
-    the scale of the largest patches.
+    `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged.
     """
     # Filters are computed for 14 powers of detail [white^2] and 16 |s / D| of either sign, and
     # tabulated more finely.
@@ -79,9 +77,7 @@ def make_filters(
     per_octave = 2.0
     of_level = np.concatenate([-levels, levels])
     some = _is_near(of_level, step, np.array(depths) / calibration.lattice.pitch)
-    known, wanted, grain = _Levels.of(
-        of_level[some], noise, calibration, blur, scale, reach, full
-    ).sums()
+    known, wanted, grain = _Levels.of(of_level[some], noise, calibration, blur, scale, reach).sums()
     fine = np.arange(round(levels[-1] * per_ratio) + 1) / per_ratio
     at = np.log(np.maximum(fine, levels[0]) / levels[0]) / np.log(step)
     near = np.concatenate([at, at + len(levels)])
@@ -145,8 +141,10 @@ class _Levels:
     grown: _Table  # (n, 1) side of a pixel of the flat [px of the picture]
     discs: _Table  # (n, types) diameters [px of the picture]
     shares: _Table  # (n, types) weights of the types, whose sum is 1
-    apart: _Table  # (n, 1) side of the square over which an output pixel is averaged [px of the picture]
-    variance: _Table  # (n, 1) of the noise of a picture's pixel with the light of white, were it one of the flat
+    # (n, 1) side of the square over which an output pixel is averaged [px of the picture]
+    apart: _Table
+    # (n, 1) of the noise of a picture's pixel with the light of white, were it one of the flat
+    variance: _Table
 
     @classmethod
     def of(
@@ -157,7 +155,6 @@ class _Levels:
         blur: LensBlur | None,
         scale: float,
         reach: float,
-        full: float,
     ) -> _Levels:
         lattice = calibration.lattice
         size = np.abs(ratios)
@@ -165,7 +162,7 @@ class _Levels:
         discs = sure_discs(blur, ratios).T * grown[:, None]
         shares = type_shares(calibration.lens_types, ratios, discs.shape[1]).T
         averaged = _averaged_views(size, calibration, reach)
-        apart = np.sqrt(squares_to_average(calibration, blur, ratios, scale, full)) * grown
+        apart = np.sqrt(squares_to_average(calibration, blur, ratios, scale)) * grown
         even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)
         return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None])
 

@@ -26,6 +26,9 @@ __all__ = ["HALO", "Places", "choose_filters", "find_places", "restore_detail"]
 _AVERAGING = (1, 1)
 #: [px] around a place that its detail depends on.
 HALO = sum((*SMOOTHING, *_AVERAGING))
+#: [px of the picture] Nothing is restored so near to depth edges. Houses and clutter gain 0.51 dB
+#: with 2, 0.60 with 1, 0.58 with 0.5, 0.21 with 0 (nine random scenes at 0.3 pitches a pixel).
+_BESIDE_EDGES = 1
 # Rows that are restored together.
 _STRIP = 128
 
@@ -61,14 +64,12 @@ class _Lookup(NamedTuple):
 def choose_filters(
     filters: DetailFilters, surface: Surface, grid: PictureGrid
 ) -> NDArray[np.uint16]:
-    """(r, c) index of the filter of each value of the surface: none within two pixels of a depth
-    edge of 0.04 D.
-    """
+    """Index (r, c) of the filter of each value of the surface; none beside edges of 0.04 D."""
     import cv2
 
     sizes = surface.patch_size
     each = filters.count // 2
-    side = 2 * max(1, round(2 * grid.spacing / surface.spacing)) + 1
+    side = 2 * max(1, round(_BESIDE_EDGES * grid.spacing / surface.spacing)) + 1
     around = np.ones((side, side), np.uint8)
     level = np.abs(sizes) * np.float32(filters.per_ratio / grid.pitch)
     kinds = (np.minimum(level, np.float32(each - 1)) + np.float32(0.5)).astype(np.uint16)

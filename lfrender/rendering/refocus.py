@@ -97,7 +97,6 @@ def refocus(
         calibration,
         constant_surface(patch_size),
         check_scale(scale, lattice.pitch),
-        abs(patch_size),
         True,
         reach=REFOCUS_REACH,
         agreement=1e3,

@@ -211,6 +211,4 @@ def make_renderer(
     if noise is None and blend and depth is not None and detail != "off":
         noise = measure_noise(look, calibration)
     blur = None if depth is None else choose_blur(calibration, depth)
-    return Renderer(
-        calibration, surface, scale, full, blend, reach=reach, lens_blur=blur, noise=noise
-    )
+    return Renderer(calibration, surface, scale, blend, reach=reach, lens_blur=blur, noise=noise)

@@ -56,7 +56,6 @@ class Renderer:
     calibration: Calibration
     surface: Surface
     scale: float  # output pixels per pitch
-    full: float  # [px] the scale of full resolution, the size of the largest patches
     blend: bool  # the mean over all lenses that agree on a point, or the lens alone whose centre is nearest
     reach: float = REACH  # [pitch] lenses farther than this from a scene point are not read
     agreement: float = AGREEMENT
@@ -126,7 +125,7 @@ class Renderer:
         sizes = self.surface.patch_size
         depths = float(sizes.min()), float(sizes.max())
         filters = make_filters(
-            self.calibration, self.lens_blur, self.noise, self.scale, self.reach, self.full, depths
+            self.calibration, self.lens_blur, self.noise, self.scale, self.reach, depths
         )
         return filters, choose_filters(filters, self.surface, self.grid)
 
@@ -264,9 +263,7 @@ class Renderer:
 
     @cached_property
     def _squares(self) -> NDArray[np.float32]:
-        left = squares_to_average(
-            self.calibration, self.lens_blur, WEIGHT_RATIOS, self.scale, self.full
-        )
+        left = squares_to_average(self.calibration, self.lens_blur, WEIGHT_RATIOS, self.scale)
         return left.astype(np.float32)
 
     @cached_property

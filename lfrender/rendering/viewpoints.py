@@ -115,11 +115,10 @@ def _prepare(
     if depth is None:
         depth = analyze(pixels, calibration)
     check_depth(depth, calibration)
-    full = default_scale(depth)
-    scale = check_scale(full if scale is None else scale, lattice.pitch)
+    scale = check_scale(default_scale(depth) if scale is None else scale, lattice.pitch)
     middle = lattice.pitch / (still_depth(depth) if still is None else still)
     renderer = Renderer(
-        calibration, depth.surface, scale, full, True, lens_blur=choose_blur(calibration, depth)
+        calibration, depth.surface, scale, True, lens_blur=choose_blur(calibration, depth)
     )
     return _draw(flat, pixels, renderer, [Viewpoint(place, middle) for place in places])
 

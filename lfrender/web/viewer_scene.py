@@ -15,7 +15,7 @@ from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
-from ..detail.blur import READING, TYPICAL_DISC, choose_blur
+from ..detail.blur import READING, choose_blur, likely_discs
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import focus_weights
@@ -217,15 +217,15 @@ def _tables(
 
 
 def _blur_line(calibration: Calibration, depth: DepthMap) -> dict[str, Any]:
-    """Slope and offset [px] of the mean disc over the patch size; None if unknown."""
+    """Slope and offset [px] of the disc over the patch size, as a mean of the lens types."""
     known = choose_blur(calibration, depth)
-    line = None
+    pitch = calibration.lattice.pitch
     if known is not None and known.tells_aperture:
-        line = [
-            known.aperture / calibration.lattice.pitch,
-            -known.aperture * float(known.focus.mean()),
-        ]
-    return {"line": line, "typical": TYPICAL_DISC, "reading": READING}
+        line = [known.aperture / pitch, -known.aperture * float(known.focus.mean())]
+    else:
+        at_zero, at_half = likely_discs(calibration, None, np.array([0.0, 0.5])).mean(0)
+        line = [float(at_half - at_zero) / (0.5 * pitch), float(at_zero)]
+    return {"line": line, "reading": READING}
 
 
 def _planes(depth: DepthMap) -> tuple[list[float], float]:

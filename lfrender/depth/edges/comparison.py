@@ -82,7 +82,7 @@ def _square_differences(
 
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _leave_out_occluded(before, there, nearest, pitch, at, count, seen):
-    """Unset `seen` where pixels `there` showed something beyond `nearest` in the order of depths."""
+    """Unset `seen` where pixels `there` showed something beyond `nearest` in order of depth."""
     none = np.float32(0)
     two = np.float32(2 * pitch)
     first = np.uint64(there)

@@ -39,7 +39,8 @@ class Microimage(NamedTuple):
     upper: Any  # (stride,) first row of each column with pixels that are not settled
     lower: Any  # (stride,) end of its rows
     depths: Any  # (k,) [px]
-    slopes: Any  # (size,) [pitch] mean patch size of the pixels of each row at the depth that is compared
+    # (size,) [pitch] mean patch size of the pixels of each row at the depth that is compared
+    slopes: Any
     bins: Any  # (2, BINS) number and sum of the patch sizes in each
     x: Any  # (stride,) [px] place of each column, from the middle of the microimage
     light: Any  # (p,) brightness

@@ -41,7 +41,8 @@ def count_samples(surface, depth, x, y, s, grid, pitch, squares):
     """Samples along a side of an output pixel, and how far they are apart [px of the scene].
 
     Their variance about the middle is that of the square that is left to average
-    (`Weighting.squares`), whatever their number; of the whole pixel at depth edges.
+    (`Weighting.squares`), whatever their number; at depth edges that of the pixel less one of the
+    flat.
     """
     side = abs(s) / grid.scale
     if side <= 1:
@@ -49,7 +50,8 @@ def count_samples(surface, depth, x, y, s, grid, pitch, squares):
     last = len(squares) - 1
     left = squares[min(max(int((s / pitch + 1) * (0.5 * last) + 0.5), 0), last)]
     if _crosses_edge(surface, depth, x, y, s, 0.5 * grid.spacing):
-        left = side * side
+        # The outline is not blurred; a pixel of the flat has averaged at most a quarter.
+        left = max(left, 0.75 * side * side, side * side - 1)
     if left < ONE_SAMPLE:
         return 1, 0.0
     samples = int(np.ceil(np.sqrt(left / FARTHEST_SAMPLE + 1)))

@@ -262,7 +262,8 @@ void main() {
   if (side > 1.0) {
     // As `count_samples` and `squares_to_average` of the renderer.
     float own = side * side - 1.0, wide = disc.x * s + disc.y, averaged = max(0.7 * wide * wide, reading);
-    left = crossesEdge(X, s) ? side * side : max(own - averaged, 0.0) * (1.0 + averaged / (3.0 * own));
+    left = max(own - averaged, 0.0) * (1.0 + averaged / (3.0 * own));
+    if (crossesEdge(X, s)) left = max(left, max(0.75 * side * side, own));
   }
   int across = left < 0.25 ? 1 : int(ceil(sqrt(left / 1.5 + 1.0)));
   across = min(across, int(most));

@@ -157,9 +157,6 @@ export class Renderer {
     const plane = sharp ? 0 : settings.plane, q = settings.q, aside = Math.hypot(...q) > 0;
     const still = pitch / settings.plane, moved = q.map(n => n * still);
     const warped = aside && this.canWarp && (sharp || range || settings.overlay > 0) && this.warpSurface(q, still);
-    // Beyond a range places are drawn as at its nearer end, at the full resolution of that depth.
-    const end = range ? settings.range[1] - (settings.range[1] < pitch ? 0 : 2 * pitch) : plane;
-    const full = sharp ? scene.scale : Math.abs(end);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.viewport(x, y, width, height);
     if (mask) gl.colorMask(...mask);
@@ -174,7 +171,7 @@ export class Renderer {
       ringStep: scene.rings.step, origin: scene.origin,
       radius: scene.radius * (wide ? settings.aperture : 1), plane, between: range ? settings.range : [1, 0],
       corner: [x, y], exposure: 2 ** (settings.brightness ?? 0),
-      first: first.map((n, k) => n + moved[k]), moved, spacing, disc: scene.blur.line ?? [scene.blur.typical / full, 0], reading: scene.blur.reading,
+      first: first.map((n, k) => n + moved[k]), moved, spacing, disc: scene.blur.line, reading: scene.blur.reading,
       reach: pitch * (wide ? scene.reach.wide : scene.reach.sharp), reachOwn: pitch * (aside ? scene.reach.aside : scene.reach.sharp),
       agreement: tiles ? 0 : ANY_COLOUR, agreementOwn: scene.agreement, rows: height, overlay: settings.overlay,
       most: settings.most ?? MOST_SAMPLES,

@@ -189,3 +189,18 @@ def test_the_command_writes_a_page_without_network_and_all_figures(overlapping, 
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     measured = [one for one in found.values() if one["value"] is not None]
     assert page.count("<svg") == len(measured) and "src=" not in page and "@import" not in page
+
+
+def test_the_page_draws_the_blur_of_each_lens_type(assessed, tmp_path):
+    camera = replace(assessed.calibration, lens_blur=None)
+    replace(assessed, calibration=camera).write_page(tmp_path / "plain.html")
+    blur = lfcal.LensBlur(
+        6.0, 0.3, [0.1, 0.3], [0.01, 0.01], [-0.2], [[1.8], [3.0]], [[0.1], [0.1]]
+    )
+    camera = replace(camera, lens_blur=blur)
+    replace(assessed, calibration=camera).write_page(tmp_path / "blur.html")
+    plain, drawn = (
+        (tmp_path / name).read_text(encoding="utf-8") for name in ("plain.html", "blur.html")
+    )
+    assert drawn.count("<svg") == plain.count("<svg") + 1
+    assert "type 2" in drawn and "blur [px]" in drawn

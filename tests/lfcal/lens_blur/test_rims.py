@@ -1,4 +1,4 @@
-"""The blur of rims of white images is that of an edge at `s = 0`: aperture times focus."""
+"""The blur of rims is that of an edge at `s = 0`: aperture times focus."""
 
 from __future__ import annotations
 
@@ -19,3 +19,10 @@ def test_rims_of_a_white_image_tell_aperture_times_focus(focus):
     assert not found.tells_aperture
     discs, errors = found.at([-0.3, 0.3])
     assert (discs < errors).all()
+
+
+def test_gaps_of_a_scene_tell_the_same_as_the_white_image():
+    camera = Camera.design(size=(600, 480), pitch=40.0, rotation=1.3, focus=-0.25, fill=0.25)
+    shot = simulate(SCENES["house"](camera, seed=2), camera, samples=24, seed=5)
+    discs, errors = lfcal.calibrate(shot.flat, kind="scene").lens_blur.at([0.0])
+    assert abs(discs[0, 0] - 0.25 * 40.0 * 0.25) < 2 * errors[0, 0] < 1.2

@@ -64,6 +64,20 @@ def test_optics_of_a_ray_traced_camera_lie_within_the_stated_errors(boards, meas
     assert any("hardly separate" in note for note in measured.degeneracies)
 
 
+def test_boards_tell_aperture_and_focus_of_the_microlenses(boards, measured):
+    known = boards[0]["camera"]
+    near = known["mla_to_sensor_mm"]
+    slope = near / known["mainlens_to_mla_mm"]
+    focus = (near / known["microlens_f_mm"][0] - 1 - slope) / (1 + slope)
+    aperture = known["microlens_aperture_mm"] / known["microlens_pitch_mm"] * known["D_px"]
+    blur = measured.calibration.lens_blur
+    assert blur.tells_aperture
+    assert abs(blur.aperture - aperture) < blur.aperture_error < 0.2 * aperture
+    assert abs(blur.focus[0] - focus) < blur.focus_error[0] < 0.05
+    truth = aperture * np.abs(blur.ratios - focus)
+    assert np.abs(blur.discs - truth).max() < 0.15  # px
+
+
 def test_boards_are_placed_to_a_tenth_of_a_degree_and_three_thousandths_in_depth(boards, measured):
     for pose, k in zip(measured.poses, (1, 5, 8, 11), strict=True):
         true = boards[0]["poses"][k]

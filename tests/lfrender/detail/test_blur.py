@@ -41,7 +41,7 @@ def test_an_output_pixel_is_averaged_over_its_own_area_less_what_the_lens_averag
     # At s = -9 px, four pixels of the flat lie along a pixel of 2.25 per pitch.
     ratio = np.array([-0.3])
     whole, less = (
-        float(squares_to_average(camera(), blur, ratio, 2.25, 9.0)[0]) for blur in (sharp, blurred)
+        float(squares_to_average(camera(), blur, ratio, 2.25)[0]) for blur in (sharp, blurred)
     )
     assert whole == pytest.approx(4**2 - 1, abs=0.4)
     # A disc of 4 px counts as a square of 11.2 px^2.
@@ -51,8 +51,7 @@ def test_an_output_pixel_is_averaged_over_its_own_area_less_what_the_lens_averag
 def test_what_is_averaged_changes_steadily_with_the_scale():
     scales = np.geomspace(2, 9, 200)
     left = [
-        float(squares_to_average(camera(), None, np.array([-0.3]), scale, 9.0)[0])
-        for scale in scales
+        float(squares_to_average(camera(), None, np.array([-0.3]), scale)[0]) for scale in scales
     ]
     assert np.abs(np.diff(left)).max() < 0.6
     assert left[-1] == 0

@@ -27,7 +27,7 @@ def restored(image, dtype=np.float32):
     """
     blur = LensBlur(8.0, 1.0, [0.0], [0.1], [SIZE / PITCH], [[DISC]], [[1e-6]])
     calibration = Camera.design(size=(480, 400), pitch=PITCH, rotation=3.0).calibration()
-    filters = make_filters(calibration, blur, 0.001, -SIZE, 1.7, -SIZE, (SIZE, SIZE))
+    filters = make_filters(calibration, blur, 0.001, -SIZE, 1.7, (SIZE, SIZE))
     kinds = np.full((1, 1), round(-SIZE / PITCH * filters.per_ratio), np.uint16)
     rows, columns = (np.zeros(n, np.int64) for n in image.shape[:2])
     places = Places(kinds, rows, columns)
