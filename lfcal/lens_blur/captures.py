@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..camera.calibration import Calibration
 from ..camera.lens_types import LensBlur
 from ..lattice.lattice import Lattice
+from ..runtime.transfer import disc_transfer
 
 __all__ = ["measure_lens_blur"]
 
@@ -195,17 +196,9 @@ def _blurred_scenes(side: int) -> _Array:
         response[k] = np.bincount(radius.ravel(), reached.ravel(), len(radial))
     scene = np.maximum(radial, 0.35 / side) ** -_SLOPES[:, None]
     soft = np.exp(-((2 * np.pi * radial * _SOFT[:, None]) ** 2))
-    disc = _disc_transfer(radial * _DISCS[:, None]) ** 2
+    disc = disc_transfer(radial * _DISCS[:, None]) ** 2
     seen = np.einsum("kf,pf,sf,df->psdk", response, scene, soft, disc, optimize=True)
     return seen.astype(np.float32)
-
-
-def _disc_transfer(periods: _Array) -> _Array:
-    """Transfer function of a uniform disc, at periods across its diameter."""
-    from scipy.special import j1
-
-    phase = np.pi * np.maximum(periods, 1e-9)
-    return np.asarray(2 * j1(phase) / phase)
 
 
 def _misfit(seen: _Spectrum) -> _Array:
