@@ -183,7 +183,14 @@ def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
     >>> check_camera(Calibration(Lattice([4, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).problem[:19]
     'the microimages lie'
     """
-    reduced = _prepare(calibration, image)
+    from threadpoolctl import threadpool_limits
+
+    # The equations are too small for more threads to pay off.
+    with threadpool_limits(1, "blas"):
+        return _check(calibration, _prepare(calibration, image))
+
+
+def _check(calibration: Calibration, reduced: _Reduced) -> CameraCheck:
     lattice = calibration.lattice
     found, misfit = _compare(reduced, lattice)
     if found is None and reduced.factor > 1:

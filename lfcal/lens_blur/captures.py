@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 from ..camera.calibration import Calibration
 from ..camera.lens_types import LensBlur
 from ..lattice.lattice import Lattice
+from ..runtime.transfer import disc_transfer
 
 __all__ = ["measure_lens_blur"]
 
 _Array = NDArray[np.float64]
-#: Grey light (h, w) of the part `left, top, right, bottom` of a flat, with white as one.
-_Light = Callable[[tuple[int, int, int, int]], NDArray[Any]]
+#: Grey light (n, side, side) of windows of a flat with these corners (n, 2), with white as one.
+_Light = Callable[[NDArray[np.int64], int], NDArray[Any]]
 
 #: [px] Discs that are tried.
 _DISCS = np.linspace(0, 9, 91)
@@ -149,7 +150,7 @@ def _measure_spectrum(
     window, rings, _ = _analysis(side)
     transformed = []
     for corner in corners:
-        grey = np.stack([light((x, y, x + side, y + side)) for x, y in corner.tolist()])
+        grey = light(corner, side)
         mean = (grey * window).sum((1, 2), keepdims=True) / window.sum()
         transformed.append(np.fft.fft2((grey - mean) * window))
     # Windows lie on whole pixels: what is left of the shift turns the phase.
@@ -198,17 +199,9 @@ def _blurred_scenes(side: int) -> _Array:
         response[k] = np.bincount(radius.ravel(), reached.ravel(), len(radial))
     scene = np.maximum(radial, 0.35 / side) ** -_SLOPES[:, None]
     soft = np.exp(-((2 * np.pi * radial * _SOFT[:, None]) ** 2))
-    disc = _disc_transfer(radial * _DISCS[:, None]) ** 2
+    disc = disc_transfer(radial * _DISCS[:, None]) ** 2
     seen = np.einsum("kf,pf,sf,df->psdk", response, scene, soft, disc, optimize=True)
     return seen.astype(np.float32)
-
-
-def _disc_transfer(periods: _Array) -> _Array:
-    """Transfer function of a uniform disc, at periods across its diameter."""
-    from scipy.special import j1
-
-    phase = np.pi * np.maximum(periods, 1e-9)
-    return np.asarray(2 * j1(phase) / phase)
 
 
 def _misfit(seen: _Spectrum) -> _Array:
@@ -236,8 +229,9 @@ def measure_lens_blur(
 
     Parameters
     ----------
-    light : function of (left, top, right, bottom)
-        Gives the grey light (h, w) of this part of the flat, with white as one.
+    light : function of (corners, side)
+        Gives the grey light (n, side, side) of square windows of the flat, with white as one;
+        `corners` (n, 2) are their upper left pixels.
     calibration : Calibration
         Rims whose blur its `lens_blur` tells are taken into account.
     patch_size : (n,) float [px]
@@ -256,9 +250,12 @@ def measure_lens_blur(
     On this small flat, too few lenses show the same place.
 
     >>> import lfrender
+    >>> from numpy.lib.stride_tricks import sliding_window_view
     >>> flat, camera, depth = lfrender.data.example()
     >>> grey = (flat.mean(2) / 255) ** 2
-    >>> light = lambda p: grey[p[1] : p[3], p[0] : p[2]]
+    >>> def light(corners, side):
+    ...     x, y = corners.T
+    ...     return sliding_window_view(grey, (side, side))[y, x]
     >>> measure_lens_blur(light, camera, depth.patch_size, 9.0) is None
     True
     """

@@ -27,37 +27,48 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
     """
     height, width = picture.shape
     reach = int(radius / spacing)
-    for lens in range(begin, end):
-        # With half a pixel added, truncation rounds.
-        cx = centres[lens, 0] + 0.5
-        cy = centres[lens, 1] + 0.5
-        for k in range(len(ratios)):
-            for step in range(len(steps)):
-                ux = ratios[k] * steps[step, 0] / 2
-                uy = ratios[k] * steps[step, 1] / 2
-                count = a = b = aa = bb = ab = 0.0
-                for row in range(-reach, reach + 1):
-                    for column in range(-reach, reach + 1):
-                        x = column * spacing
-                        y = row * spacing
-                        first = (x - ux) * (x - ux) + (y - uy) * (y - uy)
-                        second = (x + ux) * (x + ux) + (y + uy) * (y + uy)
-                        if max(first, second) > radius * radius:
-                            continue
-                        xa = cx + x - ux
-                        ya = cy + y - uy
-                        xb = cx + x + ux + steps[step, 0]
-                        yb = cy + y + uy + steps[step, 1]
-                        if min(xa, ya, xb, yb) < 0 or max(xa, xb) >= width or max(ya, yb) >= height:
-                            continue
-                        own = picture[int(ya), int(xa)]
-                        other = picture[int(yb), int(xb)]
-                        count += 1
-                        a += own
-                        b += other
-                        aa += own * own
-                        bb += other * other
-                        ab += own * other
+    side = 2 * reach + 1
+    # Places that both lenses show, from the centre of each [px].
+    own_x = np.empty(side * side)
+    own_y = np.empty(side * side)
+    for k in range(len(ratios)):
+        for step in range(len(steps)):
+            ux = ratios[k] * steps[step, 0] / 2
+            uy = ratios[k] * steps[step, 1] / 2
+            shown = 0
+            for row in range(-reach, reach + 1):
+                for column in range(-reach, reach + 1):
+                    x = column * spacing
+                    y = row * spacing
+                    first = (x - ux) * (x - ux) + (y - uy) * (y - uy)
+                    second = (x + ux) * (x + ux) + (y + uy) * (y + uy)
+                    if max(first, second) <= radius * radius:
+                        own_x[shown] = x - ux
+                        own_y[shown] = y - uy
+                        shown += 1
+            across = 2 * ux + steps[step, 0]
+            down = 2 * uy + steps[step, 1]
+            for lens in range(begin, end):
+                # With half a pixel added, truncation rounds.
+                cx = centres[lens, 0] + 0.5
+                cy = centres[lens, 1] + 0.5
+                count = 0
+                a = b = aa = bb = ab = 0.0
+                for place in range(shown):
+                    xa = cx + own_x[place]
+                    ya = cy + own_y[place]
+                    xb = xa + across
+                    yb = ya + down
+                    if min(xa, ya, xb, yb) < 0 or max(xa, xb) >= width or max(ya, yb) >= height:
+                        continue
+                    own = picture[np.uint64(ya), np.uint64(xa)]
+                    other = picture[np.uint64(yb), np.uint64(xb)]
+                    count += 1
+                    a += own
+                    b += other
+                    aa += own * own
+                    bb += other * other
+                    ab += own * other
                 if count > 4:
                     covariance[lens, k] += (ab - a * b / count) / count
                     variance[lens, k] += 0.5 * (aa + bb - (a * a + b * b) / count) / count

@@ -149,15 +149,35 @@ def _fit(design, shift, weight, basis, ratio_x, ratio_y, change):
 
 @njit(error_model="numpy")
 def _weighted_quantile(values, weight, share):
-    """Least value up to which the weights sum to this share of their total."""
-    order = np.argsort(values)
-    least = share * weight.sum()
-    below = 0.0
-    for k in range(len(order)):
-        below += weight[order[k]]
-        if below >= least:
-            return values[order[k]]
-    return values[order[-1]]
+    """Least value up to which the weights sum to this share of their total, by selection."""
+    value = values.copy()
+    heavy = weight.copy()
+    missing = share * weight.sum()
+    count = len(value)
+    while count > 1:
+        pivot = value[count // 2]
+        lighter = equal = 0.0
+        for k in range(count):
+            if value[k] < pivot:
+                lighter += heavy[k]
+            elif value[k] == pivot:
+                equal += heavy[k]
+        if lighter < missing <= lighter + equal:
+            return pivot
+        below = missing <= lighter
+        if not below:
+            missing -= lighter + equal
+        kept = 0
+        for k in range(count):
+            if (value[k] < pivot) if below else (value[k] > pivot):
+                value[kept] = value[k]
+                heavy[kept] = heavy[k]
+                kept += 1
+        # Rounding may leave a rest beyond the largest value.
+        if kept == 0:
+            return pivot
+        count = kept
+    return value[0]
 
 
 @kernel(error_model="numpy")

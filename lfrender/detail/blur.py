@@ -9,8 +9,7 @@ averages is the likeliest one.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import j1
+from numpy.typing import NDArray
 
 from lfcal import Calibration, LensBlur
 
@@ -21,7 +20,6 @@ __all__ = [
     "READING",
     "TYPICAL_APERTURE",
     "choose_blur",
-    "disc_transfer",
     "interpolation_transfer",
     "likely_discs",
     "squares_to_average",
@@ -112,12 +110,6 @@ def squares_to_average(
     averaged = np.maximum(0.7 * (shares * discs**2).sum(0), READING)
     left = np.maximum((ratios * pitch / scale) ** 2 - 1, 1e-9)
     return np.asarray(np.maximum(left - averaged, 0) * (1 + averaged / (3 * left)))
-
-
-def disc_transfer(frequency: ArrayLike, diameter: ArrayLike) -> NDArray[np.float64]:
-    """Transfer function at a frequency [1 / px] of a uniform disc of this diameter [px]."""
-    phase = np.pi * np.maximum(np.multiply(frequency, diameter), 1e-9)
-    return np.asarray(2 * j1(phase) / phase)
 
 
 def interpolation_transfer(frequency: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LensBlur
+from lfcal.runtime.transfer import disc_transfer
 
 from ..flat.lens_type_weights import type_shares
-from .blur import disc_transfer, interpolation_transfer, squares_to_average, sure_discs
+from .blur import interpolation_transfer, squares_to_average, sure_discs
 
 __all__ = ["SMOOTHING", "DetailFilters", "make_filters"]
 
@@ -205,7 +206,7 @@ class _Levels:
 @lru_cache(1)
 def _tabulated_disc() -> tuple[_Table, _Table]:
     periods = np.linspace(0, 20, 2001)
-    return periods, disc_transfer(periods, 1.0)
+    return periods, disc_transfer(periods)
 
 
 def _between(table: _Table, at: _Table, axis: int) -> _Table:

@@ -278,10 +278,17 @@ def is_encoded(dtype: DTypeLike, calibration: Calibration) -> bool:
 
 def grey_light(pixels: NDArray, calibration: Calibration) -> NDArray[np.float32]:
     """(...) mean light over the channels of pixels (..., C), with white as one."""
-    light = pixels / np.float32(white_level(pixels, calibration))
-    return (light * light if is_encoded(pixels.dtype, calibration) else light).mean(
-        -1, dtype=np.float32
-    )
+    white = np.float32(white_level(pixels, calibration))
+    encoded = is_encoded(pixels.dtype, calibration)
+    channels = pixels.shape[-1]
+    total = np.zeros(pixels.shape[:-1], np.float32)
+    # NumPy takes six times as long for means over an axis as short as that of the channels.
+    for channel in range(channels):
+        light = pixels[..., channel] / white
+        if encoded:
+            light *= light
+        total += light.astype(np.float32, copy=False)
+    return total / np.float32(channels)
 
 
 def trusted_radius(calibration: Calibration) -> float:

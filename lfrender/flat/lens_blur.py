@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LensBlur, measure_lens_blur
@@ -60,9 +61,9 @@ def find_lens_blur(
     ):
         return None
 
-    def light(part: tuple[int, int, int, int]) -> NDArray[np.float32]:
-        return grey_light(
-            pixels[part[1] - top : part[3] - top, part[0] - left : part[2] - left], calibration
-        )
+    def light(corners: NDArray[np.int64], side: int) -> NDArray[np.float32]:
+        x, y = (corners - (left, top)).T
+        windows = sliding_window_view(pixels, (side, side), (0, 1))[y, x]
+        return grey_light(np.moveaxis(windows, 1, -1), calibration)
 
     return measure_lens_blur(light, calibration, patch_size, trusted_radius(calibration))

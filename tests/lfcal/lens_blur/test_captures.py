@@ -9,6 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from numpy.lib.stride_tricks import sliding_window_view
 
 import lfcal
 from data_synth import SCENES, Camera, simulate
@@ -21,9 +22,12 @@ def measure(camera, scene, seed=5, noise=(8000, 5), **more):
     grey = (shot.flat.mean(2) / 255) ** 2
     calibration = replace(truth.calibration, **more)
     radius = 0.9 * calibration.lattice.radius
-    return lfcal.measure_lens_blur(
-        lambda p: grey[p[1] : p[3], p[0] : p[2]], calibration, truth.patch_size, radius
-    )
+
+    def light(corners, side):
+        x, y = corners.T
+        return sliding_window_view(grey, (side, side))[y, x]
+
+    return lfcal.measure_lens_blur(light, calibration, truth.patch_size, radius)
 
 
 def design(**more):
@@ -60,7 +64,7 @@ def test_too_few_lenses_tell_nothing():
     nothing = np.full(len(calibration.lattice), np.nan)
     assert (
         lfcal.measure_lens_blur(
-            lambda p: np.zeros((p[3] - p[1], p[2] - p[0])), calibration, nothing, 10.0
+            lambda corners, side: np.zeros((len(corners), side, side)), calibration, nothing, 10.0
         )
         is None
     )
