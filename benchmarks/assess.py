@@ -90,7 +90,8 @@ def main(first: int, last: int) -> None:
     for name, errors in beyond.items():
         within = [int((np.array(errors) < k).sum()) for k in (1, 2)]
         print(
-            f"{name}: {within[0]} of {len(errors)} within one error, {within[1]} within two, largest {max(errors):.1f}"
+            f"{name}: {within[0]} of {len(errors)} within one error, {within[1]} within two, "
+            f"largest {max(errors):.1f}"
         )
 
 

@@ -36,7 +36,7 @@ def centre_error(camera: lfcal.Calibration, truth: WhiteImage) -> float:
 
 
 def promised(truth: WhiteImage, bound: float) -> float:
-    """Largest error of the centres [px] that is promised, where `bound` is that of Cramer and Rao."""
+    """Largest promised error of the centres [px], from the Cramer-Rao bound `bound` [px]."""
     if truth.strength:
         return 0.02 if truth.decibels >= 26 else 0.05
     if truth.k1:
@@ -56,7 +56,8 @@ def main(arguments: list[str]) -> None:
         }
     beyond = 0
     print(
-        f"{'case':48s} {'bound px':>9s} {'error px':>9s} {'ratio':>7s} {'stated':>9s} {'s':>5s} kind"
+        f"{'case':48s} {'bound px':>9s} {'error px':>9s} {'ratio':>7s} {'stated':>9s} {'s':>5s} "
+        f"kind"
     )
     for name, truth in cases.items():
         image = truth.image()
@@ -80,7 +81,8 @@ def main(arguments: list[str]) -> None:
         missed = not error_px <= promised(truth, bound)
         beyond += missed
         print(
-            f"{name:48s} {bound:9.6f} {error_px:9.6f} {error_px / bound:7.1f} {stated:9.6f} {spent:5.2f} "
+            f"{name:48s} {bound:9.6f} {error_px:9.6f} {error_px / bound:7.1f} {stated:9.6f} "
+            f"{spent:5.2f} "
             f"{camera.source}{'  beyond' if missed else ''}{'  doubt' if doubtful else ''}",
             flush=True,
         )

@@ -134,7 +134,10 @@ def main(arguments: list[str]) -> None:
             text = str(error)
         else:
             right = truth is not None and _is_right(camera.lattice, *truth)
-            result = f"{'right' if right else 'wrong'}, {'sure' if camera.confidence >= _SURE else 'doubted'}"
+            result = (
+                f"{'right' if right else 'wrong'}, "
+                f"{'sure' if camera.confidence >= _SURE else 'doubted'}"
+            )
             text = (
                 f"{camera.source} {camera.lattice.pitch:.2f} px, confidence {camera.confidence:.2f}"
             )

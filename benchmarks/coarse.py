@@ -102,7 +102,8 @@ def main(arguments: list[str]) -> None:
     else:
         cases = truth_cases(Path(arguments[0]))
     print(
-        f"| flat | depth | detail | {' | '.join(f'{step:.2f}' for step in _STEPS)} |\n|{'---|' * (len(_STEPS) + 3)}"
+        f"| flat | depth | detail | {' | '.join(f'{step:.2f}' for step in _STEPS)} "
+        f"|\n|{'---|' * (len(_STEPS) + 3)}"
     )
     for case in cases:
         own = lfrender.analyze(case.flat, case.camera)
@@ -112,7 +113,8 @@ def main(arguments: list[str]) -> None:
                     _psnr(case, depth, step * case.camera.lattice.pitch, detail) for step in _STEPS
                 ]
                 print(
-                    f"| {case.name} | {name} | {detail} | {' | '.join(f'{one:.1f}' for one in found)} |",
+                    f"| {case.name} | {name} | {detail} | "
+                    f"{' | '.join(f'{one:.1f}' for one in found)} |",
                     flush=True,
                 )
 

@@ -48,7 +48,8 @@ def twice(name, call):
 
 def load():
     import lfcal, lfrender, lfrender.cli.main
-    return lfrender.analyze, lfrender.render, lfrender.write_picture, lfcal.calibrate, lfcal.read_flat
+    steps = (lfrender.analyze, lfrender.render, lfrender.write_picture)
+    return (*steps, lfcal.calibrate, lfcal.read_flat)
 
 analyze, render, write, calibrate, read = measure("imports", load)
 flat = measure("read", lambda: read(sys.argv[1]))
@@ -147,7 +148,8 @@ def _measure(trees: list[Path], flat: Path, folder: Path, runs: int) -> list[_Ti
 
 def _print(flat: Path, found: list[_Times]) -> None:
     print(
-        f"{flat.name}: processor and wall seconds{', of the other tree, and ratios' if len(found) > 1 else ''}"
+        f"{flat.name}: processor and wall "
+        f"seconds{', of the other tree, and ratios' if len(found) > 1 else ''}"
     )
     for name in found[0]:
         text = "".join(f"{rows[name][0]:9.3f} {rows[name][1]:7.3f}" for rows in found)
@@ -175,7 +177,8 @@ def _fresh(trees: list[Path], flat: Path, folder: Path) -> None:
                 NUMBA_CACHE_DIR=cache,
             )
         print(
-            f"{tree}: first lfrender render, nothing compiled: processor {times[0]:.1f} s, wall {times[1]:.1f} s",
+            f"{tree}: first lfrender render, nothing compiled: processor {times[0]:.1f} s, wall "
+            f"{times[1]:.1f} s",
             flush=True,
         )
 

@@ -87,7 +87,8 @@ def main() -> None:
         total, spent = _measure(flat, options.preset, options.runs)
         moves = _move_pixels(flat.shape[0], flat.shape[1], options.runs)
         print(
-            f"{path.name}, {flat.shape[1]} x {flat.shape[0]}, {options.preset}: {1e3 * total:.0f} ms"
+            f"{path.name}, {flat.shape[1]} x {flat.shape[0]}, {options.preset}: {1e3 * total:.0f} "
+            f"ms"
         )
         print(f"{'':28}{'ms':>9}{'share':>8}{'ns/px':>8}")
         rows = [
@@ -97,7 +98,9 @@ def main() -> None:
         for name, seconds in [*rows, *moves.items()]:
             share = "" if name in moves else f"{seconds / total:7.1%}"
             print(
-                f"{name:28}{1e3 * seconds:9.1f}{share:>8}{1e9 * seconds / (flat.shape[0] * flat.shape[1]):8.2f}",
+                f"{name:28}"
+                f"{1e3 * seconds:9.1f}"
+                f"{share:>8}{1e9 * seconds / (flat.shape[0] * flat.shape[1]):8.2f}",
                 flush=True,
             )
 

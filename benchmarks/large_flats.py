@@ -175,7 +175,8 @@ def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) ->
     calibration.save(camera)
     count = size[0] * size[1]
     print(
-        f"{count / 1e6:.0f} Mpx, {3 * count / 2**30:.2f} GiB, pitch {pitch:g} px, {len(calibration.lattice)} lenses"
+        f"{count / 1e6:.0f} Mpx, {3 * count / 2**30:.2f} GiB, pitch {pitch:g} px, "
+        f"{len(calibration.lattice)} lenses"
     )
     # Kernels are compiled, or loaded, on a small flat first.
     small = folder / "small.tif"
@@ -202,7 +203,8 @@ def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) ->
     if "fixed" in steps:
         figures = _measure("fixed patch", "lfrender.cli.main", "render", str(flat), *drawn, *fixed)
         print(
-            f"{'':12s} picture of {np.prod(figures['size']) / 1e6:.0f} Mpx in {figures['tiles']} tiles",
+            f"{'':12s} picture of {np.prod(figures['size']) / 1e6:.0f} Mpx in {figures['tiles']} "
+            f"tiles",
             flush=True,
         )
     if "calibrate" in steps:

@@ -98,12 +98,16 @@ def report(seed: int, camera: Camera, shoot: BoardShoot, found: MetricCalibratio
     bound = cramer_rao(found)[:, 3:5].max()
     depth = off[:, 2] / shoot.translations[chosen, 2]
     print(
-        f"{seed:3d} {'telescopic' if seed % 2 else 'binocular':10s} {len(camera.microlens_focal_lengths)} types, "
-        f"{len(chosen)} flats, rms {found.rms:.4f} px, noise {found.noise:.4f}, widened {found.widening:.2f}; "
+        f"{seed:3d} {'telescopic' if seed % 2 else 'binocular':10s} "
+        f"{len(camera.microlens_focal_lengths)} types, "
+        f"{len(chosen)} flats, rms {found.rms:.4f} px, noise {found.noise:.4f}, widened "
+        f"{found.widening:.2f}; "
         f"sideways {np.abs(off[:, :2]).max():.4f} mm (bound {bound:.4f}), "
         f"depth {100 * np.abs(depth).max():.4f} %, turn {angle:.4f} deg, "
-        f"poses/stated {np.sqrt((off**2 / stated**2).mean()):.2f}; F {optics.focal_length - true[0]:+.3f} +- "
-        f"{optics.standard_errors[0]:.3f} mm; parameters off / stated {np.round(within, 1).tolist()}, jointly "
+        f"poses/stated {np.sqrt((off**2 / stated**2).mean()):.2f}; F "
+        f"{optics.focal_length - true[0]:+.3f} +- "
+        f"{optics.standard_errors[0]:.3f} mm; parameters off / stated "
+        f"{np.round(within, 1).tolist()}, jointly "
         f"{joint_misfit(found, true):.2f} squares each; "
         f"fitted {' '.join(found.fitted[6:])}",
         flush=True,

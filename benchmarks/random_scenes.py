@@ -113,7 +113,8 @@ def draw(seed: int, samples: int = _SAMPLES) -> tuple[str, Capture]:
     )
     types = ", 3 types" if three else ""
     return (
-        f"{name}, {lattice}{types}, {pitch:.1f} px, {turned:+.0f} degrees, {noise[0]:.0f} e, {bits} bits",
+        f"{name}, {lattice}{types}, {pitch:.1f} px, {turned:+.0f} degrees, {noise[0]:.0f} e, "
+        f"{bits} bits",
         capture,
     )
 
@@ -156,8 +157,10 @@ def main(arguments: list[str]) -> None:
         found = judge(capture)
         every.append(found)
         print(
-            f"{seed:3d} {described:62s} centres {found.centres:.4f} px  modes {found.right:.4f} wrong {found.wrong:.4f}"
-            f"  s median {found.median:.4f} 95 % {found.most:.3f} px  within its error {found.within:.2f}"
+            f"{seed:3d} {described:62s} centres {found.centres:.4f} px  modes {found.right:.4f} "
+            f"wrong {found.wrong:.4f}"
+            f"  s median {found.median:.4f} 95 % {found.most:.3f} px  within its error "
+            f"{found.within:.2f}"
             f"  before it {found.before:.4f} px {found.before_within:.2f}  edges {found.edges:.3f}",
             flush=True,
         )

@@ -33,7 +33,8 @@ def _row(path: Path, preset: Preset) -> str:
     textured = depth.confidence > 0
     mode = np.sign(np.nanmedian(depth.patch_size))
     return (
-        f"{path.stem:20} {preset:9} pitch {calibration.lattice.pitch:.3f} px, confidence {calibration.confidence:.3f}"
+        f"{path.stem:20} {preset:9} pitch {calibration.lattice.pitch:.3f} px, confidence "
+        f"{calibration.confidence:.3f}"
         f"  mode {mode:+.0f}: right {(depth.mode == mode)[textured].mean():.4f}"
         f" wrong {(depth.mode == -mode)[textured].mean():.4f} of {textured.sum()} textured lenses"
         f"  picture {picture.image.shape[1]} x {picture.image.shape[0]}"

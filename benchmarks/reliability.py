@@ -56,7 +56,8 @@ def diagram(confidence: NDArray[np.float32], right: NDArray[np.bool_]) -> str:
             stated = confidence[among].mean()
             true = right[among].mean()
             rows.append(
-                f"{_RANGES[n]:.2f} to {_RANGES[n + 1]:.2f} {among.sum():7d}  {stated:.3f} {true:.3f}"
+                f"{_RANGES[n]:.2f} to {_RANGES[n + 1]:.2f} {among.sum():7d}  {stated:.3f} "
+                f"{true:.3f}"
             )
     weight = np.bincount(place, minlength=len(_RANGES) - 1) / len(place)
     gaps = [

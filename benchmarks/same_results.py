@@ -47,7 +47,7 @@ WHITES = ("whites/*.png", "truth/*/white.png")
 
 
 def results(folder: Path | None = None) -> Results:
-    """Every array that comes out of the toolkit for random scenes, and for the files in a folder."""
+    """All result arrays of the toolkit for random scenes, and for the files in a folder."""
     found: Results = {}
     for seed in SEEDS:
         found |= _scene(f"random scene {seed}", draw(seed, SAMPLES)[1].flat)
@@ -76,7 +76,8 @@ def differences(before: Results, after: Results) -> list[str]:
         elif a.tobytes() != b.tobytes():
             apart = np.abs(a.astype(float) - b.astype(float))
             lines.append(
-                f"{key}: {np.mean(a != b):.2%} of the values differ, by {np.nanmax(apart):.3g} at most"
+                f"{key}: {np.mean(a != b):.2%} of the values differ, by {np.nanmax(apart):.3g} at "
+                f"most"
             )
     return lines
 

@@ -123,10 +123,13 @@ def main(paths: list[str]) -> None:
             there = centres @ matrix[:, :2].T + matrix[:, 2]
             textured = depth.reason != 1
             print(
-                f"{head} pitch {camera.lattice.pitch:.3f} px, centres off by {_off(camera.lattice, there):.4f} pitches;"
-                f" {100 * (depth.mode == usual)[textured].mean():.2f} % of the textured lenses in the mode of the flat"
+                f"{head} pitch {camera.lattice.pitch:.3f} px, centres off by "
+                f"{_off(camera.lattice, there):.4f} pitches;"
+                f" {100 * (depth.mode == usual)[textured].mean():.2f} % of the textured lenses in "
+                f"the mode of the flat"
                 f" as it is, {100 * (depth.mode == -usual)[textured].mean():.2f} % in the other;"
-                f" {100 * np.isfinite(depth.patch_size).mean() / resolved:.1f} % of its resolved lenses",
+                f" {100 * np.isfinite(depth.patch_size).mean() / resolved:.1f} % of its resolved "
+                f"lenses",
                 flush=True,
             )
 

@@ -129,7 +129,8 @@ def main() -> None:
         taken = time.process_time() - start
         middle, outer, _ = specks_per_megapixel(flat, calibration, depth)
         print(
-            f"{path.name:28} {middle:8.1f} specks per megapixel, outer views {outer:8.1f}; analyze {taken:.2f} s"
+            f"{path.name:28} {middle:8.1f} specks per megapixel, outer views {outer:8.1f}; analyze "
+            f"{taken:.2f} s"
         )
 
 

@@ -56,7 +56,8 @@ def _differ(first: lfrender.Rendering, second: lfrender.Rendering) -> float:
 def _main() -> None:
     well = float(sys.argv[1]) if sys.argv[1:] else 4000.0
     print(
-        "| scene | detail | one depth map | each by itself | frame before | unchanged |\n|---|---|---|---|---|---|"
+        "| scene | detail | one depth map | each by itself | frame before | unchanged "
+        "|\n|---|---|---|---|---|---|"
     )
     for name, (scene, optics, arguments) in _SCENES.items():
         (one, two), camera = _frames(scene, optics, arguments, well)
@@ -70,7 +71,8 @@ def _main() -> None:
             kept = lfrender.render(two, camera, after, previous=(one, depths[0], first), **how)
             found = " | ".join(f"{_differ(first, other):.2f}" for other in (same, each, kept))
             print(
-                f"| {name} | {detail} | {found} | {(kept.image == first.image).all(-1).mean():.2f} |",
+                f"| {name} | {detail} | {found} | {(kept.image == first.image).all(-1).mean():.2f} "
+                f"|",
                 flush=True,
             )
 

@@ -140,7 +140,8 @@ def _seconds(count: int) -> None:
 def _main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 5
     print(
-        "| PSNR [dB], lfrender / tiling with one patch size | grid | middle | corners |\n|---|---|---|---|"
+        "| PSNR [dB], lfrender / tiling with one patch size | grid | middle | corners "
+        "|\n|---|---|---|---|"
     )
     for name, (scene, arguments, design) in _SCENES.items():
         print(_row(name, scene, arguments, design, count), flush=True)

@@ -178,8 +178,10 @@ def _print_score(
     stack, stack_psnr = score(focal_stack(capture, volume), truth)
     fit = volume.fit
     print(
-        f"{name:48s} {agreement:.3f} {psnr:5.1f} dB   focal stack {stack:.3f} {stack_psnr:5.1f} dB   residual "
-        f"{fit.residual:.3f}, noise {fit.noise:.3f}, {fit.steps} steps: {fit.reason}, {seconds:.1f} s"
+        f"{name:48s} {agreement:.3f} {psnr:5.1f} dB   focal stack {stack:.3f} {stack_psnr:5.1f} dB "
+        f"  residual "
+        f"{fit.residual:.3f}, noise {fit.noise:.3f}, {fit.steps} steps: {fit.reason}, "
+        f"{seconds:.1f} s"
     )
 
 
@@ -231,7 +233,8 @@ def _captures(folder: Path, pictures: Path | None) -> None:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         fit = volume.fit
         print(
-            f"{name:7s} {volume}: {seconds:.0f} processor seconds ({passed:.0f} s), peak {peak:.0f} MB, residual "
+            f"{name:7s} {volume}: {seconds:.0f} processor seconds ({passed:.0f} s), peak "
+            f"{peak:.0f} MB, residual "
             f"{fit.residual:.3f}, noise {fit.noise:.3f}, {fit.steps} steps: {fit.reason}",
             flush=True,
         )
@@ -250,7 +253,8 @@ def main() -> None:
     given = parser.parse_args()
     rows = _beads(seed=11)
     print(
-        "beads: depth [um], error sideways [pitches] and in depth [planes of 0.5 um], width in depth [um]"
+        "beads: depth [um], error sideways [pitches] and in depth [planes of 0.5 um], width in "
+        "depth [um]"
     )
     for row in rows:
         print("{:7.2f} {:7.3f} {:7.2f} {:7.2f}".format(*row))

@@ -90,7 +90,8 @@ def main(arguments: list[str]) -> None:
             broken += [f"{stage}, {sweep.name} {what}" for what in wrong]
             worst = max((one.wrong for _, one in rows), default=0.0)
             print(
-                f"{stage:12} {sweep.name:18} {len(rows):4d} values, confident and wrong at most {worst:.2%}, "
+                f"{stage:12} {sweep.name:18} {len(rows):4d} values, confident and wrong at most "
+                f"{worst:.2%}, "
                 f"limits {'broken at ' + '; '.join(wrong) if wrong else 'kept'}",
                 flush=True,
             )

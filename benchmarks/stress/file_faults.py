@@ -258,7 +258,7 @@ def fuzz(
 
 
 def limit_memory(gigabytes: float) -> None:
-    """Let this process have no more address space than so much, so that a header cannot claim it."""
+    """Limit the address space of this process, so that a header cannot claim more."""
     resource.setrlimit(
         resource.RLIMIT_AS, (int(gigabytes * 2**30), resource.getrlimit(resource.RLIMIT_AS)[1])
     )

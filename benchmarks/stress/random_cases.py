@@ -81,7 +81,8 @@ def summary(rows: list[dict[str, Any]]) -> tuple[str, bool]:
     off, answered = (np.array([row[name] for row in rows]) for name in ("off", "answered"))
     wrong = np.array([row["wrong"] for row in rows])
     line = (
-        f"{len(rows):6d} random cases: answered {answered.mean():.1%}, confident and wrong {off.mean():.3%} "
+        f"{len(rows):6d} random cases: answered {answered.mean():.1%}, confident and wrong "
+        f"{off.mean():.3%} "
         f"({(off > 0).sum()} cases, {(off > 0.1).sum()} of them in more than a tenth), "
         f"by a twentieth of the pitch at {SURE:g}: {wrong.mean():.3%}"
     )

@@ -86,7 +86,7 @@ def _harmed(harm: Callable[[float], Harm]) -> Callable[[float], Outcome]:
 
 
 def _far(value: float) -> Outcome:
-    """The far end of a wide flat, dark but there: single precision has steps of 0.008 px at 1e5 px."""
+    """The lit far end of a wide dark flat: float32 has steps of 0.008 px at 1e5 px."""
     near = replace(_PLANE, size=(500, 130), cell="square")
     flat = near.flat()
     lattice = near.lattice
@@ -383,7 +383,7 @@ def random_white(number: int) -> tuple[WhiteImage, float]:
 
 
 def random_plane(number: int) -> PlaneFlat:
-    """A plane with everything drawn at random, image planes on and beyond the microlenses among it."""
+    """A random plane; its image may lie on the microlenses or beyond."""
     rng = np.random.default_rng(number)
     pitch = float(np.exp(rng.uniform(np.log(6), np.log(50))))
     side = int(np.clip(pitch * rng.uniform(5, 20), 80, 420))
