@@ -1,10 +1,9 @@
-"""Errors of `lfcal.calibrate` on white images beside the Cramer-Rao bound: `python -m
-benchmarks.calibration_bound`.
+"""Errors of `lfcal.calibrate` on white images, compared with the Cramer-Rao bound.
 
-The standard cases, or those whose name contains an argument; with `--random N [SEED]` so many
-random ones, with `--cut N [SEED]` cut ones with edges of other kinds. Rows end with `beyond` where
-an error is beyond what is promised, with `doubt` where the calibration says that another disc may
-be the lens.
+`python -m benchmarks.calibration_bound` measures the standard cases, or those whose name contains
+an argument. `--random N [SEED]` measures N random cases, `--cut N [SEED]` cut ones with other
+edges. A row ends with `beyond` if the error exceeds its promised limit, and with `doubt` if the
+calibration warns that another disc may be the lens.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ def promised(truth: WhiteImage, bound: float) -> float:
 
 
 def main(arguments: list[str]) -> None:
-    """Print a table; exits with 1 where an error is beyond what is promised."""
+    """Print a table; exit with 1 if an error exceeds its promised limit."""
     if arguments[:1] in (["--random"], ["--cut"]):
         cases = (random_cases if arguments[0] == "--random" else cut_cases)(
             int(arguments[1]), int(arguments[2]) if len(arguments) > 2 else 0

@@ -3,9 +3,9 @@ FIRST LAST [SHARED]`.
 
 For each seed: the scene and the white image of a random camera (`benchmarks.random_scenes`), the
 scene of one of square apertures with gaps, of three lens types of different radii, or with colour
-filters, and every third seed a picture that is no flat (`benchmarks.no_flats`). With SHARED also
-the white images of others there. A result is right if its centres lie within a twentieth of the
-pitch of the true ones, and none is missing.
+filters, and every third seed a picture that is not a flat (`benchmarks.no_flats`). With SHARED, the
+white images in that folder are added. A result is right if no centre is missing and all centres
+lie within a twentieth of the pitch of the true ones.
 """
 
 from __future__ import annotations
@@ -71,9 +71,7 @@ def draw_kind(seed: int) -> tuple[str, Capture]:
 
 
 def _is_right(found: lfcal.Lattice, centres: NDArray[np.float64], pitch: float) -> bool:
-    """Whether a lattice has a point at every one of the true centres (n, 2) [px], and none between
-    them.
-    """
+    """Whether the lattice has exactly the true centres (n, 2) [px]."""
     index = np.rint(found.to_index(centres))
     apart = np.hypot(*(found.points(index) - centres).T)
     # Neighbours on the found lattice are neighbours in truth.
@@ -120,7 +118,7 @@ def _cases(
 
 
 def main(arguments: list[str]) -> None:
-    """Print every result that is wrong, refused or doubted, and the numbers of each group."""
+    """Print all results that are wrong, refused or doubted, and the counts of each group."""
     first = int(arguments[0])
     last = int(arguments[1])
     count: dict[str, Counter[str]] = {}

@@ -1,10 +1,10 @@
 """Pictures of twelve scales against their references: `python -m benchmarks.coarse ../shared/truth
 | FIRST LAST`.
 
-PSNR [dB] from 0.06 to 0.3 pitches a pixel, with `detail="off"` and with `"natural"`, each with the
-depth of `balanced` and with the true one. The reference is averaged over the area of an output
-pixel, part by part, so that scales that fit its own pixels are no easier than others. With two
-numbers, the random cameras and scenes of `benchmarks.detail`.
+The table shows PSNR [dB] from 0.06 to 0.3 pitches per pixel, with `detail="off"` and `"natural"`,
+each with the depth of `balanced` and with the true depth. The reference is averaged over the exact
+area of an output pixel, so that no scale has an advantage. Two numbers choose the random cameras
+and scenes of `benchmarks.detail`.
 """
 
 from __future__ import annotations
@@ -51,9 +51,7 @@ def average_areas(
     shape: tuple[int, int],
     wanted: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Exact means of the pixels of a reference, each even over its own square, over those of
-    another grid.
-    """
+    """Means of a reference over the pixels of another grid; its own pixels are even squares."""
     mean = reference / (np.iinfo(reference.dtype).max if reference.dtype.kind in "ui" else 1.0)
     for axis, k in ((1, 0), (0, 1)):
         sums = np.insert(np.cumsum(mean, axis), 0, 0, axis)

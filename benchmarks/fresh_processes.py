@@ -1,12 +1,12 @@
 """Whether commands end: `python -m benchmarks.fresh_processes [COUNT] [--empty N] [--busy]
 [--interrupt]`.
 
-Renders a small simulated flat in COUNT fresh processes, two at a time: in every form that flats
-come in, with and without a camera file, and with the kernels compiled before; then in N pairs of
-processes, each pair with one empty cache. `--busy` keeps all cores busy meanwhile. Printed are the
-processes that did not end, ended later than 10 s after the median of their kind, or with a code or
-a traceback. With `--interrupt` each gets a Ctrl-C at a random time of its run instead, and has 5 s
-to end; its output is to be whole or absent, with no temporary file beside it.
+COUNT fresh processes, two at a time, render a small simulated flat in every form of flats, with and
+without a camera file, with compiled kernels. N pairs of processes follow, each pair with one empty
+cache. `--busy` keeps all cores busy meanwhile. The command prints the processes that did not end,
+ended later than 10 s after the median of their kind, or failed with a code or a traceback. With
+`--interrupt`, each process gets a Ctrl-C at a random time and has 5 s to end; its output must be
+whole or absent, without a temporary file beside it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _AT_ONCE = 5.0  # seconds
 
 @dataclass(frozen=True)
 class _Run:
-    """A process: what it rendered, how, in how many seconds, and what was wrong."""
+    """A process: its flat, its form, its seconds, and its fault."""
 
     kind: str
     name: str
@@ -101,7 +101,7 @@ def _run(kind: str, name: str, arguments: list[str], flat: Path | None, cache: P
 def _interrupt(
     after: float, kind: str, name: str, arguments: list[str], flat: Path | None, cache: Path
 ) -> _Run:
-    """Start a process, interrupt it `after` some seconds, and look at its output."""
+    """Start a process, interrupt it `after` some seconds, and check its output."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(_ROOT)}
     output = Path(arguments[arguments.index("-o") + 1])
     command = [sys.executable, "-m", "lfrender.cli.main", *arguments]
@@ -161,7 +161,7 @@ def _jobs(
 
 
 def main() -> None:
-    """Print how the processes of each kind ended; the code is 1 if one did not as it should."""
+    """Print how the processes of each kind ended; exit with 1 if one ended wrongly."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--empty", type=int, default=2)

@@ -99,9 +99,7 @@ def _texture() -> NDArray[np.float32]:
 
 
 def write_flat(path: Path, size: tuple[int, int], pitch: float) -> Calibration:
-    """Write a flat of `size` (width, height) as a TIFF, a band in memory at a time; gives its true
-    camera.
-    """
+    """Write a flat of `size` (width, height) as a TIFF, band by band; gives its true camera."""
     import tifffile
 
     width, height = size
@@ -146,7 +144,7 @@ def write_flat(path: Path, size: tuple[int, int], pitch: float) -> Calibration:
 
 
 def _measure(name: str, *command: str) -> dict[str, Any]:
-    """Run a command, print what it took, and give its figures."""
+    """Run a command, print its time and memory, and give its figures."""
     start = time.perf_counter()
     with tempfile.TemporaryFile() as stdout:
         process = subprocess.Popen(

@@ -1,10 +1,9 @@
-"""PSNR that pictures lose by the depth they are drawn with: `python -m benchmarks.lost_by_depth
-FIRST LAST`.
+"""Loss of PSNR by wrong depth: `python -m benchmarks.lost_by_depth FIRST LAST`.
 
 Random houses and clutter (scenes with depth edges) of `benchmarks.random_scenes`, with 256 rays a
 pixel, are drawn with the depth of `balanced` and with the true depth of every scene point, at 0.15
-and 0.3 pitches a pixel; both are compared with the ray-traced picture where it is not drawn from
-beyond the resolvable depths.
+and 0.3 pitches per pixel. Both are compared with the ray-traced picture, at places with a
+resolvable depth.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ def with_true_surface(depth: lfrender.DepthMap, capture: Capture) -> lfrender.De
 def psnr(
     depth: lfrender.DepthMap, capture: Capture, camera: lfcal.Calibration, scale: float
 ) -> float:
-    """Of the picture drawn with this depth, in dB."""
+    """PSNR [dB] of the picture drawn with this depth."""
     truth = capture.truth
     pitch = camera.lattice.pitch
     picture = lfrender.render(capture.flat, camera, depth, scale=scale * pitch, detail="off")

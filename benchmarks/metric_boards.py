@@ -1,9 +1,10 @@
-"""Metric calibration on data of others: `python -m benchmarks.metric_boards [SHARED]`.
+"""Metric calibration of foreign data: `python -m benchmarks.metric_boards [SHARED]`.
 
-`boards/`, ray-traced by an independent program: optics, poses and corners against the truth, with
-all twelve flats, and the depth of corners in flats left out (each half calibrates for the other).
-`metric/`, corners of a real Raytrix R12 published with the toolbox COMPOTE: RMS distance, F with
-its error, and whether boards are as large as they are.
+`boards/` is ray-traced by an independent program. Optics, poses and corners of all twelve flats
+are compared with the truth; each half of the flats also calibrates for the corners of the other
+half. `metric/` holds corners of a real Raytrix R12, published with the toolbox COMPOTE. The
+command prints their RMS distance, F with its error, and the measured size of the boards over the
+true size.
 """
 
 from __future__ import annotations

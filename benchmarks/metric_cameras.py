@@ -1,11 +1,11 @@
 """Metric calibration of random simulated cameras: `python -m benchmarks.metric_cameras FIRST LAST
 [SAMPLES]`.
 
-Telescopic and binocular ones in turn, every second pair with three lens types, with tilt,
-distortion and a principal point off the middle. Each takes eight flats and a white image of 1000 x
-800 px; nothing is told but the pixel and the square. Printed: errors of the optics over their
-stated ones, and of the poses; sideways also the largest standard error that the noise of the
-corners allows in any pose (Cramer-Rao, no widening), as the principal point moves them all.
+Cameras are telescopic and binocular in turn, every second pair with three lens types, with tilt,
+distortion and a decentred principal point. Each takes eight flats and a white image of 1000 x 800
+px; only the sizes of pixel and square are given. The command prints errors of optics and poses over
+their stated errors. Sideways, it also prints the largest Cramer-Rao error of any pose for the noise
+of the corners (without widening), because the principal point moves all poses.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _with_mla_distance(camera: Camera, distance: float) -> Camera:
 
 
 def true_parameters(camera: Camera) -> np.ndarray:
-    """In the order of `Optics.parameters`."""
+    """True parameters in the order of `Optics.parameters`."""
     lengths = [camera.focal_length, camera.mla_distance, camera.sensor_distance]
     return np.array([*lengths, *camera.principal_point, camera.k1, 0, 0, 0, 0, *camera.tilt, 0, 0])
 

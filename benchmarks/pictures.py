@@ -1,10 +1,11 @@
 """Pictures of ray-traced flats against their references: `python -m benchmarks.pictures
 [../shared/truth]`.
 
-Prints PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale, drawn without
-restored detail with the depth that two presets find on the flat, and with the true one, which tells
-what is lost by drawing alone. Without a folder, scenes are simulated that differ in pitch, lattice,
-mode, clutter and noise, and each place is also read from the nearest lens with its true patch size.
+The table shows PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale,
+without restored detail. They are drawn with the depth of two presets and with the true depth, which
+shows the loss by drawing alone. Without a folder, scenes are simulated that differ in pitch,
+lattice, mode, clutter and noise; for comparison, each place is read from the nearest lens with its
+true patch size.
 """
 
 from __future__ import annotations

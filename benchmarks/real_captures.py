@@ -1,8 +1,8 @@
 """Modes and times on captures of scenes in one mode: `python -m benchmarks.real_captures
 ../shared/captures/*.webp`.
 
-The mode of the scene is that of most lenses; the share of the textured lenses with another one is
-printed.
+The mode of the scene is the mode of most lenses. The command prints the share of textured lenses
+in another mode.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 [FOLDER]`.
 
 `record` calibrates, analyses and draws random scenes of random cameras, and the captures, white
-images and ray-traced flats in FOLDER (`../shared`), and keeps all arrays that come out: centres,
+images and ray-traced flats in FOLDER (`../shared`), and stores all resulting arrays: centres,
 patch sizes, standard errors, confidences, reasons, surfaces and pictures, with the presets `fast`
-and `balanced`, next frames, views, tiles and Dask workers. `compare` does the same and prints each
-array that differs; exits with 1 where one does. Delete the `__pycache__` folders first if a
+and `balanced`, next frames, views, tiles and Dask workers. `compare` does the same, prints each
+array that differs, and exits with 1 if one differs. Delete the `__pycache__` folders first if a
 function has changed that kernels of other files inline.
 """
 

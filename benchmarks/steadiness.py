@@ -1,8 +1,8 @@
-"""How much frames of a still scene differ by noise: `python -m benchmarks.steadiness [electrons]`.
+"""Differences of frames of a still scene by noise: `python -m benchmarks.steadiness [electrons]`.
 
 Prints the RMS difference of two frames [levels of 255] with `detail="off"` and `"natural"`: drawn
-with one depth map, each analysed by itself, and the second analysed and drawn with the first as the
-previous frame; then the share of the pixels that are those of the first.
+with one depth map; each analysed separately; and the second analysed and drawn with the first as
+the previous frame. It also prints the share of unchanged pixels.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SCENES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
 def _frames(
     scene: str, optics: dict[str, Any], arguments: dict[str, Any], well: float
 ) -> tuple[list[NDArray[Any]], lfcal.Calibration]:
-    """Two frames, alike but for their noise, and the camera."""
+    """Two frames that differ only by noise, and the camera."""
     camera = Camera.design(size=_SIZE, **optics)
     shot = simulate(
         SCENES[scene](camera, **arguments), camera, samples=96, seed=7, bits=16, gamma=False

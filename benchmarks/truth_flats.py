@@ -1,10 +1,10 @@
 """Depth and pictures of ray-traced flats against their truth: `python -m benchmarks.truth_flats
 ../shared/truth`.
 
-Only the flat is given; the lattice is calibrated from it. Modes and patch sizes are judged on the
-lenses that carry texture and are resolvable, pictures where the true |s| is below 0.75 D, with one
-gain per channel. Of the depth edges, the share is printed of which the right depth lies within one
-pixel of the traditional picture.
+Only the flat is given; the lattice is calibrated from it. Modes and patch sizes are judged on
+resolvable lenses with texture; pictures are judged where the true |s| is below 0.75 D, with one
+gain per channel. The edge figure is the share of places at depth edges whose right depth lies
+within one pixel of the traditional picture.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Volumes against the truth of simulated microscopes: `python -m benchmarks.volumes [SHARED]`.
 
-Beads at 20 places and depths, ray-traced: how far from their true places they are found, and the
-width of the response by depth. Shells and beads, ray-traced, on three microscopes; with `--waves`,
-shells by scalar waves (minutes): correlation with the truth and PSNR, with one gain, beside the
-focal stack of the same flat. With the folder SHARED: processor seconds and memory for the captures
-of microscopes in it. Nothing was chosen on these specimens.
+For 20 ray-traced beads, the command prints the errors of their places and the width of the response
+by depth. For ray-traced shells and beads on three microscopes, it prints correlation with the truth
+and PSNR (with one gain), also for the focal stack of the same flat. `--waves` adds shells by scalar
+waves (minutes). With the folder SHARED, it prints processor seconds and memory for the captures of
+microscopes in it. Nothing was chosen on these specimens.
 """
 
 from __future__ import annotations
@@ -91,8 +91,7 @@ def score(data: NDArray[Any], truth: NDArray[Any]) -> tuple[float, float]:
 
 
 def locate(volume: lfrender.Volume, microscope: Microscope, place: Array) -> tuple[Array, float]:
-    """Where a bead near a place [um] is found, by the centroid about the brightest voxel, and its
-    width in z [um]."""
+    """Centroid [um] around the brightest voxel near a place, and width in z [um]."""
     x, y, z = axes(volume, microscope)
     near = [
         np.abs(axis - at) <= reach
@@ -126,7 +125,7 @@ def bead_places(count: int, seed: int) -> Array:
 def reconstruct(
     capture: MicroscopeCapture, depth: float, planes: int, **options: Any
 ) -> lfrender.Volume:
-    """The volume of a capture, with the optics that are true."""
+    """Volume of a capture, reconstructed with the true optics."""
     optics = lfrender.Microscope(**capture.microscope.optics(), **options)
     return lfrender.reconstruct_volume(
         capture.flat, capture.calibration, optics, depth_range=(-depth, depth), planes=planes
@@ -134,7 +133,7 @@ def reconstruct(
 
 
 def focal_stack(capture: MicroscopeCapture, volume: lfrender.Volume) -> NDArray[np.float32]:
-    """What refocusing gives on the same voxels: the mean over the pixels that see a voxel."""
+    """Focal stack on the same voxels: mean over the pixels that see a voxel."""
     from lfrender.volume.grid import VoxelGrid
     from lfrender.volume.pixels import choose_pixels
 

@@ -1,6 +1,4 @@
-"""What is driven over its range, and the limits that are promised: calibration on white images,
-depth on planes.
-"""
+"""Sweeps of single quantities, and the limits that are promised for them."""
 
 from __future__ import annotations
 
@@ -133,7 +131,7 @@ def _white_missing(value: float) -> Outcome:
 
 
 def _white_small(value: float) -> Outcome:
-    """So many lenses across a flat that is ten high."""
+    """A flat that is `value` lenses wide and ten high."""
     return calibrate_white(replace(_WHITE, pitch=20.0, size=(int(20 * value) + 4, 204)))
 
 
@@ -186,7 +184,7 @@ def _of_pictures() -> tuple[Sweep, ...]:
 
 
 def sweeps() -> dict[str, tuple[Sweep, ...]]:
-    """All sweeps by what they drive."""
+    """All sweeps by stage."""
     turn = tuple(float(d) for d in range(360))
     ratios = (
         0.005,
