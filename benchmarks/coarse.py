@@ -11,20 +11,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 import lfrender
 from data_synth.metrics import compare_pictures, resample
-from lfrender.data.surface import Surface
 from lfrender.runtime.choices import Detail
 
 from .detail import Case, random_case, truth_cases
+from .true_surface import with_true_surface
 
 __all__ = ["main"]
 
@@ -66,17 +64,6 @@ def average_areas(
     return np.asarray(mean)
 
 
-def _true_depth(case: Case, depth: lfrender.DepthMap) -> lfrender.DepthMap:
-    nearest = distance_transform_edt(
-        ~np.isfinite(case.size), return_distances=False, return_indices=True
-    )
-    first = float(case.affine[0, 2]), float(case.affine[1, 2])
-    surface = Surface(
-        np.ascontiguousarray(case.size[tuple(nearest)]), first, float(case.affine[0, 0])
-    )
-    return replace(depth, surface=surface)
-
-
 def _psnr(case: Case, depth: lfrender.DepthMap, scale: float, detail: Detail) -> float:
     picture = lfrender.render(case.flat, case.camera, depth, scale=scale, detail=detail)
     shape = picture.valid.shape
@@ -105,7 +92,10 @@ def main(arguments: list[str]) -> None:
     )
     for case in cases:
         own = lfrender.analyze(case.flat, case.camera)
-        for name, depth in (("balanced", own), ("true", _true_depth(case, own))):
+        for name, depth in (
+            ("balanced", own),
+            ("true", with_true_surface(own, case.size, case.affine)),
+        ):
             for detail in get_args(Detail):
                 found = [
                     _psnr(case, depth, step * case.camera.lattice.pitch, detail) for step in _STEPS

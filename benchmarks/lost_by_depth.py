@@ -9,38 +9,21 @@ resolvable depth.
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 import lfcal
 import lfrender
 from data_synth import Capture
 from data_synth.metrics import compare_pictures, resample
-from lfrender.data.surface import Surface
 
 from .random_scenes import draw
+from .true_surface import with_true_surface
 
 __all__ = ["main"]
 
 _SCALES = (0.15, 0.3)  # [pitch] per pixel
 _RESOLVABLE = 0.75  # [pitch]
-
-
-def with_true_surface(depth: lfrender.DepthMap, capture: Capture) -> lfrender.DepthMap:
-    """The depth map with the traced patch size of every scene point."""
-    truth = capture.truth
-    size = truth.reference_patch_size
-    affine = truth.reference_affine
-    nearest = distance_transform_edt(
-        ~np.isfinite(size), return_distances=False, return_indices=True
-    )
-    first = float(affine[0, 2]), float(affine[1, 2])
-    return replace(
-        depth,
-        surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), first, float(affine[0, 0])),
-    )
 
 
 def psnr(
@@ -71,7 +54,8 @@ def main(arguments: list[str]) -> None:
             continue
         camera = lfcal.calibrate(capture.flat)
         depth = lfrender.analyze(capture.flat, camera)
-        true = with_true_surface(depth, capture)
+        truth = capture.truth
+        true = with_true_surface(depth, truth.reference_patch_size, truth.reference_affine)
         rows.append(
             [psnr(true, capture, camera, s) - psnr(depth, capture, camera, s) for s in _SCALES]
         )
