@@ -137,8 +137,8 @@ def flat() -> None:
         _text(490, 135, "pitch D", "start", 20),
         _text(490, 155, "from centre to centre [px]", "start", 14, "#444"),
         _text(490, 240, "microimage", "start", 20, _RED),
-        _text(490, 260, "what one microlens shows", "start", 14, "#444"),
-        _text(490, 278, "of the scene", "start", 14, "#444"),
+        _text(490, 260, "the picture of one microlens", "start", 14, "#444"),
+        _text(490, 278, "on the sensor", "start", 14, "#444"),
     )
 
 

@@ -2,7 +2,7 @@
 A white image and its lattice
 =============================
 
-A square lattice, turned by 3.7 degrees, is found from a simulated white image. The residuals of the
+A square lattice, rotated by 3.7 degrees, is found on a simulated white image. The residuals of the
 fit are noise.
 """
 
