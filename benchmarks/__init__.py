@@ -1,4 +1,4 @@
-"""Measurements that stand in the documentation, each a command of its own."""
+"""Commands that measure the figures of the documentation."""
 
 from .outdated_kernels import discard_outdated
 

@@ -6,7 +6,7 @@ import sys
 
 
 def main(arguments: list[str]) -> None:
-    """Hand the arguments on."""
+    """Run the benchmark that the first argument names."""
     command, rest = (arguments[0], arguments[1:]) if arguments else ("", [])
     if command == "stress":
         from .stress.command import main as stress

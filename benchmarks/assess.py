@@ -1,9 +1,9 @@
-"""What `lfcal.assess` finds on random simulated cameras: `python -m benchmarks.assess FIRST LAST`.
+"""Errors of `lfcal.assess` on random cameras: `python -m benchmarks.assess FIRST LAST`.
 
 Hexagonal both ways and square; turned by 0 to 3 degrees, a sensor tilted by 0 to 0.5 degrees in any
 direction, gaps of -10 to +20 %, microlenses open over 0.3 to 0.95 of their pitch and focused at s
-of -0.25 to 0.25 D; 8 bits encoded or linear, and 16 bits. Printed: values, stated errors and truth;
-then how many lie within one, two and more errors.
+of -0.25 to 0.25 D; 8 bits encoded or linear, and 16 bits. The
+command prints values, stated errors and truth, then how many are within one, two and more errors.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def random_camera(seed: int) -> tuple[Camera, float, float]:
 
 
 def white_image(camera: Camera, seed: int) -> NDArray[np.uint8 | np.uint16]:
-    """A white image with photon noise, its brightest pixels at nine tenths of the largest value."""
+    """White image with photon noise; its brightest pixels have 0.9 of the largest value."""
     light = tracing.sensor(
         np.zeros((0, 23)), np.zeros((1, 4), np.float32), (1.0,) * 3, camera, 32, seed
     )[..., 3]
@@ -90,7 +90,8 @@ def main(first: int, last: int) -> None:
     for name, errors in beyond.items():
         within = [int((np.array(errors) < k).sum()) for k in (1, 2)]
         print(
-            f"{name}: {within[0]} of {len(errors)} within one error, {within[1]} within two, largest {max(errors):.1f}"
+            f"{name}: {within[0]} of {len(errors)} within one error, {within[1]} within two, "
+            f"largest {max(errors):.1f}"
         )
 
 

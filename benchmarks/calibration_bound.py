@@ -1,10 +1,9 @@
-"""Errors of `lfcal.calibrate` on white images beside the Cramer-Rao bound: `python -m
-benchmarks.calibration_bound`.
+"""Errors of `lfcal.calibrate` on white images, compared with the Cramer-Rao bound.
 
-The standard cases, or those whose name contains an argument; with `--random N [SEED]` so many
-random ones, with `--cut N [SEED]` cut ones with edges of other kinds. Rows end with `beyond` where
-an error is beyond what is promised, with `doubt` where the calibration says that another disc may
-be the lens.
+`python -m benchmarks.calibration_bound` measures the standard cases, or those whose name contains
+an argument. `--random N [SEED]` measures N random cases, `--cut N [SEED]` cut ones with other
+edges. A row ends with `beyond` if the error exceeds its promised limit, and with `doubt` if the
+calibration warns that another disc may be the lens.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def centre_error(camera: lfcal.Calibration, truth: WhiteImage) -> float:
 
 
 def promised(truth: WhiteImage, bound: float) -> float:
-    """Largest error of the centres [px] that is promised, where `bound` is that of Cramer and Rao."""
+    """Largest promised error of the centres [px], from the Cramer-Rao bound `bound` [px]."""
     if truth.strength:
         return 0.02 if truth.decibels >= 26 else 0.05
     if truth.k1:
@@ -45,7 +44,7 @@ def promised(truth: WhiteImage, bound: float) -> float:
 
 
 def main(arguments: list[str]) -> None:
-    """Print a table; exits with 1 where an error is beyond what is promised."""
+    """Print a table; exit with 1 if an error exceeds its promised limit."""
     if arguments[:1] in (["--random"], ["--cut"]):
         cases = (random_cases if arguments[0] == "--random" else cut_cases)(
             int(arguments[1]), int(arguments[2]) if len(arguments) > 2 else 0
@@ -56,7 +55,8 @@ def main(arguments: list[str]) -> None:
         }
     beyond = 0
     print(
-        f"{'case':48s} {'bound px':>9s} {'error px':>9s} {'ratio':>7s} {'stated':>9s} {'s':>5s} kind"
+        f"{'case':48s} {'bound px':>9s} {'error px':>9s} {'ratio':>7s} {'stated':>9s} {'s':>5s} "
+        f"kind"
     )
     for name, truth in cases.items():
         image = truth.image()
@@ -80,7 +80,8 @@ def main(arguments: list[str]) -> None:
         missed = not error_px <= promised(truth, bound)
         beyond += missed
         print(
-            f"{name:48s} {bound:9.6f} {error_px:9.6f} {error_px / bound:7.1f} {stated:9.6f} {spent:5.2f} "
+            f"{name:48s} {bound:9.6f} {error_px:9.6f} {error_px / bound:7.1f} {stated:9.6f} "
+            f"{spent:5.2f} "
             f"{camera.source}{'  beyond' if missed else ''}{'  doubt' if doubtful else ''}",
             flush=True,
         )

@@ -1,31 +1,29 @@
 """Pictures of twelve scales against their references: `python -m benchmarks.coarse ../shared/truth
 | FIRST LAST`.
 
-PSNR [dB] from 0.06 to 0.3 pitches a pixel, with `detail="off"` and with `"natural"`, each with the
-depth of `balanced` and with the true one. The reference is averaged over the area of an output
-pixel, part by part, so that scales that fit its own pixels are no easier than others. With two
-numbers, the random cameras and scenes of `benchmarks.detail`.
+The table shows PSNR [dB] from 0.06 to 0.3 pitches per pixel, with `detail="off"` and `"natural"`,
+each with the depth of `balanced` and with the true depth. The reference is averaged over the exact
+area of an output pixel, so that no scale has an advantage. Two numbers choose the random cameras
+and scenes of `benchmarks.detail`.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.ndimage import distance_transform_edt
 
 import lfrender
 from data_synth.metrics import compare_pictures, resample
-from lfrender.data.surface import Surface
 from lfrender.runtime.choices import Detail
 
 from .detail import Case, random_case, truth_cases
+from .true_surface import with_true_surface
 
 __all__ = ["main", "measure_psnr"]
 
@@ -70,17 +68,6 @@ def average_areas(
     return np.asarray(mean)
 
 
-def _true_depth(case: Case, depth: lfrender.DepthMap) -> lfrender.DepthMap:
-    nearest = distance_transform_edt(
-        ~np.isfinite(case.size), return_distances=False, return_indices=True
-    )
-    first = float(case.affine[0, 2]), float(case.affine[1, 2])
-    surface = Surface(
-        np.ascontiguousarray(case.size[tuple(nearest)]), first, float(case.affine[0, 0])
-    )
-    return replace(depth, surface=surface)
-
-
 def measure_psnr(case: Case, depth: lfrender.DepthMap, scale: float, detail: Detail) -> float:
     """PSNR [dB] of a picture against the reference averaged over the areas of its pixels."""
     picture = lfrender.render(case.flat, case.camera, depth, scale=scale, detail=detail)
@@ -110,7 +97,10 @@ def main(arguments: list[str]) -> None:
     )
     for case in cases:
         own = lfrender.analyze(case.flat, case.camera)
-        for name, depth in (("balanced", own), ("true", _true_depth(case, own))):
+        for name, depth in (
+            ("balanced", own),
+            ("true", with_true_surface(own, case.size, case.affine)),
+        ):
             for detail in get_args(Detail):
                 found = [
                     measure_psnr(case, depth, step * case.camera.lattice.pitch, detail)

@@ -1,14 +1,15 @@
 """Where the time of a command goes: `python -m benchmarks.command_time [FLAT ...] [--against TREE]
 [--runs N]`.
 
-For each flat, fresh processes import what `lfrender render` needs, read the flat, and run each
-stage twice: the second run is the stage itself, and what the first one takes longer is the loading
-of its compiled kernels. Whole commands follow. Printed are medians of processor and of wall
-seconds, stages on one thread, commands on as many as they take. `--against` is another checkout, or
-a revision of this one (which is checked out and compiled first): its processes take turns with
-those of this tree, so that a busy machine slows both alike, and the last column is the ratio of
-this tree to it. `--fresh` prints instead what compiling costs: the first command with an empty
-cache, in each tree.
+For each flat, fresh processes import the modules of `lfrender render`, read the flat, and run each
+stage twice. The second run is the time of the stage; the first run also loads its compiled kernels.
+Whole commands follow. The table shows medians of processor and wall seconds, with one thread for
+stages and all threads for commands.
+
+`--against` names another checkout, or a revision of this one, which is checked out and compiled
+first. Its processes and those of this tree run in turns, so that a busy machine slows both equally.
+The last column is the time of this tree over that of the other. `--fresh` prints only the time of
+compiling: the first command with an empty cache, in each tree.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def twice(name, call):
 
 def load():
     import lfcal, lfrender, lfrender.cli.main
-    return lfrender.analyze, lfrender.render, lfrender.write_picture, lfcal.calibrate, lfcal.read_flat
+    steps = (lfrender.analyze, lfrender.render, lfrender.write_picture)
+    return (*steps, lfcal.calibrate, lfcal.read_flat)
 
 analyze, render, write, calibrate, read = measure("imports", load)
 flat = measure("read", lambda: read(sys.argv[1]))
@@ -126,7 +128,7 @@ def _commands(tree: Path, flat: Path, folder: Path) -> _Times:
 
 
 def _measure(trees: list[Path], flat: Path, folder: Path, runs: int) -> list[_Times]:
-    """Medians of each tree; the first run of each, which fills caches, does not count."""
+    """Medians of each tree, without the first run, which fills caches."""
     found: list[list[_Times]] = [[] for _ in trees]
     for run in range(runs + 1):
         for tree, rows in zip(trees, found, strict=True):
@@ -147,7 +149,8 @@ def _measure(trees: list[Path], flat: Path, folder: Path, runs: int) -> list[_Ti
 
 def _print(flat: Path, found: list[_Times]) -> None:
     print(
-        f"{flat.name}: processor and wall seconds{', of the other tree, and ratios' if len(found) > 1 else ''}"
+        f"{flat.name}: processor and wall "
+        f"seconds{', of the other tree, and ratios' if len(found) > 1 else ''}"
     )
     for name in found[0]:
         text = "".join(f"{rows[name][0]:9.3f} {rows[name][1]:7.3f}" for rows in found)
@@ -175,13 +178,14 @@ def _fresh(trees: list[Path], flat: Path, folder: Path) -> None:
                 NUMBA_CACHE_DIR=cache,
             )
         print(
-            f"{tree}: first lfrender render, nothing compiled: processor {times[0]:.1f} s, wall {times[1]:.1f} s",
+            f"{tree}: first lfrender render, nothing compiled: processor {times[0]:.1f} s, wall "
+            f"{times[1]:.1f} s",
             flush=True,
         )
 
 
 def _check_out(name: str, folder: Path) -> Path:
-    """The folder of this name, or that revision of this repository in a new one."""
+    """The folder with this name, or a new folder with this revision of the repository."""
     if Path(name).is_dir():
         return Path(name).resolve()
     tree = folder / "tree"

@@ -1,4 +1,4 @@
-"""How well a depth map keeps to depth edges."""
+"""Share of the depth edges of a scene that a depth map places correctly."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ _EDGE = 0.05
 def edge_share(
     depth: lfrender.DepthMap, wanted: NDArray[np.floating], affine: NDArray[np.float64]
 ) -> float:
-    """Share of the places at depth edges, on both sides, whose depth the map has within one pitch:
-    one pixel of the traditional picture. 1 where there is no edge.
+    """Share of the places on both sides of depth edges whose depth occurs within one pitch.
 
-    `wanted` (h, w) [px] are true patch sizes, `affine` (2, 3) leads from their places to scene
+    One pitch is one pixel of the traditional picture. The share is 1 if there is no edge.
+
+    `wanted` (h, w) [px] are true patch sizes, `affine` (2, 3) maps their pixels to scene
     coordinates.
     """
     wanted = wanted.astype(np.float64)

@@ -1,8 +1,9 @@
-"""Depth over patch size and over noise, on simulated planes: `python -m benchmarks.depth_sweep -o
-FOLDER`.
+"""Depth errors against patch size and noise on simulated planes.
+
+`python -m benchmarks.depth_sweep -o FOLDER`.
 
 Writes `patch_size.csv` and `noise.csv`, and plots of both as PNG where matplotlib is installed.
-Shares are of all lenses whose microimage is whole; errors are in pixels, over the resolved ones.
+Shares refer to all lenses with a whole microimage, errors [px] to the resolved lenses.
 """
 
 from __future__ import annotations

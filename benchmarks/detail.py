@@ -1,13 +1,13 @@
 """Detail of pictures against their references: `python -m benchmarks.detail [../shared/truth]`.
 
-Prints, at 0.15 D, 0.3 D and the default scale, PSNR of the picture with `detail="off"`, and what is
-gained [dB] by `detail="natural"`: over all, beside depth edges, on blank places and in the border
-(a pitch wide); then over all by three methods of scikit-image applied to the picture: Wiener,
-Richardson-Lucy and total variation. These are given the disc of defocus that `natural` undoes at
-the median patch size. Without a folder, the scenes of `benchmarks.pictures` are simulated; `python
--m benchmarks.detail 200 221` simulates random cameras before random scenes, one for each number,
-some of them gray, of 16 bits, or JPEG of quality 50 or 75; with a third number all of those of 8
-bits are JPEG of this quality.
+The table shows, at 0.15 D, 0.3 D and the default scale, the PSNR of the picture with
+`detail="off"` and the gain [dB] of `detail="natural"`: in the whole picture, beside depth edges,
+on blank places and in the border (a pitch wide). Three methods of scikit-image, applied to the
+picture, follow: Wiener, Richardson-Lucy and total variation. They are given the disc of defocus
+that `natural` removes at the median patch size. Without a folder, the scenes of
+`benchmarks.pictures` are simulated; `python -m benchmarks.detail 200 221` simulates random cameras
+before random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or
+75; with a third number all of those of 8 bits are JPEG of this quality.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def random_case(seed: int, quality: int | None = None, samples: int = 96) -> Cas
 def _classes(
     case: Case, wanted: NDArray[Any], inside: NDArray[np.bool_], picture: lfrender.Rendering
 ) -> list[Any]:
-    """Masks: all, beside depth edges, blank, and the border, which the others leave out."""
+    """Masks: all, beside depth edges, blank, border; only the last includes the border."""
     shape = picture.image.shape[:2]
     pitch = case.camera.lattice.pitch
     v, u = np.mgrid[: shape[0], : shape[1]]

@@ -1,11 +1,12 @@
-"""What the first minute is like: `python -m benchmarks.first_run [--runs N] [--install] [--only
-NAME ...] [--record]`.
+"""Times of the first minute after installation.
 
-All in a fresh cache, by processes as users start them: the start-up of commands (and what they
-import), warm commands, the first demo, the first picture of a capture, and the first flat of
-another kind. Printed are wall and processor seconds; compiling is the processor time of a first run
-less that of a second. `--install` adds `pip install` into a fresh virtual environment. `--record`
-writes the list of kernels that are compiled ahead instead.
+`python -m benchmarks.first_run [--runs N] [--install] [--only NAME ...] [--record]`.
+
+Processes run as users start them, with a fresh cache: the start-up of commands and their imports,
+commands with compiled kernels, the first demo, the first picture of a capture, and the first flat
+of another kind. The table shows wall and processor seconds; compiling is the processor time of a
+first run minus that of a second run. `--install` adds `pip install` into a fresh virtual
+environment. `--record` writes the list of kernels that are compiled ahead instead.
 """
 
 from __future__ import annotations
@@ -187,9 +188,7 @@ def _simulate(
 
 
 def _record() -> None:
-    """Compile all that the chain needs for flats of each kind, in an empty cache, and write the
-    list of it.
-    """
+    """Compile the kernels for flats of each kind in an empty cache, and write their list."""
     import lfcal
     import lfrender
     from lfcal.runtime.compile_ahead import SIGNATURE_FILE
@@ -229,9 +228,7 @@ def _record() -> None:
 
 
 def encode_type(kind: Any) -> Any:
-    """A type of Numba as text, or a list for arrays and tuples, as `compile_ahead.example_of` reads
-    it.
-    """
+    """A type of Numba as text or list, in the form that `compile_ahead.example_of` reads."""
     from numba import types
 
     if isinstance(kind, types.Array):

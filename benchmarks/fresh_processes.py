@@ -44,7 +44,7 @@ _BEFORE = "in Python's start"  # interrupted before the code of the program was 
 
 @dataclass(frozen=True)
 class _Run:
-    """A process: what it rendered, how, in how many seconds, and what was wrong."""
+    """A process: its flat, its form, its seconds, and its fault."""
 
     kind: str
     name: str
@@ -187,7 +187,7 @@ def _jobs(
 
 
 def main() -> None:
-    """Print how the processes of each kind ended; the code is 1 if one did not as it should."""
+    """Print how the processes of each kind ended; exit with 1 if one ended wrongly."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--empty", type=int, default=2)

@@ -1,10 +1,11 @@
-"""Cost of each kernel of an analysis beside moving the same pixels: `python -m
-benchmarks.kernel_bounds [FLAT ...]`.
+"""Time of each kernel of an analysis, compared with moving the same pixels.
 
-Processor time on one thread of each kernel of `lfrender.analyze` [ms], its share, and nanoseconds
-for a pixel of the flat; beside a `memcpy` of the grey flat (float32) and `cv2.resize` of it to as
-many pixels, less one row and column. Kernels that depend on the texture and on the edges of a scene
-take more or less with other captures.
+`python -m benchmarks.kernel_bounds [FLAT ...]`
+
+The table shows the processor time on one thread of each kernel of `lfrender.analyze` [ms], its
+share, and nanoseconds per pixel of the flat. For comparison it shows a `memcpy` of the grey flat
+(float32), and `cv2.resize` of it to as many pixels minus one row and column. The time of some
+kernels depends on the texture and the edges of the scene.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def _measure(flat: NDArray[Any], preset: Any, runs: int) -> tuple[float, dict[st
 
 
 def _move_pixels(height: int, width: int, runs: int) -> dict[str, float]:
-    """Processor time [s] of a copy and of a bilinear resampling of so many pixels of 32 bits."""
+    """Processor time [s] to copy and to resample bilinearly an image of 32-bit pixels."""
     gray = np.random.default_rng(0).random((height, width), np.float32)
     out = np.empty_like(gray)
     return {
@@ -87,7 +88,8 @@ def main() -> None:
         total, spent = _measure(flat, options.preset, options.runs)
         moves = _move_pixels(flat.shape[0], flat.shape[1], options.runs)
         print(
-            f"{path.name}, {flat.shape[1]} x {flat.shape[0]}, {options.preset}: {1e3 * total:.0f} ms"
+            f"{path.name}, {flat.shape[1]} x {flat.shape[0]}, {options.preset}: {1e3 * total:.0f} "
+            f"ms"
         )
         print(f"{'':28}{'ms':>9}{'share':>8}{'ns/px':>8}")
         rows = [
@@ -97,7 +99,9 @@ def main() -> None:
         for name, seconds in [*rows, *moves.items()]:
             share = "" if name in moves else f"{seconds / total:7.1%}"
             print(
-                f"{name:28}{1e3 * seconds:9.1f}{share:>8}{1e9 * seconds / (flat.shape[0] * flat.shape[1]):8.2f}",
+                f"{name:28}"
+                f"{1e3 * seconds:9.1f}"
+                f"{share:>8}{1e9 * seconds / (flat.shape[0] * flat.shape[1]):8.2f}",
                 flush=True,
             )
 

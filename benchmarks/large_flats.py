@@ -99,9 +99,7 @@ def _texture() -> NDArray[np.float32]:
 
 
 def write_flat(path: Path, size: tuple[int, int], pitch: float) -> Calibration:
-    """Write a flat of `size` (width, height) as a TIFF, a band in memory at a time; gives its true
-    camera.
-    """
+    """Write a flat of `size` (width, height) as a TIFF, band by band; gives its true camera."""
     import tifffile
 
     width, height = size
@@ -146,7 +144,7 @@ def write_flat(path: Path, size: tuple[int, int], pitch: float) -> Calibration:
 
 
 def _measure(name: str, *command: str) -> dict[str, Any]:
-    """Run a command, print what it took, and give its figures."""
+    """Run a command, print its time and memory, and give its figures."""
     start = time.perf_counter()
     with tempfile.TemporaryFile() as stdout:
         process = subprocess.Popen(
@@ -175,7 +173,8 @@ def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) ->
     calibration.save(camera)
     count = size[0] * size[1]
     print(
-        f"{count / 1e6:.0f} Mpx, {3 * count / 2**30:.2f} GiB, pitch {pitch:g} px, {len(calibration.lattice)} lenses"
+        f"{count / 1e6:.0f} Mpx, {3 * count / 2**30:.2f} GiB, pitch {pitch:g} px, "
+        f"{len(calibration.lattice)} lenses"
     )
     # Kernels are compiled, or loaded, on a small flat first.
     small = folder / "small.tif"
@@ -202,7 +201,8 @@ def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) ->
     if "fixed" in steps:
         figures = _measure("fixed patch", "lfrender.cli.main", "render", str(flat), *drawn, *fixed)
         print(
-            f"{'':12s} picture of {np.prod(figures['size']) / 1e6:.0f} Mpx in {figures['tiles']} tiles",
+            f"{'':12s} picture of {np.prod(figures['size']) / 1e6:.0f} Mpx in {figures['tiles']} "
+            f"tiles",
             flush=True,
         )
     if "calibrate" in steps:

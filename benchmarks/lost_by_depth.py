@@ -1,27 +1,24 @@
-"""PSNR that pictures lose by the depth they are drawn with: `python -m benchmarks.lost_by_depth
-FIRST LAST`.
+"""Loss of PSNR by wrong depth: `python -m benchmarks.lost_by_depth FIRST LAST`.
 
 Random houses and clutter (scenes with depth edges) of `benchmarks.random_scenes`, with 256 rays a
 pixel, are drawn with the depth of `balanced` and with the true depth of every scene point, at 0.15
-and 0.3 pitches a pixel; both are compared with the ray-traced picture where it is not drawn from
-beyond the resolvable depths.
+and 0.3 pitches per pixel. Both are compared with the ray-traced picture, at places with a
+resolvable depth.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 import lfcal
 import lfrender
 from data_synth import Capture
 from data_synth.metrics import compare_pictures, resample
-from lfrender.data.surface import Surface
 
 from .random_scenes import draw
+from .true_surface import with_true_surface
 
 __all__ = ["main"]
 
@@ -29,25 +26,10 @@ _SCALES = (0.15, 0.3)  # [pitch] per pixel
 _RESOLVABLE = 0.75  # [pitch]
 
 
-def with_true_surface(depth: lfrender.DepthMap, capture: Capture) -> lfrender.DepthMap:
-    """The depth map with the traced patch size of every scene point."""
-    truth = capture.truth
-    size = truth.reference_patch_size
-    affine = truth.reference_affine
-    nearest = distance_transform_edt(
-        ~np.isfinite(size), return_distances=False, return_indices=True
-    )
-    first = float(affine[0, 2]), float(affine[1, 2])
-    return replace(
-        depth,
-        surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), first, float(affine[0, 0])),
-    )
-
-
 def psnr(
     depth: lfrender.DepthMap, capture: Capture, camera: lfcal.Calibration, scale: float
 ) -> float:
-    """Of the picture drawn with this depth, in dB."""
+    """PSNR [dB] of the picture drawn with this depth."""
     truth = capture.truth
     pitch = camera.lattice.pitch
     picture = lfrender.render(capture.flat, camera, depth, scale=scale * pitch, detail="off")
@@ -72,7 +54,8 @@ def main(arguments: list[str]) -> None:
             continue
         camera = lfcal.calibrate(capture.flat)
         depth = lfrender.analyze(capture.flat, camera)
-        true = with_true_surface(depth, capture)
+        truth = capture.truth
+        true = with_true_surface(depth, truth.reference_patch_size, truth.reference_affine)
         rows.append(
             [psnr(true, capture, camera, s) - psnr(depth, capture, camera, s) for s in _SCALES]
         )

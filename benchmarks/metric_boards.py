@@ -1,9 +1,10 @@
-"""Metric calibration on data of others: `python -m benchmarks.metric_boards [SHARED]`.
+"""Metric calibration of foreign data: `python -m benchmarks.metric_boards [SHARED]`.
 
-`boards/`, ray-traced by an independent program: optics, poses and corners against the truth, with
-all twelve flats, and the depth of corners in flats left out (each half calibrates for the other).
-`metric/`, corners of a real Raytrix R12 published with the toolbox COMPOTE: RMS distance, F with
-its error, and whether boards are as large as they are.
+`boards/` is ray-traced by an independent program. Optics, poses and corners of all twelve flats
+are compared with the truth; each half of the flats also calibrates for the corners of the other
+half. `metric/` holds corners of a real Raytrix R12, published with the toolbox COMPOTE. The
+command prints their RMS distance, F with its error, and the measured size of the boards over the
+true size.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ def ray_traced(folder: Path) -> None:
     wall = time.perf_counter()
     found = calibrate_metric(flats, camera, board, pixel=known["pixel_mm"])
     print(
-        f"{len(flats)} flats: {time.process_time() - start:.0f} s processor, {time.perf_counter() - wall:.0f} s"
+        f"{len(flats)} flats: {time.process_time() - start:.0f} s processor, "
+        f"{time.perf_counter() - wall:.0f} s"
     )
     true = [
         known["F_mm"],
@@ -54,8 +56,10 @@ def ray_traced(folder: Path) -> None:
     ]
     off = found.optics.parameters[:6] - [*true, known["k1"]]
     print(
-        f"F, L, b, principal point, k1 off / stated: {np.round(off / found.optics.standard_errors[:6], 2)}; jointly "
-        f"{joint_misfit(found, np.array([*true, known['k1'], *[0.0] * 8])):.2f} squares per parameter"
+        f"F, L, b, principal point, k1 off / stated: "
+        f"{np.round(off / found.optics.standard_errors[:6], 2)}; jointly "
+        f"{joint_misfit(found, np.array([*true, known['k1'], *[0.0] * 8])):.2f} squares per "
+        f"parameter"
     )
     _print_poses(found, poses)
     left_out = []
@@ -72,8 +76,10 @@ def ray_traced(folder: Path) -> None:
             )
     share = np.concatenate(left_out)
     print(
-        f"corners of poses left out: depth {np.median(share[:, 0]):.4f} % median, {share[:, 0].max():.4f} % at most; "
-        f"sideways {np.median(share[:, 1]):.4f} % of the distance, {share[:, 1].max():.4f} % at most"
+        f"corners of poses left out: depth {np.median(share[:, 0]):.4f} % median, "
+        f"{share[:, 0].max():.4f} % at most; "
+        f"sideways {np.median(share[:, 1]):.4f} % of the distance, {share[:, 1].max():.4f} % at "
+        f"most"
     )
 
 
@@ -128,9 +134,12 @@ def _print_poses(found: MetricCalibration, poses: list[dict]) -> None:
         within.append(np.abs(off) / pose.standard_errors[3:])
         bound.append(np.abs(off) / least[3:])
     print(
-        f"poses: sideways {max(sideways):.4f} mm, depth {max(depth):.4f} % of the distance, turn {max(turn):.4f} deg "
-        f"at most; {100 * np.mean(np.array(within) < 2):.0f} % of the positions within 2 stated sigma; RMS "
-        f"{np.sqrt(np.mean(np.square(bound))):.2f} Cramer-Rao bounds of a corner noise of {found.noise:.4f} px"
+        f"poses: sideways {max(sideways):.4f} mm, depth {max(depth):.4f} % of the distance, turn "
+        f"{max(turn):.4f} deg "
+        f"at most; {100 * np.mean(np.array(within) < 2):.0f} % of the positions within 2 stated "
+        f"sigma; RMS "
+        f"{np.sqrt(np.mean(np.square(bound))):.2f} Cramer-Rao bounds of a corner noise of "
+        f"{found.noise:.4f} px"
     )
 
 
@@ -187,8 +196,10 @@ def real_r12(folder: Path) -> None:
         print(
             f"R12: {len(one.free)} parameters ({' '.join(one.free[6:])}), "
             f"{np.sqrt((one.residual**2).sum(1).mean()):.4f} px RMS over {len(seen)} corners; "
-            f"F = {optics.focal_length:.2f} +- {errors[0]:.2f}, L = {optics.mla_distance:.2f} +- {errors[1]:.2f}, "
-            f"b = {optics.sensor_distance:.4f} +- {errors[2]:.4f} mm; variances widened by {one.cluster * factor:.1f}"
+            f"F = {optics.focal_length:.2f} +- {errors[0]:.2f}, L = {optics.mla_distance:.2f} +- "
+            f"{errors[1]:.2f}, "
+            f"b = {optics.sensor_distance:.4f} +- {errors[2]:.4f} mm; variances widened by "
+            f"{one.cluster * factor:.1f}"
         )
     print(*describe_degeneracies(optics), sep="\n")
     scale = []

@@ -1,11 +1,11 @@
 """Metric calibration of random simulated cameras: `python -m benchmarks.metric_cameras FIRST LAST
 [SAMPLES]`.
 
-Telescopic and binocular ones in turn, every second pair with three lens types, with tilt,
-distortion and a principal point off the middle. Each takes eight flats and a white image of 1000 x
-800 px; nothing is told but the pixel and the square. Printed: errors of the optics over their
-stated ones, and of the poses; sideways also the largest standard error that the noise of the
-corners allows in any pose (Cramer-Rao, no widening), as the principal point moves them all.
+Cameras are telescopic and binocular in turn, every second pair with three lens types, with tilt,
+distortion and a decentred principal point. Each takes eight flats and a white image of 1000 x 800
+px; only the sizes of pixel and square are given. The command prints errors of optics and poses over
+their stated errors. Sideways, it also prints the largest Cramer-Rao error of any pose for the noise
+of the corners (without widening), because the principal point moves all poses.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _with_mla_distance(camera: Camera, distance: float) -> Camera:
 
 
 def true_parameters(camera: Camera) -> np.ndarray:
-    """In the order of `Optics.parameters`."""
+    """True parameters in the order of `Optics.parameters`."""
     lengths = [camera.focal_length, camera.mla_distance, camera.sensor_distance]
     return np.array([*lengths, *camera.principal_point, camera.k1, 0, 0, 0, 0, *camera.tilt, 0, 0])
 
@@ -98,12 +98,16 @@ def report(seed: int, camera: Camera, shoot: BoardShoot, found: MetricCalibratio
     bound = cramer_rao(found)[:, 3:5].max()
     depth = off[:, 2] / shoot.translations[chosen, 2]
     print(
-        f"{seed:3d} {'telescopic' if seed % 2 else 'binocular':10s} {len(camera.microlens_focal_lengths)} types, "
-        f"{len(chosen)} flats, rms {found.rms:.4f} px, noise {found.noise:.4f}, widened {found.widening:.2f}; "
+        f"{seed:3d} {'telescopic' if seed % 2 else 'binocular':10s} "
+        f"{len(camera.microlens_focal_lengths)} types, "
+        f"{len(chosen)} flats, rms {found.rms:.4f} px, noise {found.noise:.4f}, widened "
+        f"{found.widening:.2f}; "
         f"sideways {np.abs(off[:, :2]).max():.4f} mm (bound {bound:.4f}), "
         f"depth {100 * np.abs(depth).max():.4f} %, turn {angle:.4f} deg, "
-        f"poses/stated {np.sqrt((off**2 / stated**2).mean()):.2f}; F {optics.focal_length - true[0]:+.3f} +- "
-        f"{optics.standard_errors[0]:.3f} mm; parameters off / stated {np.round(within, 1).tolist()}, jointly "
+        f"poses/stated {np.sqrt((off**2 / stated**2).mean()):.2f}; F "
+        f"{optics.focal_length - true[0]:+.3f} +- "
+        f"{optics.standard_errors[0]:.3f} mm; parameters off / stated "
+        f"{np.round(within, 1).tolist()}, jointly "
         f"{joint_misfit(found, true):.2f} squares each; "
         f"fitted {' '.join(found.fitted[6:])}",
         flush=True,

@@ -89,7 +89,8 @@ def _main() -> None:
         edge, per_flat = _pictures("edge", fill)
         parts = {name: _middle(image) for name, image in edge.items()}
         print(
-            f"| {fill} | {' | '.join(f'{mtf50(part) * per_flat[n]:.3f}' for n, part in parts.items())} |",
+            f"| {fill} | "
+            f"{' | '.join(f'{mtf50(part) * per_flat[n]:.3f}' for n, part in parts.items())} |",
             flush=True,
         )
         if fill == _PLOTTED:

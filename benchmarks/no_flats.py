@@ -1,6 +1,7 @@
-"""Pictures that are no raw flats of a lens array, though something repeats on many of them:
-photographs, screens with text, charts, print, cloth, walls, tilings, boards and meshes, each drawn
-at random.
+"""Random pictures that are not raw flats of a lens array.
+
+They show photographs, screens with text, charts, print, cloth, walls, tilings, boards and meshes.
+Many of them have patterns that repeat.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _PHOTOGRAPHS = (
 
 
 def _coordinates(rng: np.random.Generator, most: float = 10.0) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Coordinates (h, w) [px] of the pixels, turned by up to so many degrees."""
+    """Coordinates (h, w) [px] of the pixels, rotated by a random angle up to a limit [degrees]."""
     angle = np.radians(rng.uniform(-most, most))
     y, x = np.mgrid[0 : _SIZE[1], 0 : _SIZE[0]].astype(float)
     return np.cos(angle) * x + np.sin(angle) * y + 1e4, np.cos(angle) * y - np.sin(angle) * x + 1e4

@@ -1,7 +1,7 @@
-"""Delete compiled kernels of which some part has changed: `python -m benchmarks.outdated_kernels`.
+"""Delete outdated compiled kernels: `python -m benchmarks.outdated_kernels`.
 
-Numba compiles a kernel anew when its own file changes, but not when that of a function within it
-does. Tests and benchmarks do this first.
+Numba compiles a kernel again if its own file changes, but not if it calls a function of another
+file that changes. Tests and benchmarks delete such kernels first.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """Pictures of ray-traced flats against their references: `python -m benchmarks.pictures
 [../shared/truth]`.
 
-Prints PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale, drawn without
-restored detail with the depth that two presets find on the flat, and with the true one, which tells
-what is lost by drawing alone. Without a folder, scenes are simulated that differ in pitch, lattice,
-mode, clutter and noise, and each place is also read from the nearest lens with its true patch size.
+The table shows PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale,
+without restored detail. They are drawn with the depth of two presets and with the true depth, which
+shows the loss by drawing alone. Without a folder, scenes are simulated that differ in pitch,
+lattice, mode, clutter and noise; for comparison, each place is read from the nearest lens with its
+true patch size.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 import lfcal
 import lfrender
@@ -25,29 +25,21 @@ from lfrender.data.depth_map import default_scale
 from lfrender.data.surface import Surface
 from lfrender.flat.lens_graph import nearest_lens
 
+from .true_surface import with_true_surface
 from .truth_flats import SCALES, merit
 
 # The largest |s / D| that a depth is asked for.
 _RESOLVABLE = 0.75
-
-
-def _true_depth(folder: Path, depth: lfrender.DepthMap) -> lfrender.DepthMap:
-    """The depth map with the surface of the truth, filled from the nearest value where nothing was
-    hit.
-    """
-    size = np.load(folder / "reference_depth.npz")["disparity_px"].astype(np.float32)
-    nearest = distance_transform_edt(
-        ~np.isfinite(size), return_distances=False, return_indices=True
-    )
-    return replace(
-        depth, surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), (0.5, 0.5), 2.0)
-    )
+# Each pixel of the reference depth covers 2 x 2 pixels of the flat.
+_TRUTH_GRID = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5]])
 
 
 def _rows(folder: Path) -> str:
     flat = lfcal.read_flat(folder / "flat.png")
     calibration = lfcal.calibrate(flat)
     found = lfrender.analyze(flat, calibration)
+    size = np.load(folder / "reference_depth.npz")["disparity_px"].astype(np.float32)
+    true = with_true_surface(found, size, _TRUTH_GRID)
     pitch = calibration.lattice.pitch
     lines = []
     for scale in (*(share * pitch for share in SCALES), default_scale(found)):
@@ -55,7 +47,7 @@ def _rows(folder: Path) -> str:
             merit(
                 lfrender.render(flat, calibration, depth, scale=scale, detail="off"), folder, pitch
             )
-            for depth in (found, _true_depth(folder, found))
+            for depth in (found, true)
         ]
         figures = " | ".join(f"{one.psnr:.1f} dB / {one.ssim:.3f}" for one in merits)
         lines.append(f"| {folder.name} | {scale:.1f} | {figures} |")
@@ -113,12 +105,7 @@ def _simulated_rows(name: str, how: _Simulated) -> str:
     first = (float(truth.reference_affine[0, 2]), float(truth.reference_affine[1, 2]))
     spacing = float(truth.reference_affine[0, 0])
     size = truth.reference_patch_size
-    missing = distance_transform_edt(
-        ~np.isfinite(size), return_distances=False, return_indices=True
-    )
-    true = replace(
-        depth, surface=Surface(np.ascontiguousarray(size[tuple(missing)]), first, spacing)
-    )
+    true = with_true_surface(depth, size, truth.reference_affine)
     v, u = np.mgrid[: size.shape[0], : size.shape[1]] * spacing
     lens = nearest_lens(
         truth.calibration.lattice, np.stack([u + first[0], v + first[1]], -1).reshape(-1, 2)

@@ -3,9 +3,8 @@
 
 Each seed draws a camera (lattice, pitch, rotation, lens types, noise, bits) and a scene of
 `data_synth`. Only the flat is given; the lattice is calibrated from it. Modes, patch sizes and
-edges are judged as in `benchmarks.truth_flats`, and lenses that do not show the depth of the most
-apart as well. Of few samples (rays a pixel) the ray tracer makes a noise of its own, which in fine
-clutter errs more than that of the camera.
+edges are judged as in `benchmarks.truth_flats`. With few samples (rays per pixel) the ray tracer
+adds noise, which in fine clutter is stronger than the noise of the camera.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ _FEWEST = 10
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """How an analysis compares with the truth, over textured lenses that see one resolvable depth.
+    """Errors of an analysis over textured lenses that see one resolvable depth.
 
     Parameters
     ----------
@@ -79,14 +78,14 @@ class DepthErrors:
 
     @property
     def wanted(self) -> bool:
-        """All are as good as is wanted of every scene."""
+        """Whether all errors are within the limits for every scene."""
         return (
             self.right >= 0.995 and self.median <= 0.02 and self.most <= 0.3 and self.edges >= 0.9
         )
 
 
 def draw(seed: int, samples: int = _SAMPLES) -> tuple[str, Capture]:
-    """Description and capture of a random scene, of so many rays a pixel."""
+    """Description and capture of a random scene; `samples` is the number of rays per pixel."""
     rng = np.random.default_rng(seed)
     pitch = float(np.exp(rng.uniform(*np.log(_PITCHES))))
     width = int(pitch * rng.uniform(*_ACROSS))
@@ -113,7 +112,8 @@ def draw(seed: int, samples: int = _SAMPLES) -> tuple[str, Capture]:
     )
     types = ", 3 types" if three else ""
     return (
-        f"{name}, {lattice}{types}, {pitch:.1f} px, {turned:+.0f} degrees, {noise[0]:.0f} e, {bits} bits",
+        f"{name}, {lattice}{types}, {pitch:.1f} px, {turned:+.0f} degrees, {noise[0]:.0f} e, "
+        f"{bits} bits",
         capture,
     )
 
@@ -156,8 +156,10 @@ def main(arguments: list[str]) -> None:
         found = judge(capture)
         every.append(found)
         print(
-            f"{seed:3d} {described:62s} centres {found.centres:.4f} px  modes {found.right:.4f} wrong {found.wrong:.4f}"
-            f"  s median {found.median:.4f} 95 % {found.most:.3f} px  within its error {found.within:.2f}"
+            f"{seed:3d} {described:62s} centres {found.centres:.4f} px  modes {found.right:.4f} "
+            f"wrong {found.wrong:.4f}"
+            f"  s median {found.median:.4f} 95 % {found.most:.3f} px  within its error "
+            f"{found.within:.2f}"
             f"  before it {found.before:.4f} px {found.before_within:.2f}  edges {found.edges:.3f}",
             flush=True,
         )

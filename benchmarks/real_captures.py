@@ -1,8 +1,8 @@
 """Modes and times on captures of scenes in one mode: `python -m benchmarks.real_captures
 ../shared/captures/*.webp`.
 
-The mode of the scene is that of most lenses; the share of the textured lenses with another one is
-printed.
+The mode of the scene is the mode of most lenses. The command prints the share of textured lenses
+in another mode.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ def _row(path: Path, preset: Preset) -> str:
     textured = depth.confidence > 0
     mode = np.sign(np.nanmedian(depth.patch_size))
     return (
-        f"{path.stem:20} {preset:9} pitch {calibration.lattice.pitch:.3f} px, confidence {calibration.confidence:.3f}"
+        f"{path.stem:20} {preset:9} pitch {calibration.lattice.pitch:.3f} px, confidence "
+        f"{calibration.confidence:.3f}"
         f"  mode {mode:+.0f}: right {(depth.mode == mode)[textured].mean():.4f}"
         f" wrong {(depth.mode == -mode)[textured].mean():.4f} of {textured.sum()} textured lenses"
         f"  picture {picture.image.shape[1]} x {picture.image.shape[0]}"

@@ -1,10 +1,10 @@
-"""Is `confidence` the share that is right? `python -m benchmarks.reliability [FIRST LAST
+"""Whether `confidence` is the share of right depths: `python -m benchmarks.reliability [FIRST LAST
 [../shared/truth]]`.
 
-Over random scenes (`benchmarks.random_scenes`) and the flats of a folder from another ray tracer:
-of the lenses with a confidence in each range, the mean of it and the share whose depth is right, to
-0.04 pitches. Lenses that see two depths are left out; unresolved ones are judged by the depth that
-the surface gives them.
+The table shows, for each range of the confidence, its mean and the share of lenses whose depth is
+right to 0.04 pitches. The lenses come from random scenes (`benchmarks.random_scenes`) and from
+flats of another ray tracer in a folder. Lenses that see two depths are left out. Unresolved lenses
+are judged by the depth of the surface.
 """
 
 from __future__ import annotations
@@ -45,9 +45,7 @@ def _compare(
 
 
 def diagram(confidence: NDArray[np.float32], right: NDArray[np.bool_]) -> str:
-    """A reliability diagram as a table: lenses of each range of the confidence, its mean, the share
-    that is right.
-    """
+    """Number of lenses, mean confidence and share of right depths for each range."""
     rows = []
     place = np.digitize(confidence, _RANGES[1:-1])
     for n in range(len(_RANGES) - 1):
@@ -56,7 +54,8 @@ def diagram(confidence: NDArray[np.float32], right: NDArray[np.bool_]) -> str:
             stated = confidence[among].mean()
             true = right[among].mean()
             rows.append(
-                f"{_RANGES[n]:.2f} to {_RANGES[n + 1]:.2f} {among.sum():7d}  {stated:.3f} {true:.3f}"
+                f"{_RANGES[n]:.2f} to {_RANGES[n + 1]:.2f} {among.sum():7d}  {stated:.3f} "
+                f"{true:.3f}"
             )
     weight = np.bincount(place, minlength=len(_RANGES) - 1) / len(place)
     gaps = [

@@ -2,10 +2,10 @@
 [FOLDER]`.
 
 `record` calibrates, analyses and draws random scenes of random cameras, and the captures, white
-images and ray-traced flats in FOLDER (`../shared`), and keeps all arrays that come out: centres,
+images and ray-traced flats in FOLDER (`../shared`), and stores all resulting arrays: centres,
 patch sizes, standard errors, confidences, reasons, surfaces and pictures, with the presets `fast`
-and `balanced`, next frames, views, tiles and Dask workers. `compare` does the same and prints each
-array that differs; exits with 1 where one does. Delete the `__pycache__` folders first if a
+and `balanced`, next frames, views, tiles and Dask workers. `compare` does the same, prints each
+array that differs, and exits with 1 if one differs. Delete the `__pycache__` folders first if a
 function has changed that kernels of other files inline.
 """
 
@@ -47,7 +47,7 @@ WHITES = ("whites/*.png", "truth/*/white.png")
 
 
 def results(folder: Path | None = None) -> Results:
-    """Every array that comes out of the toolkit for random scenes, and for the files in a folder."""
+    """All result arrays of the toolkit for random scenes, and for the files in a folder."""
     found: Results = {}
     for seed in SEEDS:
         found |= _scene(f"random scene {seed}", draw(seed, SAMPLES)[1].flat)
@@ -76,7 +76,8 @@ def differences(before: Results, after: Results) -> list[str]:
         elif a.tobytes() != b.tobytes():
             apart = np.abs(a.astype(float) - b.astype(float))
             lines.append(
-                f"{key}: {np.mean(a != b):.2%} of the values differ, by {np.nanmax(apart):.3g} at most"
+                f"{key}: {np.mean(a != b):.2%} of the values differ, by {np.nanmax(apart):.3g} at "
+                f"most"
             )
     return lines
 

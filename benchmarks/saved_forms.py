@@ -1,11 +1,10 @@
 """Captures saved in other ways: `python -m benchmarks.saved_forms FLAT...`.
 
-Each colour flat of 8 bits is calibrated and analysed as it is, and with other gammas, darker,
-noisy, gray, smaller, turned, mirrored, compressed, and in 16 bits with a sixteenth and a sixtieth
-of the light; other flats as they are, turned, mirrored, and with less light. Printed are how far
-the centres of each form lie from those of the flat as it is, the share of the textured lenses in
-the mode that most lenses of the flat as it is have, and the resolved lenses over those of the flat
-as it is, or why a form was refused.
+Each colour flat of 8 bits is calibrated and analysed unchanged, with other gammas, darker, noisy,
+gray, smaller, turned, mirrored, compressed, and in 16 bits with a sixteenth and a sixtieth of the
+light. Other flats are tested unchanged, turned, mirrored, and with less light. Compared with the
+unchanged flat, the command prints the distance of the centres, the share of textured lenses in its
+prevailing mode, and the ratio of resolved lenses, or the reason why a form was refused.
 """
 
 from __future__ import annotations
@@ -123,10 +122,13 @@ def main(paths: list[str]) -> None:
             there = centres @ matrix[:, :2].T + matrix[:, 2]
             textured = depth.reason != 1
             print(
-                f"{head} pitch {camera.lattice.pitch:.3f} px, centres off by {_off(camera.lattice, there):.4f} pitches;"
-                f" {100 * (depth.mode == usual)[textured].mean():.2f} % of the textured lenses in the mode of the flat"
+                f"{head} pitch {camera.lattice.pitch:.3f} px, centres off by "
+                f"{_off(camera.lattice, there):.4f} pitches;"
+                f" {100 * (depth.mode == usual)[textured].mean():.2f} % of the textured lenses in "
+                f"the mode of the flat"
                 f" as it is, {100 * (depth.mode == -usual)[textured].mean():.2f} % in the other;"
-                f" {100 * np.isfinite(depth.patch_size).mean() / resolved:.1f} % of its resolved lenses",
+                f" {100 * np.isfinite(depth.patch_size).mean() / resolved:.1f} % of its resolved "
+                f"lenses",
                 flush=True,
             )
 

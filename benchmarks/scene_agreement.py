@@ -1,6 +1,8 @@
-"""Do flats of one camera give one lattice? `python -m benchmarks.scene_agreement FLAT FLAT ...`
+"""Differences of lattices from flats of one camera.
 
-Each flat is calibrated by itself. The table holds the RMS distance of the centres of any two of
+`python -m benchmarks.scene_agreement FLAT FLAT ...`
+
+Each flat is calibrated separately. The table holds the RMS distance of the centres of any two of
 them over the field [px], the last column the longest distance of one flat's centres from those of
 any other. Flats are image files, or arrays (.npy) as PyAV makes them of a video (`pip install av`
 in an environment of its own):

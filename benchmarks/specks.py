@@ -2,8 +2,8 @@
 ...`.
 
 A speck is an isolated spot, at most three pixels wide, brighter or darker than the ring of pixels
-about it, which neither single lenses show there nor pictures from viewpoints close by. Lenses are
-tiled with one patch size each, that of the lens and not that of the surface. Prints specks per
+around it, if neither single lenses nor pictures from nearby viewpoints show it. For this test each
+lens is tiled with its own patch size, not with that of the surface. The command prints specks per
 megapixel of the middle picture and of two outer views, and the processor time of `analyze`.
 Pictures are drawn without restored detail.
 """
@@ -105,9 +105,7 @@ def specks_per_megapixel(
 
 
 def match_white(flat: NDArray) -> float:
-    """Brightness of the brightest hundredth of a flat, so that dim captures are judged as they are
-    looked at.
-    """
+    """Brightness of the brightest hundredth of a flat, the white of dim captures."""
     white = np.iinfo(flat.dtype).max if flat.dtype.kind in "ui" else 1.0
     return float(np.quantile(flat[::7, ::7], 0.99) / white)
 
@@ -129,7 +127,8 @@ def main() -> None:
         taken = time.process_time() - start
         middle, outer, _ = specks_per_megapixel(flat, calibration, depth)
         print(
-            f"{path.name:28} {middle:8.1f} specks per megapixel, outer views {outer:8.1f}; analyze {taken:.2f} s"
+            f"{path.name:28} {middle:8.1f} specks per megapixel, outer views {outer:8.1f}; analyze "
+            f"{taken:.2f} s"
         )
 
 

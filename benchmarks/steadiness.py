@@ -1,8 +1,8 @@
-"""How much frames of a still scene differ by noise: `python -m benchmarks.steadiness [electrons]`.
+"""Differences of frames of a still scene by noise: `python -m benchmarks.steadiness [electrons]`.
 
 Prints the RMS difference of two frames [levels of 255] with `detail="off"` and `"natural"`: drawn
-with one depth map, each analysed by itself, and the second analysed and drawn with the first as the
-previous frame; then the share of the pixels that are those of the first.
+with one depth map; each analysed separately; and the second analysed and drawn with the first as
+the previous frame. It also prints the share of unchanged pixels.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SCENES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
 def _frames(
     scene: str, optics: dict[str, Any], arguments: dict[str, Any], well: float
 ) -> tuple[list[NDArray[Any]], lfcal.Calibration]:
-    """Two frames, alike but for their noise, and the camera."""
+    """Two frames that differ only by noise, and the camera."""
     camera = Camera.design(size=_SIZE, **optics)
     shot = simulate(
         SCENES[scene](camera, **arguments), camera, samples=96, seed=7, bits=16, gamma=False
@@ -56,7 +56,8 @@ def _differ(first: lfrender.Rendering, second: lfrender.Rendering) -> float:
 def _main() -> None:
     well = float(sys.argv[1]) if sys.argv[1:] else 4000.0
     print(
-        "| scene | detail | one depth map | each by itself | frame before | unchanged |\n|---|---|---|---|---|---|"
+        "| scene | detail | one depth map | each by itself | frame before | unchanged "
+        "|\n|---|---|---|---|---|---|"
     )
     for name, (scene, optics, arguments) in _SCENES.items():
         (one, two), camera = _frames(scene, optics, arguments, well)
@@ -70,7 +71,8 @@ def _main() -> None:
             kept = lfrender.render(two, camera, after, previous=(one, depths[0], first), **how)
             found = " | ".join(f"{_differ(first, other):.2f}" for other in (same, each, kept))
             print(
-                f"| {name} | {detail} | {found} | {(kept.image == first.image).all(-1).mean():.2f} |",
+                f"| {name} | {detail} | {found} | {(kept.image == first.image).all(-1).mean():.2f} "
+                f"|",
                 flush=True,
             )
 

@@ -1,10 +1,10 @@
 """Depth and pictures of ray-traced flats against their truth: `python -m benchmarks.truth_flats
 ../shared/truth`.
 
-Only the flat is given; the lattice is calibrated from it. Modes and patch sizes are judged on the
-lenses that carry texture and are resolvable, pictures where the true |s| is below 0.75 D, with one
-gain per channel. Of the depth edges, the share is printed of which the right depth lies within one
-pixel of the traditional picture.
+Only the flat is given; the lattice is calibrated from it. Modes and patch sizes are judged on
+resolvable lenses with texture; pictures are judged where the true |s| is below 0.75 D, with one
+gain per channel. The edge figure is the share of places at depth edges whose right depth lies
+within one pixel of the traditional picture.
 """
 
 from __future__ import annotations
@@ -83,10 +83,12 @@ def _row(folder: Path, preset: Preset) -> str:
     psnr.append(merit(picture, folder, pitch).psnr)
     return (
         f"{folder.name:10} {preset:9} centres {np.sqrt((distance[known] ** 2).mean()):.4f} px"
-        f"  modes {(depth.mode == mode)[single].mean():.4f} / all {(depth.mode == mode)[every].mean():.4f}"
+        f"  modes {(depth.mode == mode)[single].mean():.4f} / all "
+        f"{(depth.mode == mode)[every].mean():.4f}"
         f"  s median {np.nanmedian(error):.3f} 95 % {np.nanpercentile(error, 95):.3f} px"
         f" within its error {within:.2f}  blank claims {claims}  edges {edges:.3f}"
-        f"  PSNR {psnr[0]:.2f} {psnr[1]:.2f} {psnr[2]:.2f} dB (P = 0.15 D, 0.3 D, {picture.scale:.1f})"
+        f"  PSNR {psnr[0]:.2f} {psnr[1]:.2f} {psnr[2]:.2f} dB (P = 0.15 D, 0.3 D, "
+        f"{picture.scale:.1f})"
         f"  {analysed - start:.2f} + {drawn - analysed:.2f} s"
     )
 

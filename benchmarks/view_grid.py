@@ -1,10 +1,10 @@
 """Views against the true ones of simulated scenes: `python -m benchmarks.view_grid [COUNT]`, by
 default 5 x 5.
 
-Prints PSNR (one gain per channel) of the mean squared error over all views of the grid, of the view
-from the middle and of those at the corners, beside plain tiling: each lens pastes a patch of one
-size for all, read about the viewpoint. Then the processor seconds for all views of a frame,
-calibrated and warm, on one thread.
+The table shows PSNR (one gain per channel) over all views of the grid, of the middle view, and of
+the corner views, compared with plain tiling: all lenses contribute patches of one size around the
+viewpoint. Then follow the processor seconds for all views of a frame on one thread, calibrated and
+with compiled kernels.
 """
 
 from __future__ import annotations
@@ -140,7 +140,8 @@ def _seconds(count: int) -> None:
 def _main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 5
     print(
-        "| PSNR [dB], lfrender / tiling with one patch size | grid | middle | corners |\n|---|---|---|---|"
+        "| PSNR [dB], lfrender / tiling with one patch size | grid | middle | corners "
+        "|\n|---|---|---|---|"
     )
     for name, (scene, arguments, design) in _SCENES.items():
         print(_row(name, scene, arguments, design, count), flush=True)

@@ -1,10 +1,10 @@
 """Volumes against the truth of simulated microscopes: `python -m benchmarks.volumes [SHARED]`.
 
-Beads at 20 places and depths, ray-traced: how far from their true places they are found, and the
-width of the response by depth. Shells and beads, ray-traced, on three microscopes; with `--waves`,
-shells by scalar waves (minutes): correlation with the truth and PSNR, with one gain, beside the
-focal stack of the same flat. With the folder SHARED: processor seconds and memory for the captures
-of microscopes in it. Nothing was chosen on these specimens.
+For 20 ray-traced beads, the command prints the errors of their places and the width of the response
+by depth. For ray-traced shells and beads on three microscopes, it prints correlation with the truth
+and PSNR (with one gain), also for the focal stack of the same flat. `--waves` adds shells by scalar
+waves (minutes). With the folder SHARED, it prints processor seconds and memory for the captures of
+microscopes in it. Nothing was chosen on these specimens.
 """
 
 from __future__ import annotations
@@ -91,8 +91,7 @@ def score(data: NDArray[Any], truth: NDArray[Any]) -> tuple[float, float]:
 
 
 def locate(volume: lfrender.Volume, microscope: Microscope, place: Array) -> tuple[Array, float]:
-    """Where a bead near a place [um] is found, by the centroid about the brightest voxel, and its
-    width in z [um]."""
+    """Centroid [um] around the brightest voxel near a place, and width in z [um]."""
     x, y, z = axes(volume, microscope)
     near = [
         np.abs(axis - at) <= reach
@@ -126,7 +125,7 @@ def bead_places(count: int, seed: int) -> Array:
 def reconstruct(
     capture: MicroscopeCapture, depth: float, planes: int, **options: Any
 ) -> lfrender.Volume:
-    """The volume of a capture, with the optics that are true."""
+    """Volume of a capture, reconstructed with the true optics."""
     optics = lfrender.Microscope(**capture.microscope.optics(), **options)
     return lfrender.reconstruct_volume(
         capture.flat, capture.calibration, optics, depth_range=(-depth, depth), planes=planes
@@ -134,7 +133,7 @@ def reconstruct(
 
 
 def focal_stack(capture: MicroscopeCapture, volume: lfrender.Volume) -> NDArray[np.float32]:
-    """What refocusing gives on the same voxels: the mean over the pixels that see a voxel."""
+    """Focal stack on the same voxels: mean over the pixels that see a voxel."""
     from lfrender.volume.grid import VoxelGrid
     from lfrender.volume.pixels import choose_pixels
 
@@ -178,8 +177,10 @@ def _print_score(
     stack, stack_psnr = score(focal_stack(capture, volume), truth)
     fit = volume.fit
     print(
-        f"{name:48s} {agreement:.3f} {psnr:5.1f} dB   focal stack {stack:.3f} {stack_psnr:5.1f} dB   residual "
-        f"{fit.residual:.3f}, noise {fit.noise:.3f}, {fit.steps} steps: {fit.reason}, {seconds:.1f} s"
+        f"{name:48s} {agreement:.3f} {psnr:5.1f} dB   focal stack {stack:.3f} {stack_psnr:5.1f} dB "
+        f"  residual "
+        f"{fit.residual:.3f}, noise {fit.noise:.3f}, {fit.steps} steps: {fit.reason}, "
+        f"{seconds:.1f} s"
     )
 
 
@@ -231,7 +232,8 @@ def _captures(folder: Path, pictures: Path | None) -> None:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         fit = volume.fit
         print(
-            f"{name:7s} {volume}: {seconds:.0f} processor seconds ({passed:.0f} s), peak {peak:.0f} MB, residual "
+            f"{name:7s} {volume}: {seconds:.0f} processor seconds ({passed:.0f} s), peak "
+            f"{peak:.0f} MB, residual "
             f"{fit.residual:.3f}, noise {fit.noise:.3f}, {fit.steps} steps: {fit.reason}",
             flush=True,
         )
@@ -250,7 +252,8 @@ def main() -> None:
     given = parser.parse_args()
     rows = _beads(seed=11)
     print(
-        "beads: depth [um], error sideways [pitches] and in depth [planes of 0.5 um], width in depth [um]"
+        "beads: depth [um], error sideways [pitches] and in depth [planes of 0.5 um], width in "
+        "depth [um]"
     )
     for row in rows:
         print("{:7.2f} {:7.3f} {:7.2f} {:7.2f}".format(*row))

@@ -26,9 +26,7 @@ _SHAPES = {"hexagonal": ((1.0, 0.0), (0.5, np.sqrt(0.75))), "square": ((1.0, 0.0
 
 @njit(cache=True, nogil=True)
 def _pass_edge(inside, soft, normal):
-    """Light `inside` an edge by so many px: a ramp of this width, or a normal distribution of this
-    deviation.
-    """
+    """Light at a distance `inside` an edge [px]: a ramp, or a normal distribution."""
     return (
         0.5 * (1 + math.erf(inside / soft * math.sqrt(0.5)))
         if normal
@@ -107,7 +105,7 @@ def _draw(
 
 @dataclass(frozen=True)
 class WhiteImage:
-    """A white image as it is to be drawn.
+    """Description of a white image that `image` draws.
 
     Parameters
     ----------
@@ -243,7 +241,7 @@ class WhiteImage:
 
     @cached_property
     def noise(self) -> float:
-        """Standard deviation of the noise, with 1 the light in an unshaded disc."""
+        """Standard deviation of the noise; the light in an unshaded disc is 1."""
         return float(
             np.sqrt((replace(self, size=(400, 300)).light() ** 2).mean())
             * 10 ** (-self.decibels / 20)

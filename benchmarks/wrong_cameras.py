@@ -1,12 +1,14 @@
-"""Are wrong cameras noticed? `python -m benchmarks.wrong_cameras FIRST LAST [FLAT CAMERA.json]...`
+"""Shares of noticed wrong cameras and of false alarms.
 
-Each seed simulates a scene and a white image of a random camera; the camera is calibrated on the
-white image, and checked against the scene, as it is and in worse forms. Wrong cameras are turned by
-90 degrees, mirrored, shifted by a third of a pitch in a random direction, 0.5 % too long or short,
-stretched by 0.045 pitches in the corners (another camera of the same kind), or have their lens
-types in another order. Captures with their cameras may be added. Counted apart are forms on which
-no microimages can be seen, where that is said, and cameras that a turn or a mirror takes to
-themselves, within 0.06 pitches: their lattice is right for the flat.
+`python -m benchmarks.wrong_cameras FIRST LAST [FLAT CAMERA.json]...`
+
+Each seed simulates a scene and a white image of a random camera. The camera is calibrated on the
+white image and checked against the scene, unchanged and in degraded forms. Wrong cameras are
+turned by 90 degrees, mirrored, shifted by a third of a pitch in a random direction, 0.5 % too long
+or short, stretched by 0.045 pitches in the corners (another camera of the same kind), or have
+their lens types in another order. Captures with their cameras may be added. Two cases are counted
+separately: forms whose message says that no microimages can be seen, and cameras whose lattice
+does not change when it is turned or mirrored (within 0.06 pitches).
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ _MIRROR = np.array([[-1, 0], [0, 1]])
 
 
 def _forms(flat: NDArray[Any], rng: np.random.Generator) -> Iterator[tuple[str, NDArray[Any]]]:
-    """The flat as it is, and worse."""
+    """The flat unchanged and in degraded forms."""
     eight = flat if flat.dtype == np.uint8 else (flat // 257).astype(np.uint8)
     yield "as it is", flat
     yield "a quarter as bright", eight // 4

@@ -94,7 +94,9 @@ _OTHER_PROJECTS = {
     "matplotlib": (
         "https://matplotlib.org/stable/",
         {
-            "matplotlib.axes.Axes py:class": "api/_as_gen/matplotlib.axes.Axes.html#matplotlib.axes.Axes"
+            "matplotlib.axes.Axes py:class": (
+                "api/_as_gen/matplotlib.axes.Axes.html#matplotlib.axes.Axes"
+            ),
         },
     ),
 }

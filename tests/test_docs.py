@@ -1,14 +1,17 @@
-"""The documentation names all there is."""
+"""The documentation names all public names, pages, files and messages."""
 
 from __future__ import annotations
 
+import ast
 import inspect
 import pkgutil
 import re
 from functools import cached_property
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 
+import click
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -92,3 +95,33 @@ def test_files_that_a_page_names_exist(page):
         if "built_" not in path
     ]
     assert [path for path in named if not path.exists() and "_cupy" not in str(path)] == []
+
+
+def _texts():
+    """The strings of the packages and of click, with "…" in place of inserted values."""
+    sources = [
+        path for name in ("lfcal", "lfrender", "data_synth") for path in (ROOT / name).rglob("*.py")
+    ]
+    for path in [*sources, Path(click.exceptions.__file__), Path(click.core.__file__)]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                yield "".join(part.value if _is_text(part) else "…" for part in node.values)
+            elif _is_text(node):
+                yield node.value
+    for page in (ROOT / "lfrender/web/assets").iterdir():
+        yield page.read_text(encoding="utf-8")
+
+
+def _is_text(node):
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+
+
+def test_messages_in_the_table_are_those_of_the_code():
+    table = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    messages = re.findall(r"^\| `(.*?)` \|", table, re.MULTILINE)
+    assert len(messages) > 300
+    texts = " ".join(" ".join(_texts()).split())
+    for message in messages:
+        parts = re.split(r"…|\d\S*", message)
+        pairs = [" ".join(pair) for part in parts for pair in pairwise(part.split())]
+        assert [pair for pair in pairs if pair not in texts] == [], message

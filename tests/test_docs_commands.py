@@ -1,6 +1,4 @@
-"""Every command that README and the documentation show is understood; those of the first pages are
-run.
-"""
+"""Commands in README and documentation are parsed; those that take little time are run."""
 
 from __future__ import annotations
 
@@ -32,7 +30,7 @@ PAGES = [
     ROOT / "README.md",
     *(p for p in sorted((ROOT / "docs").rglob("*.md")) if "built" not in str(p)),
 ]
-# What waits for somebody, takes long, or is run by other tests.
+# Commands that wait for a user, take long, or are run by other tests.
 _NOT_RUN = {
     ("lfrender", "view"),
     ("lfrender", "live"),
@@ -50,7 +48,7 @@ def blocks(page, *languages):
 def _calls(lines):
     """Program and arguments of each line that calls one of the programs."""
     for line in lines:
-        # Environment variables before a command, and what follows it in the shell.
+        # Remove environment variables before a command, and shell operators after it.
         line = re.sub(r"^(?:[A-Z_]+=\S+ )+", "", re.split(r" && | \| ", line.removeprefix("$ "))[0])
         words = shlex.split(line, comments=True) if line.split(" ")[0] in PROGRAMS else []
         if len(words) > 1:
@@ -72,7 +70,7 @@ def commands(page):
 
 
 def mentions(page):
-    """The commands in the text, which may leave out what is not of interest there."""
+    """The commands in the text, which may lack arguments."""
     return list(
         _calls(re.findall(r"`((?:lfcal|lfrender|lfsynth) \w+ [^`]+)`", _without_blocks(page)))
     )
@@ -88,7 +86,7 @@ def _params(calls):
 
 @pytest.mark.parametrize(("program", "words"), _params(commands))
 def test_a_command_in_the_documentation_is_understood(program, words):
-    # Where the page leaves a number to the reader.
+    # N on a page stands for a number that the reader chooses.
     words = ["3" if word == "N" else word for word in words]
     if program == "lfsynth":
         PROGRAMS[program].make_context(program, words)
@@ -111,14 +109,14 @@ def test_a_command_in_the_text_has_the_options_that_are_named(program, words):
 
 
 def printed_after(page, command):
-    """What the page says a command prints: the lines after it in a block of a console."""
+    """The output of a command on the page: the lines after it in a console block."""
     text = (ROOT / page).read_text(encoding="utf-8")
     found = re.search(rf"^\$ {re.escape(command)}\n((?:[^$`].*\n)*)", text, re.MULTILINE)
     return found[1] if found else ""
 
 
 def mask(text):
-    """A text without its numbers, which are those of another capture."""
+    """A text without its numbers, which differ between captures."""
     return re.sub(r"\d[\d,.]*(?=\D)", "N", text)
 
 
@@ -182,9 +180,7 @@ WHOLE_PAGES = ["README.md", "docs/start.md", "docs/refocus.md"]
 
 
 def _single_commands():
-    """The other commands, each once; without those that start workers or take long, which have
-    tests of their own.
-    """
+    """All other commands, once each, except those that start workers or take long."""
     known = [call for page in WHOLE_PAGES for call in commands(ROOT / page)]
     for page in PAGES:
         for program, words in commands(page):
@@ -205,12 +201,14 @@ def test_a_command_of_the_documentation_runs(program, words, prepared, tmp_path,
     folder = tmp_path / "work"
     shutil.copytree(prepared, folder)
     monkeypatch.chdir(folder)
-    # Those of the small capture, in place of what suits that of the page.
+    # Replace values for the capture of the page by values for the small capture.
     words = [
         {"33": "6", "12.5": "6", "15.4": "20.3", "7x7": "2x2"}.get(word, word) for word in words
     ]
     if words[0] == "view" and "--export" not in words:
         words += ["--export", "page"]
+    if words[0] == "volume":
+        words += ["--steps", "1"]
     for word, package in ((".zarr", "zarr"), ("film", "av"), (".mp4", "av")):
         if any(word in one for one in words):
             pytest.importorskip(package)

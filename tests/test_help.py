@@ -96,7 +96,10 @@ def test_the_shell_completes_commands(program, begun, offered):
         "COMP_CWORD": "1",
         f"_{program.upper()}_COMPLETE": "bash_complete",
     }
-    code = f"import {program}.cli.main, sys; sys.argv = ['{program}']; {program}.cli.main.main(prog_name='{program}')"
+    code = (
+        f"import {program}.cli.main, sys; sys.argv = ['{program}']; "
+        f"{program}.cli.main.main(prog_name='{program}')"
+    )
     done = subprocess.run(
         [sys.executable, "-c", code], env=os.environ | shell, capture_output=True, text=True
     )
@@ -124,5 +127,8 @@ def test_a_command_that_fails_at_once_says_one_line(tmp_path):
 
 @pytest.mark.parametrize("program", ["lfcal", "lfrender"])
 def test_help_loads_neither_numpy_nor_numba(program):
-    code = f"import sys, {program}.cli.main; sys.exit(not sys.modules.keys().isdisjoint({{'numpy', 'numba', 'cv2'}}))"
+    code = (
+        f"import sys, {program}.cli.main; sys.exit(not sys.modules.keys().isdisjoint({{'numpy', "
+        f"'numba', 'cv2'}}))"
+    )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

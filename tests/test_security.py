@@ -29,7 +29,7 @@ SOURCES = [
     [
         f"sends nothing for {web.QUIET:g} s is closed",
         f"headers of more than {web.LARGEST_HEAD} bytes | 400",
-        f"more than {web.MOST_CONNECTIONS} connections at once | 503",
+        f"beyond {web.MOST_CONNECTIONS} connections at once | 503",
         f"a command without the header `{web.OWN_PAGE}` | 403",
         f"{MAX_PIXELS / 1e6:,.0f} megapixels in memory",
         f"{input_file.LARGEST_TEXT / 1e6:.0f} MB of text",
@@ -69,12 +69,12 @@ def test_requests_are_refused_as_the_page_says():
         cases = {
             "another host name": _ask(server, "GET", "/", Host="x.example"),
             "with a body": _ask(server, "POST", "/stop", Transfer_Encoding="chunked", **own),
-            "unknown paths": _ask(server, "POST", "/start", **own),
-            "other methods": _ask(server, "DELETE", "/stop"),
+            "an unknown path": _ask(server, "POST", "/start", **own),
+            "another method": _ask(server, "DELETE", "/stop"),
             "damaged": _ask(server, "GET", "/" + "a" * 40_000),
         }
         for words, response in cases.items():
             (row,) = [line for line in PAGE.splitlines() if line.startswith("|") and words in line]
             assert f"| {response.status}" in row
         for name in re.findall(r"`((?:Content|Cross|Cache|Referrer)-[\w-]+)`", PAGE):
-            assert cases["unknown paths"].getheader(name), name
+            assert cases["an unknown path"].getheader(name), name

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 import lfcal
 
-from ..calibration_confidence import draw_kind
+from ..camera_kinds import draw_kind
 from ..no_flats import draw_no_flat
 from .fit import collect_examples, fit_weights, whole_centres
 from .judgement import RIGHT, compare_with_centres

@@ -18,7 +18,7 @@ from lfcal.detection import search
 from lfcal.images.mosaic import equalise_mosaic, find_mosaic, remove_mosaic
 from lfcal.images.preprocessing import sqrt_luminance
 
-from ..calibration_confidence import draw_kind
+from ..camera_kinds import draw_kind
 from ..no_flats import draw_no_flat
 from .judgement import compare_with_centres
 from .random_cameras import draw_camera

@@ -1,6 +1,4 @@
-"""What a textbook would do, in calls of OpenCV and NumPy: the methods that ours are measured
-against.
-"""
+"""Textbook methods in calls of OpenCV and NumPy, for comparison with ours."""
 
 from __future__ import annotations
 
@@ -138,9 +136,7 @@ def matched_patch_sizes(flat: NDArray[Any], lattice: lfcal.Lattice) -> NDArray[n
 def tiled(
     flat: NDArray[Any], lattice: lfcal.Lattice, patch_size: NDArray[Any], scale: float
 ) -> lfrender.Rendering:
-    """A patch of each lens beside the next: every pixel is read, with `cv2.remap`, from the lens
-    nearest to it.
-    """
+    """Patches side by side: `cv2.remap` reads every pixel from the nearest lens."""
     width, height = lattice.image_size
     spacing = lattice.pitch / scale
     columns = round(width / spacing)

@@ -1,6 +1,4 @@
-"""What is measured on: simulated scenes, and ray-traced flats beside the repository where a folder
-of them is given.
-"""
+"""Test cases: simulated scenes, and ray-traced flats of a folder."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ _RESOLVABLE = 0.75
 
 @dataclass(frozen=True)
 class Case:
-    """A flat and what is true about it.
+    """A flat with its truth.
 
     Parameters
     ----------
@@ -56,13 +54,11 @@ class Case:
 
     @property
     def megapixels(self) -> float:
-        """Of the flat."""
+        """Size of the flat in megapixels."""
         return self.flat.shape[0] * self.flat.shape[1] / 1e6
 
     def centre_rms(self, lattice: lfcal.Lattice) -> float:
-        """RMS distance [px] of the centres found from true ones; infinite where the lattice is
-        another one.
-        """
+        """RMS error of the centres [px]; infinite for a wrong lattice."""
         from scipy.spatial import cKDTree
 
         found = lattice.centres()
@@ -92,7 +88,7 @@ class Case:
         }
 
     def picture_merit(self, picture: lfrender.Rendering) -> dict[str, float]:
-        """PSNR [dB] and SSIM over the resolvable places, a pitch off the border."""
+        """PSNR [dB] and SSIM over resolvable places at least a pitch from the border."""
         shape = picture.image.shape[:2]
         wanted, inside = resample(self.reference, self.affine, shape, picture.affine)
         v, u = np.mgrid[: shape[0], : shape[1]]

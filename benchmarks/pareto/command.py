@@ -38,7 +38,7 @@ _ERRORS = {
 
 
 def about() -> dict[str, Any]:
-    """Machine, versions and commit that figures belong to."""
+    """Machine, versions and commit of the figures."""
     versions: dict[str, str | None] = {}
     for name in _PACKAGES:
         try:
@@ -76,7 +76,7 @@ def _processor() -> str:
 
 
 def write(folder: Path, rows: list[Row]) -> None:
-    """Write results.json, results.csv and, where matplotlib is there, one plot for each stage."""
+    """Write results.json and results.csv, and with matplotlib one plot for each stage."""
     folder.mkdir(parents=True, exist_ok=True)
     result = {**about(), "rows": [asdict(row) for row in rows]}
     (folder / "results.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

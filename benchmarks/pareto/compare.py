@@ -1,6 +1,4 @@
-"""Show what has become worse or better between two runs: `python -m benchmarks compare BEFORE.json
-AFTER.json`.
-"""
+"""Figures that differ between two runs: `python -m benchmarks compare BEFORE.json AFTER.json`."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ _MORE_IS_BETTER = ("PSNR dB", "SSIM")
 
 
 def differences(before: dict[str, Any], after: dict[str, Any]) -> tuple[list[str], list[str]]:
-    """Lines about what is worse in `after`, and about what is better."""
+    """Lines about worse figures in `after`, and about better ones."""
     old = {(row["stage"], row["method"], row["case"]): row for row in before["rows"]}
     worse = []
     better = []
@@ -50,7 +48,7 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> tuple[list[str
 
 
 def main(arguments: list[str]) -> None:
-    """Print both lists; exits with 1 where something is worse."""
+    """Print both lists; exit with 1 if a figure is worse."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks compare", description=__doc__)
     parser.add_argument("before", type=Path)
     parser.add_argument("after", type=Path)

@@ -26,7 +26,7 @@ _PRESETS: tuple[Preset, ...] = ("fast", "balanced")
 
 @dataclass(frozen=True)
 class Row:
-    """One method on one case.
+    """Time and errors of one method on one case.
 
     Parameters
     ----------

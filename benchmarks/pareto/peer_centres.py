@@ -1,5 +1,4 @@
-"""Microimage centres as another tool finds them, as a script of its own: it also runs where only
-that tool does.
+"""Microimage centres by another tool, as a script that needs only that tool.
 
 python peer_centres.py                                   # versions of the tools installed, as JSON
 python peer_centres.py NAME WHITE.npy PITCH CENTRES.npy  # prints the CPU time [s]
@@ -76,7 +75,7 @@ def _plenpy(white: Any, pitch: float) -> Any:
 
 
 def main(arguments: list[str]) -> None:
-    """What the module says."""
+    """Print the versions, or write the centres that a tool finds."""
     if not arguments:
         print(json.dumps(installed()))
         return

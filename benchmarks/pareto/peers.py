@@ -1,8 +1,7 @@
-"""Other tools beside ours: centres on white images, from whichever of plenopticam and plenpy is
-installed.
+"""Centres on white images by the other tools plenopticam and plenpy, where installed.
 
-Both are made for cameras of the first kind, whose microimages are pixels of views: they know no
-patch size, so that there is nothing of theirs to compare depth and rendering with.
+Both are made for unfocused cameras, whose microimages are pixels of views. They have no patch size,
+so their depth and rendering cannot be compared.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Every stage driven to its limits: `python -m benchmarks stress [--full]`."""
+"""Stress tests of every stage: `python -m benchmarks stress [--full]`."""

@@ -1,6 +1,4 @@
-"""The stress suite as a command: runs the sweeps, random cases and damaged files, and writes what
-came of them.
-"""
+"""The stress suite as a command: sweeps, random cases and damaged files."""
 
 from __future__ import annotations
 
@@ -56,7 +54,7 @@ def _plot(path: Path, sweep: Sweep, rows: list[tuple[float, Outcome]]) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Run the suite; exits with 1 where a limit is broken."""
+    """Run the suite; exit with 1 if a limit is broken."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks stress", description=__doc__)
     parser.add_argument(
         "--full",
@@ -90,7 +88,8 @@ def main(arguments: list[str]) -> None:
             broken += [f"{stage}, {sweep.name} {what}" for what in wrong]
             worst = max((one.wrong for _, one in rows), default=0.0)
             print(
-                f"{stage:12} {sweep.name:18} {len(rows):4d} values, confident and wrong at most {worst:.2%}, "
+                f"{stage:12} {sweep.name:18} {len(rows):4d} values, confident and wrong at most "
+                f"{worst:.2%}, "
                 f"limits {'broken at ' + '; '.join(wrong) if wrong else 'kept'}",
                 flush=True,
             )

@@ -1,6 +1,4 @@
-"""Damaged and hostile files for every reader: truncated, bits flipped, headers that claim too much,
-other types.
-"""
+"""Damaged and hostile files for every reader: truncated, bits flipped, wrong headers or types."""
 
 from __future__ import annotations
 
@@ -50,9 +48,7 @@ _CLAIMS = (
 
 @dataclass(frozen=True)
 class Fault:
-    """A file that was not refused as it should be: its name, the number of the damage, and what
-    came of it.
-    """
+    """A file that was not refused: its name, the number of the damage, and the result."""
 
     name: str
     number: int
@@ -180,9 +176,7 @@ def damaged(whole: bytes, number: int) -> bytes:
 
 
 def _read_film(path: Path) -> int:
-    """Read all frames and the last one alone, and raise the first error of theirs when all have
-    been tried.
-    """
+    """Read all frames, then the last one alone, and raise the first error."""
     errors: list[lfcal.LightFieldError] = []
     count = 0
     try:
@@ -258,7 +252,7 @@ def fuzz(
 
 
 def limit_memory(gigabytes: float) -> None:
-    """Let this process have no more address space than so much, so that a header cannot claim it."""
+    """Limit the address space of this process, so that a header cannot claim more."""
     resource.setrlimit(
         resource.RLIMIT_AS, (int(gigabytes * 2**30), resource.getrlimit(resource.RLIMIT_AS)[1])
     )

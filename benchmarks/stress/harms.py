@@ -1,4 +1,4 @@
-"""What sensors, dust and broken lenses do to a flat: each gives a function that harms one."""
+"""Defects of sensors and lenses; each function returns one that adds the defect to a flat."""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Whether another processor gives the same results: `python -m benchmarks.stress.other_processor`.
+"""Comparison of results without special processor instructions.
 
-Kernels are compiled anew without the instructions that only this one has, into a folder of their
-own: minutes.
+`python -m benchmarks.stress.other_processor`.
+
+Kernels are compiled without the instructions that only this processor has, into another folder.
+This takes minutes.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ def differences(
 
 
 def main() -> None:
-    """Print the differences; exits with 1 where one is too large."""
+    """Print the differences; exit with 1 if one is too large."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "theirs.npz"
         environment = os.environ | {

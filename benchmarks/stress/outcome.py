@@ -1,4 +1,4 @@
-"""What one stressed case came to, and the limits it is held to."""
+"""Outcome of a stress test, and its limits."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ Harm = Callable[[NDArray[Any]], NDArray[Any]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one case.
+    """Outcome of one case.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class Sweep:
     least: float = 0.95
 
     def broken(self, value: float, outcome: Outcome) -> str:
-        """What of the promise `outcome` breaks at `value`; empty where it keeps it."""
+        """The limits that `outcome` breaks at `value`; empty if it keeps all."""
         wrong = max(outcome.wrong, outcome.off)
         if wrong > _ALLOWED:
             return f"{wrong:.1%} confident and wrong"

@@ -77,11 +77,12 @@ def outcomes(stage: str, batch: int, count: int = BATCH) -> list[tuple[str, Outc
 
 
 def summary(rows: list[dict[str, Any]]) -> tuple[str, bool]:
-    """What came of the cases of one stage in a line, and whether wrong answers are rare enough."""
+    """One line about the cases of a stage, and whether wrong answers are rare enough."""
     off, answered = (np.array([row[name] for row in rows]) for name in ("off", "answered"))
     wrong = np.array([row["wrong"] for row in rows])
     line = (
-        f"{len(rows):6d} random cases: answered {answered.mean():.1%}, confident and wrong {off.mean():.3%} "
+        f"{len(rows):6d} random cases: answered {answered.mean():.1%}, confident and wrong "
+        f"{off.mean():.3%} "
         f"({(off > 0).sum()} cases, {(off > 0.1).sum()} of them in more than a tenth), "
         f"by a twentieth of the pitch at {SURE:g}: {wrong.mean():.3%}"
     )
@@ -102,9 +103,7 @@ def _done(file: Path) -> dict[tuple[str, int], list[dict[str, Any]]]:
 
 
 def run_all(file: Path, cases: int, stages: tuple[str, ...] = tuple(STAGES)) -> list[str]:
-    """Run what is not in `file` yet, stages in turn, and tell of every stage; gives those with too
-    many wrong.
-    """
+    """Run the batches that are not in `file`; gives the stages with too many wrong answers."""
     done = _done(file)
     for batch in range(-(-cases // BATCH)):
         for stage in stages:
@@ -138,7 +137,7 @@ def run_all(file: Path, cases: int, stages: tuple[str, ...] = tuple(STAGES)) -> 
 
 
 def main(arguments: list[str]) -> None:
-    """Exits with 1 where confident and wrong answers are not rare."""
+    """Run random cases; exit with 1 if confident wrong answers are not rare."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.stress.random_cases", description=__doc__
     )

@@ -1,6 +1,4 @@
-"""Random cases as `hypothesis` draws them: plain values and ends of ranges more often than chance
-would have them.
-"""
+"""Random cases drawn by `hypothesis`, which prefers plain values and ends of ranges."""
 
 from __future__ import annotations
 
@@ -92,9 +90,7 @@ def planes(draw: st.DrawFn, largest: float = 3.0) -> PlaneFlat:
 
 
 def drawable_planes() -> st.SearchStrategy[PlaneFlat]:
-    """Planes within the range in which neighbours share what they show, and so a picture can be
-    checked.
-    """
+    """Planes whose neighbouring lenses share content, so that a picture can be checked."""
     return planes(0.7)
 
 
@@ -208,9 +204,7 @@ _PICTURES: tuple[Callable[[st.DrawFn], NDArray[np.float64]], ...] = (
 
 @st.composite
 def lookalikes(draw: st.DrawFn) -> tuple[str, NDArray[Any]]:
-    """What it is, and a (h, w) uint8 picture, of something that is no array of microimages: much of
-    it repeats.
-    """
+    """Name and (h, w) uint8 picture of a scene that is not an array of microimages."""
     what = draw(st.sampled_from(_PICTURES))
     picture = what(draw)
     blur = draw(_or_none(_between(0.3, 2)))

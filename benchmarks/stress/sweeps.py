@@ -1,6 +1,4 @@
-"""What is driven over its range, and the limits that are promised: calibration on white images,
-depth on planes.
-"""
+"""Sweeps of single quantities, and the limits that are promised for them."""
 
 from __future__ import annotations
 
@@ -86,7 +84,7 @@ def _harmed(harm: Callable[[float], Harm]) -> Callable[[float], Outcome]:
 
 
 def _far(value: float) -> Outcome:
-    """The far end of a wide flat, dark but there: single precision has steps of 0.008 px at 1e5 px."""
+    """The lit far end of a wide dark flat: float32 has steps of 0.008 px at 1e5 px."""
     near = replace(_PLANE, size=(500, 130), cell="square")
     flat = near.flat()
     lattice = near.lattice
@@ -133,7 +131,7 @@ def _white_missing(value: float) -> Outcome:
 
 
 def _white_small(value: float) -> Outcome:
-    """So many lenses across a flat that is ten high."""
+    """A flat that is `value` lenses wide and ten high."""
     return calibrate_white(replace(_WHITE, pitch=20.0, size=(int(20 * value) + 4, 204)))
 
 
@@ -186,7 +184,7 @@ def _of_pictures() -> tuple[Sweep, ...]:
 
 
 def sweeps() -> dict[str, tuple[Sweep, ...]]:
-    """All sweeps by what they drive."""
+    """All sweeps by stage."""
     turn = tuple(float(d) for d in range(360))
     ratios = (
         0.005,
@@ -383,7 +381,7 @@ def random_white(number: int) -> tuple[WhiteImage, float]:
 
 
 def random_plane(number: int) -> PlaneFlat:
-    """A plane with everything drawn at random, image planes on and beyond the microlenses among it."""
+    """A random plane; its image may lie on the microlenses or beyond."""
     rng = np.random.default_rng(number)
     pitch = float(np.exp(rng.uniform(np.log(6), np.log(50))))
     side = int(np.clip(pitch * rng.uniform(5, 20), 80, 420))

@@ -1,4 +1,4 @@
-"""Renderings in tiles that are killed: `python -m benchmarks.stress.tile_faults FOLDER [KILLS]`.
+"""Killed renderings in tiles: `python -m benchmarks.stress.tile_faults FOLDER [KILLS]`.
 
 A process of its own renders a small flat in tiles over and over, and is killed at a random moment.
 Then the picture must be absent or whole, and rendering once more must make it, from the tiles that
@@ -48,7 +48,7 @@ def _render(folder: Path, name: str) -> LargePicture:
 
 
 def render_for_ever(folder: Path, name: str) -> None:
-    """Render, and say so, until somebody puts an end to it."""
+    """Render again and again until the process is killed."""
     number = 0
     while True:
         _render(folder, name)
@@ -115,7 +115,7 @@ def kill_renderings(folder: Path, kills: int, seed: int = 0) -> tuple[list[str],
 
 
 def main(arguments: list[str]) -> None:
-    """Print what was found; exits with 1 where that is something."""
+    """Print the faults; exit with 1 if there is one."""
     folder = Path(arguments[0])
     if arguments[2:] == ["forever"]:
         render_for_ever(folder, arguments[1])

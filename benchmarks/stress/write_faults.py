@@ -1,4 +1,4 @@
-"""Writers that are killed, and disks that are full: `python -m benchmarks.stress.write_faults
+"""Killed writers and full disks: `python -m benchmarks.stress.write_faults
 FOLDER [KILLS]`.
 
 Every output of the project must be absent or whole afterwards. The writers run in forks of a
@@ -79,7 +79,7 @@ def _writers() -> dict[str, tuple[Callable[[Path, int], Any], Callable[[Path], A
 
 
 def kill_writers(folder: Path, kills: int, seed: int = 0) -> list[str]:
-    """Kill writers at random moments; gives what was found neither absent nor whole."""
+    """Kill writers at random moments; gives outputs that are neither absent nor whole."""
     rng = np.random.default_rng(seed)
     found = []
     for name, (write, read) in _writers().items():
@@ -105,7 +105,7 @@ def kill_writers(folder: Path, kills: int, seed: int = 0) -> list[str]:
 
 
 def full_disk(folder: Path) -> list[str]:
-    """Write where only some thousand bytes fit; gives what went wrong beside the refusal."""
+    """Write onto a nearly full disk; gives faults other than a refusal."""
     found = []
     hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
     for name, (write, read) in _writers().items():
@@ -137,7 +137,7 @@ def _is_whole(path: Path, read: Callable[[Path], Any]) -> bool:
 
 
 def main(arguments: list[str]) -> None:
-    """Print what was found; exits with 1 where that is something."""
+    """Print the faults; exit with 1 if there is one."""
     folder = Path(arguments[0])
     (folder / "full").mkdir(parents=True)
     found = full_disk(folder / "full") + kill_writers(

@@ -1,6 +1,4 @@
-"""Damaged and hostile Zarr arrays: files of a good one truncated, altered or missing, and
-descriptions that lie.
-"""
+"""Damaged and hostile Zarr arrays: files truncated, altered or missing, wrong descriptions."""
 
 from __future__ import annotations
 
@@ -59,7 +57,7 @@ def _part(path: Path) -> NDArray[Any]:
 
 
 def _harmed(whole: Path, number: int) -> Iterator[tuple[str, Callable[[Path], Any]]]:
-    """What is done to a copy of an array: its files are damaged in turn, or one is removed."""
+    """Copies of an array whose files are damaged in turn, or one is removed."""
     rng = np.random.default_rng(number)
     files = sorted(
         f.relative_to(whole) for f in whole.rglob("*") if f.is_file() and f.stat().st_size > 8

@@ -22,7 +22,8 @@ _SCENE = (
     '<path d="M-40,-8 L-11,-36 L18,-8 Z" fill="#8f4f3c"/>'
     '<rect x="-24" y="8" width="11" height="34" fill="#5b3a29"/>'
     '<rect x="-6" y="4" width="12" height="12" fill="#fff3c4"/>'
-    '<rect x="32" y="10" width="6" height="32" fill="#7a5a3a"/><circle cx="35" cy="0" r="17" fill="#4d8a4a"/>'
+    '<rect x="32" y="10" width="6" height="32" fill="#7a5a3a"/><circle cx="35" cy="0" r="17" '
+    'fill="#4d8a4a"/>'
     '<circle cx="40" cy="-40" r="8" fill="#f2c14e"/>'
 )
 
@@ -30,14 +31,18 @@ _SCENE = (
 def _text(
     x: float, y: float, words: str, anchor: str = "middle", size: int = 15, colour: str = "#222"
 ) -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}" fill="{colour}">{words}</text>'
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}" fill="{colour}">'
+        f"{words}</text>"
+    )
 
 
 def _arrow(start: Point, end: Point, colour: str, both: bool = False, width: float = 2) -> str:
     """A line with a head at its end, or at both ends."""
     tail = f' marker-start="url(#head{colour[1:]})"' if both else ""
     return (
-        f'<line x1="{start[0]:.1f}" y1="{start[1]:.1f}" x2="{end[0]:.1f}" y2="{end[1]:.1f}" stroke="{colour}" '
+        f'<line x1="{start[0]:.1f}" y1="{start[1]:.1f}" x2="{end[0]:.1f}" y2="{end[1]:.1f}" '
+        f'stroke="{colour}" '
         f'stroke-width="{width}" marker-end="url(#head{colour[1:]})"{tail}/>'
     )
 
@@ -69,8 +74,10 @@ def _microimage(
     """
     x, y = (c * (1 + ratio) - ratio * m for c, m in zip(centre, middle, strict=True))
     return (
-        f'<clipPath id="{name}"><circle cx="{centre[0]:.1f}" cy="{centre[1]:.1f}" r="{radius:.1f}"/></clipPath>'
-        f'<g clip-path="url(#{name})"><g transform="translate({x:.1f} {y:.1f}) scale({-ratio * size:.4f})">'
+        f'<clipPath id="{name}"><circle cx="{centre[0]:.1f}" cy="{centre[1]:.1f}" '
+        f'r="{radius:.1f}"/></clipPath>'
+        f'<g clip-path="url(#{name})"><g transform="translate({x:.1f} {y:.1f}) '
+        f'scale({-ratio * size:.4f})">'
         f"{_SCENE}</g></g>"
     )
 
@@ -86,12 +93,14 @@ def _array(
 
 def _write(name: str, width: int, height: int, title: str, *parts: str) -> None:
     heads = "".join(
-        f'<marker id="head{colour[1:]}" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" '
+        f'<marker id="head{colour[1:]}" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" '
+        f'markerHeight="7" '
         f'orient="auto-start-reverse"><path d="M0,0 L10,5 L0,10 Z" fill="{colour}"/></marker>'
         for colour in (_RED, _BLUE, _ORANGE, "#222222")
     )
     (FOLDER / f"{name}.svg").write_text(
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
+        f'height="{height}" '
         f'font-family="Helvetica, Arial, sans-serif"><title>{title}</title><defs>{heads}</defs>'
         f'<rect width="{width}" height="{height}" rx="8" fill="#fff"/>{"".join(parts)}</svg>\n',
         encoding="utf-8",
@@ -111,12 +120,15 @@ def flat() -> None:
         720,
         360,
         "A flat with its microimages",
-        '<clipPath id="sensor"><rect x="20" y="20" width="430" height="320"/></clipPath><g clip-path="url(#sensor)">'
+        '<clipPath id="sensor"><rect x="20" y="20" width="430" height="320"/></clipPath><g '
+        'clip-path="url(#sensor)">'
         '<rect x="20" y="20" width="430" height="320" fill="#16181c"/>',
         _array(middle, pitch, 0.36, 3.4, 7, 8, "f"),
         "</g>",
-        f'<circle cx="{one[0]}" cy="{one[1]}" r="{radius}" fill="none" stroke="{_RED}" stroke-width="3"/>',
-        f'<circle cx="{two[0]}" cy="{two[1]}" r="{radius}" fill="none" stroke="{_RED}" stroke-width="3"/>',
+        f'<circle cx="{one[0]}" cy="{one[1]}" r="{radius}" fill="none" stroke="{_RED}" '
+        f'stroke-width="3"/>',
+        f'<circle cx="{two[0]}" cy="{two[1]}" r="{radius}" fill="none" stroke="{_RED}" '
+        f'stroke-width="3"/>',
         _arrow((one[0], one[1]), (two[0], two[1]), "#222222", both=True, width=3),
         _line((two[0] + 8, two[1] - 4), (480, 130), colour="#222"),
         _line((one[0] + 12, one[1] + radius - 5), (480, 236), colour=_RED),
@@ -125,15 +137,16 @@ def flat() -> None:
         _text(490, 135, "pitch D", "start", 20),
         _text(490, 155, "from centre to centre [px]", "start", 14, "#444"),
         _text(490, 240, "microimage", "start", 20, _RED),
-        _text(490, 260, "what one microlens shows", "start", 14, "#444"),
-        _text(490, 278, "of the scene", "start", 14, "#444"),
+        _text(490, 260, "the picture of one microlens", "start", 14, "#444"),
+        _text(490, 278, "on the sensor", "start", 14, "#444"),
     )
 
 
 def mode() -> None:
     """Telescopic and binocular microimages, and the scene that both show."""
     parts = [
-        f'<clipPath id="whole"><rect x="20" y="55" width="200" height="220"/></clipPath><g clip-path="url(#whole)">'
+        f'<clipPath id="whole"><rect x="20" y="55" width="200" height="220"/></clipPath><g '
+        f'clip-path="url(#whole)">'
         f'<g transform="translate(120 165) scale(2.1)">{_SCENE}</g></g>',
         _text(120, 38, "the scene", size=18),
     ]
@@ -181,7 +194,8 @@ def patch_size() -> None:
     ]
     parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="6" fill="{_RED}"/>' for x, y in shown]
     parts += [
-        f'<circle cx="{other[0]:.1f}" cy="{other[1]:.1f}" r="6" fill="none" stroke="{_RED}" stroke-width="2"/>',
+        f'<circle cx="{other[0]:.1f}" cy="{other[1]:.1f}" r="6" fill="none" stroke="{_RED}" '
+        f'stroke-width="2"/>',
         _line(other, (other[0], 36), dash="4 3", colour=_RED),
         _line(shown[1], (shown[1][0], 36), dash="4 3", colour=_RED),
         _arrow((other[0], 42), (shown[1][0], 42), _RED, width=3),

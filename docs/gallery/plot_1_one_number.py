@@ -2,9 +2,9 @@
 One signed number
 =================
 
-A feature that one microlens shows at some place is shown by its neighbour shifted by ``s``, the
-signed patch size. Here a telescopic and a binocular plane are photographed, and two neighbouring
-microimages of each are compared over all shifts.
+Two neighbouring microlenses show the same feature, shifted by the signed patch size ``s``. This
+example photographs a telescopic and a binocular plane, and compares two neighbouring microimages of
+each over all shifts.
 """
 
 import matplotlib.pyplot as plt

@@ -2,7 +2,7 @@
 A white image and its lattice
 =============================
 
-A square lattice, turned by 3.7 degrees, is found from a simulated white image. The residuals of the
+A square lattice, rotated by 3.7 degrees, is found on a simulated white image. The residuals of the
 fit are noise.
 """
 
@@ -21,7 +21,8 @@ index = found.lattice.indices()
 nearest = np.linalg.norm(found.lattice.centres()[:, None] - true.centres()[None], axis=2).min(1)
 print(f"pitch {found.lattice.pitch:.4f} px, truth {true.pitch:.4f} px")
 print(
-    f"centres within {nearest.max():.4f} px, mean standard error {found.errors.of_centres(found.lattice).mean():.4f} px"
+    f"centres within {nearest.max():.4f} px, mean standard error "
+    f"{found.errors.of_centres(found.lattice).mean():.4f} px"
 )
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained")

@@ -2,8 +2,8 @@
 Two modes in one picture
 ========================
 
-A house is telescopic, the branches before it are binocular. One patch size for all places serves
-one of them; each lens in its own mode serves both.
+The house is telescopic, and the branches in front of it are binocular. With one patch size for all
+places, only one of them is sharp. With the own mode of each lens, both are sharp.
 """
 
 import matplotlib.pyplot as plt

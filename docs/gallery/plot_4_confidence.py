@@ -1,8 +1,8 @@
 """
-What it is unsure of
-====================
+Confidence and errors
+=====================
 
-Depth comes with a standard error and a confidence, and lenses that show nothing say so.
+Every depth has a standard error and a confidence. Lenses without a depth have a reason.
 """
 
 import matplotlib.pyplot as plt

@@ -2,9 +2,8 @@
 A real capture
 ==============
 
-Fujita2, a frame of a Raytrix R5 from the MPEG lenslet sequences, with nothing given but its pixels.
-Where the captures are not there (folder ``shared`` beside the sources), a simulated one takes its
-place.
+Fujita2 is a frame of a Raytrix R5 from the MPEG lenslet sequences. Only its pixels are given. If the
+captures (folder ``shared`` beside the sources) are missing, a simulated capture is used.
 """
 
 from pathlib import Path
@@ -41,7 +40,7 @@ for ax in axes.flat:
 # %%
 # At 100 %
 # --------
-# The same part of both pictures: what is gained is detail.
+# The same part of both pictures: the right one has more detail.
 
 rows, columns = picture.image.shape[:2]
 part = np.s_[rows // 20 : rows // 20 + rows // 3, columns // 4 : columns // 4 + columns // 3]

@@ -1,4 +1,4 @@
-"""Random cases by the thousand: drawn as described, counted as they come out, and never run twice."""
+"""Random cases are drawn from their seed, counted by their result, and never run twice."""
 
 import json
 
@@ -12,7 +12,7 @@ from benchmarks.stress.random_cases import BATCH, RARE, outcomes, run_all, summa
 
 @pytest.fixture
 def counted(monkeypatch):
-    """A stage whose cases are numbers, of which those above 90 come out wrong; gives what was run."""
+    """A stage whose cases are numbers; numbers above 90 are wrong. Gives the list of cases run."""
     run = []
 
     def judge(number):
