@@ -1,3 +1,1 @@
-"""Boards of known points: made to print, found on flats, their corners located in single
-microimages.
-"""
+"""Calibration boards: drawn for print, found on flats, their corners fitted in microimages."""

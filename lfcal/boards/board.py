@@ -1,6 +1,4 @@
-"""Boards: which points they show, and where; boards to print, as SVG or PDF in true size, with a
-bar to measure.
-"""
+"""Boards: the points that they show, and drawings to print as SVG or PDF in true size."""
 
 from __future__ import annotations
 
@@ -19,6 +17,10 @@ __all__ = ["PATTERNS", "Board", "BoardPattern", "draw_board", "write_board"]
 
 BoardPattern = Literal["checkerboard", "charuco", "circles"]
 PATTERNS = get_args(BoardPattern)
+# Side of markers, and diameter of circles, where none is given [squares].
+_MARKER = 0.75
+_CIRCLE = 1.2
+_INCH = 25.4  # [mm]
 
 
 @dataclass(frozen=True)
@@ -57,20 +59,16 @@ class Board:
     def __post_init__(self) -> None:
         if self.pattern not in PATTERNS:
             raise ValueError(f"pattern must be {', '.join(PATTERNS)}, got {self.pattern!r}")
-        columns, rows = (check_number(getattr(self, name), name) for name in ("columns", "rows"))
-        if not (2 <= columns <= 200 and 2 <= rows <= 200):
-            raise BoardError(
-                f"a board has 2 to 200 inner corners each way, got {self.columns} x {self.rows}"
-            )
-        if self.pattern == "checkerboard" and min(self.columns, self.rows) < 3:
-            raise BoardError(
-                f"a checkerboard needs 3 x 3 inner corners or more, got {self.columns} x {self.rows}"
-            )
+        sides = [check_number(getattr(self, name), name) for name in ("columns", "rows")]
+        size = f"{self.columns} x {self.rows}"
+        if not 2 <= min(sides) <= max(sides) <= 200:
+            raise BoardError(f"a board has 2 to 200 inner corners each way, got {size}")
+        if self.pattern == "checkerboard" and min(sides) < 3:
+            raise BoardError(f"a checkerboard needs 3 x 3 inner corners or more, got {size}")
         if not 0 < check_number(self.square, "square") < np.inf:
             raise BoardError(f"the square must have a positive side [mm], got {self.square!r}")
-        marker = check_number(
-            self.marker or self.square * (0.75 if self.pattern == "charuco" else 1.2), "marker"
-        )
+        usual = _MARKER if self.pattern == "charuco" else _CIRCLE
+        marker = check_number(self.marker or self.square * usual, "marker")
         if not 0 < marker < np.inf or (self.pattern == "charuco" and marker >= self.square):
             raise BoardError(
                 f"markers must be smaller than the square of {self.square} mm, got {marker!r} mm"
@@ -79,9 +77,7 @@ class Board:
 
     @property
     def points(self) -> Floats:
-        """(k, 3) corners or centres [mm], row by row: x along the rows, y down, z away from the
-        camera.
-        """
+        """(k, 3) corners or centres [mm], row by row; x right, y down, z away from the camera."""
         column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         x = 2 * column + row % 2 if self.pattern == "circles" else column
         return np.column_stack([x.ravel(), row.ravel(), np.zeros(x.size)]) * self.square
@@ -106,14 +102,15 @@ class Board:
         )
 
     def __str__(self) -> str:
-        return f"{self.pattern} of {self.columns} x {self.rows} {'circles' if self.pattern == 'circles' else 'corners'}"
+        points = "circles" if self.pattern == "circles" else "corners"
+        return f"{self.pattern} of {self.columns} x {self.rows} {points}"
 
 
 def write_board(path: str | os.PathLike[str], board: Board) -> None:
     """Write a board in true size, `.svg` or `.pdf`; the file appears whole or not at all.
 
-    Print it at 100 % on flat, matt material and measure the bar: if it is not 100 mm long, scale
-    `square` by what it is.
+    Print it at 100 % on flat, matt material and measure the bar. If it is not 100 mm long, multiply
+    `square` by its length over 100 mm.
     """
     check_output(path, {".svg", ".pdf"})
     with atomic_write(path) as temporary:
@@ -128,35 +125,30 @@ def draw_board(board: Board) -> Any:
 
     side = board.square
     points = board.points[:, :2]
-    # A square about the points, and a margin of another one.
+    # One square of the pattern surrounds the points, and another one is left white.
     shift = 2 * side - points.min(0)
     width, height = np.ptp(points, axis=0) + 4 * side
     bar = height + 4.0
     page = max(width, 100 + 2 * side), bar + 12
     shapes: list[Any] = [Rectangle((side, bar), 100.0, 1.5)]
+    radius = float(board.marker or 0) / 2
     if board.pattern == "circles":
-        shapes += [Circle((x, y), float(board.marker or 0) / 2) for x, y in points + shift]
+        shapes += [Circle(place, radius) for place in points + shift]
     else:
         # The square up-left of corner 0 is dark.
-        squares = (
-            (c, r) for r in range(board.rows + 1) for c in range(r % 2, board.columns + 1, 2)
-        )
-        shapes += [
-            Rectangle(((c - 1) * side + shift[0], (r - 1) * side + shift[1]), side, side)
-            for c, r in squares
-        ]
+        row, column = np.nonzero(np.indices((board.rows + 1, board.columns + 1)).sum(0) % 2 == 0)
+        corners = np.column_stack([column - 1, row - 1]) * side + shift
+        shapes += [Rectangle(corner, side, side) for corner in corners]
     if board.pattern == "charuco":
         shapes += [
             Rectangle(place, module, module)
             for place, module in _marker_modules(board, shift - side)
         ]
-    figure = Figure((page[0] / 25.4, page[1] / 25.4))
+    figure = Figure((page[0] / _INCH, page[1] / _INCH))
     axes = figure.add_axes((0, 0, 1, 1), xlim=(0, page[0]), ylim=(page[1], 0))
     axes.axis("off")
     axes.add_collection(PatchCollection(shapes, facecolor="black", edgecolor="none", linewidth=0))
-    axes.text(
-        side, bar + 7, f"{board}, {side:g} mm; this bar is 100 mm long", fontsize=4 / 25.4 * 72
-    )
+    axes.text(side, bar + 6, f"{board}, {side:g} mm; this bar is 100 mm long", fontsize=11)
     return figure
 
 
@@ -173,7 +165,6 @@ def _marker_modules(board: Board, origin: np.ndarray) -> list[tuple[Any, float]]
         corner = np.asarray(corners)[:, :2].min(0) + origin
         picture = cv2.aruco.generateImageMarker(dictionary, int(number), side, borderBits=1)
         found += [
-            (corner + module * np.array(place[::-1]), module)
-            for place in np.argwhere(picture < 128)
+            (corner + module * np.array(place[::-1]), module) for place in np.argwhere(picture == 0)
         ]
     return found

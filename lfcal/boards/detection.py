@@ -1,11 +1,10 @@
-"""Boards on flats: an all-in-focus picture by a plane sweep, and the points of a board on it by
-OpenCV's detectors.
+"""Boards on flats: OpenCV's detectors find their points on an all-in-focus picture.
 
-Every candidate of `s / D` draws the scene with the formula of docs/geometry.md, `p = c - (X - c) s
-/ D`, from all lenses that see a point. Where the candidate is right they agree: the variance among
-them, averaged over a window, chooses the candidate of every point (plane sweep; Collins 1996).
-`lfrender` has the accurate form of this, but stands above `lfcal`: boards need a picture that a
-detector finds them on, corners are then measured in the microimages.
+A plane sweep (Collins 1996) draws the picture: every candidate of `s / D` draws the scene from all
+lenses that see a point, by the formula of docs/geometry.md, `p = c - (X - c) s / D`. The lenses
+agree where the candidate is right, so each point gets the candidate with the smallest variance
+among its lenses, averaged over a window. The picture only serves to find the board; its corners are
+measured in the microimages (`corner_fit`).
 """
 
 from __future__ import annotations
@@ -23,6 +22,26 @@ from .board import Board
 
 __all__ = ["DetectedBoard", "FocusSweep", "FocusedPicture", "detect", "other_size"]
 
+# Candidates of the size of `s / D`. Nearer to 0 and beyond 0.75, neighbours share too little of the
+# scene. A step moves patches by half a pixel at D = 23 px.
+_RATIOS = np.arange(0.05, 0.75, 0.025)
+# Distances of the points at which candidates are compared, and of the pixels of the picture [pitch].
+_COARSE_STEP = 0.2
+_FINE_STEP = 0.075
+# Side of the windows over which variances are averaged [points]: 1.4 pitches, a lens and half of its
+# neighbours.
+_WINDOW = (7, 7)
+# Least share of the points of a window that two lenses or more see.
+_LEAST_KNOWN = 0.3
+# Lenses that draw a point: the nearest one and a ring of six about it.
+_LENSES = 7
+# Percentiles of the grey values that detectors get as black and white.
+_BLACK_WHITE = (1, 99)
+# Fewest points with which a board counts as found.
+_LEAST_POINTS = 6
+# Errors of `D / s` up to this share of it are squared, larger ones count in proportion (Huber).
+_HUBER = 0.05
+
 
 class FocusedPicture(NamedTuple):
     """An all-in-focus picture with the patch size it was drawn with."""
@@ -36,58 +55,48 @@ class FocusSweep:
     """Draws all-in-focus pictures of the flats of a camera with this `lattice`."""
 
     def __init__(self, lattice: Lattice) -> None:
-        # Candidates are compared at points a fifth of a pitch apart.
-        self._coarse, self._fine = (
-            _Views(lattice, share * lattice.pitch) for share in (0.2, 0.075)
-        )
+        self._coarse = _Views(lattice, _COARSE_STEP * lattice.pitch)
+        self._fine = _Views(lattice, _FINE_STEP * lattice.pitch)
 
     def draw(self, flat: Array) -> FocusedPicture:
-        """Draw a grey flat (h, w), divided by its gain, with the patch size that makes the lenses
-        agree best.
-        """
-        # Nearer to 0, or beyond 0.75, neighbours share too little of the scene; steps are half a
-        # pixel at D = 23 px.
-        half = np.arange(0.05, 0.75, 0.025)
+        """Draw a grey flat (h, w), divided by its gain, with the patch sizes at which lenses agree."""
         best = np.full(self._coarse.shape, np.inf, np.float32)
-        ratio = np.full(self._coarse.shape, -half[-1], np.float32)
-        for candidate in np.concatenate([-half[::-1], half]):
-            _, variance, count = self._coarse.draw(flat, float(candidate))
+        ratio = np.full(self._coarse.shape, -_RATIOS[-1], np.float32)
+        for candidate in np.concatenate([-_RATIOS[::-1], _RATIOS]):
+            _, variance, count = self._coarse.draw(flat, candidate)
             known = (count >= 2).astype(np.float32)
-            # 1.5 pitches: a lens and half of its neighbours.
-            share = cv2.blur(known, (7, 7))
-            cost = cv2.blur(variance * known, (7, 7)) / np.maximum(share, 1e-3)
-            better = (cost < best) & (share >= 0.3)
-            best[better], ratio[better] = cost[better], candidate
-        ratio = cv2.resize(
-            cv2.medianBlur(ratio, 5), self._fine.shape[::-1], interpolation=cv2.INTER_LINEAR
-        )
+            share = cv2.blur(known, _WINDOW)
+            cost = cv2.blur(variance * known, _WINDOW) / np.maximum(share, _LEAST_KNOWN)
+            better = (cost < best) & (share >= _LEAST_KNOWN)
+            best[better] = cost[better]
+            ratio[better] = candidate
+        # The median removes single wrong points.
+        ratio = cv2.resize(cv2.medianBlur(ratio, 5), self._fine.shape[::-1])
         return FocusedPicture(self._fine.draw(flat, ratio)[0], ratio, self._fine.step)
 
 
 class _Views:
-    """The nearest lenses of every point of a grid of scene coordinates: the nearest one and a ring
-    about it.
-    """
+    """The nearest lenses of every point of a grid of scene coordinates `step` [px] apart."""
 
     def __init__(self, lattice: Lattice, step: float) -> None:
         width, height = lattice.image_size
         rows, columns = np.mgrid[0 : height / step : 1, 0 : width / step : 1]
-        self.shape, self.step, self.radius = rows.shape, step, lattice.radius
+        self.shape = rows.shape
+        self.step = step
+        self.radius = lattice.radius
         points = np.stack([columns, rows], axis=2).astype(np.float32) * np.float32(step)
         centres = lattice.centres()
-        far, nearest = cKDTree(centres).query(points.reshape(-1, 2), k=min(7, len(centres)))
-        self.centres = np.moveaxis(
-            centres.astype(np.float32)[nearest.reshape(*self.shape, -1)], 2, 0
-        )
+        far, nearest = cKDTree(centres).query(points, np.arange(1, min(_LENSES, len(centres)) + 1))
+        self.centres = np.moveaxis(centres.astype(np.float32)[nearest], 2, 0)
         self.offsets = self.centres - points
-        self.distances = np.moveaxis(far.astype(np.float32).reshape(*self.shape, -1), 2, 0)
+        self.distances = np.moveaxis(far.astype(np.float32), 2, 0)
 
     def draw(self, flat: Array, ratio: float | Array) -> tuple[Array, Array, Array]:
-        """Mean, unbiased variance and number of the lenses that see each point, whose patch size is
+        """Mean, unbiased variance and number of the lenses that see each point of patch size
         `ratio` D.
         """
-        total, square, count = (np.zeros(self.shape, np.float32) for _ in range(3))
-        no_map: Any = None  # positions are in one map
+        total, square, count = np.zeros((3, *self.shape), np.float32)
+        no_map: Any = None  # OpenCV takes both coordinates from the first map
         over = np.asarray(ratio, np.float32)
         for centre, offset, distance in zip(
             self.centres, self.offsets, self.distances, strict=True
@@ -115,23 +124,18 @@ class DetectedBoard(NamedTuple):
 
 
 def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
-    """Find the points of a board, or None where it is not found whole (ChArUco: not enough of it)."""
+    """Find the points of a board; None if it is not found: whole, or of ChArUco six points."""
     best: DetectedBoard | None = None
-    low, high = (
-        np.percentile(picture.image[picture.image > 0], (1, 99))
-        if (picture.image > 0).any()
-        else (0, 1)
-    )
-    grey = np.clip((picture.image - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
-    # Detectors need squares of 8 px.
+    lit = picture.image[picture.image > 0]
+    if not lit.size:
+        return None
+    low, high = np.percentile(lit, _BLACK_WHITE)
+    grey = _to_grey(picture.image - low, high - low)
+    # Detectors need squares of 8 px: they find smaller ones on the enlarged picture.
     for zoom in (1, 2):
-        large: Any = (
-            cv2.resize(grey, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)
-            if zoom > 1
-            else grey
-        )
+        large: Any = cv2.resize(grey, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)
         corner, pixels = _FINDERS[board.pattern](large, board)
-        if len(corner) < 6:
+        if len(corner) < _LEAST_POINTS:
             continue
         pixels = (pixels.reshape(-1, 2).astype(np.float64) + 0.5) / zoom - 0.5
         if _is_mirrored(board.points[corner, :2], pixels):
@@ -145,14 +149,20 @@ def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
     return best
 
 
+def _to_grey(image: Singles, white: float) -> NDArray[np.uint8]:
+    """An image (h, w) with 8 bits, 255 for `white` and above."""
+    return np.clip(image * (255 / max(white, 1e-6)), 0, 255).astype(np.uint8)
+
+
 def other_size(image: Singles, board: Board, larger: bool) -> str:
-    """The number of corners of another checkerboard, where there is one; or only of a `larger` one."""
+    """Numbers of corners of a checkerboard of another size on an image, such as "9 x 6".
+
+    Empty if there is none, or with `larger` none that has more corners.
+    """
     if board.pattern != "checkerboard":
         return ""
-    grey = np.clip(image * (255 / max(float(np.percentile(image, 99)), 1e-6)), 0, 255).astype(
-        np.uint8
-    )
-    # Of three corners each way a board is found in noise.
+    grey = _to_grey(image, float(np.percentile(image, _BLACK_WHITE[1])))
+    # Noise often shows 3 x 3 corners, so that a board needs 4 x 4.
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_LARGER
     found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (4, 4), flags)
     own = sorted((board.columns, board.rows))
@@ -190,17 +200,16 @@ _FINDERS = {"checkerboard": _checkerboard, "charuco": _charuco, "circles": _circ
 
 
 def _is_mirrored(points: Floats, pixels: Floats) -> bool:
-    """Whether the picture shows the points in the other sense of rotation: another board, or a
-    wrong detection.
-    """
+    """Whether the picture shows a mirrored board: another board, or a wrong detection."""
     affine = np.linalg.lstsq(np.column_stack([points, np.ones(len(points))]), pixels, rcond=None)[0]
     return bool(np.linalg.det(affine[:2]) <= 0)
 
 
 def _ordered(image: Singles, board: Board, pixels: Floats) -> Floats:
-    """Corners of a checkerboard, the first one at the end where the square up-left of it is dark.
+    """Corners (k, 2) of a checkerboard in either order, such that the square up-left of the first
+    one is dark.
 
-    Boards that look the same turned by 180 degrees begin at the end that is farther up and left.
+    A board that looks the same if it is turned by 180 degrees starts at its upper left end.
     """
     if (board.columns + board.rows) % 2 == 0:
         return pixels if pixels[0].sum() <= pixels[-1].sum() else pixels[::-1]
@@ -214,21 +223,21 @@ def _ordered(image: Singles, board: Board, pixels: Floats) -> Floats:
 
 
 def _plane(picture: FocusedPicture, pixels: Floats) -> Floats:
-    """`D / s` at the pixels, of the plane that fits their patch sizes: `1 / s` of a plane is linear
-    in `X`.
+    """(k,) `D / s` of pixels (k, 2) on the plane that fits their patch sizes best.
+
+    `1 / s` of a plane is linear in scene coordinates.
     """
     x, y = np.rint(pixels).astype(int).T
     height, width = picture.ratio.shape
     ratio = picture.ratio[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float64)
-    inverse = 1 / np.where(np.abs(ratio) < 1e-3, np.nan, ratio)
+    # Smaller ones are interpolated between places of either sign.
+    inverse = 1 / np.where(np.abs(ratio) < _RATIOS[0], np.nan, ratio)
     kept = np.isfinite(inverse) & (np.sign(inverse) == np.sign(np.nanmedian(inverse)))
     design = np.column_stack([np.ones(len(x)), pixels - pixels.mean(0)])
     plane = np.array([np.median(inverse[kept]), 0, 0])
     for _ in range(4):
-        # Huber's weights.
         off = np.abs(inverse - design @ plane)
-        weight = kept / np.sqrt(np.maximum(off / (0.05 * abs(plane[0])), 1))
-        plane = np.linalg.lstsq(
-            design * weight[:, None], np.where(kept, inverse, 0) * weight, rcond=None
-        )[0]
+        weight = kept / np.sqrt(np.maximum(off / (_HUBER * abs(plane[0])), 1))
+        values = np.where(kept, inverse, 0) * weight
+        plane = np.linalg.lstsq(design * weight[:, None], values, rcond=None)[0]
     return np.asarray(design @ plane)

@@ -1,3 +1,1 @@
-"""The result of a calibration: lattice, gain, lens types and uncertainties of one camera, with its
-JSON form.
-"""
+"""The result of a calibration: lattice, gain, lens types, optics and uncertainties of a camera."""

@@ -1,6 +1,4 @@
-"""A calibrated camera: its lattice, light falloff and uncertainties, and their JSON form
-(docs/formats.md).
-"""
+"""A calibrated camera: lattice, light falloff and uncertainties, as a JSON file (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -17,12 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from ..gain.gain_map import Defects, GainMap, Vignetting
 from ..gain.rows import RegionGain
 from ..lattice.distortion import Distortion
-from ..lattice.lattice import Lattice
+from ..lattice.lattice import Lattice, describe_orientation
 from ..lattice.standard_errors import LatticeErrors, Residuals
 from ..runtime.arrays import Frozen
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError, check_number, check_type
 from ..runtime.image_formats import MOSAICS, Mosaic
 from ..runtime.output_file import atomic_write
+from ..runtime.page import html_card
 from .evidence import Evidence
 from .lens_types import LensBlur, LensTypes
 from .optics import Optics
@@ -31,9 +30,9 @@ __all__ = ["Calibration"]
 
 _SCHEMA = "lfcal-camera"
 _VERSION = 2
-# In files of this version the lenses of a gain map are in rows of `j`, whatever the lattice.
+# In files of this version the lenses of a gain map are always in rows of `j`.
 _ROW_ORDER_VERSION = 1
-# Fields that are records.
+# Fields that are records, with their types.
 _PARTS: dict[str, Any] = {
     "lens_types": LensTypes,
     "gain_map": GainMap,
@@ -44,16 +43,16 @@ _PARTS: dict[str, Any] = {
     "lens_blur": LensBlur,
     "evidence": Evidence,
 }
-# Fields that are in files as they are, and of the fit, NaN as null.
+# Fields that are stored as they are, and fields of the fit, whose NaN is stored as null.
 _VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded")
 _FIT = ("residual_rms", "lenses_used", "confidence")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Frozen):
-    """Where the microimages of a camera are, how they are lit, and how well both are known.
+    """Positions and light of the microimages of a camera, and the uncertainty of both.
 
-    Methods for gain raise CalibrationError where the camera has neither gain map nor vignetting.
+    Methods for gain raise CalibrationError if the camera has neither gain map nor vignetting.
 
     Parameters
     ----------
@@ -62,44 +61,43 @@ class Calibration(Frozen):
     vignetting : Vignetting or None
         Radial light falloff inside each microimage.
     source : str
-        What it was measured on: `"white"`, `"scene"`, `"published"` or `"truth"`.
+        Kind of data that the lattice comes from: `"white"`, `"scene"`, `"published"` or `"truth"`.
     residual_rms : float [px]
-        RMS distance of single microimages from the fitted lattice, NaN where not measured.
+        RMS distance of single microimages from the fitted lattice, NaN if not measured.
     lenses_used : int
-        Microimages that took part in the fit.
+        Number of microimages in the fit.
     confidence : float
         0..1, confidence that this is the lattice of the microimages.
     warnings : tuple of str
-        What a user should know before relying on it.
+        Doubts that a user should read before using the camera.
     lens_types : LensTypes or None
-        Types of microlenses of a multi-focus array; None where one type was found.
+        Types of microlenses of a multi-focus array; None if one type was found.
     mosaic : str or None
         Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`,
         `"GRBG"`, `"GBRG"`.
     gain_map : GainMap or None
         Relative illumination at every position in every microimage.
     defects : Defects
-        Pixels and lenses to leave out.
+        Defect pixels and unlit lenses.
     errors : LatticeErrors or None
-        Standard errors of the lattice's parameters and centres.
+        Standard errors of the parameters and centres of the lattice.
     residuals : Residuals or None
-        How far single microimages lie from the lattice; None where single ones do not show it, as
-        in scenes.
+        Measured centres of single microimages minus those of the lattice; None if single
+        microimages do not show their centres, as in scenes.
     white_level : float or None
-        Largest value of its flats where that is less than their type holds, as 4095 for 12 bits in
-        files of 16.
+        Largest value of its flats if it is smaller than that of their type, such as 4095 for 12
+        bits in files of 16.
     optics : Optics or None
         Main lens, distances and their covariance, which turn patch sizes into metres.
     evidence : Evidence or None
-        What on the flat speaks for this lattice; None where it was not measured on a flat.
+        Figures of the flat that support this lattice; None if it was not measured on a flat.
     lens_blur : LensBlur or None
-        Blur of the microlenses, which pictures with `detail` undo.
+        Blur of the microlenses, which is removed from pictures with `detail`.
     encoded : bool or None
-        Whether its flats are encoded for display, about as the square root of light, or linear;
-        None where only their type tells it: those of 8 bits are.
+        True if its flats are encoded for display, about as the square root of light, False if they
+        are linear; None if this follows from their type (8 bits are encoded).
     mosaic_guessed : bool
-        Whether the colour filters were found on a flat: which are red and which blue is a guess
-        then.
+        True if the colour filters were found on a flat, which does not tell red from blue.
 
     Examples
     --------
@@ -148,21 +146,19 @@ class Calibration(Frozen):
 
     def with_mosaic(self, mosaic: Mosaic | None, guessed: bool = False) -> Calibration:
         """The camera with these colour filters, and a warning if they are guessed."""
-        warnings = [
-            text for text in self.warnings if "look exchanged, name the filters" not in text
-        ]
+        earlier = "look exchanged, name the filters"
+        warnings = [text for text in self.warnings if earlier not in text]
         if guessed and mosaic is not None:
             other = mosaic.translate(str.maketrans("RB", "BR"))
             warnings.append(
-                f"the flat is seen through colour filters, taken for {mosaic}: where green is was measured, red and "
-                f"blue are a guess; if they look exchanged, name the filters (--mosaic {other})"
+                f"the flat is seen through colour filters, taken for {mosaic}: where green is was "
+                f"measured, red and blue are a guess; if they look exchanged, name the filters "
+                f"(--mosaic {other})"
             )
         return replace(self, mosaic=mosaic, mosaic_guessed=guessed, warnings=tuple(warnings))
 
     def with_mosaic_of(self, flat: NDArray[Any]) -> Calibration:
-        """The camera with the colour filters that are found on a flat (h, w), where they are not
-        known for certain.
-        """
+        """The camera with the colour filters that are found on a flat (h, w), unless it has some."""
         from ..images.mosaic import find_mosaic
 
         known = self.mosaic is not None and not self.mosaic_guessed
@@ -197,15 +193,13 @@ class Calibration(Frozen):
 
     @classmethod
     def from_dict(cls, data: Any) -> Calibration:
-        """Rebuild a camera from `to_dict`; raises CameraFileError with the name of the field that
-        is wrong.
-        """
+        """Rebuild a camera from `to_dict`; CameraFileError with the name of a wrong field."""
         if not isinstance(data, dict) or data.get("schema") != _SCHEMA:
             raise CameraFileError(f"not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE'")
         version = data.get("version")
         if version not in (_ROW_ORDER_VERSION, _VERSION):
             raise CameraFileError(f"version {version!r} is not known, 1 and 2 are; calibrate again")
-        # Whoever never reads a camera file need not load the library that checks it.
+        # The library that checks camera files is loaded only to read one.
         from .schema import check_together, read_fields
 
         known = read_fields(data)
@@ -228,33 +222,32 @@ class Calibration(Frozen):
         values = {name: getattr(known, name) for name in _VALUES}
         fit = {name: getattr(known.fit, name) for name in _FIT}
         values |= {name: float("nan") if value is None else value for name, value in fit.items()}
-        # Files of earlier versions have not all of these.
+        # Files of earlier versions do not have all of them.
         for name in (name for name in _PARTS if data.get(name)):
             with _field_errors(name):
                 values[name] = _PARTS[name].from_dict(data[name])
         if "gain_map" in values and version == _ROW_ORDER_VERSION:
             values["gain_map"] = _in_centre_order(values["gain_map"], lattice)
         camera = cls(lattice=lattice, vignetting=light, warnings=tuple(known.warnings), **values)
-        check_together(camera, known.lattice.pitch)
+        check_together(lattice, known.lattice.pitch, camera.gain_map, light)
         return camera
 
     def gain(self) -> NDArray[np.float32]:
-        """(h, w) relative illumination of every pixel, 1 at the brightest; NaN where unknown: gaps,
-        unlit lenses.
-        """
+        """(h, w) relative illumination of pixels, 1 at the brightest; NaN in gaps and unlit lenses."""
         return self.region_gain().at(0, 0, *self.image_size)
 
     def flatten(self, flat: ArrayLike) -> NDArray[Any]:
         """Divide a flat by the gain of the camera, so that a white image of it becomes even.
 
         `flat` (h, w) or (h, w, c), of unsigned integers or floats, keeps its type: integers are
-        rounded and clipped. Pixels whose gain is unknown, NaN in `gain()`, are left as they are.
-        Raises FlatError for another size.
+        rounded and clipped. Pixels of unknown gain, NaN in `gain()`, do not change. FlatError if
+        the flat has another size.
         """
         pixels = np.asarray(flat)
         if pixels.ndim not in (2, 3) or pixels.dtype.kind not in "uf" or 0 in pixels.shape:
             raise FlatError(
-                f"flat of shape {pixels.shape} and type {pixels.dtype}; give a grey or colour picture"
+                f"flat of shape {pixels.shape} and type {pixels.dtype}; give a grey or colour "
+                "picture"
             )
         if pixels.shape[1::-1] != self.image_size:
             given, own = (
@@ -266,27 +259,35 @@ class Calibration(Frozen):
         return self.region_gain().flatten(pixels)[0]
 
     def region_gain(self) -> RegionGain:
-        """The gain of parts of a flat, for flats too large for `gain` and `flatten`."""
+        """The gain of parts of a flat, for flats that are too large for `gain` and `flatten`."""
         return RegionGain(self._gain_map(), self.lattice)
 
     def usable_radius(self) -> NDArray[np.float64]:
-        """(n,) radius [px] up to which each microimage has half its light, in the order of
-        `lattice.centres()`.
+        """(n,) radius [px] at which each microimage has half its light, in the order of the centres.
 
-        At most half the distance to the nearest microimage; the distance to the cut where
-        mechanical vignetting cuts a microimage; 0 for unlit lenses.
+        It is at most half the distance to the nearest microimage. If mechanical vignetting cuts a
+        microimage, it is the distance to the cut; for unlit lenses it is 0.
         """
         return self._gain_map().usable_radius(self.lattice)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the mean residuals over the flat, or the centres of the lattice where residuals are
-        not measured.
+        """Draw the mean residuals over the flat, or the centres if residuals are not measured.
 
-        On Matplotlib axes, by default the current ones, which are returned.
+        The Matplotlib axes, by default the current ones, are returned.
         """
-        from .plotting import plot_calibration
+        import matplotlib.pyplot as plt
 
-        return plot_calibration(self, ax)
+        from .plotting import plot_centres, plot_residuals
+
+        ax = ax or plt.gca()
+        if self.residuals is None:
+            plot_centres(self.lattice, self.lens_types, ax)
+            return ax
+        arrows, longest = plot_residuals(self.lattice, self.residuals, ax)
+        if arrows is not None:
+            ax.figure.colorbar(arrows, ax=ax, label="length over its standard error")
+        ax.set_title(f"Mean residuals of the lattice, at most {longest:.2g} px")
+        return ax
 
     def __repr__(self) -> str:
         sure = (
@@ -295,9 +296,27 @@ class Calibration(Frozen):
         return f"Calibration({self.lattice!r}, source {self.source!r}{sure})"
 
     def _repr_html_(self) -> str:
-        from .plotting import calibration_card
+        from .plotting import plot_centres
 
-        return calibration_card(self)
+        shape, rows, turned = describe_orientation(self.lattice)
+        width, height = self.image_size
+        count = 1 if self.lens_types is None else self.lens_types.count
+        figures = {
+            "lattice": f"{shape}, rows {rows}, turned by {turned:+.4f}°",
+            "pitch": f"{self.lattice.pitch:.4f} px",
+            "usable radius": f"{self.lattice.radius:.2f} px",
+            "flat": f"{width} x {height} px, {len(self.lattice)} lenses",
+            "lens types": str(count),
+            "measured on": f"{self.source}, confidence {self.confidence:.2f}",
+        }
+        if np.isfinite(self.residual_rms):
+            figures["residual"] = f"{self.residual_rms:.3f} px RMS of {self.lenses_used} lenses"
+        return html_card(
+            "Calibration",
+            figures,
+            lambda ax: plot_centres(self.lattice, self.lens_types, ax, most=40),
+            self.warnings,
+        )
 
     def _gain_map(self) -> GainMap:
         if self.gain_map is not None:
@@ -320,7 +339,7 @@ class Calibration(Frozen):
 
 @contextmanager
 def _field_errors(name: str) -> Iterator[None]:
-    """Turn what is wrong in a field into a CameraFileError with its name."""
+    """Turn errors of a field into a CameraFileError with the name of the field."""
     try:
         yield
     except KeyError as error:
@@ -330,7 +349,7 @@ def _field_errors(name: str) -> Iterator[None]:
 
 
 def _in_centre_order(gain: GainMap, lattice: Lattice) -> GainMap:
-    """A gain map whose lenses are in rows of `j`, with its lenses in the order of the centres."""
+    """A gain map with lenses in the order of the centres instead of in rows of `j`."""
     if len(gain.lens_gain) != len(lattice):
         return gain
     own = np.empty_like(gain.lens_gain)

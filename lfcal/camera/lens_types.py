@@ -1,6 +1,4 @@
-"""Types of microlenses in a multi-focus array with the focus of each, and the disc over which each
-type blurs.
-"""
+"""Types of microlenses in a multi-focus array: the focus of each type, and its blur."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from ..runtime.errors import check_number, check_numbers
 
 __all__ = ["LensBlur", "LensTypes"]
 
-# Side of the largest repeating cell [lenses]: twice what cameras have had, and types fit in int8.
+# Largest side of a repeating cell [lenses]: twice that of any known camera; types fit in int8.
 _LARGEST_CELL = 16
 
 
@@ -31,12 +29,11 @@ class LensTypes(Frozen):
     cell : (m, m) int
         Lens `(i, j)` is of type `cell[i % m, j % m]`; types are numbered from 0 without gaps.
     ordered : bool
-        Types are in the order of their focus; else their numbers have no meaning.
+        True if types are numbered in the order of their focus, False if in any order.
     focus : (count,) float
-        Signed patch size over the pitch, `s / D`, at which each type is sharpest; NaN where not
-        known.
+        Signed patch size over the pitch, `s / D`, at which each type is sharpest; NaN if unknown.
     confidence : float
-        0..1, how far this pattern exceeds other repeating patterns in sharpness differences.
+        0..1, by how much this pattern explains differences of sharpness better than others do.
 
     Examples
     --------
@@ -51,17 +48,13 @@ class LensTypes(Frozen):
 
     def __post_init__(self) -> None:
         given = np.asarray(self.cell)
-        if (
-            given.ndim != 2
-            or given.shape[0] != given.shape[1]
-            or not 1 <= len(given) <= _LARGEST_CELL
-        ):
+        side = np.size(given, 0) if given.ndim else 0
+        if given.shape != (side, side) or not 1 <= side <= _LARGEST_CELL:
             raise ValueError(
-                f"cell of lens types must be (m, m) with m from 1 to {_LARGEST_CELL}, got {given.shape}"
+                f"cell of lens types must be (m, m) with m from 1 to {_LARGEST_CELL}, got "
+                f"{given.shape}"
             )
-        if given.dtype.kind not in "iu" or not np.array_equal(
-            np.unique(given), np.arange(given.max() + 1)
-        ):
+        if given.dtype.kind not in "iu" or set(given.flat) != set(range(given.max() + 1)):
             raise ValueError(
                 f"lens types must be numbered 0, 1, 2 ... without gaps, got {given.tolist()}"
             )
@@ -85,7 +78,7 @@ class LensTypes(Frozen):
         return int(self.cell.max()) + 1
 
     def of(self, indices: ArrayLike) -> NDArray[np.int8]:
-        """(n,) int8 types of the lenses with lattice indices `i, j` (n, 2), also beyond the flat."""
+        """(n,) int8 types of the lenses with lattice indices `i, j` (n, 2), on or off the flat."""
         index = np.asarray(indices)
         if index.dtype.kind not in "iu" or index.shape[-1:] != (2,):
             raise ValueError(
@@ -108,27 +101,25 @@ class LensTypes(Frozen):
 
     @classmethod
     def from_dict(cls, data: Any) -> LensTypes:
-        """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
-        focus = [float("nan") if f is None else float(f) for f in data["focus"]]
-        return cls(
-            np.array(data["cell"]), data["ordered"], np.array(focus), float(data["confidence"])
-        )
+        """Rebuild from `to_dict`; KeyError, TypeError or ValueError if a field is wrong."""
+        focus = np.array([np.nan if f is None else float(f) for f in data["focus"]])
+        return cls(np.array(data["cell"]), data["ordered"], focus, float(data["confidence"]))
 
 
 @dataclass(frozen=True, eq=False)
 class LensBlur(Frozen):
     """The disc over which each type of microlens blurs, at any depth.
 
-    A microlens with the aperture `A` that is in focus at `s / D = f` blurs a place of patch size
+    A microlens with the aperture `A` that is in focus at `s / D = f` blurs a point of patch size
     `s` over a disc with the diameter `A |s / D - f|`. The rims of microimages are images of the
-    main lens' pupil, which lies at `s = 0`: their blur is the disc there.
+    pupil of the main lens, which lies at `s = 0`; their blur is the disc there.
 
     Parameters
     ----------
     aperture, aperture_error : float [px]
         Diameter `A` of a microlens and its standard error.
     focus, focus_error : (types,) float64 [s / D]
-        Where each type is in focus, `f`.
+        `s / D` at which each type is in focus, `f`.
     ratios : (depths,) float64
         `s / D` at which discs were measured; 0 for rims.
     discs, disc_errors : (types, depths) float64 [px]
@@ -151,43 +142,39 @@ class LensBlur(Frozen):
     disc_errors: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        aperture, error = (
-            check_number(getattr(self, name), name) for name in ("aperture", "aperture_error")
-        )
+        aperture = check_number(self.aperture, "aperture")
+        error = check_number(self.aperture_error, "aperture_error")
         if not 0 < aperture < np.inf or not 0 <= error < np.inf:
             raise ValueError(f"aperture of the microlenses must be positive, got {self.aperture!r}")
         self._set(aperture=aperture, aperture_error=error)
         focus = (np.size(self.focus),)
         ratios = (np.size(self.ratios),)
-        both = focus + ratios
-        shapes = {
+        shapes: dict[str, tuple[int, ...]] = {
             "focus": focus,
             "focus_error": focus,
             "ratios": ratios,
-            "discs": both,
-            "disc_errors": both,
         }
+        shapes |= dict.fromkeys(("discs", "disc_errors"), focus + ratios)
         for name, shape in shapes.items():
             values = check_numbers(getattr(self, name), name)
-            if (
-                values.shape != shape
-                or not np.isfinite(values).all()
-                or (name == "disc_errors" and values.min() <= 0)
-            ):
+            least = 0 if name == "disc_errors" else -np.inf
+            if values.shape != shape or not ((least < values) & (values < np.inf)).all():
                 raise ValueError(
-                    f"{name} of the blur must be {shape} finite numbers, errors positive, got {values}"
+                    f"{name} of the blur must be {shape} finite numbers, errors positive, got "
+                    f"{values}"
                 )
             self._set(**{name: values})
 
     @property
     def tells_aperture(self) -> bool:
-        """Whether the aperture is known to half of itself: rims alone do not tell it."""
+        """Whether the error of the aperture is below half of it; rims alone do not tell it."""
         return self.aperture_error < self.aperture / 2
 
     def at(self, ratios: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(types, n) diameters of the discs at these `s / D` (n,), and their standard errors [px].
 
-        Each is extrapolated by the aperture from the measured disc that leaves the smallest error.
+        Each disc is extrapolated with the aperture from the measured disc that gives the smallest
+        error.
         """
         wanted = check_numbers(ratios, "ratios")
         away = wanted - self.ratios[:, None]
@@ -200,11 +187,9 @@ class LensBlur(Frozen):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as in a camera file."""
-        return {
-            field.name: np.asarray(getattr(self, field.name)).tolist() for field in fields(self)
-        }
+        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
 
     @classmethod
     def from_dict(cls, data: Any) -> LensBlur:
-        """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
+        """Rebuild from `to_dict`; KeyError, TypeError or ValueError if a field is wrong."""
         return cls(**{field.name: data[field.name] for field in fields(cls)})

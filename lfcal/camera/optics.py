@@ -48,13 +48,17 @@ _VECTORS = {
     "tilt": 2,
     "microlens_focal_lengths": None,
 }
-# Step of the differences that errors are propagated with, in standard errors of a parameter.
+# Step of the differences that propagate errors [standard errors of a parameter], and its largest size
+# for `s / D`.
 _STEP = 0.1
+_MOST_STEP = 1e-3
+_M_PER_MM = 1e-3
 
 
 def object_slopes(image: Array, coefficients: Sequence[float] | Array) -> Array:
-    """Slopes (n, 2) in front of the main lens of slopes (n, 2) behind it; `coefficients` k1, k2,
-    k3, p1, p2.
+    """Slopes (n, 2) in front of the main lens for slopes (n, 2) behind it.
+
+    `coefficients` (5,) are k1, k2, k3, p1, p2 of the distortion.
     """
     k1, k2, k3, p1, p2 = coefficients
     x, y = image.T
@@ -66,18 +70,15 @@ def object_slopes(image: Array, coefficients: Sequence[float] | Array) -> Array:
 
 
 def turn_to_array(tilt: Sequence[float] | Array) -> Array:
-    """Rotation (3, 3) from the frame of the main lens to that of an array tilted about x, then
-    about y [rad].
-    """
+    """Rotation (3, 3) from the main lens to an array that is tilted about x, then about y [rad]."""
     (cx, sx), (cy, sy) = ((np.cos(a), np.sin(a)) for a in tilt)
-    return np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
-        [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
-    )
+    about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]])
+    return about_y @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
 
 
 @dataclass(frozen=True, eq=False)
 class Optics(Frozen):
-    """Distances and errors of the lenses of a focused plenoptic camera.
+    """Optics of a focused plenoptic camera: distances, distortion, tilt and their covariance.
 
     Parameters
     ----------
@@ -90,25 +91,25 @@ class Optics(Frozen):
     pixel : float [mm]
         Side of a pixel.
     principal_point : (float, float) [px] or None
-        Where the axis of the main lens meets the flat; None where it is not known.
+        Point of the flat on the axis of the main lens; None if it is unknown.
     radial : (float, float, float)
-        `k1, k2, k3`: slope `t` behind the main lens is `t (1 + k1 |t|^2 + ...)` in front of it.
-        That is the inverse of OpenCV's direction.
+        `k1, k2, k3`: the slope `t` behind the main lens is `t (1 + k1 |t|^2 + ...)` in front of it.
+        OpenCV distorts in the other direction.
     tangential : (float, float)
         `p1, p2`, in the same direction.
     tilt : (float, float) [rad]
-        Of microlens array and sensor together, about the x and the y axis of the flat: with a
+        Tilt of microlens array and sensor together, about the x and the y axis of the flat. With a
         positive first angle the lower part of the flat lies farther from the main lens, with a
-        positive second angle its right part nearer.
+        positive second angle its right part lies nearer.
     curvature : float
-        Of the image field: the power of the main lens is `(1 + curvature |t|^2) / F`.
+        Curvature of the image field: the power of the main lens is `(1 + curvature |t|^2) / F`.
     pupil : float [mm]
-        How far the principal plane of the main lens lies behind its entrance pupil, seen from the
+        Distance of the principal plane of the main lens behind its entrance pupil, seen from the
         scene.
     microlens_focal_lengths : tuple of floats [mm]
-        One for each lens type, where known.
+        One for each lens type; empty if unknown.
     covariance : (14, 14) float64 or None
-        Of `OPTICS_PARAMETERS`, 0 of those that were not fitted; None where not measured.
+        Covariance of `OPTICS_PARAMETERS`, 0 for those that were not fitted; None if not measured.
 
     Examples
     --------
@@ -141,10 +142,8 @@ class Optics(Frozen):
                 self._set(**{name: _numbers(name, getattr(self, name), length)})
         if self.covariance is not None:
             covariance = check_numbers(self.covariance, "covariance")
-            if (
-                covariance.shape != (len(OPTICS_PARAMETERS),) * 2
-                or not np.isfinite(covariance).all()
-            ):
+            shape = (len(OPTICS_PARAMETERS),) * 2
+            if covariance.shape != shape or not np.isfinite(covariance).all():
                 raise ValueError(
                     f"covariance must be 14 x 14 finite numbers, got shape {covariance.shape}"
                 )
@@ -152,24 +151,15 @@ class Optics(Frozen):
 
     @property
     def parameters(self) -> Array:
-        """(14,) values of `OPTICS_PARAMETERS`; the principal point is NaN where it is not known."""
+        """(14,) values of `OPTICS_PARAMETERS`; the principal point is NaN if it is unknown."""
         principal = self.principal_point or (np.nan, np.nan)
         lengths = (self.focal_length, self.mla_distance, self.sensor_distance)
-        return np.array(
-            [
-                *lengths,
-                *principal,
-                *self.radial,
-                *self.tangential,
-                *self.tilt,
-                self.curvature,
-                self.pupil,
-            ]
-        )
+        bent = (*self.radial, *self.tangential)
+        return np.array([*lengths, *principal, *bent, *self.tilt, self.curvature, self.pupil])
 
     @property
     def standard_errors(self) -> Array:
-        """(14,) of `OPTICS_PARAMETERS`; NaN where not measured, 0 of those that were not fitted."""
+        """(14,) standard errors of `OPTICS_PARAMETERS`; NaN if not measured, 0 if not fitted."""
         if self.covariance is None:
             return np.full(len(OPTICS_PARAMETERS), np.nan)
         return np.sqrt(np.maximum(np.diag(self.covariance), 0))
@@ -177,31 +167,24 @@ class Optics(Frozen):
     def with_parameters(self, values: ArrayLike) -> Optics:
         """The same optics with other values (14,) of `OPTICS_PARAMETERS`."""
         v = np.asarray(values, dtype=np.float64).tolist()
-        principal = None if np.isnan(v[3]) else tuple(v[3:5])
-        vectors: dict[str, Any] = {
-            "radial": tuple(v[5:8]),
-            "tangential": tuple(v[8:10]),
-            "tilt": tuple(v[10:12]),
-        }
-        lengths = dict(zip(_LENGTHS[:3], v[:3], strict=True))
-        return replace(
-            self, **lengths, principal_point=principal, **vectors, curvature=v[12], pupil=v[13]
-        )
+        changed: dict[str, Any] = dict(zip(_LENGTHS[:3], v[:3], strict=True))
+        changed["principal_point"] = None if np.isnan(v[3]) else v[3:5]
+        changed |= {"radial": v[5:8], "tangential": v[8:10], "tilt": v[10:12]}
+        return replace(self, **changed, curvature=v[-2], pupil=v[-1])
 
     def distance(self, ratio: ArrayLike, points: ArrayLike | None = None) -> Array:
-        """Distance [m] in front of the main lens of places with signed patch size over pitch `s /
-        D`.
+        """Distance [m] in front of the main lens of points with signed patch size over pitch `s/D`.
 
-        docs/geometry.md: `s / D = (b / a - b / L) / (1 + b / L)`, where the image lies `a` in front
-        of the microlenses and thus `L - a` behind the main lens. NaN where `ratio` is, or where no
-        object can be imaged there; inf at infinity.
+        The formula of docs/geometry.md is `s / D = (b / a - b / L) / (1 + b / L)`, where the image
+        lies `a` in front of the microlenses and thus `L - a` behind the main lens. The distance is
+        NaN if `ratio` is NaN or belongs to no object, and inf at infinity.
 
         Parameters
         ----------
         ratio : array_like (...)
         points : array_like (..., 2) [px], optional
-            Scene coordinates of the places, for the tilt of the array and the curvature of the
-            field; by default all lie on the axis.
+            Scene coordinates of the points, for the tilt of the array and the curvature of the
+            field; by default all points lie on the axis.
         """
         values = check_numbers(ratio, "ratio")
         where = np.zeros((np.size(ratio), 2))
@@ -210,11 +193,9 @@ class Optics(Frozen):
         return self._behind(where, values.ravel())[0].reshape(values.shape)  # type: ignore[no-any-return]
 
     def positions(self, points: Array, ratio: ArrayLike, middle: ArrayLike | None = None) -> Array:
-        """(n, 3) places [m] seen at scene coordinates (n, 2) [px]: x right, y down, z in front of
-        the main lens.
+        """(n, 3) points [m] at scene coordinates (n, 2) [px]: x right, y down, z from the main lens.
 
-        `middle` (2,) [px] is where the axis of the main lens meets the flat where `principal_point`
-        is not known.
+        `middle` (2,) [px] replaces the principal point if it is unknown.
         """
         centre = self.principal_point if self.principal_point is not None else middle
         if centre is None:
@@ -229,38 +210,36 @@ class Optics(Frozen):
     def distance_error(
         self, ratio: ArrayLike, ratio_error: ArrayLike, points: ArrayLike | None = None
     ) -> Array:
-        """Standard errors [m] of `distance`, made of those of `ratio` and of the calibration.
+        """Standard errors [m] of `distance`, from the errors of `ratio` and of the calibration.
 
-        The part of the calibration is left out where its covariance is not known. inf where an
-        error is; NaN where the distance is.
+        Without a covariance, the errors of the calibration are omitted. The result is inf if an
+        error is inf, and NaN if the distance is NaN.
         """
         ratio = np.asarray(ratio, dtype=np.float64)
         error = np.asarray(ratio_error, dtype=np.float64)
-        step = np.where(np.isfinite(error) & (error > 0), np.minimum(_STEP * error, 1e-3), 1e-6)
+        step = np.where(
+            np.isfinite(error) & (error > 0), np.minimum(_STEP * error, _MOST_STEP), 1e-6
+        )
         with np.errstate(invalid="ignore"):
-            by_ratio = (
-                self.distance(ratio + step, points) - self.distance(ratio - step, points)
-            ) / (2 * step)
-            variance = (by_ratio * error) ** 2
+            change = self.distance(ratio + step, points) - self.distance(ratio - step, points)
+            variance = (change / (2 * step) * error) ** 2
         if self.covariance is not None:
-            # Along the principal axes of the covariance, so that F, L and b move together as they
-            # are known.
+            # Steps along the principal axes of the covariance move F, L and b together.
             scale = self.standard_errors
             inverse = np.divide(1, scale, out=np.zeros_like(scale), where=scale > 0)
             values, axes = np.linalg.eigh(self.covariance * np.outer(inverse, inverse))
             known = values > values[-1] * 1e-15
             for move in (_STEP * np.sqrt(values[known]) * axes[:, known]).T * scale:
-                near, far = (
-                    self.with_parameters(self.parameters + m).distance(ratio, points)
-                    for m in (move, -move)
-                )
+                near = self.with_parameters(self.parameters + move).distance(ratio, points)
+                far = self.with_parameters(self.parameters - move).distance(ratio, points)
                 with np.errstate(invalid="ignore"):
                     variance = variance + ((near - far) / (2 * _STEP)) ** 2
         return np.sqrt(variance)  # type: ignore[no-any-return]
 
     def _behind(self, where: Array, ratio: Array) -> tuple[Array, Array]:
-        """Distance (n,) [m] and slope (n, 2) behind the main lens of what is seen at `where` (n, 2)
-        [px from axis].
+        """Distances (n,) [m] of points, and slopes (n, 2) of their rays behind the main lens.
+
+        `where` (n, 2) [px] are scene coordinates relative to the axis, `ratio` (n,) is `s / D`.
         """
         turn = turn_to_array(self.tilt)
         axis = turn[:, 2]
@@ -275,12 +254,11 @@ class Optics(Frozen):
             slopes = image[:, :2] / behind[:, None]
             bent = 1 + self.curvature * (slopes**2).sum(1)
             vergence = bent / self.focal_length - 1 / behind
-            found = 1e-3 * (1 / vergence - self.pupil)  # mm to m
+            found = _M_PER_MM * (1 / vergence - self.pupil)
         return np.where((behind > 0) & (vergence >= 0), found, np.nan), slopes
 
     def to_dict(self) -> dict[str, Any]:
         """The optics as plain numbers, as written by `save`."""
-        # Tuples and arrays as lists.
         known = {
             name: value if value is None else np.asarray(value).tolist()
             for name, value in vars(self).items()
@@ -289,38 +267,32 @@ class Optics(Frozen):
 
     @classmethod
     def from_dict(cls, data: Any) -> Optics:
-        """Rebuild from `to_dict`; the four distances are enough. KeyError or ValueError if a number
-        is not right.
-        """
+        """Rebuild from `to_dict`; only the four lengths are needed. KeyError or ValueError if wrong."""
         if not isinstance(data, dict):
             raise ValueError(f"optics must be an object with {_WANTED}")
-        known = {
-            field.name: data.get(f"{field.name}_mm", data.get(field.name)) for field in fields(cls)
-        }
-        lengths = {name: data[f"{name}_mm"] for name in _LENGTHS}
-        return cls(
-            **({name: value for name, value in known.items() if value is not None} | lengths)
-        )
+        names = [field.name for field in fields(cls)]
+        given = {name: data.get(f"{name}_mm", data.get(name)) for name in names}
+        known: dict[str, Any] = {name: v for name, v in given.items() if v is not None}
+        return cls(**known | {name: data[f"{name}_mm"] for name in _LENGTHS})
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write as JSON, as `load` reads it."""
+        """Write the optics as JSON, which `load` reads."""
         with atomic_write(path) as temporary:
             temporary.write_text(json.dumps(self.to_dict(), indent=1) + "\n", encoding="utf-8")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Optics:
-        """Read a JSON file with `focal_length_mm`, `mla_distance_mm`, `sensor_distance_mm` and
-        `pixel_mm`.
+        """Read the optics in a camera file of `lfcal metric`, or in a JSON file of `save`.
 
-        Camera files with optics, made by `lfcal metric`, can be read too. CameraFileError if a
-        number is wrong.
+        A JSON file needs `focal_length_mm`, `mla_distance_mm`, `sensor_distance_mm` and `pixel_mm`.
+        CameraFileError if a number is missing or wrong.
         """
         file = check_path(path)
         try:
             data = json.loads(read_text(file))
-            return cls.from_dict(
-                data["optics"] if isinstance(data, dict) and data.get("optics") else data
-            )
+            if isinstance(data, dict) and data.get("optics"):
+                data = data["optics"]
+            return cls.from_dict(data)
         except (OSError, KeyError, ValueError, TypeError, RecursionError) as error:
             reason = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             if isinstance(error, OSError):

@@ -1,25 +1,22 @@
-"""A calibration in a notebook: a card with a drawing of its lattice, and plots of its parts with
-Matplotlib.
-"""
+"""Drawings of a calibration with Matplotlib: centres, usable circles, residuals."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..lattice.lattice import describe_orientation
-from ..runtime.page import html_card
-
-if TYPE_CHECKING:
-    from .calibration import Calibration
+from ..gain.gain_map import Defects, GainMap, Vignetting
+from ..gain.rows import RegionGain
+from ..lattice.lattice import Lattice
+from ..lattice.standard_errors import Residuals
+from .lens_types import LensTypes
 
 __all__ = [
     "TYPE_COLOURS",
-    "calibration_card",
     "draw_circles",
     "draw_lenses",
-    "plot_calibration",
+    "plot_centres",
     "plot_falloff",
     "plot_gain",
     "plot_residuals",
@@ -29,131 +26,82 @@ __all__ = [
 TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
 
 
-def calibration_card(calibration: Calibration) -> str:
-    """HTML of the key figures of a camera beside a drawing of its lattice."""
-    lattice = calibration.lattice
-    shape, rows, turned = describe_orientation(lattice)
-    width, height = calibration.image_size
-    figures = {
-        "lattice": f"{shape}, rows {rows}, turned by {turned:+.4f}°",
-        "pitch": f"{lattice.pitch:.4f} px",
-        "usable radius": f"{lattice.radius:.2f} px",
-        "flat": f"{width} x {height} px, {len(lattice)} lenses",
-        "lens types": str(
-            calibration.lens_types.count if calibration.lens_types is not None else 1
-        ),
-        "measured on": f"{calibration.source}, confidence {calibration.confidence:.2f}",
-    }
-    if np.isfinite(calibration.residual_rms):
-        figures["residual"] = (
-            f"{calibration.residual_rms:.3f} px RMS of {calibration.lenses_used} lenses"
-        )
-    return html_card(
-        "Calibration", figures, lambda ax: _plot_centres(calibration, ax, 40), calibration.warnings
-    )
+def plot_residuals(
+    lattice: Lattice, residuals: Residuals | None, ax: Any, **style: Any
+) -> tuple[Any, float]:
+    """Draw the mean residuals over the flat as arrows, coloured by their significance.
 
-
-def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
-    """See `Calibration.plot`."""
-    import matplotlib.pyplot as plt
-
-    ax = ax or plt.gca()
-    if calibration.residuals is None:
-        _plot_centres(calibration, ax)
-        return ax
-    arrows, longest = plot_residuals(calibration, ax)
-    if arrows is not None:
-        ax.figure.colorbar(arrows, ax=ax, label="length over its standard error")
-    ax.set_title(f"Mean residuals of the lattice, at most {longest:.2g} px")
-    return ax
-
-
-def plot_residuals(calibration: Calibration, ax: Any, **style: Any) -> tuple[Any, float]:
-    """Arrows of the mean residuals over the flat, coloured by their significance, and the longest
-    [px].
+    Returns the arrows, None if there are none, and the longest one [px], NaN if it is unknown.
     """
-    width, height = calibration.image_size
-    ax.set(
-        xlim=(-0.5, width - 0.5),
-        ylim=(height - 0.5, -0.5),
-        aspect="equal",
-        xlabel="x [px]",
-        ylabel="y [px]",
-    )
-    if calibration.residuals is None:
+    _frame(ax, np.array([[0, 0], lattice.image_size]) - 0.5)
+    if residuals is None:
         return None, float("nan")
-    positions, mean, error = calibration.residuals.mean_over_grid(calibration.lattice)
+    positions, mean, error = residuals.mean_over_grid(lattice)
     length = np.hypot(*mean.T)
     if not length.any():
         return None, 0.0
     arrows = ax.quiver(*positions.T, *mean.T, length / error, angles="xy", cmap="viridis", **style)
-    return arrows, float(length.max(initial=0.0))
+    return arrows, float(length.max())
 
 
-def plot_gain(calibration: Calibration, ax: Any) -> None:
-    """The gain map of the top left corner, four pitches wide, or words where there is none."""
-    known = calibration.gain_map is not None
-    defects = calibration.defects
-    ax.set(title="Gain map, top left" if known else "Gain map: not measured", xticks=[], yticks=[])
-    if known:
-        reach = max(8, int(4 * calibration.lattice.pitch))
-        ax.imshow(calibration.gain()[:reach, :reach], cmap="gray", vmin=0, vmax=1)
-        ax.set_xlabel(f"{len(defects.pixels)} pixels, {len(defects.lenses)} lenses defect")
+def plot_gain(lattice: Lattice, gain: GainMap | None, defects: Defects, ax: Any) -> None:
+    """Draw the gain map of the top left corner, four pitches wide."""
+    if gain is None:
+        ax.set(title="Gain map: not measured", xticks=[], yticks=[])
+        return
+    reach = max(8, int(4 * lattice.pitch))
+    size = np.minimum(lattice.image_size, reach).tolist()
+    ax.imshow(RegionGain(gain, lattice).at(0, 0, *size), cmap="gray", vmin=0, vmax=1)
+    found = f"{len(defects.pixels)} pixels, {len(defects.lenses)} lenses defect"
+    ax.set(title="Gain map, top left", xticks=[], yticks=[], xlabel=found)
 
 
-def plot_falloff(calibration: Calibration, ax: Any) -> None:
-    """Light inside a microimage over the distance to its centre, and the usable radius."""
-    vignetting = calibration.vignetting
-    radius = calibration.lattice.radius
-    title = "Light in a microimage" if vignetting else "Light: not measured"
-    ax.set(title=title, xlabel=f"radius [px], R {radius:.1f}")
+def plot_falloff(radius: float, vignetting: Vignetting | None, ax: Any) -> None:
+    """Draw the light in a microimage over the distance to its centre, and the usable radius [px]."""
+    ax.set(title="Light: not measured", xlabel=f"radius [px], R {radius:.1f}")
     ax.axvline(radius, color=TYPE_COLOURS[0])
     if vignetting is not None:
-        ax.plot(
-            np.arange(len(vignetting.profile)) * vignetting.step,
-            vignetting.profile,
-            color=TYPE_COLOURS[1],
-        )
+        distance = np.arange(len(vignetting.profile)) * vignetting.step
+        ax.plot(distance, vignetting.profile, color=TYPE_COLOURS[1])
+        ax.set_title("Light in a microimage")
 
 
-def draw_circles(ax: Any, centres: Any, radii: Any, colours: Any, **style: Any) -> None:
-    """Circles about centres (n, 2) [px], of one radius or of as many."""
-    from matplotlib.collections import PatchCollection
-    from matplotlib.patches import Circle
-
-    discs = [
-        Circle(*disc) for disc in zip(centres, np.broadcast_to(radii, len(centres)), strict=True)
-    ]
-    ax.add_collection(PatchCollection(discs, facecolor="none", edgecolor=colours, **style))
-
-
-def draw_lenses(calibration: Calibration, ax: Any, shown: Any, **style: Any) -> None:
-    """The usable circles of those microimages that are `shown` (n,), in the colours of their types."""
-    lattice = calibration.lattice
-    types = calibration.lens_types
-    kinds = np.zeros(shown.sum(), int) if types is None else types.of(lattice.indices()[shown])
-    colours = [TYPE_COLOURS[kind % len(TYPE_COLOURS)] for kind in kinds]
-    draw_circles(ax, lattice.centres()[shown], lattice.radius, colours, **style)
-
-
-def _plot_centres(calibration: Calibration, ax: Any, most: int = 600) -> None:
-    lattice = calibration.lattice
-    size = np.array(calibration.image_size)
+def plot_centres(lattice: Lattice, types: LensTypes | None, ax: Any, most: int = 600) -> None:
+    """Draw the centres and usable circles of at most `most` lenses in the middle of the flat."""
+    size = np.array(lattice.image_size)
     centres = lattice.centres()
     half = size / 2
     title = f"{len(centres):,} microimages"
     if len(centres) > most:
         half = np.minimum(half, lattice.pitch * most**0.5 / 2)
         title = f"{title}, those in the middle"
-    (left, top), (right, bottom) = (size - 1) / 2 - half, (size - 1) / 2 + half
-    inside = ((centres > (left, top)) & (centres < (right, bottom))).all(1)
-    draw_lenses(calibration, ax, inside, linewidth=0.6)
+    corners = (size - 1) / 2 + [-half, half]
+    inside = ((centres > corners[0]) & (centres < corners[1])).all(1)
+    draw_lenses(lattice, types, ax, inside, linewidth=0.5)
     ax.plot(*centres[inside].T, ".", markersize=2, color=TYPE_COLOURS[1])
-    ax.set(
-        xlim=(left, right),
-        ylim=(bottom, top),
-        aspect="equal",
-        xlabel="x [px]",
-        ylabel="y [px]",
-        title=title,
-    )
+    _frame(ax, corners)
+    ax.set_title(title)
+
+
+def _frame(ax: Any, corners: Any) -> None:
+    """Show the part of a flat between two `corners` (2, 2) [px], with y pointing down."""
+    (left, top), (right, bottom) = corners
+    ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x [px]", ylabel="y [px]")
+
+
+def draw_circles(ax: Any, centres: Any, radii: Any, colours: Any, **style: Any) -> None:
+    """Draw circles about centres (n, 2) [px], of one radius or of n radii [px]."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle
+
+    discs = map(Circle, centres, np.broadcast_to(radii, len(centres)))
+    ax.add_collection(PatchCollection(list(discs), facecolor="none", edgecolor=colours, **style))
+
+
+def draw_lenses(
+    lattice: Lattice, types: LensTypes | None, ax: Any, shown: Any, **style: Any
+) -> None:
+    """Draw the usable circles of the lenses in the mask `shown` (n,), coloured by their types."""
+    kinds = np.zeros(shown.sum(), int) if types is None else types.of(lattice.indices()[shown])
+    colours = [TYPE_COLOURS[kind % len(TYPE_COLOURS)] for kind in kinds]
+    draw_circles(ax, lattice.centres()[shown], lattice.radius, colours, **style)

@@ -1,28 +1,27 @@
-"""Fields of a camera file: types and ranges of those that no record checks, and whether values fit
-together.
-"""
+"""Checks of the fields of a camera file: their types, their ranges, and whether they fit together."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
+from ..gain.gain_map import GainMap, Vignetting
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
-
-if TYPE_CHECKING:
-    from .calibration import Calibration
+from ..runtime.image_formats import Mosaic
 
 __all__ = ["check_plausible", "check_together", "read_fields"]
 
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _Point = tuple[_Number, _Number]
-# Light over that of the brightest place, or its natural logarithm: measured ones lie between -0.3
-# and 1.1.
+# Largest light over that of the brightest place, or its natural logarithm: measured values lie
+# between -0.3 and 1.1.
 _MOST_LIGHT = 10.0
+# Largest relative difference of the pitch in a file, which has few digits at times, from its basis.
+_PITCH_ERROR = 0.01
 
 
 class _Lattice(Struct):
@@ -46,17 +45,15 @@ class _Camera(Struct):
     source: Annotated[str, Meta(min_length=1, max_length=100)]
     fit: _Fit
     warnings: list[str]
-    # Files of earlier versions have none of these.
-    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
+    # Files of earlier versions do not have the following fields.
+    mosaic: Mosaic | None = None
     white_level: Annotated[float, Meta(gt=0, lt=2**53)] | None = None
     encoded: bool | None = None
     mosaic_guessed: bool = False
 
 
 def read_fields(data: dict[str, Any]) -> Any:
-    """The fields; CameraFileError with the name of the first that has a wrong type or an impossible
-    value.
-    """
+    """The fields; CameraFileError with the name of the first one of a wrong type or value."""
     try:
         return msgspec.convert(data, _Camera)
     except msgspec.ValidationError as error:
@@ -67,24 +64,23 @@ def read_fields(data: dict[str, Any]) -> Any:
         ) from error
 
 
-def check_together(camera: Calibration, pitch: float | None) -> None:
-    """Raise CameraFileError with the name of a field that does not fit the lattice; `pitch` [px] as
-    the file has it.
+def check_together(
+    lattice: Lattice, pitch: float | None, gain: GainMap | None, vignetting: Vignetting | None
+) -> None:
+    """Raise CameraFileError with the name of a field that does not fit the lattice.
+
+    `pitch` [px] is the pitch that the file states.
     """
-    lattice = camera.lattice
-    gain = camera.gain_map
-    vignetting = camera.vignetting
     check_plausible(lattice)
-    # The pitch is written for people, with fewer digits at times.
-    if pitch is not None and not abs(pitch / lattice.pitch - 1) <= 0.01:
+    if pitch is not None and not abs(pitch / lattice.pitch - 1) <= _PITCH_ERROR:
         raise _misfit(
             "lattice.pitch", f"{pitch:.6g} px are not the {lattice.pitch:.6g} px of lattice.basis"
         )
-    lengths = {"gain_map.radius": gain.radius, "gain_map.step": gain.step} if gain else {}
-    _check_lengths(lattice, lengths | ({"vignetting.step": vignetting.step} if vignetting else {}))
     if vignetting is not None:
+        _check_lengths(lattice, {"vignetting.step": vignetting.step})
         _check_largest("vignetting.profile", vignetting.profile, _MOST_LIGHT)
     if gain is not None:
+        _check_lengths(lattice, {"gain_map.radius": gain.radius, "gain_map.step": gain.step})
         side = max(lattice.image_size)
         _check_largest("gain_map.profile", gain.profile, _MOST_LIGHT)
         _check_largest("gain_map.dark", gain.stray_light, _MOST_LIGHT)
@@ -93,22 +89,23 @@ def check_together(camera: Calibration, pitch: float | None) -> None:
         _check_largest("gain_map.own", gain.lens_gain, 100)
         _check_largest("gain_map.shade", gain.shading, 100)
         _check_largest("gain_map.rim", gain.rim, side)
-        # A disc as large as that cuts along a straight line.
+        # A disc of this size cuts along a straight line.
         _check_largest("gain_map.cut", gain.cut, 100 * side)
 
 
 def _check_largest(field: str, values: Any, largest: float) -> None:
+    """Raise CameraFileError if the size of one of the values exceeds the largest one."""
     found = float(np.abs(values).max(initial=0))
     if not found <= largest:
         raise _misfit(field, f"{found:.3g} is not between -{largest:g} and {largest:g}")
 
 
 def check_plausible(lattice: Lattice) -> None:
-    """Raise CameraFileError with the name of a field of the lattice that does not fit the others."""
+    """Raise CameraFileError with the name of a field of the lattice that cannot be right."""
     steps = np.hypot(*(lattice.steps @ lattice.basis).T)
     side = max(lattice.image_size)
     bend = lattice.distortion
-    # Nearer ones would show nothing, and a flat have millions of them.
+    # Microimages of less than a pixel show nothing.
     if not 1 <= steps.min() <= steps.max() <= side:
         apart = f"{steps.min():.6g} to {steps.max():.6g} px apart"
         size = "{} x {}".format(*lattice.image_size)
@@ -123,16 +120,15 @@ def check_plausible(lattice: Lattice) -> None:
 
 
 def _check_lengths(lattice: Lattice, lengths: dict[str, float]) -> None:
-    """A microimage reaches at most to the corner of its cell, at 0.71 of the longer step of a
-    square array.
+    """Raise CameraFileError if a length exceeds the distance from one microimage to the next.
+
+    A microimage reaches at most to the corner of its cell, at 0.71 of the step of a square array.
     """
     longest = float(np.hypot(*(lattice.steps @ lattice.basis).T).max())
     for field, length in lengths.items():
         if length > longest:
-            raise _misfit(
-                field,
-                f"{length:.6g} px are more than the {longest:.6g} px from one microimage to the next",
-            )
+            reason = f"{length:.6g} px are more than the {longest:.6g} px"
+            raise _misfit(field, f"{reason} from one microimage to the next")
 
 
 def _misfit(field: str, reason: str) -> CameraFileError:

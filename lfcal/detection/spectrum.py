@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import reduce_basis
+from ..lattice.robust_fit import robust_sigma
 from ..runtime.arrays import Booleans, Floats, Singles
 from .features import FlatFeatures
 
@@ -84,7 +85,7 @@ def _whiten(log_power: Singles, side: int) -> Singles:
     # Every fourth row is enough to estimate the spread.
     few = prominence[::4]
     middle = float(np.median(few))
-    spread = 1.4826 * float(np.median(np.abs(few - middle))) + 1e-6
+    spread = robust_sigma(few - middle) + 1e-6
     return np.asarray((prominence - middle) / np.float32(spread))
 
 

@@ -10,7 +10,7 @@ from ..camera.calibration import Calibration
 from ..runtime.arrays import Floats, Frozen
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, check_type
 
-__all__ = ["REGIONS", "LatticeDifference", "compare"]
+__all__ = ["REGIONS", "LatticeDifference", "compare", "nine_places"]
 
 #: Names of corners, edge middles and middle of a flat, in rows from the top.
 REGIONS = [
@@ -22,13 +22,12 @@ REGIONS = [
 
 @dataclass(frozen=True, eq=False)
 class LatticeDifference(Frozen):
-    """Centres of calibration B minus those of calibration A, up to a lattice shift of the whole
-    flat.
+    """Centres of calibration B minus those of calibration A, whatever lens each calls the first.
 
     Parameters
     ----------
     rms, max : float [px]
-        Length of the differences over all microimages on the flat.
+        Root mean square and largest length of the differences over all microimages on the flat.
     mean_shift : (2,) float64 [px]
         Mean difference, order x, y.
     scale : float
@@ -58,12 +57,17 @@ class LatticeDifference(Frozen):
     field: Floats
 
 
+def nine_places(image_size: tuple[int, int]) -> Floats:
+    """(3, 3, 2) corners, edge middles and middle of a flat [px], in rows from the top."""
+    return np.stack(np.meshgrid(*(np.linspace(0, side - 1, 3) for side in image_size)), axis=-1)
+
+
 def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     """Compare the centres of two calibrations over flats of one size.
 
-    Origins may be any lenses, and bases any two of one lattice; CalibrationError if a basis vector
-    differs by more than a quarter of the pitch. Differences over half a pitch, where the pitches
-    differ, are not reduced to the nearest lens.
+    The two lattices may have different origins and bases; CalibrationError if a basis vector
+    differs by more than a quarter of the pitch. If the pitches differ, differences may exceed half
+    a pitch: they belong to the same lens, not to the nearest one.
 
     Examples
     --------
@@ -85,8 +89,8 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     leftover = np.linalg.norm(first.basis - same @ second.basis, axis=1)
     if round(abs(np.linalg.det(same))) != 1 or (leftover > 0.25 * first.pitch).any():
         raise CalibrationError(
-            f"the lattices are different ones, with pitches of {first.pitch:.2f} and {second.pitch:.2f} px, "
-            "not one lattice measured twice; look at both with 'lfcal show'"
+            f"the lattices are different ones, with pitches of {first.pitch:.2f} and "
+            f"{second.pitch:.2f} px, not one lattice measured twice; look at both with 'lfcal show'"
         )
     centres = first.centres()
     anchor = np.rint(np.median(second.to_index(centres) - first.indices() @ same, axis=0))
@@ -98,9 +102,7 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     # A plane through the differences gives scale and rotation.
     design = np.column_stack([np.ones(len(centres)), centres])
     matrix = np.eye(2) + np.linalg.lstsq(design, offset, rcond=None)[0][1:]
-    positions = np.stack(
-        np.meshgrid(*(np.linspace(0, side - 1, 3) for side in a.image_size)), axis=-1
-    )
+    positions = nine_places(a.image_size)
     lengths = np.hypot(*offset.T)
     return LatticeDifference(
         rms=float(np.sqrt(np.mean(lengths**2))),

@@ -1,10 +1,9 @@
-"""Whether a camera fits a flat: how far the microimages lie from its lattice, and whether it is the
-right camera.
+"""Check whether a camera fits a flat, and measure how far the microimages lie from its lattice.
 
-The lattice that repeats on the flat is fitted anew, from the basis of the camera and nothing of its
-centres; where none repeats at that basis, it is searched without the camera. Where it is that of
-the camera, it is fitted to the edges between the microimages (`scene_fit`). Flats are reduced to
-microimages of some ten pixels.
+The lattice of the flat is measured from the basis of the camera, without its centres. If nothing
+repeats at that basis, the lattice is searched without the camera. If it is the lattice of the
+camera, it is fitted to the edges between the microimages (`scene_fit`). Flats are downscaled to
+microimages of 10 to 20 pixels.
 """
 
 from __future__ import annotations
@@ -17,10 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..camera.calibration import Calibration
+from ..lattice.cell import nearest_offsets
 from ..lattice.lattice import Lattice, describe_orientation
 from ..runtime.arrays import Array, Floats, Frozen, Singles
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, CameraFileError, FlatError, check_type
-from .compare import REGIONS
+from .compare import REGIONS, nine_places
 
 if TYPE_CHECKING:
     from ..detection.search import Candidate
@@ -28,30 +28,47 @@ if TYPE_CHECKING:
 __all__ = ["CameraCheck", "FitCheck", "check_camera", "check_fit", "choose_orientation"]
 
 _REMEDY = "give the camera of this flat, or calibrate on it"
-# [pitch] from which on pictures show a shift of the whole flat, at most 0.05 with right cameras on
-# 60 simulated flats; and one of a corner by a change of scale or rotation: 0.028 with right cameras
-# on 11 captures, 0.039 with a wrong one.
+# Largest shift of a right camera over the whole flat [pitch]: 0.05 on 60 simulated flats. Beyond it,
+# errors are visible in pictures.
 _SHIFT = 0.06
+# Largest shift of a corner by scale or rotation [pitch]: 0.028 with right cameras on 11 captures, 0.039
+# with a wrong one.
 _STRETCH = 0.033
 # Least probability of a lattice that a camera is compared with.
 _LIKELY = 0.5
 # Least probability of a lattice, found at the basis of the camera, that may confirm the camera.
 _LIKELY_AT_BASIS = 0.05
+# Largest difference of two bases of one lattice, relative to the first.
+_SAME_CELL = 0.1
+# Largest relative difference of the basis of a right camera: 0.0011 on 60 simulated flats.
+_SAME_BASIS = 0.0025
+# Largest shift of a corner of a right camera [pitch]: 0.08 on the same flats.
+_CORNER = 0.2
+# Difference of the light of lens types at the rims that tells their order.
+_RIM_LIGHT = 0.03
+# Pitches [px] and pixels of downscaled flats: larger ones take time and show no more.
+_PITCH = 18
+_LEAST_PITCH = 10
+_PIXELS = 4e6
+# Lenses to which a straight lattice is fitted.
+_LENSES = 4000
+# Largest difference of the lattices of two halves of the microimages [pitch].
+_HALVES = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class FitCheck(Frozen):
-    """Centres measured on a flat, against those of a given lattice.
+    """Offsets of the centres measured on a flat from those of a given lattice.
 
     Parameters
     ----------
     positions : (3, 3, 2) float64 [px]
         Corners, edge middles and middle of the flat, in rows from the top.
     offset : (3, 3, 2) float64 [px]
-        From the given centres to the measured ones there: a shift and a linear map. NaN where the
-        flat shows none.
+        Vectors from the given centres to the measured ones at these positions: a shift and a linear
+        map. NaN if the flat does not show them.
     pitch : float [px]
-        Of the given lattice.
+        Pitch of the given lattice.
 
     Examples
     --------
@@ -65,56 +82,52 @@ class FitCheck(Frozen):
 
     @property
     def max_offset(self) -> float:
-        """Longest offset [px], NaN where it is unknown."""
+        """Longest offset [px], NaN if it is unknown."""
         return float(np.linalg.norm(self.offset, axis=-1).max())
 
     @property
     def limit(self) -> float:
-        """Offset [px] of a corner up to which not to worry; what a scene shows moves microimages as
-        much.
-        """
+        """Offset [px] of a corner that content of the scene can cause with a right camera."""
         return _STRETCH * self.pitch
 
     @property
     def verdict(self) -> str:
-        """Whether to worry, and why, in a sentence."""
+        """A sentence that says whether the camera fits the flat."""
         if np.isnan(self.max_offset):
             return "this flat does not show where its microimages are; a white image would"
         return self.warning or (
-            f"within {self.max_offset:.2f} px of this flat; no reason to worry: what the scene shows in microimages "
-            f"moves such figures by up to {self.limit:.1f} px"
+            f"within {self.max_offset:.2f} px of this flat; no reason to worry: what the scene "
+            f"shows in microimages moves such figures by up to {self.limit:.1f} px"
         )
 
     @property
     def warning(self) -> str | None:
-        """What is wrong with the lattice where pictures would show it, else None."""
+        """The error of the lattice if it is visible in pictures, else None."""
         shift = self.offset[1, 1]
         stretch = float(np.linalg.norm(self.offset - shift, axis=-1).max())
         if not (stretch > self.limit or np.linalg.norm(shift) > _SHIFT * self.pitch):
             return None
         where = REGIONS[int(np.linalg.norm(self.offset, axis=-1).argmax())]
         return (
-            f"the lattice is off by up to {self.max_offset:.1f} px in the {where}, which pictures show: calibrate on "
-            "this flat"
+            f"the lattice is off by up to {self.max_offset:.1f} px in the {where}, which pictures "
+            "show: calibrate on this flat"
         )
 
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """What a flat shows of a camera.
+    """Result of checking a camera on a flat.
 
     Parameters
     ----------
     fits : bool
-        False where the flat shows another lattice altogether, so that nothing computed with the
-        camera has a meaning.
+        False if the flat has another lattice, so that results of this camera would be meaningless.
     problem : str or None
-        What is wrong and what to do, None where nothing is.
+        The fault of the camera and a remedy, None if there is no fault.
     adjusted : Calibration or None
-        The camera moved onto the microimages, where a shift is all that is wrong with its lattice:
-        crops of a sensor.
+        The camera shifted onto the microimages if a shift is the only fault, as of a cropped flat.
     checked : bool
-        False where no microimages can be seen on the flat.
+        False if no microimages are visible on the flat.
 
     Examples
     --------
@@ -129,24 +142,24 @@ class CameraCheck:
     checked: bool = True
 
     def warn(self, calibration: Calibration, name: object) -> Calibration:
-        """The camera, with what is doubtful about it as a warning; CameraFileError with its name if
-        it is refuted.
-        """
+        """The camera with its problem as a warning; CameraFileError with its `name` if it is wrong."""
         if not self.fits:
             raise CameraFileError(f"{name}: {self.problem}")
-        unseen = "no microimages can be seen on this flat, so that the camera could not be checked; give a brighter one"
-        warning = self.problem if self.checked else unseen
-        return (
-            calibration
-            if warning is None
-            else replace(calibration, warnings=(*calibration.warnings, warning))
-        )
+        warning = self.problem
+        if not self.checked:
+            warning = (
+                "no microimages can be seen on this flat, so that the camera could not be checked; "
+                "give a brighter one"
+            )
+        if warning is None:
+            return calibration
+        return replace(calibration, warnings=(*calibration.warnings, warning))
 
 
 def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
-    """Measure on a flat how far the microimages are from the centres of `calibration`.
+    """Measure the offsets of the microimages on a flat from the centres of `calibration`.
 
-    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it is of another
+    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it has another
     size.
 
     Examples
@@ -166,12 +179,11 @@ def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
 def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
     """Check whether a flat can have been made with a camera, in about a tenth of a second.
 
-    Noticed are flats or cameras that are turned or mirrored, shifts of more than a tenth of the
-    pitch, pitches that are wrong by more than a quarter of a percent, another array, and lens types
-    in another order. A flat that shows no lattice, such as a dark one, shows nothing of the camera
-    (`CameraCheck.checked`).
+    The check finds turned or mirrored flats, shifts of more than a tenth of the pitch, pitches that
+    are wrong by more than 0.25 %, another array, and lens types in another order. A flat without a
+    visible lattice, such as a dark one, cannot be checked (`CameraCheck.checked`).
 
-    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it is of another
+    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it has another
     size.
 
     Examples
@@ -194,7 +206,7 @@ def _check(calibration: Calibration, reduced: _Reduced) -> CameraCheck:
     lattice = calibration.lattice
     found, misfit = _compare(reduced, lattice)
     if found is None and reduced.factor > 1:
-        # Microimages that are much smaller than those of the camera may be lost at that size.
+        # Microimages that are much smaller than those of the camera vanish by downscaling.
         reduced = _Reduced(reduced.flat, 1, _reduce(reduced.flat, 1))
         found, misfit = _compare(reduced, lattice)
     if found is None:
@@ -211,21 +223,19 @@ def _check(calibration: Calibration, reduced: _Reduced) -> CameraCheck:
         scale = 100 * (float(np.sqrt(abs(np.linalg.det(step)))) - 1)
         turn = float(np.degrees(np.arctan2(step[0, 1] - step[1, 0], np.trace(step))))
         return CameraCheck(
-            problem=f"the pitch on the flat is {scale:+.2f} % and its rotation {turn:+.2f} degrees from the camera; "
-            + _REMEDY
+            problem=f"the pitch on the flat is {scale:+.2f} % and its rotation {turn:+.2f} degrees "
+            f"from the camera; {_REMEDY}"
         )
     shift = reduced.factor * misfit.shift
     return CameraCheck(
-        problem=f"the microimages lie {np.linalg.norm(shift):.1f} px beside those of the camera, as in a crop, a "
-        f"turned flat, or with another camera; {_REMEDY}",
+        problem=f"the microimages lie {np.linalg.norm(shift):.1f} px beside those of the camera, "
+        f"as in a crop, a turned flat, or with another camera; {_REMEDY}",
         adjusted=replace(calibration, lattice=replace(lattice, origin=lattice.origin + shift)),
     )
 
 
 def choose_orientation(down: Calibration, up: Calibration, image: ArrayLike) -> Calibration:
-    """Of two readings of a table of centres, whose y points down or up, the one that an image
-    confirms.
-    """
+    """The reading of a table of centres, with y pointing down or up, that an image confirms."""
     right = [
         check.checked and check.problem is None
         for check in (check_camera(one, image) for one in (down, up))
@@ -233,26 +243,26 @@ def choose_orientation(down: Calibration, up: Calibration, image: ArrayLike) -> 
     index = up.lattice.to_index(down.lattice.centres())
     if right[0] != right[1] or np.abs(index - np.rint(index)).max() < _STRETCH:
         return up if right[1] and not right[0] else down
-    warning = "the image does not show whether y of the table points up or down; it was taken to point down"
+    warning = (
+        "the image does not show whether y of the table points up or down; it was taken to point "
+        "down"
+    )
     return replace(down, warnings=(*down.warnings, warning))
 
 
 def _describe_other(given: Lattice, found: Lattice, factor: int) -> str:
-    (shape, rows, _), (own_shape, own_rows, _) = (
-        describe_orientation(found),
-        describe_orientation(given),
-    )
+    """A message about a flat that shows another lattice, downscaled by `factor`."""
+    shape, rows, _ = describe_orientation(found)
+    own_shape, own_rows, _ = describe_orientation(given)
     return (
         f"the flat was not made with this camera: its microimages are {shape}, rows {rows}, pitch "
-        f"{factor * found.pitch:.2f} px, those of the camera {own_shape}, rows {own_rows}, pitch {given.pitch:.2f} px, "
-        f"unless the flat was turned or mirrored; {_REMEDY}"
+        f"{factor * found.pitch:.2f} px, those of the camera {own_shape}, rows {own_rows}, pitch "
+        f"{given.pitch:.2f} px, unless the flat was turned or mirrored; {_REMEDY}"
     )
 
 
 def _find_type_conflict(calibration: Calibration, flat: Array) -> str | None:
-    """Why the lens types of a camera are not those of a flat: by the light at their rims, and by
-    their sharpness.
-    """
+    """A message if the lens types of a camera contradict the light or the sharpness of a flat."""
     from ..images.preprocessing import sqrt_luminance
     from ..lens_types.type_check import find_rim_conflict, find_type_conflict
 
@@ -265,19 +275,21 @@ def _find_type_conflict(calibration: Calibration, flat: Array) -> str | None:
     rims_known = False
     if gain is not None and gain.type_light.size:
         conflict = find_rim_conflict(types, gain, lattice.radius)
-        # A difference of light between types at the rims that tells their order.
-        rims_known = float(np.ptp(gain.type_rims(lattice.radius), axis=0).max()) > 0.03
+        rims_known = float(np.ptp(gain.type_rims(lattice.radius), axis=0).max()) > _RIM_LIGHT
     conflict = conflict or find_type_conflict(sqrt_luminance(flat), lattice, types, rims_known)
     return conflict and f"{conflict}; was the flat mirrored, turned or cropped? {_REMEDY}"
 
 
 class _Reduced(NamedTuple):
+    """A flat, and a downscaled picture of it."""
+
     flat: Array  # without its mosaic
-    factor: int  # side of the blocks that it is reduced by
-    picture: Singles  # root of its luminance then
+    factor: int  # side of the blocks of pixels that are averaged
+    picture: Singles  # root of the luminance of the downscaled flat
 
 
 def _prepare(calibration: Calibration, image: ArrayLike) -> _Reduced:
+    """Check the arguments, remove the mosaic of the flat and downscale it."""
     from ..images.mosaic import equalise_mosaic, find_mosaic, remove_mosaic
 
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
@@ -285,20 +297,19 @@ def _prepare(calibration: Calibration, image: ArrayLike) -> _Reduced:
     width, height = calibration.image_size
     if flat.ndim not in (2, 3) or flat.shape[:2] != (height, width):
         raise FlatError(
-            f"image has shape {flat.shape}; the camera is for flats of {width} x {height} px, give one of its size"
+            f"image has shape {flat.shape}; the camera is for flats of {width} x {height} px, give "
+            "one of its size"
         )
     if flat.ndim == 2 and (calibration.mosaic or find_mosaic(flat)):
         flat = remove_mosaic(equalise_mosaic(flat))
-    # Finer microimages than of 18 px take time and tell no more; large flats are reduced to 4 MP,
-    # or to 10 px.
     pitch = calibration.lattice.pitch
-    large = int(np.ceil(np.sqrt(width * height / 4e6)))
-    factor = max(1, int(pitch / 18), min(int(pitch / 10), large))
+    large = int(np.ceil(np.sqrt(width * height / _PIXELS)))
+    factor = max(1, int(pitch / _PITCH), min(int(pitch / _LEAST_PITCH), large))
     return _Reduced(flat, factor, _reduce(flat, factor))
 
 
 def _reduce(flat: Array, factor: int) -> Singles:
-    """Root of the luminance (h, w) of a flat, of blocks of `factor` x `factor` pixels."""
+    """Root of the luminance (h, w) of a flat after averaging blocks of `factor` x `factor` pixels."""
     from ..images.preprocessing import sqrt_luminance
 
     if factor > 1:
@@ -312,54 +323,43 @@ def _reduce(flat: Array, factor: int) -> Singles:
 
 
 class _Misfit(NamedTuple):
-    """A found lattice against the given one: at `p`, centres are `shift + (p - middle) @ linear`
-    [px] further.
-    """
+    """Offset of a found lattice from a given one: `shift + (p - middle) @ linear` [px] at `p`."""
 
-    shift: Floats  # (2,) [px] in the middle of the flat, to the nearest
+    shift: Floats  # (2,) [px] in the middle of the flat, to the nearest centre
     linear: Floats  # (2, 2)
     given: Lattice
 
     @classmethod
     def between(cls, given: Lattice, found: Lattice) -> _Misfit | None:
-        """None where the cells are not the same, to a tenth in scale or angle."""
+        """The offset, or None if the lattices have different cells."""
         whole = np.rint(found.basis @ np.linalg.inv(given.basis))
         if round(abs(np.linalg.det(whole))) != 1:
             return None
         linear = np.linalg.inv(given.basis) @ np.linalg.solve(whole, found.basis) - np.eye(2)
-        if np.linalg.norm(linear, 2) > 0.1:
+        if np.linalg.norm(linear, 2) > _SAME_CELL:
             return None
-        middle = (np.array(given.image_size) - 1) / 2
-        index = found.to_index(given.points(np.rint(given.to_index(middle[None]))))[0]
-        shifts = (
-            np.rint(index) + [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)] - index
-        ) @ found.basis
-        return cls(shifts[np.linalg.norm(shifts, axis=1).argmin()], linear, given)
+        index = found.to_index(given.points(given.middle[None]))
+        return cls(-nearest_offsets(index, found.basis)[0], linear, given)
 
     @property
     def is_straight(self) -> bool:
-        """Whether scale and angle are the same: right cameras differ by at most 0.0011 on 60
-        simulated flats.
-        """
-        return float(np.linalg.norm(self.linear, 2)) < 0.0025
+        """Whether scale and angle are the same."""
+        return float(np.linalg.norm(self.linear, 2)) < _SAME_BASIS
 
     @property
     def is_small(self) -> bool:
-        """Whether the camera fits, for all that its flat can tell."""
+        """Whether the flat shows no fault of the camera."""
         half = np.array(self.given.image_size) / 2
         pitch = self.given.pitch
         corners = self.shift + (half * [[1, 1], [1, -1], [-1, 1], [-1, -1]]) @ self.linear
-        # In the corners right cameras are at most 0.08 pitches off.
-        near = np.linalg.norm(corners, axis=1).max() < 0.2 * pitch
+        near = np.linalg.norm(corners, axis=1).max() < _CORNER * pitch
         return bool(self.is_straight and near and np.linalg.norm(self.shift) < _SHIFT * pitch)
 
 
 def _compare(reduced: _Reduced, given: Lattice) -> tuple[Lattice | None, _Misfit | None]:
-    """A lattice on the reduced flat, None where none is found, and its misfit, None where it is
-    another one.
-    """
+    """The lattice of the flat, None if none is found, and its offset, None if its cells differ."""
     if given.distortion is not None:
-        index = given.indices()[:: max(1, len(given) // 4000)]
+        index = given.indices()[:: max(1, len(given) // _LENSES)]
         design = np.column_stack([np.ones(len(index)), index])
         line: Array = np.linalg.lstsq(design, given.points(index), rcond=None)[0]
         given = Lattice(line[0], line[1:], given.image_size, given.radius)
@@ -389,52 +389,39 @@ def _compare(reduced: _Reduced, given: Lattice) -> tuple[Lattice | None, _Misfit
 
 
 def _find_at_basis(picture: Singles, given: Lattice) -> Candidate | None:
-    """The most probable lattice on a picture near the basis of the given one."""
+    """The most probable lattice of a picture whose basis is near that of the given lattice."""
     from ..detection.search import measure_basis
 
     with suppress(CalibrationError, np.linalg.LinAlgError):
-        found = measure_basis(picture, given)
-        if found:
-            return found[0]
+        return next(iter(measure_basis(picture, given)), None)
     return None
 
 
 def _fit_offsets(
     calibration: Calibration, reduced: _Reduced, found: Lattice | None, misfit: _Misfit | None
 ) -> FitCheck:
-    """`check_fit` on a reduced flat, from the found lattice where that of the camera is far off."""
+    """Offsets of nine places, from a fit that starts at the nearer of camera and found lattice."""
     from ..gain.rows import RegionGain
 
     lattice = calibration.lattice
     factor = reduced.factor
     gain = calibration.gain_map
-    width, height = lattice.image_size
-    positions = np.stack(
-        np.meshgrid([0, (width - 1) / 2, width - 1], [0, (height - 1) / 2, height - 1]), -1
-    )
+    positions = nine_places(lattice.image_size)
     offset = np.full((3, 3, 2), np.nan)
     if found is not None and misfit is not None:
         small = lattice.downscaled(factor)
-        offset = (
-            _measure(
-                reduced.picture, small, small if misfit.is_small else found, positions / factor
-            )
-            * factor
-        )
+        start = small if misfit.is_small else found
+        offset = _measure(reduced.picture, small, start, positions / factor) * factor
         if gain is not None and len(gain.cut) and misfit.is_small:
-            # Mechanical vignetting moves rims: offsets that the gain map shows as well are no
-            # misfit.
-            light = _reduce(
-                np.nan_to_num(RegionGain(gain, lattice).at(0, 0, width, height)), factor
-            )
-            offset -= np.nan_to_num(_measure(light, small, small, positions / factor)) * factor
+            # Mechanical vignetting moves rims, which the gain map shows too.
+            light = np.nan_to_num(RegionGain(gain, lattice).at(0, 0, *lattice.image_size))
+            rims = _measure(_reduce(light, factor), small, small, positions / factor)
+            offset -= np.nan_to_num(rims) * factor
     return FitCheck(positions, offset, lattice.pitch)
 
 
 def _measure(picture: Singles, given: Lattice, start: Lattice, positions: Floats) -> Floats:
-    """(3, 3, 2) offsets [px] of the lattice on a picture from the given one; NaN where its halves
-    do not agree.
-    """
+    """(3, 3, 2) offsets [px] of the lattice of a picture from the given one; NaN if not reliable."""
     from ..images.preprocessing import edge_strength, normalise_locally
     from ..scene_fit.fit import fit_scene
 
@@ -443,16 +430,16 @@ def _measure(picture: Singles, given: Lattice, start: Lattice, positions: Floats
         fit = fit_scene(rims, start)
     except (CalibrationError, np.linalg.LinAlgError):
         return np.full((3, 3, 2), np.nan)
-    if not fit.half_difference < 0.05 * given.pitch:
+    if not fit.half_difference < _HALVES * given.pitch:
         return np.full((3, 3, 2), np.nan)
     found = Lattice(fit.origin, fit.basis, given.image_size, given.radius, fit.distortion)
-    index = given.indices()[:: max(1, len(given) // 4000)]
+    index = given.indices()[:: max(1, len(given) // _LENSES)]
     centres = given.points(index)
-    # From the middle one on, so that all are compared with lenses to the same side.
+    # Lenses are counted from the middle one, so that all offsets point to the same side.
     own = found.to_index(centres)
     first = found.to_index(given.points(given.middle[None]))
     away = found.points(np.rint(first) + np.rint(own - first)) - centres
-    # A distortion that single flats show is not told from what the scene shows.
+    # A linear map is fitted: a single flat does not separate distortion from scene content.
     middle = (np.array(given.image_size) - 1) / 2
     design = np.column_stack([np.ones(len(centres)), centres - middle])
     change = np.linalg.lstsq(design, away, rcond=None)[0]

@@ -1,6 +1,4 @@
-"""A picture that shows how a calibration fits a flat: its centre, three corners and where to look
-first.
-"""
+"""A picture of a calibration over a flat: centre, corners, offsets, gain, and a place to check."""
 
 from __future__ import annotations
 
@@ -20,24 +18,35 @@ from .fit_check import FitCheck, check_fit
 __all__ = ["PlaceToCheck", "find_places_to_check", "show"]
 
 
+# Width of a crop [pitches], such that it is enlarged three to four times: within these widths [px],
+# but at least so many pitches.
+_CROP = 6
+_CROP_WIDTHS = (140, 190)
+_LEAST_CROP = 2.5
+# Line widths [points]: a dark line below a light one is visible on any background.
+_LINE = 1.2
+_SHADOW = 2.7
+# Percentiles of grey values that become black and white in a crop, and its gamma.
+_BLACK_WHITE = (1, 99)
+_GAMMA = 1.4
+
+
 class PlaceToCheck(NamedTuple):
-    """A place on a flat, and what to look at there."""
+    """A place on a flat, and the reason to look at it."""
 
     position: Floats  # (2,) [px]
     sentence: str
-    circles: (
-        Floats  # (n, 3) x, y and radius [px] of circles found without the lattice; none if (0, 3)
-    )
+    circles: Floats  # (n, 3) x, y, radius [px] of circles that were found without the lattice
 
 
 def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
-    """Draw the centres and usable circles of a calibration over a flat: its centre, three corners,
-    and where to look.
+    """Draw the centres and usable circles of a calibration over five crops of a flat.
 
-    Circles of lens types 0 to 3 are blue, orange, green and violet. Unlit lenses are crossed out,
-    defect pixels circled. White circles were found without the lattice (Hough vote). Beside the
-    five crops are the offsets of nine regions of the flat from the lattice, the residuals of the
-    calibration, the gain map, and the light falloff inside a microimage.
+    The crops show the centre, three corners and the place that should be checked first. Circles of
+    lens types 0 to 3 are blue, orange, green and violet. Unlit lenses are crossed out, defect
+    pixels circled. White circles were found without the lattice (Hough vote). Beside the crops are
+    the offsets of nine regions of the flat from the lattice, the residuals of the calibration, the
+    gain map, and the light falloff inside a microimage.
 
     `image` (h, w) or (h, w, 3) is a white image or scene capture of this camera; FlatError if it is
     of another size. The picture is (h, w, 3) uint8, RGB.
@@ -55,23 +64,19 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     flat = np.asarray(image)
     fit = check_fit(calibration, flat)
     places = find_places_to_check(calibration, flat)
-    # Six pitches across a crop, enlarged three to four times where that leaves at least two and a
-    # half.
     size = np.array(calibration.image_size)
-    pitch = calibration.lattice.pitch
-    reach = min(max(float(np.clip(6 * pitch, 140, 190)), 2.5 * pitch), *size)
-    (left, top), (right, low) = np.full(2, reach / 2 - 0.5), size - 0.5 - reach / 2
-    crops = {
-        "top left": (left, top),
-        "centre": (size - 1) / 2,
-        "top right": (right, top),
-        "bottom left": (left, low),
-    }
+    lattice = calibration.lattice
+    width = max(np.clip(_CROP * lattice.pitch, *_CROP_WIDTHS), _LEAST_CROP * lattice.pitch)
+    reach = min(float(width), *size)
+    first = np.full(2, reach / 2 - 0.5)
+    end = size - 1 - first
+    shares = {"top left": (0, 0), "centre": (0.5, 0.5), "top right": (1, 0), "bottom left": (0, 1)}
+    crops = {name: first + (end - first) * share for name, share in shares.items()}
     last = "look here" if places else "bottom right"
-    crops[last] = np.clip(places[0].position, (left, top), (right, low)) if places else (right, low)
+    crops[last] = np.clip(places[0].position, first, end) if places else end
     figure = Figure((18, 12.9), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    figure.suptitle(_describe(calibration, fit), x=0.01, ha="left", fontsize=13)
+    figure.suptitle(_describe(calibration, fit), x=0, ha="left", size="x-large")
     axes = figure.subplot_mosaic(
         [
             ["top left", "centre", "top right"],
@@ -79,75 +84,68 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
         ]
     )
     for name, middle in crops.items():
-        _draw_crop(
-            axes[name],
-            calibration,
-            flat,
-            np.array(middle),
-            reach,
-            places if name == "look here" else [],
-        )
+        shown = places if name == "look here" else []
+        _draw_crop(axes[name], calibration, flat, middle, reach, shown)
         axes[name].set_title(name)
     _draw_misfit(axes["misfit"], calibration, fit)
-    plot_gain(calibration, axes["gain"])
-    plot_falloff(calibration, axes["falloff"])
+    plot_gain(lattice, calibration.gain_map, calibration.defects, axes["gain"])
+    plot_falloff(lattice.radius, calibration.vignetting, axes["falloff"])
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3]
 
 
 def find_places_to_check(calibration: Calibration, flat: Array) -> list[PlaceToCheck]:
-    """Places on a flat (h, w) or (h, w, 3) of the size of the calibration, the most telling one
-    first.
+    """Places on a flat (h, w) or (h, w, 3) at which the lattice may be wrong, the worst one first.
 
-    The circle by Hough vote, and the lens measured alone, that lies farthest from the lattice.
+    One is the circle of a Hough vote that lies farthest from the lattice, the other one the lens
+    with the largest residual.
     """
     lattice = calibration.lattice
     residuals = calibration.residuals
     places = []
     circles = find_circles(sqrt_luminance(flat), lattice.pitch)
     if len(circles.centres):
-        beside = np.hypot(
-            *(lattice.points(np.rint(lattice.to_index(circles.centres))) - circles.centres).T
-        )
+        nearest = lattice.points(np.rint(lattice.to_index(circles.centres)))
+        beside = np.hypot(*(nearest - circles.centres).T)
         worst = circles.centres[beside.argmax()]
         off = int((beside > lattice.pitch / 4).sum())
         sentence = (
-            f"{off} of {len(beside)} circles found without the lattice (white) lie more than a quarter of the pitch "
-            f"beside it, the farthest at x {worst[0]:.0f}, y {worst[1]:.0f}: see whether they are microimages or scene"
+            f"{off} of {len(beside)} circles found without the lattice (white) lie more than a "
+            f"quarter of the pitch beside it, the farthest at x {worst[0]:.0f}, y {worst[1]:.0f}: "
+            "see whether they are microimages or scene"
         )
-        places.append(
-            PlaceToCheck(worst, sentence, np.column_stack([circles.centres, circles.radii]))
-        )
+        found = np.column_stack([circles.centres, circles.radii])
+        places.append(PlaceToCheck(worst, sentence, found))
     if residuals is not None and len(residuals.offset):
         beside = np.hypot(*residuals.offset.T)
         i, j = index = residuals.indices[beside.argmax()]
         place = lattice.points(index[None])[0]
         sentence = (
-            f"lens {i}, {j} at x {place[0]:.0f}, y {place[1]:.0f} lies farthest from the lattice: {beside.max():.2f} "
-            f"px; half of them lie within {np.median(beside):.2g} px"
+            f"lens {i}, {j} at x {place[0]:.0f}, y {place[1]:.0f} lies farthest from the lattice: "
+            f"{beside.max():.2f} px; half of them lie within {np.median(beside):.2g} px"
         )
         places.append(PlaceToCheck(place, sentence, np.zeros((0, 3))))
     return places
 
 
 def _describe(calibration: Calibration, fit: FitCheck) -> str:
-    """Two lines: the lattice; and the flat, its lens types, how well it is known and fits."""
+    """Two lines: the lattice; and the flat, its lens types, its uncertainty and its fit."""
     lattice = calibration.lattice
     shape, rows, turned = describe_orientation(lattice)
-    residual = (
-        ""
-        if np.isnan(calibration.residual_rms)
-        else f", residual {calibration.residual_rms:.3f} px RMS"
-    )
+    residual = ""
+    if not np.isnan(calibration.residual_rms):
+        residual = f", residual {calibration.residual_rms:.3f} px RMS"
     worry = "too much, calibrate on this flat" if fit.warning else f"no worry below {fit.limit:.1f}"
     off = "its fit to this flat is unknown"
     if not np.isnan(fit.max_offset):
         off = f"off this flat by {fit.max_offset:.2f} px ({worry})"
-    types = "" if calibration.lens_types is None else f"{calibration.lens_types.count} lens types, "
+    types = calibration.lens_types
+    kinds = "" if types is None else f"{types.count} lens types, "
+    width, height = calibration.image_size
     return (
         f"{shape}, rows {rows}, pitch {lattice.pitch:.4f} px, rotation {turned:+.4f} deg, "
         f"usable radius {lattice.radius:.2f} px, {len(lattice)} lenses\n"
-        f"{'{} x {} px'.format(*calibration.image_size)}, {types}from {calibration.source}{residual}, "
+        f"{width} x {height} px, {kinds}from {calibration.source}{residual}, "
         f"confidence {calibration.confidence:.2f}; {off}"
     )
 
@@ -160,9 +158,7 @@ def _draw_crop(
     reach: float,
     places: list[PlaceToCheck],
 ) -> None:
-    """Crop of the flat, `reach` [px] wide around `middle` (2,), with centres, usable circles and
-    defects.
-    """
+    """Draw a crop of the flat, `reach` [px] wide about `middle` (2,), with lenses and defects."""
     from matplotlib.patheffects import withStroke
 
     (left, top), (right, bottom) = middle - reach / 2, middle + reach / 2
@@ -173,46 +169,42 @@ def _draw_crop(
     axes.imshow(crop, extent=extent, interpolation="bicubic")
     axes.set(xlim=(left, right), ylim=(bottom, top))
 
-    def near(positions: Array) -> Any:
-        return (np.abs(positions - middle) < reach / 2 + calibration.lattice.pitch).all(1)
+    lattice = calibration.lattice
 
-    # A dark line below a light one is visible on any background.
-    style = {
-        "linewidth": 1.2,
-        "path_effects": [withStroke(linewidth=2.7, foreground=(0, 0, 0, 0.4))],
-    }
-    centres = calibration.lattice.centres()
+    def near(positions: Array) -> Any:
+        return (np.abs(positions - middle) < reach / 2 + lattice.pitch).all(1)
+
+    shadow = withStroke(linewidth=_SHADOW, foreground=(0, 0, 0, 0.5))
+    style = {"linewidth": _LINE, "path_effects": [shadow]}
+    centres = lattice.centres()
     pixels = calibration.defects.pixels
-    missing = calibration.lattice.points(calibration.defects.lenses)
-    draw_lenses(calibration, axes, near(centres), **style)
-    axes.plot(*centres[near(centres)].T, "+", color="gold", markersize=9, markeredgewidth=1.2)
+    missing = lattice.points(calibration.defects.lenses)
+    draw_lenses(lattice, calibration.lens_types, axes, near(centres), **style)
+    axes.plot(*centres[near(centres)].T, "+", color="gold", markersize=10, markeredgewidth=_LINE)
     draw_circles(axes, pixels[near(pixels)], 1.5, "magenta", **style)
-    axes.plot(*missing[near(missing)].T, "x", color="magenta", markersize=30, markeredgewidth=2)
+    axes.plot(*missing[near(missing)].T, "x", color="magenta", markersize=32, markeredgewidth=2)
     for place in places:
         found = place.circles[near(place.circles[:, :2])]
         draw_circles(axes, found[:, :2], found[:, 2], "white", **style)
 
 
 def _draw_misfit(axes: Any, calibration: Calibration, fit: FitCheck) -> None:
-    """Arrows from the centres of the lattice to those measured in nine regions of this flat, over
-    the residuals.
-    """
-    plot_residuals(calibration, axes, alpha=0.5)
+    """Draw the offsets of nine regions of this flat from the lattice, over the residuals."""
+    plot_residuals(calibration.lattice, calibration.residuals, axes, alpha=0.5)
     positions = fit.positions.reshape(-1, 2)
     offset = fit.offset.reshape(-1, 2)
     if np.nan_to_num(offset).any():
-        axes.quiver(*positions.T, *offset.T, angles="xy", color="firebrick", width=0.008)
+        axes.quiver(*positions.T, *offset.T, angles="xy", color="firebrick")
     for place, length in zip(positions, np.hypot(*offset.T), strict=True):
-        axes.annotate("?" if np.isnan(length) else f"{length:.2g}", place, fontsize=9)
-    axes.set_title(
-        "Offset of this flat from the lattice [px] (red), residuals of the fit", fontsize=10
-    )
+        axes.annotate("?" if np.isnan(length) else f"{length:.2g}", place)
+    axes.set_title("Offset of this flat from the lattice [px] (red), residuals of the fit", size=10)
+    # The corners need room for their figures.
     axes.margins(0.1)
 
 
 def _stretch_contrast(crop: Array) -> NDArray[np.uint8]:
-    """A crop of a flat as RGB (h, w, 3), its darkest and brightest percent black and white."""
+    """A crop of a flat as RGB (h, w, 3); its darkest and brightest per cent become black and white."""
     values = np.nan_to_num(crop.astype(np.float32)).reshape(*crop.shape[:2], -1)
-    low, high = np.percentile(values, (1, 99))
-    scaled = np.clip((values - low) / max(high - low, 1e-6), 0, 1) ** (1 / 1.4)
+    low, high = np.percentile(values, _BLACK_WHITE)
+    scaled = np.clip((values - low) / max(high - low, 1e-6), 0, 1) ** (1 / _GAMMA)
     return np.broadcast_to(np.rint(255 * scaled).astype(np.uint8), (*crop.shape[:2], 3))

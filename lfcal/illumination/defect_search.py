@@ -14,14 +14,13 @@ import numpy as np
 from ..gain.gain_map import Defects
 from ..gain.rows import RegionGain
 from ..lattice.lattice import Lattice
+from ..lattice.robust_fit import MAD_TO_SIGMA
 from ..runtime.arrays import Booleans, Integers, Singles
 from .lens_light import LensLights
 
 __all__ = ["find_defects"]
 
-# Standard deviation of normal values over their median absolute deviation, and over the distance of
-# the farthest tenth.
-_TO_SIGMA = 1.4826
+# Standard deviation of normal values over the absolute deviation that a tenth of them exceed.
 _TENTH_TO_SIGMA = 1 / 1.6449
 # Levels of light, at each of which the noise is measured.
 _LEVELS = 32
@@ -97,7 +96,8 @@ def _compute_residuals(
             # Where noise is cut off at black, more than half of the pixels may have the same value.
             noise = float(
                 np.max(
-                    np.quantile(np.abs(own - middle[k]), (0.5, 0.9)) * (_TO_SIGMA, _TENTH_TO_SIGMA)
+                    np.quantile(np.abs(own - middle[k]), (0.5, 0.9))
+                    * (MAD_TO_SIGMA, _TENTH_TO_SIGMA)
                 )
             )
             # Residuals of half a per cent of the light harm no picture, and lenses differ by three

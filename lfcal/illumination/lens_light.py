@@ -20,14 +20,11 @@ from ..gain.kernel import relative_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
-from ..lattice.robust_fit import TUKEY_CUTOFF
+from ..lattice.robust_fit import TUKEY_CUTOFF, biweight, robust_sigma
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from ..runtime.kernels import kernel
 
 __all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]
-
-# Standard deviation of normal values over their median absolute deviation.
-_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -221,8 +218,8 @@ def _fit_level(lights: Singles, use: Booleans, centres: Floats, lattice: Lattice
             weighted.T @ table + 1e-9 * max(len(rows), 1) * np.eye(len(level)), weighted.T @ log
         )
         miss = np.abs(log - table @ level)
-        spread = _TO_SIGMA * float(np.median(miss)) + 1e-9 if len(rows) else 1.0
-        weight = np.clip(1 - (miss / (TUKEY_CUTOFF * spread)) ** 2, 0, None) ** 2
+        spread = robust_sigma(miss) + 1e-9 if len(rows) else 1.0
+        weight = biweight((miss / (TUKEY_CUTOFF * spread)) ** 2)
     return level
 
 
@@ -235,7 +232,7 @@ def _shrink_lens_gain(
     and Stein 1961).
     """
     miss = ratio - 1
-    spread = _TO_SIGMA * float(np.median(np.abs(miss[few][lit[few]])))
+    spread = robust_sigma(miss[few][lit[few]])
     noise = float(np.median(error[few][lit[few]]))
     true = max(spread**2 - noise**2, 0.0)
     variance = np.float32(true) + error * error

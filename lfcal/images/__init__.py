@@ -1,3 +1,1 @@
-"""Flats as arrays: reading image files whole or in parts, and preparing pixels for the search of
-the lattice.
-"""
+"""Flats as arrays: image files read whole or in parts, pixels prepared for the lattice search."""

@@ -1,11 +1,10 @@
-"""Files that a library of their own reads: HDF5 (h5py), OpenEXR, raw photos (LibRaw), and Zarr
-arrays, part by part.
-"""
+"""Formats with a library each: HDF5 (h5py), OpenEXR, raw photos (LibRaw), and Zarr in parts."""
 
 from __future__ import annotations
 
 import math
 import struct
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,12 +27,12 @@ __all__ = [
     "read_raw_photo",
 ]
 
-# Datasets by what they are called, the capture first: plenoptomos, HCI (Heidelberg), and other
-# common names.
+# Names of datasets with captures (plenoptomos, HCI Heidelberg, common ones), and with white and dark
+# images.
 _CAPTURES = ("data/image", "LF", "lightfield", "light_field", "flat", "image", "raw", "data")
 _FURTHER = ("data/white", "data/dark", "white", "dark")
-# Codecs of version 2 that give numbers. Others rebuild Python objects, and `pickle` among them
-# executes code from the file, which Zarr before 3.1 allows.
+# Codecs of Zarr 2 that decode numbers. Others rebuild Python objects; one of them, `pickle`, executes
+# code from the file, which Zarr before 3.1 allows.
 _NUMERIC_CODECS = {
     "adler32",
     "astype",
@@ -57,40 +56,48 @@ _NUMERIC_CODECS = {
 }
 # Header of a Blosc block: bytes of its pixels, and of the block.
 _BLOSC_HEADER = struct.Struct("<4xI4xI")
+# Most bytes of an HDF5 dataset over those in the file: shuffled and deflated pictures have ten times
+# as many, blank ones a thousand times.
+_MOST_DEFLATED = 1100
+_MOST_CHANNELS = 4
 
 
 def read_hdf5(path: Path, page: int | None) -> NDArray[Any]:
     """The capture in an HDF5 file, or with `page` 1 and more its white and dark images.
 
-    Raw pictures (plenoptomos `.vox`), flats, and light fields of views `(v, u, y, x)`, of which a
-    flat is made with a microimage of `v x u` pixels about every `(y, x)`.
+    Raw pictures (plenoptomos `.vox`), flats, and light fields of views `(v, u, y, x)` are read. A
+    light field becomes a flat with a microimage of `v x u` pixels about every `(y, x)`.
     """
     h5py = import_reader("h5py", "hdf5")
     with h5py.File(path, "r") as file:
-        found = [
-            name
-            for name in (_FURTHER if page else _CAPTURES)
-            if isinstance(file.get(name), h5py.Dataset)
-        ]
+        names = _FURTHER if page else _CAPTURES
+        found = [name for name in names if isinstance(file.get(name), h5py.Dataset)]
         if page and not 0 < page <= len(found):
             raise FlatError(f"holds {1 + len(found)} pictures and no page {page}")
         if not found:
-            # Where none has a known name, the only one that can be a picture.
+            # Without a known name, a single dataset that can be a picture is the flat.
             file.visititems(
                 lambda name, item: found.append(name) if _may_be_picture(item) else None
             )
             if len(found) != 1:
                 known = ", ".join(_CAPTURES[:3])
                 raise FlatError(
-                    f"holds {len(found) or 'no'} pictures; name the dataset of the flat one of {known}"
+                    f"holds {len(found) or 'no'} pictures; name the dataset of the flat one of "
+                    f"{known}"
                 )
         name = found[page - 1 if page else 0]
         return _read_dataset(name, file[name])
 
 
 def _may_be_picture(item: Any) -> bool:
+    """Whether an item of an HDF5 file is an array of numbers with rows and columns."""
     shape = getattr(item, "shape", ())
     return len(shape) >= 2 and min(shape[:2]) > 1 and item.dtype.kind in "uif"
+
+
+def _is_picture(shape: tuple[int, ...]) -> bool:
+    """Whether an array has the shape of a grey or colour picture, channels last."""
+    return len(shape) in (2, 3) and 0 not in shape and max(shape[2:], default=1) <= _MOST_CHANNELS
 
 
 def _read_dataset(name: str, data: Any) -> NDArray[Any]:
@@ -98,12 +105,7 @@ def _read_dataset(name: str, data: Any) -> NDArray[Any]:
     if data.dtype.kind not in "uif" or data.dtype.hasobject:
         raise FlatError(f"dataset '{name}' holds {data.dtype}; save it as 8 bit, 16 bit or float")
     views, picture = (shape[:2], shape[2:]) if len(shape) > 3 else ((1, 1), shape)
-    if (
-        len(picture) not in (2, 3)
-        or 0 in shape
-        or any(n > 4 for n in picture[2:])
-        or max(views) > 64
-    ):
+    if not _is_picture(picture) or not 0 < min(views) <= max(views) <= 64:
         raise FlatError(
             f"dataset '{name}' of shape {shape} is no picture and no light field (v, u, y, x)"
         )
@@ -122,17 +124,14 @@ def _read_dataset(name: str, data: Any) -> NDArray[Any]:
 
 
 def _check_stored(name: str, data: Any) -> None:
-    """FlatError where values are missing, which HDF5 fills in, or packed so that they would fill
-    the memory.
-    """
+    """Raise FlatError if values are missing, which HDF5 fills in, or would fill the memory."""
     if data.nbytes > 32 * MAX_PIXELS:
         raise FlatError(f"dataset '{name}' has {data.nbytes} bytes, more than this toolkit reads")
     stored = int(data.id.get_storage_size())
     least = data.nbytes
     chunks = 0
     if data.chunks is not None:
-        # Shuffled and deflated pictures are a tenth of their size, blank ones a thousandth.
-        least /= 1100
+        least /= _MOST_DEFLATED
         chunks = int(np.prod([-(-n // c) for n, c in zip(data.shape, data.chunks, strict=True)]))
     if stored < least or (chunks and data.id.get_num_chunks() < chunks):
         raise FlatError(
@@ -141,35 +140,34 @@ def _check_stored(name: str, data: Any) -> None:
 
 
 def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
-    """(h, w) or (h, w, 3) the only picture of an OpenEXR file: its channels R, G, B, or one of
-    brightness.
-    """
+    """(h, w) or (h, w, 3) the only picture of an OpenEXR file: channels R, G, B, or brightness."""
     exr = import_reader("OpenEXR", "exr")
     check_only_page(page)
     with exr.File(str(path), header_only=True) as file:
-        # The library leaves out what it cannot read.
-        if not file.parts:
-            raise FlatError("damaged or truncated OpenEXR")
-        (left, top), (right, bottom) = (map(int, corner) for corner in file.header()["dataWindow"])
-    check_size(right - left + 1, bottom - top + 1)
+        # The library leaves out parts that it cannot read.
+        height = 0
+        if file.parts:
+            left, top, right, bottom = np.ravel(file.header()["dataWindow"]).tolist()
+            height = bottom - top + 1
+            check_size(right - left + 1, height)
     # Every block of at most 256 rows has an entry of 8 bytes in a table.
-    if path.stat().st_size < (bottom - top + 1) / 32:
+    if not 0 < height <= 32 * path.stat().st_size:
         raise FlatError("damaged or truncated OpenEXR")
     with exr.File(str(path), separate_channels=True) as file:
         if not file.parts:
             raise FlatError("damaged or truncated OpenEXR")
         if len(file.parts) != 1:
             raise FlatError(
-                f"the OpenEXR file holds {len(file.parts)} pictures; save the one that is the flat alone"
+                f"the OpenEXR file holds {len(file.parts)} pictures; save the one that is the flat "
+                "alone"
             )
         channels: dict[str, Any] = {
             name: channel.pixels for name, channel in file.channels().items()
         }
     if {"R", "G", "B"} <= set(channels):
         return np.stack([channels[name] for name in "RGB"], -1).astype(np.float32)
-    named = [name for name in ("Y", "L", "luminance") if name in channels] or list(channels)[
-        : len(channels) == 1
-    ]
+    names = ("Y", "L", "luminance") if len(channels) > 1 else channels
+    named = [name for name in names if name in channels]
     if not named:
         raise FlatError(
             f"holds the channels {', '.join(sorted(channels))}; save R, G, B or one channel"
@@ -178,21 +176,16 @@ def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
 
 
 def read_raw_photo(path: Path, page: int | None) -> NDArray[Any]:
-    """(h, w) uint16 the colour mosaic of the visible part of the sensor as stored; linear DNG (h,
-    w, 3).
-    """
+    """(h, w) uint16 colour mosaic of the visible part of the sensor; of linear DNG (h, w, 3)."""
     rawpy = import_reader("rawpy", "dng")
     check_only_page(page)
     with path.open("rb") as stream:
         head = stream.read(16)
     if identify_format(head) == "TIFF":
-        # LibRaw leaves black what is missing at the end.
+        # LibRaw returns black pixels for data that are missing at the end.
         with open_tiff(path) as tiff:
             for part in (part for page_ in tiff.pages for part in (page_, *(page_.pages or ()))):
-                ends = (
-                    start + count
-                    for start, count in zip(part.dataoffsets, part.databytecounts, strict=True)
-                )
+                ends = map(sum, zip(part.dataoffsets, part.databytecounts, strict=True))
                 if max(ends, default=0) > path.stat().st_size:
                     raise FlatError("truncated raw photo: pixel data are missing")
     with rawpy.imread(str(path)) as photo:
@@ -217,9 +210,7 @@ class ZarrFlat(NamedTuple):
         return (*shape[1:], shape[0]) if self.channels_first else shape
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
-        """Pixels as stored, channels last; FlatError if a chunk is missing, which Zarr itself reads
-        as black.
-        """
+        """Pixels as stored, channels last; FlatError if a chunk is missing (Zarr reads it black)."""
         channels = [slice(0, self.shape[2])] if len(self.shape) == 3 else []
         parts = [*channels, rows, columns] if self.channels_first else [rows, columns, *channels]
         self._check_chunks(parts)
@@ -253,9 +244,7 @@ def _is_blosc(metadata: Any) -> bool:
 
 
 def _is_whole_blosc(path: Path, size: int) -> bool:
-    """Whether a block has as many bytes as its header states; its decoder reads beyond the end of
-    shorter ones.
-    """
+    """Whether a block has all bytes of its header; the decoder reads beyond the end of others."""
     with path.open("rb") as file:
         unpacked, packed = _BLOSC_HEADER.unpack(
             file.read(_BLOSC_HEADER.size).ljust(_BLOSC_HEADER.size, b"\0")
@@ -269,50 +258,38 @@ def is_zarr(path: Path) -> bool:
 
 
 def open_zarr(path: Path) -> ZarrFlat:
-    """The picture in a Zarr folder; of a group the array with all pixels (OME-Zarr), the only one,
-    or `0`.
-    """
+    """The picture in a Zarr folder; in a group, the finest array (OME-Zarr), the only one, or `0`."""
     array: Any = import_reader("zarr", "zarr").open(str(path), mode="r")
     if not hasattr(array, "shape"):
         names = sorted(array.array_keys())
         attributes = dict(array.attrs)
-        try:
-            finest = [
-                str(attributes.get("ome", attributes)["multiscales"][0]["datasets"][0]["path"])
-            ]
-        except (KeyError, IndexError, TypeError, AttributeError):
-            finest = []
-        name = next(
-            (name for name in (*finest, *(names if len(names) == 1 else ()), "0") if name in names),
-            None,
-        )
-        if name is None:
+        wanted = names[:] if len(names) == 1 else ["0"]
+        with suppress(KeyError, IndexError, TypeError, AttributeError):
+            scales = attributes.get("ome", attributes)["multiscales"][0]
+            wanted.insert(0, str(scales["datasets"][0]["path"]))
+        known = [name for name in wanted if name in names]
+        if not known:
             raise FlatError(
-                f"the Zarr group holds {len(names)} arrays; give the folder of the one that is the flat"
+                f"the Zarr group holds {len(names)} arrays; give the folder of the one that is the "
+                "flat"
             )
-        array = array[name]
+        array = array[known[0]]
     return check_zarr(array)
 
 
 def check_zarr(array: Any) -> ZarrFlat:
-    """The array as a flat, or a FlatError if its metadata describe none; nothing is decoded."""
+    """The array as a flat; FlatError if its metadata describe no picture. Nothing is decoded."""
     whole = tuple(int(n) for n in array.shape)
     kind = np.dtype(array.dtype)
     # Time, channel and plane of OME-Zarr come first; no flat has one row.
     leading = next((k for k, n in enumerate(whole[:-2]) if n != 1), max(len(whole) - 2, 0))
     shape = whole[leading:]
-    first = len(shape) == 3 and shape[2] > 4 >= shape[0]
-    height, width, *channels = (
-        (*shape[1:], shape[0]) if first else (*shape, 0, 0)[: max(len(shape), 2)]
-    )
-    if (
-        len(shape) not in (2, 3)
-        or 0 in shape
-        or height * width > MAX_PIXELS
-        or any(n > 4 for n in channels)
-    ):
+    first = len(shape) == 3 and shape[2] > _MOST_CHANNELS >= shape[0]
+    picture = (*shape[1:], shape[0]) if first else shape
+    if not _is_picture(picture) or math.prod(picture[:2]) > MAX_PIXELS:
         raise FlatError(
-            f"a flat is one grey or RGB picture of {MAX_PIXELS} px at most, this array has shape {shape}"
+            f"a flat is one grey or RGB picture of {MAX_PIXELS} px at most, this array has shape "
+            f"{shape}"
         )
     if kind.kind not in "buif":
         raise FlatError(f"pixels of type {kind} are not read; save them as 8 bit, 16 bit or float")
@@ -324,7 +301,8 @@ def check_zarr(array: Any) -> ZarrFlat:
         or math.prod(max(n, 1) for n in chunk) > 4 * MAX_PIXELS
     ):
         raise FlatError(
-            f"chunks of shape {chunk} are not read; store the array in regular chunks of some megapixels"
+            f"chunks of shape {chunk} are not read; store the array in regular chunks of some "
+            "megapixels"
         )
     codecs = [*(getattr(metadata, "filters", None) or ()), getattr(metadata, "compressor", None)]
     unknown = {

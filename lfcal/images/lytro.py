@@ -1,8 +1,7 @@
-"""Lytro files (`.lfp`, `.lfr`, calibration archives): sections of JSON and of data, named by their
-SHA-1.
+"""Lytro files (`.lfp`, `.lfr`, calibration archives): sections of JSON and of data with SHA-1 names.
 
-Pixels are packed: of 12 bits, two in three bytes (F01); of 10 bits, four in five bytes, the last of
-which has the lowest bits of all (Illum). They are those of the colour mosaic, as stored.
+Pixels of the colour mosaic are packed: two of 12 bits in three bytes (F01), or four of 10 bits in
+five bytes, of which the last one holds the lowest bits of all four (Illum).
 """
 
 from __future__ import annotations
@@ -26,17 +25,17 @@ _SHA1_BYTES = 80  # "sha1-", 40 digits, zeros
 # Width, height and bits of sensors by the bytes of their packed pixels, for archives without
 # descriptions.
 _SENSORS = {3280 * 3280 * 12 // 8: (3280, 3280, 12), 7728 * 5368 * 10 // 8: (7728, 5368, 10)}
+# Most bytes of a description; usual ones have some kilobytes.
+_MOST_DESCRIPTION = 1 << 26
 
 _REMEDY = (
-    "these are made from the raw one, which lies beside it in the library of Lytro Desktop and on the camera: raw.lfp "
-    "or IMG_1234.lfp without -stk (first camera), IMG_1234.LFR (Illum)"
+    "these are made from the raw one, which lies beside it in the library of Lytro Desktop and on "
+    "the camera: raw.lfp or IMG_1234.lfp without -stk (first camera), IMG_1234.LFR (Illum)"
 )
 
 
 def read_lytro(path: Path, page: int | None) -> NDArray[np.uint16]:
-    """The raw pixels (h, w) of a Lytro file: of its picture, or of white image number `page` of an
-    archive.
-    """
+    """(h, w) raw pixels of the picture in a Lytro file, or of white image `page` in an archive."""
     data = memoryview(path.read_bytes())
     sections = dict(_sections(data))
     tables = [_parse(part) for name, part in sections.items() if not name.startswith("sha1-")]
@@ -66,7 +65,7 @@ def read_lytro(path: Path, page: int | None) -> NDArray[np.uint16]:
 
 
 def _sections(data: memoryview) -> Iterator[tuple[str, memoryview]]:
-    """Name and bytes of each section: its SHA-1, or for tables of contents where it begins."""
+    """Name and bytes of each section; the name is its SHA-1, for tables of contents its place."""
     at = 0
     while at + _HEAD.size <= len(data):
         kind, magic, _, length = _HEAD.unpack_from(data, at)
@@ -85,8 +84,7 @@ def _sections(data: memoryview) -> Iterator[tuple[str, memoryview]]:
 
 
 def _parse(data: memoryview) -> Any:
-    # Descriptions are some kilobytes.
-    if len(data) > 1 << 26:
+    if len(data) > _MOST_DESCRIPTION:
         raise FlatError("damaged Lytro file: a description of more than 64 MB")
     try:
         return json.loads(bytes(data).rstrip(b"\0"))
@@ -97,20 +95,18 @@ def _parse(data: memoryview) -> Any:
 def _find(value: Any, key: str) -> Iterator[dict[str, Any]]:
     if isinstance(value, dict) and key in value:
         yield value
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    for one in inner:
-        yield from _find(one, key)
+    inner = list(value.values()) if isinstance(value, dict) else value
+    if isinstance(inner, list):
+        for one in inner:
+            yield from _find(one, key)
 
 
 def _layout(about: memoryview) -> tuple[int, int, int]:
     described = _parse(about)
     try:
         sized = next(found for found in _find(described, "width") if "height" in found)
-        return (
-            int(sized["width"]),
-            int(sized["height"]),
-            int(next(_find(described, "bitsPerPixel"))["bitsPerPixel"]),
-        )
+        bits = next(_find(described, "bitsPerPixel"))["bitsPerPixel"]
+        return int(sized["width"]), int(sized["height"]), int(bits)
     except (StopIteration, TypeError, ValueError) as error:
         raise FlatError(
             "damaged Lytro file: width, height or bitsPerPixel of its picture are missing"
@@ -120,7 +116,8 @@ def _layout(about: memoryview) -> tuple[int, int, int]:
 def unpack_pixels(data: memoryview, width: int, height: int, bits: int) -> NDArray[np.uint16]:
     """(height, width) the pixels of packed data."""
     check_size(width, height)
-    if bits not in (10, 12) or (width * height * bits) % 40:
+    # Four pixels of 10 bits, or two of 12, fill whole bytes.
+    if bits not in (10, 12) or width * height % 4:
         raise FlatError(f"Lytro pixels of {bits} bits, {width} x {height} px, are not read")
     size = width * height * bits // 8
     if len(data) < size:
@@ -129,7 +126,8 @@ def unpack_pixels(data: memoryview, width: int, height: int, bits: int) -> NDArr
     pixels = np.empty(width * height, np.uint16)
     if bits == 12:
         first, middle, last = packed.reshape(-1, 3).T
-        pixels[0::2], pixels[1::2] = first << 4 | middle >> 4, (middle & 15) << 8 | last
+        pixels[0::2] = first << 4 | middle >> 4
+        pixels[1::2] = (middle % 16) << 8 | last
     else:
         *high, low = packed.reshape(-1, 5).T
         for k, eight in enumerate(high):

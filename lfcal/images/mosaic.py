@@ -1,9 +1,8 @@
-"""Colour filter mosaics: which one a flat has, and its light without it, at the resolution of the
-sensor.
+"""Colour filter mosaics: finding the mosaic of a flat, and removing it at full resolution.
 
-Colours are not interpolated, which would blur the lattice. The four phases of the 2 x 2 mosaic are
-scaled to the same local mean instead; where the scene is coloured, a filter with zeros at the three
-mosaic frequencies removes the rest.
+Colours are not interpolated because that would blur the lattice. Instead, the four phases of the
+2 x 2 mosaic are scaled to the same local mean. In coloured parts of a scene, a filter with zeros at
+the three frequencies of the mosaic removes the rest.
 """
 
 from __future__ import annotations
@@ -18,38 +17,50 @@ from ..runtime.image_formats import MOSAICS, Mosaic
 
 __all__ = ["check_mosaic", "equalise_mosaic", "find_mosaic", "remove_mosaic"]
 
+# Blocks darker than this share of the brightest one show no colour.
+_DARK = 0.02
+# Radius about a frequency of the mosaic in which power is that of colours, which change slowly, and
+# the radii between which it is compared [cycles per pixel].
+_NEAR = 0.052
+_BESIDE = (0.09, 0.26)
+# Quantile of the blocks whose power counts: a quarter of a scene is coloured.
+_COLOURED = 0.75
+# Tails of the logarithm of red over blue [quantiles], and the least difference of their lengths that
+# tells red from blue.
+_TAILS = [0.02, 0.5, 0.98]
+_LONGER = 0.01
+
 
 def check_mosaic(mosaic: str | None, flat: NDArray[Any]) -> None:
-    """ValueError where `mosaic` is no name of one, FlatError where the flat is in colour, or green
-    lies elsewhere.
-    """
+    """Raise ValueError if the name of a mosaic is wrong, FlatError if a flat does not have it."""
     if mosaic is None:
         return
     if mosaic not in MOSAICS:
         raise ValueError(f"mosaic must be one of {', '.join(MOSAICS)} or None, got {mosaic!r}")
     if flat.ndim == 3:
         raise FlatError(
-            f"the flat is in colour, so it has no {mosaic} mosaic any more; give it without 'mosaic'"
+            f"the flat is in colour, so it has no {mosaic} mosaic any more; give it without "
+            "'mosaic'"
         )
     measured = find_mosaic(flat)
     if measured is not None and (measured[0] == "G") != (mosaic[0] == "G"):
         other = measured.translate(str.maketrans("RB", "BR"))
         raise FlatError(
-            f"the filters are stated as {mosaic}, but green lies as in {measured} and {other}; give one of these"
+            f"the filters are stated as {mosaic}, but green lies as in {measured} and {other}; "
+            "give one of these"
         )
 
 
 def find_mosaic(flat: NDArray[Any]) -> Mosaic | None:
-    """The colour filters over the top left 2 x 2 pixels of a `flat`, None where there are none.
+    """The colour filters over the top left 2 x 2 pixels of a `flat` (h, w), None if it has none.
 
-    Behind filters, differences between neighbouring pixels are those of colours: they follow the
-    scene, so that the spectrum has peaks about the frequencies of the mosaic, which neither detail
-    nor noise has, and lattices of whole pixels only among others as high. The difference of red and
-    blue is then the same along rows and columns where these lie at the top left and bottom right,
-    opposite where green does. Which of the two is red is a guess.
+    Behind filters, neighbouring pixels differ by colours, which change slowly. So the spectrum has
+    peaks about the frequencies of the mosaic; detail and noise have none there, and lattices of
+    whole pixels have others as high. Red minus blue has the same sign along rows and columns if red
+    and blue lie at the top left and bottom right, opposite signs if green does. Which of the two is
+    red is a guess.
     """
-    height = flat.shape[0] // 2 * 2
-    width = flat.shape[1] // 2 * 2
+    height, width = (n // 2 * 2 for n in flat.shape[:2])
     side = min(64, height, width) // 16 * 16
     if flat.ndim != 2 or side == 0:
         return None
@@ -60,43 +71,43 @@ def find_mosaic(flat: NDArray[Any]) -> Mosaic | None:
         [flat[y : y + side, x : x + side] for y in rows for x in columns], dtype=np.float32
     )
     means = blocks.mean((1, 2))
-    # Darker ones show no colour.
-    blocks = blocks[means > 0.02 * means.max()]
+    blocks = blocks[means > _DARK * means.max()]
     if len(blocks) == 0:
         return None
     alike, opposite, diagonal = _peaks(blocks)
-    # On 14 captures, 25 white images and 900 lattices of whole pixels without filters sum and
-    # difference are unlike by 1.7 where either is above 0.7, and diagonals have 1.0 at most; with
-    # filters 9 to 700, by 20 and more; of a twentieth of the usual saturation, or in JPEG files of
-    # quality 50, about 1.
-    unlike = max(alike, opposite) > 3 * min(alike, opposite)
-    if not (unlike and max(alike, opposite) > 1) and not diagonal > 1.5:
+    # On 14 captures, 25 white images and 900 lattices of whole pixels without filters, sum and
+    # difference differ by a factor of at most 1.7 if either is above 0.7, and diagonals are 1.0 at
+    # most. With filters they are 9 to 700 and differ by a factor of 20 and more; about 1 at a
+    # twentieth of the usual saturation or in JPEG files of quality 50.
+    highest = max(alike, opposite)
+    unlike = highest > 3 * min(alike, opposite)
+    if not (unlike and highest > 1) and not diagonal > 1.5:
         return None
     # Means of the phases in small squares: (n, 4), from left to right and from top to bottom.
     squares = blocks.reshape(len(blocks), 8, -1, 2, 8, side // 16, 2).mean((2, 5))
     phases = np.moveaxis(squares, 2, 3).reshape(-1, 4).astype(np.float64)
     outer = phases[:, [0, 3]]
     inner = phases[:, [1, 2]]
-    # Where red and blue are hardly unlike, as on some white images, green is the brighter diagonal.
+    # If red and blue hardly differ, as on some white images, green is the brighter diagonal.
     green_inside = alike > opposite if unlike else inner.mean() > outer.mean()
     first, second = np.log((outer if green_inside else inner).T + 1e-6)
-    # Saturated things are red more often than blue, which no white balance changes: the logarithm
-    # of red over blue has the longer tail above its median (on 12 of 15 pictures). Where it has
-    # none, as on white images, the brighter is red.
-    low, middle, high = np.quantile(first - second, [0.02, 0.5, 0.98])
+    # Saturated objects are red more often than blue, whatever the white balance: the logarithm of
+    # red over blue has the longer tail above its median (on 12 of 15 pictures). If no tail is
+    # longer, as on white images, the brighter colour is red.
+    low, middle, high = np.quantile(first - second, _TAILS)
     longer = high + low - 2 * middle
-    red_first = bool((longer if abs(longer) > 0.01 else middle) > 0)
+    red_first = bool((longer if abs(longer) > _LONGER else middle) > 0)
     if green_inside:
         return "RGGB" if red_first else "BGGR"
     return "GRBG" if red_first else "GBRG"
 
 
 def _peaks(blocks: NDArray[np.float32]) -> list[float]:
-    """Mean power about the frequencies of a mosaic over the highest beside them, in the upper
-    quarter of the blocks.
+    """Mean power about the frequencies of a mosaic over the highest beside them (upper quartile).
 
-    Of the sum and of the difference of what alternates from row to row and from column to column,
-    and of what alternates from diagonal to diagonal.
+    Three values: for the sum and the difference of the parts of `blocks` (n, side, side) that
+    alternate from row to row and from column to column, and for the part that alternates along
+    both.
     """
     side = blocks.shape[1]
     window = np.hanning(side + 1)[:side].astype(np.float32)
@@ -108,29 +119,27 @@ def _peaks(blocks: NDArray[np.float32]) -> list[float]:
         np.abs(one) ** 2 for one in (rows + columns, rows - columns, np.roll(rows, side // 2, 2))
     ]
     distance = np.hypot(*np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side)))
-    # Colours do not change from pixel to pixel.
-    near = distance < 0.052
-    beside = (distance > 0.09) & (distance < 0.26)
+    near = distance < _NEAR
+    beside = (distance > _BESIDE[0]) & (distance < _BESIDE[1])
     highest = (
         np.array([one[:, beside].max(1) for one in power])
         + 1e-9 * (np.abs(spectrum) ** 2).mean((1, 2))
         + 1e-30
     )
     highest[:2] = highest[:2].max(0)
-    # A quarter of a scene is coloured.
-    return np.quantile([one[:, near].mean(1) for one in power] / highest, 0.75, axis=1).tolist()
+    peaks = [one[:, near].mean(1) for one in power] / highest
+    return np.quantile(peaks, _COLOURED, axis=1).tolist()
 
 
 def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:
-    """(h, w) float32 light of a mosaic `flat` (h, w), its four phases scaled to the same local
-    mean.
-    """
+    """(h, w) float32 light of a mosaic `flat` (h, w), with its phases scaled to one local mean."""
     import cv2
 
     height, width = flat.shape
-    # Odd sizes get a row or column of the phase that they lack.
+    # An odd size is extended by the row or column of the missing phase.
     light = np.pad(flat.astype(np.float32), ((0, height % 2), (0, width % 2)), "reflect")
-    window = max(65, int(min(height, width) / 8)) // 2 | 1
+    # An eighth of the flat, at least 65 px.
+    window = max(64, min(height, width) // 8) // 2 | 1
     phases = [light[y::2, x::2] for y in (0, 1) for x in (0, 1)]
     means: list[Any] = [cv2.blur(phase, (window, window)) for phase in phases]
     common: Any = np.mean(means, axis=0)
@@ -141,9 +150,7 @@ def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def remove_mosaic(light: NDArray[np.float32]) -> NDArray[Any]:
-    """`light` (h, w) filtered with weights 1, 2, 1 along both axes, zero at the frequencies of a
-    mosaic.
-    """
+    """`light` (h, w) filtered with weights 1, 2, 1 along both axes, which removes a mosaic."""
     import cv2
 
     kernel = np.array([0.25, 0.5, 0.25], np.float32)

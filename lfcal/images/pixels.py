@@ -1,9 +1,8 @@
-"""Pixels of files: what all readers check, and files of one picture (PNG, WebP, JPEG, BMP, PGM,
-PPM) as stored.
+"""Checks of all readers of flats, and readers of PNG, WebP, JPEG, BMP, PGM and PPM files.
 
-Pillow reads the size before anything is decoded, the checksums of PNG, and pixels of 8 bits of PNG
-and JPEG, of which OpenCV returns half-empty pictures where files are truncated. OpenCV decodes the
-others: Pillow cuts colours to 8 bits.
+Pillow reads the size before anything is decoded, and the checksums of PNG. It decodes PNG of 8 bits
+and JPEG, because OpenCV returns half-empty pictures of truncated ones. OpenCV decodes the others,
+because Pillow reduces colours to 8 bits.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -33,8 +33,7 @@ __all__ = [
     "import_reader",
 ]
 
-#: Largest flat that is read [px]: twice a 25,000 x 22,000 sensor, and what OpenCV accepts out of
-#: the box.
+#: Largest flat that is read [px]: twice a 25,000 x 22,000 sensor, and the default limit of OpenCV.
 MAX_PIXELS = 1 << 30
 _PILLOW_NAMES = {
     "PNG": "Png",
@@ -44,10 +43,14 @@ _PILLOW_NAMES = {
     "PGM": "Ppm",
     "PPM": "Ppm",
 }
+# Positions in a PNG file of the bits of a sample, and of the kind of its colours: 0 is grey, 4 grey
+# with alpha.
+_PNG_BITS = 24
+_PNG_COLOURS = 25
 
 
 def check_size(width: int, height: int) -> None:
-    """FlatError unless an image of this size may be read."""
+    """Raise FlatError unless an image of this size [px] can be a flat."""
     if width < 1 or height < 1:
         raise FlatError(f"image size {width} x {height} is not valid")
     if width * height > MAX_PIXELS:
@@ -57,9 +60,7 @@ def check_size(width: int, height: int) -> None:
 
 
 def check_page(page: int | None, count: int, file: str, pictures: str, one: str) -> int:
-    """The number of a picture in a file of several; FlatError where it is not there, or none is
-    given.
-    """
+    """The number of a picture in a file; FlatError if the file has no such or several pictures."""
     if page is None and count != 1:
         advice = "give the number of one (--page), or use 'lfrender batch'"
         raise FlatError(f"the {file} holds {count} {pictures}; {advice}")
@@ -69,15 +70,13 @@ def check_page(page: int | None, count: int, file: str, pictures: str, one: str)
 
 
 def check_only_page(page: int | None) -> None:
-    """FlatError where another page is wanted than the only picture of a file."""
+    """Raise FlatError if another page than the only picture of a file is asked for."""
     if page not in (None, 0):
         raise FlatError(f"has one picture and no page {page}")
 
 
 def import_reader(name: str, extra: str) -> Any:
-    """The package that reads a format; FlatError with the extra that installs it, where it is
-    missing.
-    """
+    """The package that reads a format; FlatError with the extra to install if it is missing."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -86,7 +85,7 @@ def import_reader(name: str, extra: str) -> Any:
 
 @contextmanager
 def file_errors(source: Path) -> Iterator[None]:
-    """Turn any error of reading a file into a FlatError with its name."""
+    """Turn any error of reading a file into a FlatError with the name of the file."""
     try:
         yield
     except FlatError as error:
@@ -95,22 +94,19 @@ def file_errors(source: Path) -> Iterator[None]:
         raise FlatError(f"{source}: cannot be read ({error.strerror or error})") from error
     except MemoryError as error:
         raise FlatError(f"{source}: the image does not fit into memory") from error
-    # Damaged bytes make decoders raise anything: IndexError, struct.error, zlib.error, cv2.error,
-    # ...
+    # Decoders of damaged files raise IndexError, struct.error, zlib.error, cv2.error and others.
     except Exception as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = shorten(str(error), 255) or type(error).__name__
         raise FlatError(f"{source}: damaged image file ({reason})") from error
 
 
 def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Decoded pixels as a flat: uint8, uint16 or float32, (h, w) or (h, w, 3), finite and
-    contiguous.
-    """
+    """Decoded pixels as uint8, uint16 or float32, (h, w) or (h, w, 3), finite and contiguous."""
     native = pixels.dtype.newbyteorder("=")
     if native == np.bool_:
         pixels = pixels.astype(np.uint8) * np.uint8(255)
     elif native in (np.int8, np.int16, np.float16, np.float64):
-        # Signed flats are those after a dark frame was subtracted.
+        # Signed values are left after a dark frame was subtracted.
         with np.errstate(over="ignore"):
             pixels = pixels.astype(np.float32)
     elif native not in (np.uint8, np.uint16, np.float32):
@@ -121,9 +117,10 @@ def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
         pixels = pixels[..., 0] if pixels.shape[2] <= 2 else pixels[..., :3]
     if pixels.ndim not in (2, 3):
         raise FlatError(f"a flat is one grey or RGB picture, this has shape {pixels.shape}")
-    if pixels.dtype.kind == "f" and (
-        bad := pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
-    ):
+    bad = 0
+    if pixels.dtype.kind == "f":
+        bad = pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
+    if bad:
         raise FlatError(
             f"{bad} values are NaN or infinite; replace them by the mean of their neighbours"
         )
@@ -131,22 +128,19 @@ def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
 
 
 def decode_picture(data: bytes, name: str) -> NDArray[Any]:
-    """Pixels (h, w) or (h, w, c) of a file of the format `name`, 16 bits where it has them."""
+    """Pixels (h, w) or (h, w, c) of the bytes of a file in the format `name`, with all their bits."""
     image = _open_with_pillow(data, name)
     check_size(*image.size)
     if getattr(image, "n_frames", 1) > 1:
         raise FlatError("is an animation; a flat is one picture")
     if name == "PNG":
-        # Checksums of all chunks, up to the last one, which decoders do not miss.
+        # Decoders do not notice a missing end; the checksums of all chunks do.
         image.verify()
-        # Bits of a sample, and the kind of colours: 0 is grey, 4 grey with alpha.
-        depth = data[24]
-        colours = data[25]
-        if depth > 8:
-            return decode_with_opencv(data, grey=colours in (0, 4))
+        if data[_PNG_BITS] > 8:
+            return decode_with_opencv(data, grey=data[_PNG_COLOURS] in (0, 4))
         image = _open_with_pillow(data, name)
     elif name != "JPEG":
-        # OpenCV looks for the end of the last number of a text file.
+        # OpenCV needs a character after the last number of a text file.
         return decode_with_opencv(data + b"\n" if data[:2] in (b"P2", b"P3") else data)
     if image.mode in ("P", "PA"):
         image.info.pop("transparency", None)
@@ -157,11 +151,10 @@ def decode_picture(data: bytes, name: str) -> NDArray[Any]:
 
 
 def _open_with_pillow(data: bytes, name: str) -> Any:
-    """A Pillow image by the format's own class: `Image.open` refuses sensors above 179 megapixels."""
+    """A Pillow image; not by `Image.open`, which refuses pictures above 179 megapixels."""
     pillow = _PILLOW_NAMES[name]
-    return getattr(import_module(f"PIL.{pillow}ImagePlugin"), f"{pillow}ImageFile")(
-        io.BytesIO(data)
-    )
+    plugin = import_module(f"PIL.{pillow}ImagePlugin")
+    return getattr(plugin, f"{pillow}ImageFile")(io.BytesIO(data))
 
 
 def decode_with_opencv(data: bytes, grey: bool = False) -> NDArray[Any]:
@@ -175,5 +168,5 @@ def decode_with_opencv(data: bytes, grey: bool = False) -> NDArray[Any]:
     check_size(pixels.shape[1], pixels.shape[0])
     if grey or pixels.ndim == 2:
         return pixels.reshape(*pixels.shape[:2], -1)[..., 0]
-    # Dropping alpha with the reordering; COLOR_BGRA2RGB does not touch the colours under it.
+    # This drops alpha and leaves the colours below it unchanged.
     return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGB)

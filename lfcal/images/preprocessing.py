@@ -1,8 +1,7 @@
-"""Pictures that show the lattice whatever the scene is: locally normalised brightness and edge
-strength.
+"""Pictures in which the lattice is visible for any scene: normalised brightness, edge strength.
 
-Brightness shows dark gaps and rims. Edges where one microimage ends and the next begins also show
-the lattice of flats whose gaps a camera has already corrected away.
+Brightness shows dark gaps and rims. Edges between microimages also show the lattice of flats whose
+vignetting was already corrected.
 """
 
 from __future__ import annotations
@@ -24,11 +23,16 @@ __all__ = [
     "sqrt_luminance",
 ]
 
+# Weights of red, green and blue in luminance (ITU-R BT.601).
+_LUMINANCE = np.array([[0.299, 0.587, 0.114]], np.float32)
+# Added to local standard deviations, so that noise is not amplified [mean of the picture].
+_FLOOR = np.float32(0.02)
+# Largest normalised value [standard deviations].
+_CLIP = np.float32(3)
+
 
 def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
-    """(h, w) float32 luminance of raw values (h, w) or (h, w, 3); negative ones (dark noise) count
-    as 0.
-    """
+    """(h, w) float32 luminance of raw values (h, w) or (h, w, 3); negative values (noise) become 0."""
     import cv2
 
     grey: Any
@@ -37,19 +41,16 @@ def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
     elif image.dtype == np.uint8:
         grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
     else:
-        grey = cv2.transform(
-            np.asarray(image, dtype=np.float32), np.array([[0.299, 0.587, 0.114]], np.float32)
-        )
+        grey = cv2.transform(np.asarray(image, dtype=np.float32), _LUMINANCE)
     if image.dtype.kind != "u":
         np.maximum(grey, 0, out=grey)
     return grey
 
 
 def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
-    """(h, w) float32 square root of the luminance of raw values (h, w) or (h, w, 3), scaled to mean
-    1.
+    """(h, w) float32 square root of the luminance of raw values (h, w) or (h, w, 3), of mean 1.
 
-    Photon noise is then the same in light and shade. Negative values (dark noise) count as 0.
+    Photon noise is equal in bright and dark parts of it.
     """
     grey = luminance(image)
     np.sqrt(grey, out=grey)
@@ -60,14 +61,12 @@ def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def is_mask(picture: NDArray[Any]) -> bool:
-    """Whether a picture (h, w) or (h, w, 3) has two tones only, as discs that were drawn, or cut
-    off at a level.
-    """
+    """Whether a picture (h, w) or (h, w, 3) has at most two tones, such as drawn discs."""
     return len(np.unique(picture[:: max(1, len(picture) // 64)])) <= 2
 
 
 def soften_mask(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A picture (h, w), blurred by a pixel where it is a mask: fits to edges need a slope there."""
+    """A picture (h, w), blurred by a pixel if it is a mask: fits to edges need a slope."""
     import cv2
 
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.0)) if is_mask(picture) else picture
@@ -81,7 +80,7 @@ def _edge_strength(begin, end, padded, out):
         here = padded[y + 1]
         below = padded[y + 2]
         line = out[y]
-        # Unsigned indices: signed ones may count from the end, which prevents vector loops.
+        # Signed indices may be negative and count from the end, which prevents vector loops.
         for x in range(np.uint64(len(line))):
             right = x + np.uint64(2)
             middle = x + np.uint64(1)
@@ -99,9 +98,7 @@ def _edge_strength(begin, end, padded, out):
 
 
 def edge_strength(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(h, w) float32 square root of the gradient magnitude (Sobel) of a `sqrt_luminance` picture,
-    at least 2 x 2 px.
-    """
+    """(h, w) float32 square root of the gradient magnitude (Sobel) of a picture of 2 x 2 px or more."""
     out = np.empty_like(picture)
     _edge_strength(_mirrored(picture, 1), out)
     return out
@@ -128,7 +125,7 @@ def _normalise(begin, end, padded, side, together, floor, clip, out):
         squares = np.zeros(padded.shape[1])
         first = part * together
         for y in range(first, min(first + together, height)):
-            # Sums over the rows of the window: all of the first one, then one more and one less.
+            # The sums of the first window, then a row is added and one subtracted.
             for row in range(first if y == first else y + side - 1, y + side):
                 for x in range(len(sums)):
                     value = np.float64(padded[row, x])
@@ -159,24 +156,17 @@ def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np
     """
     half = max(3, int(window) | 1) // 2
     out = np.empty_like(picture)
-    # A hundredth of the mean tone or two is added to the deviation, so that noise is not amplified.
-    floor = np.float32(0.02)
-    clip = np.float32(3)
-    _normalise(_mirrored(picture, half), 2 * half + 1, max(64, 4 * half), floor, clip, out)
+    _normalise(_mirrored(picture, half), 2 * half + 1, max(64, 4 * half), _FLOOR, _CLIP, out)
     return out
 
 
 def interpolate_linear(
     picture: NDArray[np.float32], positions: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(...,) bilinear interpolation of a picture (h, w) at positions `positions` (..., 2) [px];
-    nearest beyond it.
-    """
+    """(...,) bilinear interpolation of a picture (h, w) at positions (..., 2) [px]; nearest outside."""
     low = np.clip(np.floor(positions), 0, np.array(picture.shape[::-1]) - 2).astype(np.intp)
-    (x, y), (right, down) = (
-        np.moveaxis(low, -1, 0),
-        np.moveaxis(np.clip(positions - low, 0, 1), -1, 0),
-    )
+    x, y = np.moveaxis(low, -1, 0)
+    right, down = np.moveaxis(np.clip(positions - low, 0, 1), -1, 0)
     above = (1 - right) * picture[y, x] + right * picture[y, x + 1]
     below = (1 - right) * picture[y + 1, x] + right * picture[y + 1, x + 1]
     return np.asarray((1 - down) * above + down * below)

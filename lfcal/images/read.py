@@ -1,6 +1,4 @@
-"""Reading flats: the raw pixels of an image file, exactly as stored; damaged and truncated files
-are refused.
-"""
+"""Reading flats: the raw pixels of an image file as stored; damaged files are refused."""
 
 from __future__ import annotations
 
@@ -35,7 +33,7 @@ _READERS: dict[str, Callable[[Path, int | None], NDArray[Any]]] = {
     "HDF5": read_hdf5,
     "Lytro": read_lytro,
 }
-# What is not read, by its suffix, and what can convert it.
+# Advice for formats that are not read, by their suffixes.
 _CONVERTERS = {
     **dict.fromkeys(
         (".czi", ".lif", ".nd2", ".oib", ".oif"),
@@ -44,7 +42,8 @@ _CONVERTERS = {
     **dict.fromkeys((".ray", ".rays"), "export the raw image as PNG or TIFF with RxLive"),
     ".heic": "convert it to PNG with ImageMagick",
     ".mat": "save the picture as TIFF or HDF5 (h5write)",
-    ".raw": "it has no header: name it NAME_WxH_400p8.yuv, or 400p10, 400p12 for 16-bit samples of so many bits",
+    ".raw": "it has no header: name it NAME_WxH_400p8.yuv, or 400p10, 400p12 for 16-bit samples of "
+    "so many bits",
     ".jp2": "convert it to TIFF with ImageMagick or opj_decompress",
 }
 
@@ -59,32 +58,32 @@ def read_flat(
     """Read a raw plenoptic picture with its pixel values as stored.
 
     PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM, PPM and
-    Zarr are read, and OpenEXR, HDF5, Lytro files, raw photos and frames of videos, some of which
-    need a package (docs/formats.md). Alpha is dropped, the colours below it are kept as stored. An
-    orientation tag is not obeyed: a calibration belongs to the sensor, not to how the camera was
-    held. In a TIFF, thumbnails are passed over.
+    Zarr are read. OpenEXR, HDF5, Lytro files, raw photos and frames of videos are read too; some of
+    them need a package (docs/formats.md). Alpha is dropped; the colours below it are kept as
+    stored. The orientation tag is ignored, because a calibration belongs to the sensor and not to
+    the way in which the camera was held. Thumbnails in a TIFF are skipped.
 
     Parameters
     ----------
     path : path-like
         The image file, or the folder of a Zarr array.
     page : int or None
-        Which of the full pictures in a TIFF, or of the frames of a video, from 0; with None a file
-        with several of them is refused. Of HDF5 files 1 is the white image beside the capture, of
-        Lytro archives any is one.
+        Number of the full picture in a TIFF or of the frame of a video, from 0. With None a file
+        with several of them is refused. In an HDF5 file, 1 is the white image beside the capture;
+        in a Lytro archive every page is a white image.
     size : (int, int) or None [px]
         Width and height of raw video, if neither its name nor a camera file `.cfg` beside it has
         them.
     pixel_format : str or None
-        Of raw video, such as `"yuv420p10"`; with None by its name, else 4:2:0 with the bits that
-        its samples have.
+        Format of raw video, such as `"yuv420p10"`. By default it follows from the name of the file;
+        without such a name it is 4:2:0, and the samples tell the number of bits.
 
     Returns
     -------
     (h, w) or (h, w, 3) uint8, uint16 or float32
         C-contiguous, colours in the order red, green, blue. FlatError if the file is missing,
-        damaged, truncated, no image, larger than `MAX_PIXELS`, holds NaN or infinity, or has no
-        such page.
+        damaged, truncated, no image or larger than `MAX_PIXELS`, contains NaN or infinity, or has
+        no such page.
 
     Examples
     --------
@@ -108,10 +107,10 @@ def count_pages(
     size: tuple[int, int] | None = None,
     pixel_format: str | None = None,
 ) -> int:
-    """Number of full pictures in an image file: 1, but for a TIFF of several pages and raw video.
+    """Number of full pictures in a TIFF or of frames in raw video; 1 for any other image file.
 
-    A list of pages that is cut off counts as one picture more, which cannot be read. FlatError if
-    the file cannot be.
+    A truncated list of pages counts as one more picture, which cannot be read. FlatError if the
+    file cannot be read.
 
     Examples
     --------
@@ -146,7 +145,7 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
     if not head:
         raise FlatError("is empty")
     name = identify_format(head)
-    # Without LibRaw, a plain DNG is still a TIFF.
+    # Without LibRaw, a plain DNG is read as a TIFF.
     if suffix in RAW_PHOTO_SUFFIXES and (name != "TIFF" or find_spec("rawpy")):
         return read_raw_photo(source, page)
     if name in _READERS:

@@ -1,8 +1,7 @@
-"""The flats of one camera: checked, and combined into one, white images by exposure, frames of
-scenes by their mean.
+"""Several flats of one camera: checked and combined into one.
 
-Flats without contrast, such as dark or saturated ones, are left out; clipped pixels are taken from
-other flats.
+White images are combined by their exposures, scenes by their mean. Flats without contrast, such as
+dark or saturated ones, are left out; clipped pixels are taken from other flats.
 """
 
 from __future__ import annotations
@@ -30,11 +29,21 @@ __all__ = [
 
 Light = NDArray[np.float32]
 
+# Largest value of a flat: sums of squares of larger ones exceed the range of single precision.
+_LARGEST = 1e30
+# Bits of sensors.
+_BITS = (8, 10, 12, 14)
+# Contrast or exposure over that of the best flat below which a flat is dark, saturated or blank.
+_LEAST_SHARE = 0.05
+# Pixels from which exposures are estimated.
+_SAMPLE = 200_000
+# Pixels of the largest light are clipped if more than a share of 0.002 has 0.995 of it.
+_CLIPPED_LIGHT = 0.995
+_CLIPPED_SHARE = 0.002
+
 
 def check_flats(image: Any) -> list[NDArray[Any]]:
-    """The flats given, one or several, as arrays; FlatError if one cannot be a flat, or their sizes
-    differ.
-    """
+    """One or several flats, or their paths, as arrays; FlatError if they cannot be of one camera."""
     given: Any = _read_paths(image)
     several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
     if not several and np.ndim(given) != 4:
@@ -77,11 +86,10 @@ def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
         if bad.any():
             y, x = np.argwhere(bad)[0]
             raise FlatError(
-                f"{bad.sum()} pixels of {name} are NaN or infinite, first at x={x}, y={y}; fill them in"
+                f"{bad.sum()} pixels of {name} are NaN or infinite, first at x={x}, y={y}; fill "
+                "them in"
             )
-    # Sums of squares of larger values leave the range of single precision; unsigned ones are never
-    # as large.
-    if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > 1e30:
+    if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > _LARGEST:
         raise FlatError(
             f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most 1e30 first"
         )
@@ -89,27 +97,20 @@ def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
 
 
 def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
-    """Largest value of the 8, 10, 12 or 14 bits that the sensor has, in 16-bit files; None where
-    that is unknown.
-    """
+    """Largest value of a sensor of 8, 10, 12 or 14 bits in flats of 16 bits; None if unknown."""
     if any(flat.dtype.kind not in "ui" or flat.dtype.itemsize == 1 for flat in flats):
         return None
     largest = max(int(flat.max()) for flat in flats)
-    return next((float(2**bits - 1) for bits in (8, 10, 12, 14) if largest < 2**bits), None)
+    return next((float(2**bits - 1) for bits in _BITS if largest < 2**bits), None)
 
 
 def measure_overexposure(flat: NDArray[Any]) -> float:
-    """Share of the pixels at the largest value that their type, or a sensor of fewer bits, can
-    have; 0 for masks.
-    """
+    """Share of the pixels at the largest value of their type or of a sensor; 0 for masks."""
     top = int(flat.max()) if flat.dtype.kind == "u" else 0
-    if (
-        is_mask(flat)
-        or top not in (255, 1023, 4095, 16383, 65535)
-        or (flat.dtype.itemsize > 1 and top == 255)
-    ):
+    known = (8,) if flat.dtype.itemsize == 1 else (*_BITS[1:], 16)
+    if is_mask(flat) or top not in [2**bits - 1 for bits in known]:
         return 0.0
-    # One channel after the other: reductions over so few values take several times as long.
+    # Reductions over three values take several times as long as those over one channel at a time.
     channels = np.moveaxis(flat.reshape(*flat.shape[:2], -1), -1, 0)
     return float(np.logical_or.reduce([channel >= top for channel in channels]).mean())
 
@@ -117,26 +118,26 @@ def measure_overexposure(flat: NDArray[Any]) -> float:
 def select_contrasted(lights: Sequence[Light]) -> list[int]:
     """Indices of the flats that have contrast, among `lights` (h, w) in one scale."""
     contrast = [float(light.std(dtype=np.float64)) for light in lights]
-    # Less is a dark, saturated or blank flat.
-    return [k for k, value in enumerate(contrast) if value >= 0.05 * max(contrast)]
+    return [k for k, value in enumerate(contrast) if value >= _LEAST_SHARE * max(contrast)]
 
 
 def combine_whites(lights: Sequence[Light]) -> Light:
     """Weighted least-squares estimate of the light from all white images, by their exposures.
 
-    `lights` (h, w) are linear, with any exposures and black levels; the result is in the scale of
-    the best exposed one.
+    `lights` (h, w) are linear, with any exposures and black levels; the result has the scale of the
+    best exposed one.
     """
     if len(lights) == 1:
         return lights[0]
     levels = [clipping_level(light) for light in lights]
-    step = max(1, int(np.sqrt(lights[0].size / 200_000)))
-    # Odd steps sample every phase of a mosaic.
+    step = max(1, int(np.sqrt(lights[0].size / _SAMPLE)))
+    # An odd step samples every phase of a mosaic.
     few = [light[:: step | 1, :: step | 1].ravel().astype(np.float64) for light in lights]
     unclipped = [sample < top for sample, top in zip(few, levels, strict=True)]
-    best = max(
-        range(len(lights)), key=lambda k: float(few[k].std()) * (0.5 + float(unclipped[k].mean()))
-    )
+    score = [
+        sample.std() * (0.5 + valid.mean()) for sample, valid in zip(few, unclipped, strict=True)
+    ]
+    best = int(np.argmax(score))
     total = np.zeros(lights[0].shape, np.float32)
     share = np.zeros_like(total)
     for light, top, sample, valid in zip(lights, levels, few, unclipped, strict=True):
@@ -146,7 +147,7 @@ def combine_whites(lights: Sequence[Light]) -> Light:
         a = few[best][both]
         b = sample[both]
         exposure = float(np.mean((a - a.mean()) * (b - b.mean())) / max(float(a.var()), 1e-30))
-        if exposure > 0.05:
+        if exposure > _LEAST_SHARE:
             good = light < np.float32(top)
             above_black = light - np.float32(b.mean() - exposure * a.mean())
             total += np.where(good, np.float32(exposure) * above_black, np.float32(0))
@@ -154,9 +155,8 @@ def combine_whites(lights: Sequence[Light]) -> Light:
     known = share > 0
     if not known.any():
         return lights[best]
-    combined = np.where(
-        known, total / np.where(known, share, np.float32(1)), np.float32(levels[best])
-    )
+    combined = np.full_like(total, levels[best])
+    np.divide(total, share, out=combined, where=known)
     return np.maximum(combined, np.float32(0))
 
 
@@ -169,6 +169,6 @@ def average_scenes(lights: Sequence[Light]) -> Light:
 
 
 def clipping_level(light: Light) -> float:
-    """Least light of clipped pixels in an array of any shape, infinite where none are clipped."""
-    top = 0.995 * float(light.max())
-    return top if float((light >= top).mean()) > 0.002 else float("inf")
+    """Least light of clipped pixels in an array of any shape, infinite if none are clipped."""
+    top = _CLIPPED_LIGHT * float(light.max())
+    return top if float((light >= top).mean()) > _CLIPPED_SHARE else float("inf")

@@ -1,8 +1,8 @@
-"""Flats read part by part, so that they need not fit into memory; pixels are those of `read_flat`.
+"""Flats read in parts, so that they need not fit into memory; pixels are those of `read_flat`.
 
-TIFFs without compression are read row by row in the file; of others only the strips or tiles that
-overlap a part are decoded, and of a Zarr array the chunks. Formats that cannot be read in parts,
-such as PNG, are read as a whole, once.
+TIFFs without compression are mapped into memory. Of other TIFFs only the strips or tiles that
+overlap a part are decoded, of a Zarr array the chunks. Other formats, such as PNG, are read once as
+a whole.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class FlatSource(ExitStack):
     dtype : dtype
         uint8, uint16 or float32.
     in_parts : bool
-        Whether parts are read from the file; else the flat is in memory.
+        True if parts are read from the file, False if the flat is in memory.
     page : int or None
         As given to `open_flat`.
     dark : Path or None
@@ -58,7 +58,9 @@ class FlatSource(ExitStack):
 
     def __init__(self, path: Path, read: _Read, shape: tuple[int, ...], in_parts: bool = True):
         super().__init__()
-        self.path, self._read, self.in_parts = path, read, in_parts
+        self.path = path
+        self._read = read
+        self.in_parts = in_parts
         self.page: int | None = None
         self.dark: Path | None = None
         with file_errors(path):
@@ -81,8 +83,9 @@ class FlatSource(ExitStack):
             with file_errors(dark.path):
                 return subtract_dark(pixels, black)
 
-        self._read, self.dark = read, dark.path
-        # Whether their types fit.
+        self._read = read
+        self.dark = dark.path
+        # Raises an error if their types do not fit.
         self.read(0, 0, 1, 1)
 
     @property
@@ -91,10 +94,9 @@ class FlatSource(ExitStack):
         return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
 
     def read(self, left: int, top: int, right: int, bottom: int) -> NDArray[Any]:
-        """Pixels of the columns from `left` to before `right` and rows from `top` to before
-        `bottom`.
+        """Pixels of columns `left` to `right - 1` and rows `top` to `bottom - 1`.
 
-        FlatError if that part is damaged, or holds NaN or infinity; ValueError if it is empty, or
+        FlatError if the part is damaged or contains NaN or infinity; ValueError if it is empty or
         not on the flat.
         """
         height, width = self.shape[:2]
@@ -111,15 +113,15 @@ def open_flat(
     page: int | None = None,
     dark: str | os.PathLike[str] | None = None,
 ) -> FlatSource:
-    """Open a raw plenoptic picture to read it part by part.
+    """Open a raw plenoptic picture to read it in parts.
 
     Parameters
     ----------
     path : path-like
         The image file, or the folder of a Zarr array.
     page : int or None
-        As in `read_flat`, which also says what is raised; damaged pixels are found when they are
-        read.
+        As in `read_flat`, which also describes the errors. Damaged pixels raise an error when they
+        are read.
     dark : path-like or None
         File of a dark frame, which is subtracted from every part (`subtract_dark`).
 
@@ -148,7 +150,7 @@ def _open(source: Path, page: int | None) -> FlatSource:
             array = open_zarr(source)
         return FlatSource(source, array.read, array.shape)
     if source.suffix.lower() in TIFF_SUFFIXES and source.is_file():
-        # Where that fails, reading the file as a whole finds another way, or reports the error.
+        # If this fails, the whole file is read, which succeeds or reports the error.
         with suppress(Exception), ExitStack() as opened:
             tiff = opened.enter_context(open_tiff(source))
             flat = FlatSource(source, *part_reader(source, tiff, page))
@@ -161,11 +163,10 @@ def _open(source: Path, page: int | None) -> FlatSource:
 
 
 def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
-    """A flat less a dark frame (what the sensor shows without light), in its own type; integers are
-    clipped at 0.
+    """A flat minus a dark frame (a picture without light), in its own type, integers clipped at 0.
 
-    `flat` and `dark`, a frame or the mean of some with the exposure of the flat, are (h, w) or (h,
-    w, c). FlatError if they are not of one size and kind.
+    `flat` and `dark` are (h, w) or (h, w, c). The dark frame, or the mean of several, has the
+    exposure of the flat. FlatError if they differ in size or in the kind of their type.
 
     Examples
     --------

@@ -1,6 +1,4 @@
-"""TIFF files (tifffile): which page is the flat, whether its pixels are complete, and the pixels,
-whole or in parts.
-"""
+"""TIFF files (tifffile): the page that is the flat, and its pixels as a whole or in parts."""
 
 from __future__ import annotations
 
@@ -20,12 +18,15 @@ from .pixels import check_page, check_size, decode_with_opencv
 
 __all__ = ["count_tiff_pages", "open_tiff", "part_reader", "read_tiff", "select_tiff_page"]
 
+# Most bytes of a strip or tile: every part would decode a larger one again.
+_MOST_SEGMENT = 1 << 27
+
 
 def open_tiff(source: Path) -> Any:
-    """A `tifffile.TiffFile`, whose remarks on damaged files are not printed."""
+    """A `tifffile.TiffFile` that prints no remarks on damaged files."""
     import tifffile
 
-    # Without a handler Python prints them.
+    # Without a handler Python prints the remarks.
     log = logging.getLogger("tifffile")
     if not log.hasHandlers():
         log.addHandler(logging.NullHandler())
@@ -33,23 +34,21 @@ def open_tiff(source: Path) -> Any:
 
 
 def count_tiff_pages(source: Path) -> int:
-    """Number of full pictures; a list of pages that is cut off counts as one more."""
+    """Number of full pictures; a truncated list of pages counts as one more."""
     with open_tiff(source) as tiff:
         pages, is_cut_off = _full_pages(tiff)
     return len(pages) + is_cut_off
 
 
 def _full_pages(tiff: Any) -> tuple[list[Any], bool]:
-    """Pages that are no thumbnails, up to the first that cannot be read, and whether the list of
-    pages is cut off.
-    """
+    """Pages up to the first unreadable one, without thumbnails; whether the list is truncated."""
     pages: list[Any] = []
     try:
         pages.extend(tiff.pages)
     except Exception:
         if not pages:
             raise
-    # Where the last page says that another follows.
+    # The last page must not point to another one.
     kind = tiff.tiff
     file = tiff.filehandle
     file.seek(pages[-1].offset)
@@ -65,17 +64,14 @@ def _full_pages(tiff: Any) -> tuple[list[Any], bool]:
 
 
 def select_tiff_page(tiff: Any, number: int | None) -> Any:
-    """The page of a TIFF that is the flat; FlatError if its pixels are incomplete or of an unknown
-    kind.
-    """
+    """The page of a TIFF that is the flat; FlatError if its pixels are incomplete or unknown."""
     pages, is_cut_off = _full_pages(tiff)
     if number in (None, len(pages)) and is_cut_off:
         raise FlatError(f"truncated TIFF: its list of pages is cut off after {len(pages)}")
     page: Any = pages[check_page(number, len(pages), "TIFF", "pictures", "page")]
     parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
-    if not parts or any(
-        count == 0 or start + count > tiff.filehandle.size for start, count in parts
-    ):
+    end = tiff.filehandle.size
+    if not parts or any(count == 0 or start + count > end for start, count in parts):
         raise FlatError("truncated TIFF: pixel data are missing")
     if len(parts) < np.prod(page.chunked):
         raise FlatError("damaged TIFF: strips or tiles are missing from its table")
@@ -101,7 +97,7 @@ def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
                 raise FlatError(
                     "compressed in a way that is read for the first page only; save without it"
                 ) from error
-            # OpenCV reads the common compressions that tifffile leaves to an optional package.
+            # OpenCV reads the common compressions for which tifffile needs an optional package.
             grey = page.samplesperpixel < 3 and page.photometric.name != "PALETTE"
             return decode_with_opencv(source.read_bytes(), grey=grey)
 
@@ -110,7 +106,7 @@ def _convert(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
     if page.axes == "SYX":
         pixels = np.moveaxis(pixels, 0, -1)
     if page.photometric.name == "PALETTE":
-        # Colour maps are 16 bit by definition, the colours in them almost always 8 bit times 257.
+        # Colour maps have 16 bits; their values are almost always 8 bits times 257.
         return (page.colormap >> 8).astype(np.uint8).T[pixels]
     if page.photometric.name == "MINISWHITE" and pixels.dtype.kind == "u":
         return np.iinfo(pixels.dtype).max - pixels
@@ -120,11 +116,10 @@ def _convert(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
 def part_reader(
     source: Path, tiff: Any, number: int | None
 ) -> tuple[Callable[[slice, slice], NDArray[Any]], Any]:
-    """A function that reads some rows and columns of a TIFF, and height and width [px]; any error
-    if none can.
+    """A function that reads some rows and columns of a TIFF, and height and width [px].
 
-    Rows without compression are mapped into memory; else the strips or tiles are decoded that
-    overlap a part.
+    Pixels without compression are mapped into memory; of others the strips or tiles that overlap a
+    part are decoded. Raises any error if the file cannot be read in parts.
     """
     import tifffile
 
@@ -134,8 +129,7 @@ def part_reader(
         pixels = tifffile.memmap(source, page=page.index, mode="r")
         return lambda rows, columns: _convert(np.array(pixels[rows, columns]), page), shape
     side = page.chunks[1:3] if page.axes == "SYX" and len(page.chunks) == 3 else page.chunks[:2]
-    # Every part would decode larger ones again.
-    if side[0] * side[1] * page.samplesperpixel * page.dtype.itemsize > 1 << 27:
+    if side[0] * side[1] * page.samplesperpixel * page.dtype.itemsize > _MOST_SEGMENT:
         raise NotImplementedError("strips or tiles are too large to be read in parts")
     lock = Lock()
     return lambda rows, columns: _convert(
@@ -146,9 +140,7 @@ def part_reader(
 def _read_segments(
     tiff: Any, page: Any, side: tuple[int, int], lock: Lock, rows: slice, columns: slice
 ) -> NDArray[Any]:
-    """The pixels of some rows and columns, as the strips or tiles of (height, width) `side` have
-    them.
-    """
+    """The pixels of some rows and columns, from strips or tiles of (height, width) `side`."""
     from concurrent.futures import ThreadPoolExecutor
 
     down = -(-page.imagelength // side[0])
@@ -165,18 +157,12 @@ def _read_segments(
         decoded, (plane, _, top, left, _), _ = page.decode(data, number, jpegtables=page.jpegtables)
         if decoded is None:
             return
-        pixels = decoded[0]
+        # The part of the segment that is wanted, and its place in the output.
+        pixels = decoded[0][max(rows.start - top, 0) :, max(columns.start - left, 0) :]
         into = out[plane] if planes else out
-        bottom = min(top + pixels.shape[0], rows.stop)
-        right = min(left + pixels.shape[1], columns.stop)
-        first = max(top, rows.start)
-        start = max(left, columns.start)
-        place = into[
-            first - rows.start : bottom - rows.start, start - columns.start : right - columns.start
-        ]
-        place[...] = pixels[first - top : bottom - top, start - left : right - left].reshape(
-            place.shape
-        )
+        place = into[max(top - rows.start, 0) :, max(left - columns.start, 0) :]
+        place = place[: pixels.shape[0], : pixels.shape[1]]
+        place[...] = pixels[: place.shape[0], : place.shape[1]].reshape(place.shape)
 
     wanted = [
         (plane * down + v) * across + u

@@ -1,8 +1,8 @@
-"""Single frames of videos as flats: what FFmpeg decodes, and raw planar video (`.yuv`).
+"""Single frames of videos as flats: videos that FFmpeg decodes, and raw planar video (`.yuv`).
 
-That has no header. Size, subsampling and bits are given, or taken from the name of the file (such
-as `Boys2_3976x2956_30fps_420p10.yuv`), from a camera file `.cfg` of the same name beside it, and,
-as to the bits, from the samples themselves.
+Raw video has no header. Size, subsampling and bits are given, or follow from the name of the file
+(such as `Boys2_3976x2956_30fps_420p10.yuv`), from a camera file `.cfg` of the same name beside it,
+and the bits from the samples.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from .pixels import check_page, check_size
 
 __all__ = ["RawLayout", "count_yuv_frames", "find_layout", "is_yuv", "read_video_frame", "read_yuv"]
 
-# Samples of the two colour planes over those of brightness, across and down.
+# Samples of brightness for one of each colour plane, across and down.
 _SHARES = {"420": (2, 2), "422": (2, 1), "444": (1, 1)}
 
 
 class RawLayout(NamedTuple):
+    """Layout of a frame of raw video."""
+
     width: int  # [px]
     height: int
     pixel_format: str  # FFmpeg's name
-    bits: int  # of a sample
+    bits: int  # bits of a sample
     frame_bytes: int
 
 
 def read_video_frame(path: Path, page: int | None) -> NDArray[Any]:
-    """(h, w, 3) frame `page`, or the only frame, decoded from the first one on: uint16 above 8
-    bits, else uint8.
-    """
+    """(h, w, 3) frame `page` or the only frame of a video: uint16 above 8 bits, else uint8."""
     if page is not None and page < 0:
         raise FlatError(f"has no frame {page}")
     av = import_av(path.name)
@@ -53,7 +53,7 @@ def read_video_frame(path: Path, page: int | None) -> NDArray[Any]:
             if picture is None:
                 raise FlatError(f"the video has no frame {number}")
             check_size(picture.width, picture.height)
-            # Decoders fill in what is missing; such a flat must not be calibrated or rendered.
+            # Decoders fill missing parts in, so that the frame is no flat.
             if picture.is_corrupt:
                 raise FlatError(f"frame {number} is damaged")
             pixels = rgb_pixels(picture)
@@ -66,22 +66,22 @@ def read_video_frame(path: Path, page: int | None) -> NDArray[Any]:
 
 
 def is_yuv(path: Path) -> bool:
+    """Whether a file has the suffix of raw planar video."""
     return path.suffix.lower() == RAW_SUFFIX
 
 
 def count_yuv_frames(path: Path, size: tuple[int, int] | None, pixel_format: str | None) -> int:
-    """Number of frames; one that is cut off counts too, but cannot be read."""
+    """Number of frames; a truncated one counts too, but cannot be read."""
     return -(-path.stat().st_size // find_layout(path, size, pixel_format).frame_bytes)
 
 
 def read_yuv(
     path: Path, page: int | None, size: tuple[int, int] | None, pixel_format: str | None
 ) -> NDArray[Any]:
-    """Pixels (h, w, 3) of frame `page`, or of the only frame: uint8, or uint16 where samples have
-    more bits.
+    """(h, w, 3) frame `page` or the only frame of raw video: uint16 above 8 bits, else uint8.
 
-    Colours are those that FFmpeg gives a decoded frame without a colour space: BT.601 of limited
-    range. Files without colours give their samples (h, w) as they are.
+    Colours are converted as FFmpeg converts a frame without a colour space: BT.601, limited range.
+    Of files without colours the samples (h, w) are returned as they are.
     """
     layout = find_layout(path, size, pixel_format)
     number = check_page(
@@ -106,21 +106,21 @@ def read_yuv(
 def find_layout(
     path: Path, size: tuple[int, int] | None = None, pixel_format: str | None = None
 ) -> RawLayout:
-    """The layout of a raw video: what is not given follows from its name, a `.cfg` file beside it,
-    and its samples.
+    """The layout of raw video, given or from its name, a `.cfg` file beside it and its samples.
 
-    FlatError if the size cannot be told, the pixel format is not known, or the file does not hold a
-    single frame.
+    FlatError if the size or the pixel format is unknown, or the file is shorter than one frame.
     """
     size = size or _size_of(path)
     if size is None:
         raise FlatError(
-            "raw video has no header; give its size (--size WxH), or name it like NAME_2048x2048.yuv"
+            "raw video has no header; give its size (--size WxH), or name it like "
+            "NAME_2048x2048.yuv"
         )
     width, height = size
     if pixel_format is None:
         subsampling, named = _format_in_name(path.stem)
-        pixel_format = f"{subsampling or 420}p{named or _bits_of_samples(path, width * height)}"
+        bits = named or _bits_of_samples(path, width * height)
+        pixel_format = f"{subsampling or '420'}p{bits}"
     try:
         name, kind, bits = parse_pixel_format(pixel_format)
     except ValueError as error:
@@ -152,22 +152,18 @@ def _size_of(path: Path) -> tuple[int, int] | None:
 
 
 def _format_in_name(name: str) -> tuple[str | None, int | None]:
-    """Subsampling and bits as names of sequences have them: `yuv420p10le`, `420p_10b`,
-    `p444_12bit`, `gray8`.
-    """
+    """Subsampling and bits in a name such as `yuv420p10le`, `420p_10b`, `p444_12bit`, `gray8`."""
     words = re.sub(r"\d{2,6}[xX]\d{2,6}", " ", name.lower())
     words = re.sub(r"(?<![a-z])gr[ae]y(?=(?:8|10|12)(?!\d))", "400p", words)
     subsampling = re.search(r"(?<!\d)(?:yuv|p)?(400|420|422|444)(?!\d)p?(8|10|12)?(?:le)?", words)
     bits = re.search(r"(?<!\d)(8|10|12)[-_ ]?(?:bits?|bpp|b)(?![a-z0-9])", words)
-    named = subsampling[2] if subsampling and subsampling[2] else bits[1] if bits else None
-    return subsampling[1] if subsampling else None, int(named) if named else None
+    named = (subsampling and subsampling[2]) or (bits and bits[1])
+    return subsampling and subsampling[1], int(named) if named else None
 
 
 def _bits_of_samples(path: Path, pixels: int) -> int:
-    """Bits of the samples: in 10 or 12 of 16 bits every second byte is small, which it is in no
-    picture of 8.
-    """
+    """Bits of the samples of a file: 10 or 12 if all 16-bit numbers in it are as small, else 8."""
     if path.stat().st_size < 2 * pixels:
         return 8
     largest = int(np.fromfile(path, "<u2", pixels).max())
-    return 10 if largest < 1 << 10 else 12 if largest < 1 << 12 else 8
+    return next((bits for bits in (10, 12) if largest < 1 << bits), 8)

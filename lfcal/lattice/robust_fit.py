@@ -11,15 +11,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..runtime.arrays import Array, Floats
 from .distortion import Distortion
 
-__all__ = ["TUKEY_CUTOFF", "LatticeFit", "field_rms", "fit_affine", "tukey_weights"]
+__all__ = [
+    "MAD_TO_SIGMA",
+    "TUKEY_CUTOFF",
+    "LatticeFit",
+    "biweight",
+    "field_rms",
+    "fit_affine",
+    "robust_sigma",
+    "tukey_weights",
+]
 
-#: Residual [standard deviations] from which on the weight is zero: 95 % efficiency for normal
-#: residuals.
+#: Residuals beyond this [standard deviations] have no weight; normal ones keep 95 % efficiency.
 TUKEY_CUTOFF = 4.685
+#: Standard deviation of normal values over their median absolute deviation.
+MAD_TO_SIGMA = 1.4826
+# Median of the squared length of a standard normal vector in the plane: 2 ln 2.
+_MEDIAN_SQUARE = 1.386
 
 
 @dataclass(frozen=True)
@@ -37,13 +50,22 @@ class LatticeFit:
     distortion: Distortion | None = None
 
 
+def robust_sigma(values: NDArray[np.floating]) -> float:
+    """Standard deviation of normal values about 0, from the median of their absolute values."""
+    return MAD_TO_SIGMA * float(np.median(np.abs(values)))
+
+
+def biweight(share: Array) -> Array:
+    """Tukey's weights (n,) of residuals; `share` (n,) is their square over that of the cut-off."""
+    return np.clip(1 - share, 0, None) ** 2
+
+
 def tukey_weights(squares: Floats) -> tuple[Floats, float]:
-    """Weights (n,) of residuals in the plane, of squared length `squares` (n,), and the variance of
-    their median.
+    """Tukey's weights (n,) of residuals in the plane with these squared lengths (n,), and the
+    variance of one coordinate, estimated from the median.
     """
-    # 2 ln 2 is the median of the squared length of a standard normal vector in the plane.
-    variance = float(np.median(squares)) / 1.386 + 1e-30
-    return np.clip(1 - squares / (variance * TUKEY_CUTOFF**2), 0, None) ** 2, variance
+    variance = float(np.median(squares)) / _MEDIAN_SQUARE + 1e-30
+    return biweight(squares / (variance * TUKEY_CUTOFF**2)), variance
 
 
 def fit_affine(design: Floats, shifts: Floats, prior: Floats) -> tuple[Floats, Floats]:
@@ -59,7 +81,7 @@ def fit_affine(design: Floats, shifts: Floats, prior: Floats) -> tuple[Floats, F
         change = np.linalg.lstsq(design * root, shifts * root, rcond=None)[0]
         squares = ((shifts - design @ change) ** 2).sum(1) * prior
         variance = tukey_weights(squares[prior > 0])[1]
-        weight = np.clip(1 - squares / (variance * TUKEY_CUTOFF**2), 0, None) ** 2 * prior
+        weight = biweight(squares / (variance * TUKEY_CUTOFF**2)) * prior
     return change, weight
 
 

@@ -21,6 +21,7 @@ from ..images.mosaic import equalise_mosaic
 from ..images.preprocessing import luminance
 from ..lattice.cell import Cell
 from ..lattice.lens_subset import select_whole_lenses
+from ..lattice.robust_fit import MAD_TO_SIGMA
 
 __all__ = ["LIGHT_FAULT", "Field", "MicroimageField", "measure_microimages"]
 
@@ -66,7 +67,7 @@ class Field(NamedTuple):
             factors = inverse @ table.T @ (weight * values)
             miss = np.abs(values - table @ factors)
             weight = np.minimum(
-                1, (3 * 1.4826 * float(np.median(miss)) + 1e-9) / np.maximum(miss, 1e-12)
+                1, (3 * MAD_TO_SIGMA * float(np.median(miss)) + 1e-9) / np.maximum(miss, 1e-12)
             )
         variance = (
             np.diag(inverse) * float((weight * miss**2).sum() / free)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
+from ..lattice.robust_fit import robust_sigma
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from ..runtime.kernels import kernel
 
@@ -72,7 +73,7 @@ def outlier_limit(values: Floats) -> float:
     """Three standard deviations of values (n,), from the median of their sizes; 0 where there are
     none.
     """
-    return 3.0 * 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
+    return 3.0 * robust_sigma(values) if len(values) else 0.0
 
 
 def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSample:

@@ -1,1 +1,1 @@
-"""Metric calibration: optics of the camera, with covariance, from flats of a board."""
+"""Metric calibration: optics of a camera and their covariance, from flats of a board."""

@@ -1,13 +1,12 @@
-"""Robust bundle adjustment of the camera, the poses of the boards and their shape, with the
-covariance of all.
+"""Robust bundle adjustment of a camera and of the poses and the shape of boards, with covariance.
 
-Which parameters the data ask for is found by forward selection with score tests.
+`scipy.optimize.minimize` with a trust region minimises a Cauchy loss, then the squared residuals
+without the outliers. The normal equations are a dense matrix of about a hundred unknowns and are
+solved exactly: iterative solvers stop early along the weak directions of focal length and
+distances, and `least_squares` decomposes a matrix of all observations. Each observation depends on
+25 unknowns: 14 of the camera, 6 of its pose, 5 of the shape of the board.
 
-`scipy.optimize.minimize` in a trust region, on the normal equations, with a Cauchy loss, then
-without the outliers. These are a dense matrix of a hundred unknowns, solved exactly: iterative
-solvers stop short along the weak directions that focal length and distances have, and
-`least_squares` takes a singular value decomposition of all observations. An observation depends on
-25 of the unknowns alone: 14 of the camera, 6 of its pose, 5 of the shape of the board.
+Forward selection with score tests finds the parameters that the data require.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ _LAST = len(SHAPE)
 POSE = np.arange(_OWN, _OWN + 6)
 #: Always fitted.
 BASE = INTERNAL[:6]
-# Groups that are fitted together, and what has to be fitted before.
+# Groups of parameters that are fitted together, and the parameters that must be fitted before them.
 _GROUPS: dict[tuple[str, ...], tuple[str, ...]] = {
     ("k2",): (),
     ("k3",): ("k2",),
@@ -57,28 +56,35 @@ _GROUPS: dict[tuple[str, ...], tuple[str, ...]] = {
     SHAPE[:3]: (),
     SHAPE[3:]: (),
 }
+# Median length of a standard normal vector in the plane: the root of 2 ln 2.
+_MEDIAN_LENGTH = 1.1774
+# Scale of the Cauchy loss, and residuals that are outliers [standard deviations]: normal errors
+# exceed the second once in 25,000 times.
+_CAUCHY = 3
+_OUTLIER = 4.5
+# Relative decrease of the cost at which the fit ends: with the Cauchy loss, and without outliers.
+_ROUGH = 1e-4
+_EXACT = 1e-9
+# The trust region starts so wide that only steps that raise the cost narrow it; unknowns are scaled
+# to standard deviations.
+_TRUST = {"initial_trust_radius": 1e4, "max_trust_radius": 1e9, "gtol": 1e-6, "maxiter": 60}
 
 
 @dataclass(frozen=True, eq=False)
 class Observations(Frozen):
     """Corners seen in microimages, sorted by pose."""
 
-    pose: Integers  # (n,) which flat
-    corner: Integers  # (n,) which point of the board
-    centre: Floats  # (n, 2) [px] of the microimage
-    position: Floats  # (n, 2) [px] where on the flat the corner is seen
-    error: Floats  # (n,) [px] standard error of that along each axis; 1 where only ratios are known
+    pose: Integers  # (n,) number of the flat
+    corner: Integers  # (n,) number of the point of the board
+    centre: Floats  # (n, 2) [px] centre of the microimage
+    position: Floats  # (n, 2) [px] position of the corner on the flat
+    error: Floats  # (n,) [px] its standard error along each axis; 1 if only ratios are known
 
     def __post_init__(self) -> None:
         order = np.argsort(self.pose, kind="stable")
-        whole = {"pose": np.int64, "corner": np.int64}
-        names = ("pose", "corner", "centre", "position", "error")
-        self._set(
-            **{
-                name: np.asarray(getattr(self, name), whole.get(name, np.float64))[order]
-                for name in names
-            }
-        )
+        kinds = {"pose": int, "corner": int, "centre": float, "position": float, "error": float}
+        for name, kind in kinds.items():
+            self._set(**{name: np.asarray(getattr(self, name), kind)[order]})
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -86,9 +92,7 @@ class Observations(Frozen):
 
 @dataclass(frozen=True)
 class Poses:
-    """Rotations (m, 3, 3) and translations (m, 3) [mm] from the board, about its middle, to the
-    camera.
-    """
+    """Rotations (m, 3, 3) and translations (m, 3) [mm] from the middle of the board to the camera."""
 
     rotation: Array
     translation: Array
@@ -98,41 +102,35 @@ class Poses:
         return np.einsum("nij,nj->ni", self.rotation[pose], points) + self.translation[pose]
 
     def moved(self, steps: Array) -> Poses:
-        """Turned by vectors [rad] and shifted by [mm], (m, 6)."""
-        turned = [
-            cv2.Rodrigues(step[:3])[0] @ rotation
-            for step, rotation in zip(steps, self.rotation, strict=True)
-        ]
-        return Poses(np.array(turned), self.translation + steps[:, 3:])
+        """The poses turned by rotation vectors [rad] and shifted [mm]: steps (m, 6)."""
+        turns = np.array([cv2.Rodrigues(turn)[0] for turn in steps[:, :3]])
+        return Poses(turns @ self.rotation, self.translation + steps[:, 3:])
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """A fitted camera with poses. The unknowns are 14 parameters of the camera, 6 of each pose, 5
-    of the shape.
-    """
+    """A fitted camera, poses and shape of the board."""
 
     camera: Array  # (14,) the parameters `INTERNAL`
     free: tuple[str, ...]  # those of `INTERNAL` and `SHAPE` that were fitted
     poses: Poses
-    shape: Array  # (5,) [mm] of the board, `SHAPE`; 0 where it is taken to be flat
+    shape: Array  # (5,) [mm] of the board, `SHAPE`; 0 if the board is assumed to be flat
     board: Array  # (k, 3) [mm] points of the board with that shape
     residual: Array  # (n, 2) [px] observed minus predicted
-    weight: Array  # (n,) 1, or 0 of outliers
+    weight: Array  # (n,) 0 for outliers, else 1
     noise: float  # standard deviation of residuals over stated errors
-    cluster: float  # factor, at least 1, by which errors that the microimages of a corner share widen the covariance
-    covariance: Array  # of camera, poses and shape, `noise` and `cluster` included; 0 of what was not fitted
-    normal: Array  # (m, 25, 25) normal equations of each pose, with their right side
-    right: Array  # (m, 25)
+    # Variance factor, at least 1, of the errors that all microimages of a corner share.
+    cluster: float
+    # Of camera, poses and shape, with `noise` and `cluster`; 0 for parameters that were not fitted.
+    covariance: Array
+    normal: Array  # (m, 25, 25) matrices of the normal equations of each pose
+    right: Array  # (m, 25) right sides of the normal equations
 
 
 def unknowns(free: Sequence[str], poses: int) -> Integers:
-    """Places of the parameters `free`, and of those of all poses, among the unknowns."""
-    last = _OWN + 6 * poses
-    places = {name: k for k, name in enumerate(INTERNAL)} | {
-        name: last + k for k, name in enumerate(SHAPE)
-    }
-    return np.sort(np.r_[[places[name] for name in free], _OWN:last].astype(np.int64))
+    """Indices of the parameters `free` and of all poses among the unknowns."""
+    names = [*INTERNAL, *["pose"] * 6 * poses, *SHAPE]
+    return np.flatnonzero(np.isin(names, [*free, "pose"]))
 
 
 def linearise(
@@ -143,11 +141,10 @@ def linearise(
     observations: Observations,
     turns: Array | None = None,
 ) -> Array:
-    """(n, 2, 25) derivatives of the predicted positions over their errors by camera, pose and
-    shape.
+    """(n, 2, 25) derivatives of predicted positions over their errors by camera, pose and shape.
 
-    `turns` (m, 3) [rad] are the turns that led to `poses`, where derivatives are taken by those; by
-    default none.
+    With `turns` (m, 3) [rad], derivatives are taken by these rotation vectors, which were already
+    applied to `poses`; by default they are 0.
     """
     o = observations
     turned = np.einsum("nij,nj->ni", poses.rotation[o.pose], board[o.corner])
@@ -174,24 +171,23 @@ def adjust(
     free: Sequence[str],
     shape: Array | None = None,
 ) -> Adjusted:
-    """Fit the parameters `free` of `INTERNAL` and `SHAPE` (none: poses alone), and all poses.
+    """Fit the parameters `free` of `INTERNAL` and `SHAPE`, and all poses.
 
-    `camera` (14,), `poses` and `shape` (5,) [mm] (by default flat) are the start, `board` (k, 3)
-    [mm] the points of the flat board about its middle.
+    The fit starts from `camera` (14,), `poses` and `shape` (5,) [mm], by default a flat board.
+    `board` (k, 3) [mm] are the points of the flat board about its middle.
     """
     count = len(poses.rotation)
-    chosen = unknowns(free, len(poses.rotation))
+    chosen = unknowns(free, count)
     problem = _Problem(poses, pixel, board, observations, chosen)
-    values = np.concatenate(
-        [camera, np.zeros(6 * count), np.zeros(_LAST) if shape is None else shape]
-    )
+    shape = np.zeros(_LAST) if shape is None else shape
+    values = np.concatenate([camera, np.zeros(6 * count), shape])
     everything = np.ones(len(observations))
     for _ in range(2):
-        values = problem.solve(values, everything, 3 * _robust_noise(problem.residual(values)))
-    # Least squares without the outliers: its errors are those of the normal matrix. One normal
-    # error in 25,000 is off by 4.5 standard deviations.
+        scale = _CAUCHY * _robust_noise(problem.residual(values))
+        values = problem.solve(values, everything, scale)
+    # Without outliers the normal matrix of least squares gives the errors.
     found = problem.residual(values)
-    weight = (np.hypot(*found.T) < 4.5 * _robust_noise(found)).astype(np.float64)
+    weight = (np.hypot(*found.T) < _OUTLIER * _robust_noise(found)).astype(np.float64)
     values = problem.solve(values, weight, None)
     camera, poses, shaped = problem.state(values)
     found = problem.residual(values)
@@ -200,17 +196,15 @@ def adjust(
     rows = linearise(camera, pixel, poses, shaped, observations)
     equations = _normal_equations(rows, found, weight, observations.pose, count)
     covariance = np.zeros((len(values), len(values)))
-    off = found * observations.error[:, None]
-    covariance[np.ix_(chosen, chosen)] = (
-        inverse(gather(*equations)[0][np.ix_(chosen, chosen)]) * noise**2 * cluster
-    )
+    fitted = np.ix_(chosen, chosen)
+    covariance[fitted] = inverse(gather(*equations)[0][fitted]) * noise**2 * cluster
     return Adjusted(
         camera,
         tuple(free),
         poses,
         values[-_LAST:],
         shaped,
-        off,
+        found * observations.error[:, None],
         weight,
         noise,
         cluster,
@@ -221,18 +215,16 @@ def adjust(
 
 @dataclass(frozen=True)
 class _Problem:
-    """Poses to start from, and what is fitted: all unknowns are `values`, with the turns and shifts
-    from the start.
-    """
+    """A fit; its `values` are all unknowns, with turns and shifts from the first poses."""
 
-    poses: Poses
-    pixel: float
-    board: Array
+    poses: Poses  # at the start
+    pixel: float  # [mm]
+    board: Array  # (k, 3) [mm]
     observations: Observations
-    chosen: Integers
+    chosen: Integers  # unknowns that are fitted
 
     def state(self, values: Array) -> tuple[Array, Poses, Array]:
-        """Camera, poses and board."""
+        """Camera, poses and points of the board."""
         steps = values[_OWN:-_LAST].reshape(-1, 6)
         shape = values[-_LAST:]
         return (
@@ -243,12 +235,13 @@ class _Problem:
 
     def residual(self, values: Array) -> Array:
         """(n, 2) observed minus predicted positions over their errors."""
-        (camera, poses, board), o = self.state(values), self.observations
+        camera, poses, board = self.state(values)
+        o = self.observations
         seen = project(camera, self.pixel, poses.of_board(board[o.corner], o.pose), o.centre)
         return np.asarray((o.position - seen) / o.error[:, None])
 
     def normal(self, values: Array, weight: Array) -> tuple[Array, Array]:
-        """Normal equations of what is fitted."""
+        """Normal equations of the unknowns that are fitted."""
         turns = values[_OWN:-_LAST].reshape(-1, 6)[:, :3]
         camera, poses, board = self.state(values)
         rows = linearise(camera, self.pixel, poses, board, self.observations, turns)
@@ -258,16 +251,13 @@ class _Problem:
         return normal[np.ix_(self.chosen, self.chosen)], right[self.chosen]
 
     def solve(self, values: Array, weight: Array, scale: float | None) -> Array:
-        """The values that minimise the weighted squares of residuals, or their Cauchy loss of this
-        `scale`.
-        """
+        """The values that minimise the weighted squared residuals, or their Cauchy loss of `scale`."""
         from scipy.optimize import minimize
 
-        # Unknowns of very different size: in units in which each changes the residuals as much.
-        unit = 1 / np.sqrt(
-            np.maximum(np.diag(self.normal(values, np.ones_like(weight))[0]), 1e-300)
-        )
-        last = [np.inf]
+        # In these units, a step of any unknown changes the residuals equally.
+        normal, _ = self.normal(values, np.ones_like(weight))
+        unit = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        last = np.inf
 
         def full(x: Array) -> Array:
             changed = values.copy()
@@ -282,19 +272,19 @@ class _Problem:
 
         @lru_cache(2)
         def derivatives(x: bytes) -> tuple[Array, Array]:
-            """Gradient, and the Hessian of Gauss and Newton."""
+            """Gradient and Hessian (Gauss-Newton)."""
             at = full(np.frombuffer(x))
-            share = (
-                weight
-                if scale is None
-                else weight / (1 + (self.residual(at) ** 2).sum(1) / scale**2)
-            )
+            share = weight
+            if scale is not None:
+                share = weight / (1 + (self.residual(at) ** 2).sum(1) / scale**2)
             normal, right = self.normal(at, share)
             return -right * unit, normal * np.outer(unit, unit)
 
         def stop(intermediate_result: Any) -> None:
-            before, last[0] = last[0], float(intermediate_result.fun)
-            if 0 < before - last[0] <= (1e-9 if scale is None else 1e-4) * last[0]:
+            nonlocal last
+            before = last
+            last = float(intermediate_result.fun)
+            if 0 < before - last <= (_EXACT if scale is None else _ROUGH) * last:
                 raise StopIteration
 
         found = minimize(
@@ -304,12 +294,7 @@ class _Problem:
             method="trust-exact",
             jac=lambda x: derivatives(x.tobytes())[0],
             hess=lambda x: derivatives(x.tobytes())[1],
-            options={
-                "initial_trust_radius": 1e4,
-                "max_trust_radius": 1e9,
-                "gtol": 1e-6,
-                "maxiter": 60,
-            },
+            options=_TRUST,
         )
         return full(found.x)
 
@@ -317,9 +302,7 @@ class _Problem:
 def _normal_equations(
     rows: Array, residual: Array, weight: Array, pose: Integers, count: int
 ) -> tuple[Array, Array]:
-    """(m, 25, 25) and (m, 25): weighted normal equations of the observations of each pose, which
-    are sorted by it.
-    """
+    """Weighted normal equations of each pose, (m, 25, 25) and (m, 25); `pose` (n,) is sorted."""
     size = rows.shape[2]
     normal = np.zeros((count, size, size))
     right = np.zeros((count, size))
@@ -328,15 +311,16 @@ def _normal_equations(
         own = slice(ends[m], ends[m + 1])
         part = rows[own].reshape(-1, size)
         w = np.repeat(weight[own], 2)
-        normal[m], right[m] = part.T @ (part * w[:, None]), part.T @ (residual[own].ravel() * w)
+        normal[m] = part.T @ (part * w[:, None])
+        right[m] = part.T @ (residual[own].ravel() * w)
     return normal, right
 
 
 def gather(normal: Array, right: Array) -> tuple[Array, Array]:
-    """The normal equations of all poses together, in the order of the unknowns."""
+    """The sum of the normal equations of all poses, in the order of the unknowns."""
     count = len(normal)
-    whole = np.zeros((_OWN + 6 * count + _LAST,) * 2)
     total = np.zeros(_OWN + 6 * count + _LAST)
+    whole = np.zeros((len(total),) * 2)
     for m in range(count):
         places = pose_unknowns(m, count)
         whole[np.ix_(places, places)] += normal[m]
@@ -345,49 +329,42 @@ def gather(normal: Array, right: Array) -> tuple[Array, Array]:
 
 
 def pose_unknowns(m: int, count: int) -> Integers:
-    """Places among the unknowns of the 25 that pose `m` of `count` depends on."""
+    """(25,) indices of the unknowns that the observations of pose `m` of `count` depend on."""
     first = _OWN + 6 * m
     last = _OWN + 6 * count
     return np.r_[:_OWN, first : first + 6, last : last + _LAST]
 
 
 def eliminate(normal: Array, right: Array, kept: Integers, gone: Integers) -> tuple[Array, Array]:
-    """Normal equations of the unknowns `kept`, without what those that are `gone` take up (Schur
-    complement).
-    """
+    """Normal equations of the unknowns `kept` after the others are eliminated (Schur complement)."""
     taken = normal[np.ix_(kept, gone)] @ inverse(normal[np.ix_(gone, gone)])
-    return normal[np.ix_(kept, kept)] - taken @ normal[np.ix_(gone, kept)], right[
-        kept
-    ] - taken @ right[gone]
+    left = normal[np.ix_(kept, kept)] - taken @ normal[np.ix_(gone, kept)]
+    return left, right[kept] - taken @ right[gone]
 
 
 def inverse(matrix: Array) -> Array:
-    """Of a normal matrix, whose unknowns have scales of their own."""
+    """Inverse of a normal matrix, computed in units in which its diagonal is 1."""
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    return np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(
-        scale, scale
-    )
+    units = np.outer(scale, scale)
+    return np.linalg.pinv(matrix * units, rcond=1e-14, hermitian=True) * units
 
 
 def _robust_noise(residual: Array) -> float:
-    """The median distance of a two-dimensional normal distribution is 1.177 standard deviations."""
-    return max(float(np.median(np.hypot(*residual.T))) / 1.1774, 1e-12)
+    """Standard deviation along each axis of residuals (n, 2), from their median length."""
+    return max(float(np.median(np.hypot(*residual.T))) / _MEDIAN_LENGTH, 1e-12)
 
 
 def _cluster_factor(
     residual: Array, weight: Array, noise: float, observations: Observations
 ) -> float:
-    """How much more the mean residuals of the corners scatter than those of independent
-    observations would.
-    """
+    """Variance of the mean residual of each corner over that of independent observations."""
     o = observations
     _, group = np.unique(o.pose * (o.corner.max(initial=0) + 1) + o.corner, return_inverse=True)
     total = np.bincount(group, weight / o.error**2)
     kept = total > 0
-    sums = np.stack(
-        [np.bincount(group, weight / o.error * residual[:, k])[kept] for k in (0, 1)], axis=1
-    )
-    # Poses take up six of the means of a board.
+    pulls = residual * (weight / o.error)[:, None]
+    sums = np.stack([np.bincount(group, pull)[kept] for pull in pulls.T], axis=1)
+    # A pose fits six of the means of a board.
     freedom = max(2 * kept.sum() - 6 * len(np.unique(o.pose)), 1)
     return max(1.0, float((sums**2 / total[kept, None]).sum() / freedom / noise**2))
 
@@ -395,16 +372,15 @@ def _cluster_factor(
 def select_order(
     start: Adjusted, pixel: float, board: Array, observations: Observations
 ) -> Adjusted:
-    """Add groups of parameters to an adjusted camera as long as the likelihood gains more than
-    noise would.
+    """Add groups of parameters to an adjusted camera as long as they explain more than noise.
 
-    Each group's gain is that of one Gauss-Newton step on the normal equations of all parameters
-    (Rao's score test). Those that pass the Bayesian information criterion, with one independent
-    observation for each corner, may join. The two best ones are fitted, as one step can mistake a
-    tilt for a tangential distortion; the better fit stays.
+    The gain of a group is that of one Gauss-Newton step on the normal equations of all parameters
+    (Rao's score test). A group is a candidate if it passes the Bayesian information criterion, with
+    one independent observation for each corner. The two best candidates are fitted, because one
+    step can mistake a tilt for a tangential distortion, and the better fit is kept.
     """
     found = start
-    corners = len(np.unique(np.stack([observations.pose, observations.corner]), axis=1).T)
+    corners = np.unique([observations.pose, observations.corner], axis=1).shape[1]
     while True:
         gains = {
             group: _gain(found, group) / len(group)
@@ -412,16 +388,9 @@ def select_order(
             if group[0] not in found.free and set(before) <= set(found.free)
         }
         passed = [group for group in gains if gains[group] > math.log(2 * corners)]
+        known = (found.camera, pixel, found.poses, board, observations)
         tried = [
-            adjust(
-                found.camera,
-                pixel,
-                found.poses,
-                board,
-                observations,
-                (*found.free, *group),
-                found.shape,
-            )
+            adjust(*known, (*found.free, *group), found.shape)
             for group in sorted(passed, key=lambda group: -gains[group])[:2]
         ]
         best = min(tried, key=lambda one: one.noise, default=found)
@@ -431,11 +400,11 @@ def select_order(
 
 
 def _gain(found: Adjusted, group: tuple[str, ...]) -> float:
-    """Expected fall of -2 log likelihood if `group` is fitted too."""
+    """Expected decrease of -2 log likelihood if `group` is fitted too."""
     normal, right = gather(found.normal, found.right)
     count = len(found.normal)
     new = np.setdiff1d(unknowns(group, count), unknowns((), count))
-    # What the fitted parameters cannot take up.
+    # The part that the fitted parameters cannot explain.
     left, pull = eliminate(normal, right, new, unknowns(found.free, count))
     scale = 1 / np.sqrt(np.maximum(np.diag(normal)[new], 1e-300))
     left = left * np.outer(scale, scale)

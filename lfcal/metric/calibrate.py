@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,8 +43,21 @@ from .uncertainty import (
 __all__ = ["DEFAULT_PIXEL", "calibrate_metric", "locate_board"]
 
 
-#: Side of a pixel [mm] where none is given; distances do not depend on it.
+#: Side of a pixel [mm] if none is given; distances do not depend on it.
 DEFAULT_PIXEL = 0.0055
+# Fewest flats with the board.
+_LEAST_FLATS = 3
+# Share of outliers above which a flat does not belong to the camera.
+_MOST_OUTLIERS = 0.4
+# Residuals over the noise of the pixels above which the model is doubted.
+_MOST_NOISE = 6
+# Poses are alike if their tilts differ by less than this [degrees], and their distances by less than
+# this factor.
+_SAME_TILT = 4
+_SAME_DISTANCE = 1.05
+# Fewest corners that a flat must show in single microimages.
+_LEAST_CORNERS = 6
+_MOST_THREADS = 8
 
 
 def calibrate_metric(
@@ -58,41 +70,40 @@ def calibrate_metric(
     names: Sequence[str] | None = None,
     progress: Progress = None,
 ) -> MetricCalibration:
-    """Measure main lens, distances, distortion and tilt of a camera on flats of a board in several
-    poses.
+    """Measure main lens, distances, distortion and tilt of a camera on flats of a board.
 
     Parameters
     ----------
     flats : sequence of (h, w) or (h, w, 3) array_like
-        Raw flats of one camera, three or more; a dozen, with the board tilted by 20 to 40 degrees
-        in different directions, at distances that differ by a factor of two or more and in all
-        parts of the field.
+        Raw flats of one camera, three or more. A dozen is good, with the board tilted by 20 to 40
+        degrees in different directions, at distances that differ by a factor of two or more and in
+        all parts of the field.
     calibration : Calibration
-        Of the array of this camera, as `calibrate` makes it from a white image.
+        The array of this camera, as `calibrate` measures it on a white image.
     board : Board or (int, int)
-        Or the inner corners across and down of a checkerboard.
+        The board, or the inner corners across and down of a checkerboard.
     square : float [mm], optional
-        Side of its squares, where `board` is no Board.
+        Side of the squares; needed if `board` is a pair of numbers.
     pixel : float [mm], optional
         Side of a pixel of the sensor. F, L and b scale with it; distances do not depend on it. By
         default that of `calibration.optics`, or 0.0055 with a warning.
     names : sequence of str, optional
-        Of the flats, for messages and poses.
+        Names of the flats, for messages and poses.
     progress : bool or callable, optional
         True shows a bar; a function is called with the numbers of searched and of all flats.
 
     Returns
     -------
     MetricCalibration
-        With `calibration.optics`, its covariance, and the poses of the boards with theirs.
+        The camera with its optics, the poses of the boards, and the covariance of both.
 
     Raises
     ------
     FlatError
-        If a flat is not of the size the camera is for.
+        If a flat has another size than those of the camera.
     BoardError
-        If the board is found on fewer than three flats, if more flats show one of other corners, if
-        all poses are alike, or if the flats come from different cameras.
+        If the board is found on fewer than three flats, if more flats show a board of another size,
+        if all poses are alike, or if the flats come from different cameras.
 
     Examples
     --------
@@ -117,11 +128,11 @@ def calibrate_metric(
     names = list(names) if names is not None else [f"flat {m + 1}" for m in range(len(flats))]
     if len(names) != len(flats):
         raise ValueError(f"names must be one for each of {len(flats)} flats, got {len(names)}")
-    if len(flats) < 3:
+    if len(flats) < _LEAST_FLATS:
         raise BoardError(f"{len(flats)} flats of the board; give 3 or more, a dozen is good")
     warnings = []
-    if pixel is None:
-        pixel = calibration.optics.pixel if calibration.optics is not None else None
+    if pixel is None and calibration.optics is not None:
+        pixel = calibration.optics.pixel
     if pixel is None:
         pixel = DEFAULT_PIXEL
         warnings.append(
@@ -133,39 +144,32 @@ def calibrate_metric(
         found, missing = _prepare_all(flats, names, calibration, board, step)
     warnings += [f"{flat.name}: {flat.reason}; left out" for flat in missing]
     fitted, observations = _fit(found, calibration, board, pixel)
-    return _result(
-        fitted, pixel, calibration, board, found, observations, (*warnings, *_doubts(fitted, board))
-    )
+    warnings += _doubts(fitted, board)
+    return _result(fitted, pixel, calibration, board, found, observations, tuple(warnings))
 
 
 def _fit(
     found: list[BoardFlat], calibration: Calibration, board: Board, pixel: float
 ) -> tuple[Adjusted, Observations]:
-    """Camera and poses, with as many parameters as the data ask for, and the corners that they are
-    fitted to.
-    """
+    """Camera and poses with the parameters that the data require, and the corners of the fit."""
     points = board.points - board.middle
     camera, poses = _first([flat.detected for flat in found if flat.detected], calibration, board)
-    # Where a first camera expects the corners, then from where the fitted one shows them.
+    # The first camera predicts the corners, then the fitted camera predicts them better.
     for _ in range(2):
         observations = measure(found, calibration, board, camera, pixel, poses)
         _check_seen(observations, found)
         fitted = adjust(camera, pixel, poses, points, observations, BASE)
         camera = fitted.camera
         poses = fitted.poses
-    # Blur and light differ by pose, and so does how far corners lie from the model.
+    # Blur and light differ from pose to pose, and so does the scatter of the corners.
+    pose = observations.pose
     square = (fitted.residual**2).sum(1) / observations.error**2 * fitted.weight
-    noise = np.sqrt(
-        np.bincount(observations.pose, square) / (2 * np.bincount(observations.pose, fitted.weight))
-    )
-    observations = replace(observations, error=observations.error * noise[observations.pose])
+    noise = np.sqrt(np.bincount(pose, square) / (2 * np.bincount(pose, fitted.weight)))
+    observations = replace(observations, error=observations.error * noise[pose])
     fitted = adjust(camera, pixel, poses, points, observations, BASE)
     fitted = select_order(fitted, pixel, points, observations)
-    lost = [
-        flat.name
-        for m, flat in enumerate(found)
-        if (fitted.weight[observations.pose == m] == 0).mean() > 0.4
-    ]
+    outliers = 1 - np.bincount(pose, fitted.weight) / np.bincount(pose)
+    lost = [found[m].name for m in np.flatnonzero(outliers > _MOST_OUTLIERS)]
     if lost:
         raise BoardError(
             f"{', '.join(lost)}: the board does not fit the camera of the other flats; were focus, zoom or camera "
@@ -177,17 +181,17 @@ def _fit(
 def _doubts(fitted: Adjusted, board: Board) -> list[str]:
     """Warnings about a fitted camera."""
     warnings = []
-    if fitted.noise > 6:  # of the noise of the pixels
+    if fitted.noise > _MOST_NOISE:
         warnings.append(
-            f"corners lie {fitted.noise:.0f} times as far from the model as their noise explains; is the board flat, "
-            "are squares and pixel right, was nothing moved?"
+            f"corners lie {fitted.noise:.0f} times as far from the model as their noise explains; "
+            "is the board flat, are squares and pixel right, was nothing moved?"
         )
     if fitted.shape.any():
         off = fitted.board - board.points + board.middle
         warnings.append(
             f"the board is not flat and square (bent by {np.ptp(off[:, 2]):.2g} mm, points "
-            f"{np.hypot(*off[:, :2].T).max():.2g} mm aside), which is reckoned with; one on glass or "
-            "aluminium measures better"
+            f"{np.hypot(*off[:, :2].T).max():.2g} mm aside), which is reckoned with; one on glass "
+            "or aluminium measures better"
         )
     return warnings
 
@@ -195,14 +199,14 @@ def _doubts(fitted: Adjusted, board: Board) -> list[str]:
 def locate_board(
     flat: ArrayLike, calibration: Calibration, board: Board, *, name: str = "flat"
 ) -> BoardPose:
-    """Where a board stands before a camera that `calibrate_metric` has measured.
+    """Pose of a board in front of a camera that `calibrate_metric` has measured.
 
-    Its covariance holds the noise of the corners and the errors of the camera.
+    Its covariance contains the noise of the corners and the errors of the camera.
 
     Raises
     ------
     FlatError
-        If the flat is not of the size the camera is for.
+        If the flat has another size than those of the camera.
     BoardError
         If the board is not found, or the camera has no optics.
 
@@ -226,9 +230,8 @@ def locate_board(
     points = board.points - board.middle
     detected = prepared.detected
     tried = []
-    for turn, shift in planar_poses(
-        detected.scene, points[detected.corner], camera[0], camera[3:5]
-    ):
+    corners = points[detected.corner]
+    for turn, shift in planar_poses(detected.scene, corners, camera[0], camera[3:5]):
         pose = Poses(turn[None], shift[None])
         for _ in range(2):
             observations = measure([prepared], calibration, board, camera, optics.pixel, pose)
@@ -239,15 +242,14 @@ def locate_board(
     if not tried:
         raise BoardError(f"{name}: the board shows no pose; move it or tilt it less")
     _, found, observations = min(tried, key=lambda one: one[0])
-    covariance = found.covariance + rim_covariance(
-        found, optics.pixel, observations, calibration.lattice.radius
-    )
+    shared = rim_covariance(found, optics.pixel, observations, calibration.lattice.radius)
+    covariance = found.covariance + shared
     if optics.covariance is not None:
-        # What comes from the errors of the camera.
+        # Errors of the camera move the pose.
         normal = found.normal[0]
-        own = len(INTERNAL)
-        by_optics = inverse(normal[np.ix_(POSE, POSE)]) @ normal[POSE, :own] @ change
-        covariance[np.ix_(POSE, POSE)] += by_optics @ optics.covariance @ by_optics.T
+        own = np.ix_(POSE, POSE)
+        by_optics = inverse(normal[own]) @ normal[POSE, : len(INTERNAL)] @ change
+        covariance[own] += by_optics @ optics.covariance @ by_optics.T
     return pose_of(replace(found, covariance=covariance), 0, board, observations, name)
 
 
@@ -269,30 +271,33 @@ def _prepare_all(
     board: Board,
     step: Step,
 ) -> tuple[list[BoardFlat], list[BoardFlat]]:
-    """Flats with the board, and those without."""
+    """Flats on which the board was found, and flats on which it was not."""
     checked = [_checked(flat, name, calibration) for flat, name in zip(flats, names, strict=True)]
-    work = partial(
-        prepare, calibration=calibration, board=board, sweep=FocusSweep(calibration.lattice)
-    )
-    with ThreadPoolExecutor(max(1, min(len(checked), os.cpu_count() or 1, 8))) as pool:
-        jobs = [pool.submit(work, *each) for each in zip(checked, names, strict=True)]
+    sweep = FocusSweep(calibration.lattice)
+    with ThreadPoolExecutor(max(1, min(len(checked), os.cpu_count() or 1, _MOST_THREADS))) as pool:
+        jobs = [
+            pool.submit(prepare, flat, name, calibration=calibration, board=board, sweep=sweep)
+            for flat, name in zip(checked, names, strict=True)
+        ]
         for done, _ in enumerate(as_completed(jobs), 1):
             step(done, len(jobs))
     prepared = [job.result() for job in jobs]
-    found, missing = ([f for f in prepared if (f.reason == "") == good] for good in (True, False))
-    others = Counter(f.other for f in prepared if f.other)
-    size, number = others.most_common(1)[0] if others else ("", 0)
-    # Few flats of something else may show a small board by chance.
-    if number > sum(not f.other for f in found) and 2 * number >= len(prepared):
+    found = [flat for flat in prepared if not flat.reason]
+    missing = [flat for flat in prepared if flat.reason]
+    others = Counter(flat.other for flat in prepared if flat.other)
+    size, number = max(others.items(), key=lambda one: one[1], default=("", 0))
+    # A few flats of another scene may show a small board by chance.
+    if number > sum(not flat.other for flat in found) and 2 * number >= len(prepared):
         raise BoardError(
-            f"{number} of {len(prepared)} flats show a checkerboard of {size} corners, not of {board.columns} x "
-            f"{board.rows}: give the number of its inner corners"
+            f"{number} of {len(prepared)} flats show a checkerboard of {size} corners, not of "
+            f"{board.columns} x {board.rows}: give the number of its inner corners"
         )
-    if len(found) < 3:
+    if len(found) < _LEAST_FLATS:
         reasons = "; ".join(f"{flat.name}: {flat.reason}" for flat in missing)
         raise BoardError(
-            f"the {board} was found on {len(found)} of {len(prepared)} flats, 3 are needed ({reasons}); show all of "
-            "the board, well lit and in focus, and check the number of its inner corners"
+            f"the {board} was found on {len(found)} of {len(prepared)} flats, 3 are needed "
+            f"({reasons}); show all of the board, well lit and in focus, and check the number of "
+            "its inner corners"
         )
     return found, missing
 
@@ -300,31 +305,35 @@ def _prepare_all(
 def _first(
     boards: list[DetectedBoard], calibration: Calibration, board: Board
 ) -> tuple[Array, Poses]:
+    """Camera and poses to start from."""
     start = first_camera(boards, board.points - board.middle, calibration.image_size)
     if start is None:
         raise BoardError(
-            "no camera explains the boards; check the number of squares, and that all flats are of this camera"
+            "no camera explains the boards; check the number of squares, and that all flats are of "
+            "this camera"
         )
-    turns = start[1].rotation
-    shifts = start[1].translation
-    normals = turns[:, :, 2]
-    angles = np.rad2deg(np.arccos(np.clip(normals @ normals.T, -1, 1)))
-    if angles.max() < 4 and shifts[:, 2].max() < 1.05 * shifts[:, 2].min():
+    normals = start[1].rotation[:, :, 2]
+    angle = np.rad2deg(np.arccos(np.clip(normals @ normals.T, -1, 1))).max()
+    distances = start[1].translation[:, 2]
+    factor = distances.max() / distances.min()
+    if angle < _SAME_TILT and factor < _SAME_DISTANCE:
         raise BoardError(
-            f"all {len(boards)} poses of the board are alike (within {angles.max():.1f} degrees and "
-            f"{100 * (shifts[:, 2].max() / shifts[:, 2].min() - 1):.0f} % of the distance), which tells nothing about "
-            "the lenses; tilt it by 20 to 40 degrees in different directions, and vary its distance"
+            f"all {len(boards)} poses of the board are alike (within {angle:.1f} degrees and "
+            f"{100 * (factor - 1):.0f} % of the distance), which tells nothing about the lenses; "
+            "tilt it by 20 to 40 degrees in different directions, and vary its distance"
         )
     return start
 
 
 def _check_seen(observations: Observations, flats: Sequence[BoardFlat]) -> None:
-    seen = [len(np.unique(observations.corner[observations.pose == m])) for m in range(len(flats))]
-    blind = [flat.name for flat, count in zip(flats, seen, strict=True) if count < 6]
+    """Raise BoardError with the names of flats whose microimages show too few corners."""
+    seen = np.unique([observations.pose, observations.corner], axis=1)[0]
+    counts = np.bincount(seen, minlength=len(flats))
+    blind = [flats[m].name for m in np.flatnonzero(counts < _LEAST_CORNERS).tolist()]
     if blind:
         raise BoardError(
-            f"{', '.join(blind)}: no corners are seen in single microimages; they are blurred there, or squares are "
-            "wider than microimages: use a board of smaller squares, or move it"
+            f"{', '.join(blind)}: no corners are seen in single microimages; they are blurred there, "
+            "or squares are wider than microimages: use a board of smaller squares, or move it"
         )
 
 
@@ -362,11 +371,11 @@ def _result(
 
 
 def _microlenses(optics: Optics, calibration: Calibration) -> tuple[float, ...]:
-    """Focal length [mm] of each lens type, from the `s / D` it is focused at, where that is known."""
+    """Focal length [mm] of each lens type, if it is known at which `s / D` each is in focus."""
     types = calibration.lens_types
     if types is None or types.focus is None or not np.isfinite(types.focus).all():
         return ()
     far = optics.mla_distance
     near = optics.sensor_distance
     image = types.focus * (1 + near / far) / near + 1 / far
-    return tuple(float(1 / v) for v in image + 1 / near)
+    return tuple((1 / (image + 1 / near)).tolist())

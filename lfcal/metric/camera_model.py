@@ -1,30 +1,30 @@
-"""Where a microimage shows a point in space: main lens, tilted array, sensor; and the shape of
-boards.
+"""Projection of a point in space into a microimage, and the shape of boards.
 
 A thin main lens images a point at depth `Z` and slope `g = (x, y) / Z` to the distance `v` and
 slope `t` behind it,
 
-    1/v = (1 + curvature |t|^2) / F - 1 / (Z + pupil),      g = distort(t)   (radial and tangential,
-    image to object)
+    1/v = (1 + curvature |t|^2) / F - 1 / (Z + pupil),      g = distort(t),
 
 in a frame that is turned by 180 degrees about the axis, so that pictures are upright. `distort` is
-linearised about the chief ray of the microlens: over one microimage it is that straight to 0.05 px.
-A microlens with centre `m` on the array projects the image point onto the sensor behind it: a
-pinhole. Without tilt that is the formula of docs/geometry.md, `p = c - (X - c) s / D` with `D / s =
-slope_at_infinity + slope_per_depth / Z`. Model of the array after Nousias, Chadebecq, Pichat,
-Keane, Ourselin, Bergeles 2017 (corners in microimages) and Labussiere, Teuliere, Bernardin,
-Ait-Aider 2022 (tilted array).
+radial and tangential, and leads from the image to the object. It is linearised about the chief ray
+of the microlens, which is right to 0.05 px over a microimage. A microlens is a pinhole: it projects
+the image point onto the sensor behind it. Without tilt this is the formula of docs/geometry.md,
+`p = c - (X - c) s / D` with `D / s = at_infinity + per_depth / Z`. The model of the array follows
+Nousias, Chadebecq, Pichat, Keane, Ourselin, Bergeles 2017 (corners in microimages) and Labussiere,
+Teuliere, Bernardin, Ait-Aider 2022 (tilted array).
 
-Boards may be bent by a quadratic surface, and stretched along one diagonal or axis against the
-other, which does not change their size. A bend of a twohundredth of the width looks like a focal
-length that is several per cent off (deformable calibration targets: Strobl and Hirzinger 2011).
+A board may be bent to a quadratic surface, and stretched along one axis or diagonal at constant
+area. A bend of 1/200 of the width changes the focal length by several per cent (deformable
+calibration targets: Strobl and Hirzinger 2011).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from ..camera.optics import object_slopes, turn_to_array
+from ..camera.optics import OPTICS_PARAMETERS, object_slopes, turn_to_array
 from ..runtime.arrays import Array
 
 __all__ = [
@@ -38,46 +38,34 @@ __all__ = [
 ]
 
 
-# Order of the parameters that are fitted. The first three take the place of F, L and b, which a fit
-# hardly tells apart: f = (L + b) / pixel, and D / s = at_infinity + per_depth / Z.
-INTERNAL = (
-    "focal_px",
-    "at_infinity",
-    "per_depth",
-    "principal_x",
-    "principal_y",
-    "k1",
-    "k2",
-    "k3",
-    "p1",
-    "p2",
-    "tilt_x",
-    "tilt_y",
-    "curvature",
-    "pupil",
-)
-#: Displacements [mm] at the ends of the longer side of a board, of points at `x, y` of -1..1: away
-#: from the camera by `x^2, x y, y^2`; in the plane by `(x, -y)` and `(y, x)`.
+#: Order of the parameters that are fitted. The first three replace F, L and b, which a fit can
+#: hardly separate: focal_px = (L + b) / pixel, and D / s = at_infinity + per_depth / Z.
+INTERNAL = ("focal_px", "at_infinity", "per_depth", *OPTICS_PARAMETERS[3:])
+#: Displacements [mm] of the points of a board at `x, y` of -1..1, from its middle to the ends of its
+#: longer side: away from the camera by `x^2, x y, y^2`; in its plane by `(x, -y)` and `(y, x)`.
 SHAPE = ("bend_xx", "bend_xy", "bend_yy", "stretch", "shear")
 
 
 def to_internal(lengths: Array, pixel: float) -> tuple[Array, Array]:
     """`focal_px, at_infinity, per_depth` of `F, L, b` [mm], and their (3, 3) derivatives."""
-    focal, mla, sensor = lengths
-    ratio = (mla + sensor) / sensor
-    values = np.array([(mla + sensor) / pixel, ratio * (mla / focal - 1), -ratio * mla])
-    by_mla = 1 / sensor  # of the ratio
-    by_sensor = -mla / sensor**2
-    rows = [
-        [0.0, 1 / pixel, 1 / pixel],
-        [
-            -ratio * mla / focal**2,
-            by_mla * (mla / focal - 1) + ratio / focal,
-            by_sensor * (mla / focal - 1),
-        ],
-        [0.0, -by_mla * mla - ratio, -by_sensor * mla],
-    ]
-    return values, np.array(rows)
+
+    def values(lengths: Array) -> Array:
+        focal, mla, sensor = lengths
+        ratio = (mla + sensor) / sensor
+        return np.array([(mla + sensor) / pixel, ratio * (mla / focal - 1), -ratio * mla])
+
+    return values(lengths), _derivatives(values, lengths)
+
+
+def _derivatives(function: Callable[[Array], Array], at: Array) -> Array:
+    """(..., k) derivatives of a function by each of its arguments `at` (..., k).
+
+    They are exact to rounding: the function is evaluated with a tiny imaginary step (complex-step
+    derivatives, Squire and Trapp 1998).
+    """
+    step = 1e-20
+    values = [function(at + 1j * step * unit).imag / step for unit in np.eye(at.shape[-1])]
+    return np.stack(values, axis=-1)
 
 
 def from_internal(values: Array, pixel: float) -> Array:
@@ -89,10 +77,10 @@ def from_internal(values: Array, pixel: float) -> Array:
 
 
 def project(camera: Array, pixel: float, points: Array, centres: Array) -> Array:
-    """Where the microimages with centres (n, 2) [px] show points (n, 3) [mm], one each: (n, 2)
-    [px].
+    """(n, 2) [px] positions at which microimages with centres (n, 2) [px] show points (n, 3) [mm].
 
-    `camera` (14,) are the parameters `INTERNAL`. Analytic, so that arguments may be complex.
+    `camera` (14,) are the parameters `INTERNAL`. The function is analytic, so that arguments may be
+    complex.
     """
     focal, mla, sensor = from_internal(camera[:3], pixel)
     principal = camera[3:5]
@@ -100,11 +88,10 @@ def project(camera: Array, pixel: float, points: Array, centres: Array) -> Array
     tilt = camera[10:12]
     curvature = camera[12]
     pupil = camera[13]
-    slope = _image_slopes(
-        points[:, :2] / points[:, 2:], (centres - principal) / camera[0], coefficients
-    )
-    # The image point behind the main lens, and in the frame of the array: `near` before it, beside
-    # its axis.
+    chief = (centres - principal) / camera[0]
+    slope = _image_slopes(points[:, :2] / points[:, 2:], chief, coefficients)
+    # Distance of the image point behind the main lens, then its place in the frame of the array,
+    # `near` [mm] in front of it.
     behind = 1 / ((1 + curvature * (slope**2).sum(1)) / focal - 1 / (points[:, 2] + pupil))
     turn = turn_to_array(tilt)
     local = np.column_stack([slope * behind[:, None], behind - mla]) @ turn.T
@@ -118,35 +105,26 @@ def project(camera: Array, pixel: float, points: Array, centres: Array) -> Array
 def project_derivatives(
     camera: Array, pixel: float, points: Array, centres: Array
 ) -> tuple[Array, Array]:
-    """Derivatives of `project` by the camera (n, 2, 14) and by the point (n, 2, 3) [px/mm].
-
-    Exact to rounding: the model is evaluated with a tiny imaginary step (complex-step derivatives,
-    Squire and Trapp 1998).
-    """
-    step = 1e-20j
-    by_camera = [project(camera + step * k, pixel, points, centres) for k in np.eye(len(INTERNAL))]
-    by_point = [project(camera, pixel, points + step * k, centres) for k in np.eye(3)]
-    scale = 1 / step.imag
-    return np.stack(by_camera, axis=2).imag * scale, np.stack(by_point, axis=2).imag * scale
+    """Derivatives of `project` by the camera (n, 2, 14) and by the point (n, 2, 3) [px/mm]."""
+    return (
+        _derivatives(lambda camera: project(camera, pixel, points, centres), camera),
+        _derivatives(lambda points: project(camera, pixel, points, centres), points),
+    )
 
 
 def shape_derivatives(board: Array) -> Array:
     """(k, 3, 5) displacements of the points (k, 3) [mm] of a board, about its middle, by `SHAPE`."""
     x, y = board[:, :2].T / max(float(np.abs(board[:, :2]).max()), 1e-12)
     zero = np.zeros_like(x)
-    columns = [
-        [zero, zero, x * x],
-        [zero, zero, x * y],
-        [zero, zero, y * y],
-        [x, -y, zero],
-        [y, x, zero],
-    ]
-    return np.stack([np.stack(column, axis=1) for column in columns], axis=2)
+    across = [zero, zero, zero, x, y]
+    down = [zero, zero, zero, -y, x]
+    away = [x * x, x * y, y * y, zero, zero]
+    return np.moveaxis(np.array([across, down, away]), 2, 0)
 
 
 def _image_slopes(seen: Array, start: Array, coefficients: Array) -> Array:
-    """Image slopes (n, 2) of object slopes (n, 2), by the distortion linearised at the image slopes
-    `start` (n, 2).
+    """Image slopes (n, 2) of object slopes (n, 2), with the distortion linearised at the image
+    slopes `start` (n, 2).
     """
     k1, k2, k3, p1, p2 = coefficients
     x, y = start.T

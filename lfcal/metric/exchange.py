@@ -1,9 +1,9 @@
-"""Optics and poses for other programs: libpleno's `.js`, OpenCV's pinhole of the all-in-focus
-picture.
+"""Optics and poses for other programs: `.js` of libpleno, and a pinhole camera of OpenCV.
 
-libpleno (github.com/comsee-research/libpleno) is the library behind the toolbox COMPOTE (Labussiere
-et al. 2022). The equivalent pinhole has `K` and the five coefficients of OpenCV, fitted over the
-field of the flat, as OpenCV distorts in the other direction.
+libpleno (github.com/comsee-research/libpleno) is the library of the toolbox COMPOTE (Labussiere et
+al. 2022). The pinhole camera is equivalent for all-in-focus pictures. It has `K` and the five
+coefficients of OpenCV, which are fitted over the field of the flat because OpenCV distorts in the
+other direction.
 """
 
 from __future__ import annotations
@@ -27,21 +27,24 @@ from .result import MetricCalibration
 
 __all__ = ["Pinhole", "equivalent_pinhole", "read_libpleno", "write_libpleno", "write_pinhole"]
 
+# Points across and down a flat to which the distortion of the pinhole is fitted.
+_GRID = (25, 19)
+
 
 class Pinhole(NamedTuple):
     """OpenCV's model of a camera."""
 
-    matrix: Array  # (3, 3) [px] `K`, of the pixels of the picture
+    matrix: Array  # (3, 3) [px] `K`
     distortion: Array  # (5,) `k1, k2, p1, p2, k3`
     size: tuple[int, int]  # [px] width and height of the picture
     error: float  # [px] largest difference from the optics over the field
 
 
 def equivalent_pinhole(calibration: Calibration) -> Pinhole:
-    """The pinhole that an all-in-focus picture is taken by, in pixels of the flat.
+    """The pinhole camera of all-in-focus pictures, in pixels of the flat.
 
-    Its centre is that of the entrance pupil of the main lens. CameraFileError if the camera has no
-    optics.
+    The pinhole is the centre of the entrance pupil of the main lens. CameraFileError if the camera
+    has no optics.
     """
     from scipy.optimize import least_squares
 
@@ -52,41 +55,36 @@ def equivalent_pinhole(calibration: Calibration) -> Pinhole:
         )
     width, height = calibration.image_size
     focal = (optics.mla_distance + optics.sensor_distance) / optics.pixel
-    pixels = np.stack(
-        np.meshgrid(np.linspace(0, width - 1, 25), np.linspace(0, height - 1, 19)), -1
-    ).reshape(-1, 2)
+    across, down = _GRID
+    x, y = np.meshgrid(np.linspace(0, width - 1, across), np.linspace(0, height - 1, down))
+    pixels = np.column_stack([x.ravel(), y.ravel()])
     bent = (*optics.radial, *optics.tangential)
-    points = np.column_stack(
-        [object_slopes((pixels - optics.principal_point) / focal, bent), np.ones(len(pixels))]
-    )
+    slopes = object_slopes((pixels - optics.principal_point) / focal, bent)
+    points = np.column_stack([slopes, np.ones(len(slopes))])
 
     def matrix(p: Array) -> Array:
         return np.array([[p[0], 0, p[1]], [0, p[0], p[2]], [0, 0, 1.0]])
 
     def off(p: Array) -> Array:
-        seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix(p), p[3:])[0].reshape(
-            -1, 2
-        )
-        return (seen - pixels).ravel()
+        seen, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix(p), p[3:])
+        return seen.ravel() - pixels.ravel()
 
-    start = np.array([focal, *optics.principal_point, 0, 0, 0, 0, 0])
-    found = (
-        least_squares(off, start, x_scale=[focal, 1, 1, 1, 1, 1e-3, 1e-3, 1]).x
-        if any(bent)
-        else start
-    )
+    found = np.array([focal, *optics.principal_point, 0, 0, 0, 0, 0])
+    if any(bent):
+        # Tangential coefficients are a thousandth of the radial ones.
+        found = least_squares(off, found, x_scale=[focal, 1, 1, 1, 1, 1e-3, 1e-3, 1]).x
     error = float(np.hypot(*off(found).reshape(-1, 2).T).max())
     return Pinhole(matrix(found), found[3:], (width, height), error)
 
 
 def write_pinhole(path: str | os.PathLike[str], calibration: Calibration) -> None:
-    """Write `equivalent_pinhole` as `.yml`, `.xml` or `.json` as `cv2.FileStorage` reads it."""
+    """Write `equivalent_pinhole` as `.yml`, `.xml` or `.json`, which `cv2.FileStorage` reads."""
     pinhole = equivalent_pinhole(calibration)
     suffix = Path(path).suffix.lower()
     known = (".yml", ".yaml", ".xml", ".json")
     if suffix not in known:
         raise CameraFileError(f"{path}: unknown format of a pinhole camera; use {', '.join(known)}")
-    # Written in memory: the writer goes by the ending, which a temporary name does not have.
+    # OpenCV would write into the final file; the text is written to a temporary file instead.
     storage = cv2.FileStorage(f"camera{suffix}", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     width, height = pinhole.size
     figures: dict[str, Any] = {
@@ -103,13 +101,12 @@ def write_pinhole(path: str | os.PathLike[str], calibration: Calibration) -> Non
 
 
 def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> None:
-    """Write the camera as an `intrinsics.js` of libpleno, and the poses beside it as
-    `NAME-poses.js`.
+    """Write the camera as an `intrinsics.js` of libpleno, and the poses as `NAME-poses.js` beside it.
 
-    Numbers are strings there, as libpleno writes them. Its poses are those of the camera in the
-    frame of the board; its distortion leads from the ideal image point [mm] to the real one,
-    `distortions_inverse` back. The grid of the microimages (`mia`) is left to its own
-    precalibration.
+    Numbers are written as strings, as libpleno does. Poses are those of the camera in the frame of
+    the board. `distortions` leads from the ideal image point [mm] to the real one, and
+    `distortions_inverse` back. The grid of the microimages (`mia`) is not written: libpleno
+    calibrates it itself.
     """
     calibration = result.calibration
     optics = result.optics
@@ -121,17 +118,14 @@ def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> N
     assert principal is not None
     width, height = calibration.image_size
     pitch = calibration.lattice.pitch * pixel / (1 + near / far)
-    # Axes of the array; turning both frames upside down leaves a rotation as it is.
+    # A rotation stays the same if both frames are turned upside down.
     axes = turn_to_array(optics.tilt).T
     start = [-(size - 1 - at) * pixel for size, at in zip((width, height), principal, strict=True)]
     types = calibration.lens_types
-    # Focused on images in front of them; where nothing is known, behind them.
-    focus = (
-        types.focus[np.isfinite(types.focus)]
-        if types is not None and types.focus is not None
-        else np.zeros(0)
-    )
-    front = len(focus) > 0 and float(np.median(focus)) >= 0
+    # Mode 1: microlenses focus images in front of them; mode 2, also if unknown: behind them.
+    front = False
+    if types is not None and types.focus is not None and np.isfinite(types.focus).any():
+        front = float(np.nanmedian(types.focus)) >= 0
     data = {
         "D": far,
         "d": near,
@@ -165,33 +159,26 @@ def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> N
 
 
 def read_libpleno(path: str | os.PathLike[str]) -> Optics:
-    """The optics in an `intrinsics.js` of libpleno; CameraFileError if it cannot be read, or a
-    number is missing.
-    """
+    """The optics in an `intrinsics.js` of libpleno; CameraFileError if it is not readable."""
 
     def row(values: Any) -> list[float]:
-        """The numbers of a vector, which libpleno writes as the row of a matrix."""
-        return [float(v) for v in (values[0] if values and isinstance(values[0], list) else values)]
+        """The numbers of a vector, which libpleno writes as a matrix of one row."""
+        return [float(v) for v in np.ravel(values)]
 
     try:
         data = json.loads(read_text(path))
-        lengths = (
+        far = float(data["D"])
+        bent = data.get("distortions_inverse", {})
+        k1, k2, k3 = row(bent.get("radial", (0, 0, 0)))
+        along, across = (-p * far for p in row(bent.get("tangential", (0, 0))))
+        x, y, *_ = row(data["pp"]) if "pp" in data else (None, None)
+        return Optics(
             float(data["main_lens"]["f"]),
-            float(data["D"]),
+            far,
             float(data["d"]),
             float(data["sensor"]["scale"]),
-        )
-        far = lengths[1]
-        bent = data.get("distortions_inverse", {})
-        k1, k2, k3 = (
-            k * far ** (2 * n + 2) for n, k in enumerate(row(bent.get("radial", (0, 0, 0))))
-        )
-        along, across = (-p * far for p in row(bent.get("tangential", (0, 0))))
-        principal = row(data["pp"]) if "pp" in data else None
-        return Optics(
-            *lengths,
-            principal_point=None if principal is None else (principal[0], principal[1]),
-            radial=(k1, k2, k3),
+            principal_point=None if x is None or y is None else (x, y),
+            radial=(k1 * far**2, k2 * far**4, k3 * far**6),
             tangential=(across, along),
             microlens_focal_lengths=tuple(row(data.get("mla", {}).get("focal_lengths", ()))),
         )
@@ -199,13 +186,15 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
         raise CameraFileError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
         raise CameraFileError(
-            f"{path}: not the intrinsics of libpleno ({type(error).__name__}: {error}); give its intrinsics.js"
+            f"{path}: not the intrinsics of libpleno ({type(error).__name__}: {error}); give its "
+            "intrinsics.js"
         ) from error
 
 
 def _distortion_mm(coefficients: Array, far: float) -> dict[str, Any]:
-    """`k1, k2, k3, p1, p2` of slopes as those of lengths [mm] in the image plane, in a frame turned
-    by 180 degrees.
+    """Coefficients `k1, k2, k3, p1, p2` for lengths [mm] in an image plane at a distance `far` [mm].
+
+    The frame is turned by 180 degrees.
     """
     k1, k2, k3, p1, p2 = coefficients
     radial = [k1 / far**2, k2 / far**4, k3 / far**6]
@@ -226,13 +215,7 @@ def _write_js(path: Path, data: dict[str, Any]) -> None:
             return {name: as_strings(one) for name, one in value.items()}
         if isinstance(value, list):
             return [as_strings(one) for one in value]
-        return (
-            value
-            if isinstance(value, str)
-            else f"{value:.17g}"
-            if isinstance(value, float)
-            else str(value)
-        )
+        return f"{value:.17g}" if isinstance(value, float) else str(value)
 
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(as_strings(data), indent=4) + "\n", encoding="utf-8")

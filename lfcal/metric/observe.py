@@ -1,6 +1,4 @@
-"""Where the microimages of a flat show the corners of a board: predicted by a camera, measured on
-the pixels.
-"""
+"""Corners of a board in the microimages of a flat: predicted by a camera, measured on the pixels."""
 
 from __future__ import annotations
 
@@ -27,15 +25,30 @@ __all__ = ["BoardFlat", "measure", "measure_blur", "prepare"]
 #: Corners in microimages whose blur is measured of each flat: their medians scatter by 0.002 px.
 _BLURRED = 300
 
+# Least relative contrast of a picture on which a board is looked for.
+_LEAST_CONTRAST = 0.02
+# Corners that must be found of a large board; a false ChArUco detection has fewer.
+_LEAST_CORNERS = 10
+# Least distance of a corner from the rim of a microimage [px], so that all four squares are seen,
+# and the blur [px] above which the distance grows by two blurs.
+_MARGIN = 3
+_SHARP = 0.5
+# Error of the fitted shape of edges, besides the noise of the pixels [px].
+_EDGE_ERROR = 0.005
+# Least `s / D` of a board: smaller patches are not looked for.
+_LEAST_RATIO = 0.02
+# Step of the differences that give the shape of a corner in a microimage [squares].
+_STEP = 0.1
+
 
 class BoardFlat(NamedTuple):
-    """A flat of a board, divided by the gain of its camera, and the board as first detected."""
+    """A flat divided by the gain of its camera, and the board that was detected on it."""
 
     name: str
     light: Singles  # (h, w)
     detected: DetectedBoard | None
-    reason: str = ""  # why no board was found
-    other: str = ""  # number of corners of the larger checkerboard that the flat shows
+    reason: str = ""  # reason why no board was found
+    other: str = ""  # numbers of corners of another checkerboard that the flat shows
 
 
 def prepare(
@@ -43,20 +56,23 @@ def prepare(
 ) -> BoardFlat:
     """Divide a flat by the gain of the camera and detect the board on its all-in-focus picture."""
     mosaic = flat.ndim == 2 and (calibration.mosaic or find_mosaic(flat))
-    light = equalise_mosaic(flat) if mosaic else luminance(flat).astype(np.float32)
+    light = equalise_mosaic(flat) if mosaic else luminance(flat)
     if calibration.gain_map is not None or calibration.vignetting is not None:
         light = calibration.flatten(light)
     light = np.ascontiguousarray(light, np.float32)
     picture = sweep.draw(light)
     inner = picture.image[picture.image > 0]
-    if inner.size < 100 or float(inner.std()) < 0.02 * float(inner.mean()):
+    if inner.size < 100 or float(inner.std()) < _LEAST_CONTRAST * float(inner.mean()):
         return BoardFlat(name, light, None, "the picture has no contrast")
     found = detect(picture, board)
     other = other_size(picture.image, board, larger=found is not None)
-    if found is not None and len(found.corner) < min(10, len(board.points)):
+    if found is None:
+        but = other and f", but one of {other} corners"
+        reason = f"no {board} in its all-in-focus picture{but}"
+        return BoardFlat(name, light, None, reason, other)
+    if len(found.corner) < min(_LEAST_CORNERS, len(board.points)):
         return BoardFlat(name, light, None, "too few corners", other)
-    reason = f"no {board} in its all-in-focus picture{other and f', but one of {other} corners'}"
-    return BoardFlat(name, light, found, "" if found is not None else reason, other)
+    return BoardFlat(name, light, found, other=other)
 
 
 def measure(
@@ -79,18 +95,13 @@ def measure(
             camera, pixel, pose, board, flat.detected.corner, centres, tree, lattice.radius
         )
         fits = fit_corners(flat.light, centre, lattice.radius, predicted, shape, board)
-        # Three pixels, and two blurs where these are wide: nearer to the rim the four squares are
-        # not all seen.
-        inside = lattice.radius - 3 - 2 * (fits.blur - 0.5)
+        inside = lattice.radius - _MARGIN - 2 * (fits.blur - _SHARP)
         kept = fits.good & (np.hypot(*(fits.position - centre).T) < inside)
-        kept &= np.sign(fits.contrast) == _expected_sign(
-            board, corner, np.where(kept, fits.contrast, 0)
-        )
-        # The shape of edges is right to 0.005 px, besides the noise of the pixels.
-        error = np.hypot(fits.error[kept], 0.005)
-        parts.append(
-            (np.full(kept.sum(), m), corner[kept], centre[kept], fits.position[kept], error)
-        )
+        sign = _expected_sign(board, corner, np.where(kept, fits.contrast, 0))
+        kept &= np.sign(fits.contrast) == sign
+        error = np.hypot(fits.error, _EDGE_ERROR)
+        columns = (np.full(len(corner), m), corner, centre, fits.position, error)
+        parts.append([column[kept] for column in columns])
     return Observations(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -177,14 +188,14 @@ def _fit_edges(
 
 
 def _expected_sign(board: Board, corner: Array, contrast: Array) -> Array:
-    """Sign of the contrast of each corner: it alternates, or is that of all circles; which is
-    which, most tell.
+    """(n,) sign of the contrast of each corner, of either polarity as most contrasts (n,) have it.
+
+    It alternates between the corners of squares and is the same for all circles.
     """
-    if board.pattern == "circles":
-        sign = np.ones(len(corner))
-    else:
-        sign = np.where((corner % board.columns + corner // board.columns) % 2 == 0, -1.0, 1.0)
-    return sign * (1.0 if float((sign * contrast).sum()) >= 0 else -1.0)
+    sign = np.ones(len(corner))
+    if board.pattern != "circles":
+        sign[(corner % board.columns + corner // board.columns) % 2 == 0] = -1.0
+    return sign if float((sign * contrast).sum()) >= 0 else -sign
 
 
 def _predict(
@@ -197,15 +208,14 @@ def _predict(
     tree: Any,
     radius: float,
 ) -> tuple[Array, Array, Array, Array]:
-    """Corner, centre, position and shape of each corner in each microimage that a camera shows it
-    in.
-    """
+    """Corner, centre, position and shape of each corner in each microimage that shows it."""
     points = board.points - board.middle
     seen = pose.of_board(points[corners], np.zeros(len(corners), int))
     scene = camera[3:5] + camera[0] * seen[:, :2] / seen[:, 2:]
     ratio = 1 / (camera[1] + camera[2] / seen[:, 2])
-    # Distortion and tilt move scene coordinates by less than a pitch or two.
-    near = tree.query_ball_point(scene, radius / np.maximum(np.abs(ratio), 0.02) + 2 * radius)
+    # Distortion and tilt move scene coordinates by less than a diameter of microimages.
+    reach = radius / np.maximum(np.abs(ratio), _LEAST_RATIO) + 2 * radius
+    near = tree.query_ball_point(scene, reach)
     corner = np.repeat(corners, [len(k) for k in near])
     centre = centres[np.concatenate([np.asarray(k, int) for k in near])]
 
@@ -216,9 +226,6 @@ def _predict(
     kept = np.hypot(*(at(0, 0) - centre).T) < radius
     corner = corner[kept]
     centre = centre[kept]
-    return (
-        corner,
-        centre,
-        at(0, 0),
-        np.stack([(at(0.1, 0) - at(-0.1, 0)) / 0.2, (at(0, 0.1) - at(0, -0.1)) / 0.2], 2),
-    )
+    across = at(_STEP, 0) - at(-_STEP, 0)
+    down = at(0, _STEP) - at(0, -_STEP)
+    return corner, centre, at(0, 0), np.stack([across, down], 2) / (2 * _STEP)

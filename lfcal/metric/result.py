@@ -1,6 +1,4 @@
-"""What the metric calibration gives: the camera with its optics, the poses of the boards, and the
-residuals.
-"""
+"""Result of the metric calibration: the camera with its optics, poses of boards and residuals."""
 
 from __future__ import annotations
 
@@ -25,24 +23,25 @@ __all__ = ["BoardPose", "MetricCalibration", "pose_of"]
 
 @dataclass(frozen=True, eq=False)
 class BoardPose(Frozen):
-    """Where a board stood: `X_camera = rotation @ X_board + translation`.
+    """The pose of a board: `X_camera = rotation @ X_board + translation`.
 
-    Origin of the camera is the middle of the main lens (its entrance pupil), x right, y down, z to
-    the scene; of the board its first corner, x along the rows, y down, z away from the camera.
+    The origin of the camera is the middle of the main lens (its entrance pupil), x points right, y
+    down, z to the scene. The origin of the board is its first corner, x points along the rows, y
+    down, z away from the camera.
 
     Parameters
     ----------
     name : str
-        Of the flat.
+        Name of the flat.
     rotation : (3, 3) float64
     translation : (3,) float64 [mm]
     covariance : (6, 6) float64
-        Of a small turn of the rotated board about the axes of the camera [rad] and of the
-        translation [mm], the errors of the camera included.
+        Covariance of a small turn of the rotated board about the axes of the camera [rad] and of
+        the translation [mm], with the errors of the camera.
     rms : float [px]
-        Of the distances between observed and predicted corners in microimages, without outliers.
+        RMS distance between observed and predicted corners in microimages, without outliers.
     observations : int
-        Corners in microimages, without outliers.
+        Number of corners in microimages, without outliers.
 
     Examples
     --------
@@ -86,34 +85,33 @@ class BoardPose(Frozen):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MetricCalibration(Frozen):
-    """A camera that measures.
+    """A camera whose optics were measured on flats of a board.
 
     Parameters
     ----------
     calibration : Calibration
-        The given one with `optics`.
+        The given camera with `optics`.
     board : Board
     poses : tuple of BoardPose
-        Of the flats on which the board was found.
+        Poses of the flats on which the board was found.
     fitted : tuple of str
-        Parameters that the data asked for.
+        Names of the parameters that were fitted because the data require them.
     observations : Observations
         Corners in microimages, sorted by pose.
     residual : (n, 2) float64 [px]
-        Observed minus predicted.
+        Observed minus predicted positions.
     used : (n,) bool
-        Not an outlier.
+        False for outliers.
     noise : float [px]
         Median standard error of one corner in one microimage, along one axis, from the residuals.
     widening : float
-        Factor on the variances, at least 1: of errors that the microimages of a corner share, and
-        the corners of a pose.
+        Variance factor, at least 1, for errors that the microimages of a corner or the corners of a
+        pose share.
     degeneracies : tuple of str
-        Parameters that hardly separate, and what is well known instead.
+        Parameters that hardly separate, and combinations that are well known instead.
     warnings : tuple of str
     board_shape : (5,) float64 [mm]
-        By how much the board is not flat and square, as `camera_model.SHAPE`: 0 where the data did
-        not ask.
+        Deviation of the board from a flat square one, as `camera_model.SHAPE`; 0 if not fitted.
 
     Examples
     --------
@@ -146,17 +144,17 @@ class MetricCalibration(Frozen):
 
     @property
     def optics(self) -> Optics:
-        """Of the calibration."""
+        """Optics of the camera."""
         assert self.calibration.optics is not None
         return self.calibration.optics
 
     @property
     def rms(self) -> float:
-        """Of the distances between observed and predicted corners [px], without outliers."""
+        """RMS distance between observed and predicted corners [px], without outliers."""
         return float(np.sqrt((self.residual[self.used] ** 2).sum(1).mean()))
 
     def save_poses(self, path: str | os.PathLike[str]) -> None:
-        """Write the poses, with what they were measured on, as JSON."""
+        """Write the poses and the board as JSON."""
         board = {
             "pattern": self.board.pattern,
             "columns": self.board.columns,
@@ -179,7 +177,7 @@ class MetricCalibration(Frozen):
 def pose_of(
     found: Adjusted, m: int, board: Board, observations: Observations, name: str
 ) -> BoardPose:
-    """Pose `m` of an adjusted camera, about the first corner of the board instead of its middle."""
+    """Pose `m` of an adjusted camera, with the origin at the first corner of the board."""
     turn = found.poses.rotation[m]
     shift = found.poses.translation[m]
     own = slice(len(INTERNAL) + 6 * m, len(INTERNAL) + 6 * m + 6)

@@ -1,6 +1,4 @@
-"""How well the optics are known: covariance widened by what poses share, and combinations that
-hardly separate.
-"""
+"""Uncertainty of the optics: errors that poses share, and parameters that hardly separate."""
 
 from __future__ import annotations
 
@@ -21,18 +19,26 @@ from .camera_model import INTERNAL, from_internal, to_internal
 
 __all__ = ["describe_degeneracies", "internal_camera", "optics_of", "pose_factor", "rim_covariance"]
 
+# Error of corners at the rim of a microimage [px], outwards or inwards: 0.002 to 0.005 on ray-traced
+# boards of others.
+_RIM_ERROR = 0.003
+# Correlation above which two parameters hardly separate.
+_CORRELATED = 0.98
+# Relative standard error above which a length is not known well.
+_UNCERTAIN = 0.01
+
 
 def pose_factor(found: Adjusted) -> float:
-    """How much more the gradients of single poses scatter than those of independent errors would.
+    """Variance factor, at least 1, of the fitted parameters from the scatter of single poses.
 
-    Variance factor, at least 1, of the fitted parameters: the cluster-robust (sandwich) covariance
-    with poses as clusters, over what it is expected to be, as the mean over all directions
-    (MacKinnon, Nielsen and Webb 2023). Errors of the model show here.
+    It is the cluster-robust (sandwich) covariance with poses as clusters (MacKinnon, Nielsen and
+    Webb 2023) over the one expected for independent errors, averaged over all directions. Errors of
+    the model make it larger.
     """
     chosen = np.setdiff1d(unknowns(found.free, 1), POSE)
     if len(found.normal) <= 3 or not len(chosen):
         return 1.0
-    # What the pose takes up tells nothing about the camera.
+    # A part of the information of the camera is used up by the pose.
     left = [
         eliminate(*equations, chosen, POSE)
         for equations in zip(found.normal, found.right, strict=True)
@@ -41,7 +47,7 @@ def pose_factor(found: Adjusted) -> float:
     shares = [share * np.outer(scale, scale) for share, _ in left]
     total = np.linalg.pinv(np.sum(shares, axis=0), hermitian=True)
     measured = sum(float((pull * scale) @ total @ (pull * scale)) for _, pull in left)
-    # Of independent errors; the gradients of all poses add up to nothing.
+    # The scatter of independent errors; the gradients of all poses add up to zero.
     expected = sum(float(np.trace(total @ (share - share @ total @ share))) for share in shares)
     return max(1.0, measured / max(expected, 1e-300) / (found.noise**2 * found.cluster))
 
@@ -49,24 +55,22 @@ def pose_factor(found: Adjusted) -> float:
 def rim_covariance(
     found: Adjusted, pixel: float, observations: Observations, radius: float
 ) -> Array:
-    """Covariance of all unknowns by errors that no scatter shows, those of corners near the rim of
-    microimages.
+    """Covariance of all unknowns caused by systematic errors of corners near the rim of microimages.
 
-    What is seen at the `radius` [px] lies too far out, or in, by 0.003 px (ray-traced boards of
-    others show 0.002 to 0.005) that all poses share, and by an error of the same size that the
-    corners of each pose share, as blur and light differ; nearer to the centre in proportion.
+    Corners at the `radius` [px] lie too far out, or in, by an error that all poses share and by
+    another one that the corners of each pose share, because blur and light differ. Errors nearer to
+    the centre are smaller in proportion.
     """
     o = observations
     count = len(found.normal)
     rows = linearise(found.camera, pixel, found.poses, found.board, o) * found.weight[:, None, None]
-    outward = (o.position - o.centre) * (0.003 / radius / o.error)[:, None]
+    outward = (o.position - o.centre) * (_RIM_ERROR / radius / o.error)[:, None]
     pulls = np.zeros((len(found.covariance), count))
     for m in range(count):
         pulls[pose_unknowns(m, count), m] = np.einsum(
             "nij,ni->j", rows[o.pose == m], outward[o.pose == m]
         )
-    # The unknowns follow the gradient by the inverse of the normal matrix, which the covariance
-    # holds.
+    # The covariance holds the inverse of the normal matrix, which turns gradients into steps.
     steps = found.covariance / (found.noise**2 * found.cluster) @ pulls
     total = steps.sum(1, keepdims=True)
     return np.asarray(steps @ steps.T + total @ total.T)
@@ -86,47 +90,40 @@ def optics_of(found: Adjusted, pixel: float) -> Optics:
 
 
 def internal_camera(optics: Optics) -> tuple[Array, Array]:
-    """(14,) the parameters `INTERNAL` of optics, and their (14, 14) derivatives by those of the
-    optics.
-    """
+    """Parameters `INTERNAL` (14,) of optics and their derivatives (14, 14) by the optics."""
     change = np.eye(len(INTERNAL))
     lengths, change[:3, :3] = to_internal(optics.parameters[:3], optics.pixel)
     return np.concatenate([lengths, optics.parameters[3:]]), change
 
 
 def describe_degeneracies(optics: Optics) -> tuple[str, ...]:
-    """Parameters that hardly separate, and the combinations of F, L and b that are well known."""
+    """Parameters that hardly separate, and combinations of F, L and b that are well known."""
     errors = optics.standard_errors
     values = optics.parameters
     covariance = optics.covariance
-    fitted = np.flatnonzero(errors > 0)
-    if covariance is None or not len(fitted):
+    if covariance is None or not (errors > 0).any():
         return ()
     scale = np.where(errors > 0, errors, np.inf)
-    # From this correlation on two parameters are said to hardly separate.
-    close = np.abs(covariance / np.outer(scale, scale)) > 0.98
+    correlation = covariance / np.outer(scale, scale)
+    close = np.abs(correlation) > _CORRELATED
     notes = []
     lengths = [k for k in (0, 1, 2) if errors[k] > 0]
-    if any(errors[k] > 0.01 * values[k] for k in lengths) or (
-        len(lengths) > 1 and close[lengths[0], lengths[1]]
-    ):
+    uncertain = any(errors[k] > _UNCERTAIN * values[k] for k in lengths)
+    if uncertain or (len(lengths) > 1 and close[lengths[0], lengths[1]]):
         stated = ", ".join(f"{'FLb'[k]} = {values[k]:.4g} +- {errors[k]:.2g} mm" for k in lengths)
         internal, derivatives = to_internal(values[:3], optics.pixel)
         sure = np.sqrt(np.maximum(np.diag(derivatives @ covariance[:3, :3] @ derivatives.T), 0))
         notes.append(
-            f"F, L and b hardly separate ({stated}); well known are (L + b) / pixel = {internal[0]:.6g} +- "
-            f"{sure[0]:.2g} px and D / s = A + B / Z with A = {internal[1]:.5g} +- {sure[1]:.2g}, "
-            f"B = {internal[2]:.6g} +- {sure[2]:.2g} mm, on which distances rest; boards at very "
-            "different distances part them"
+            f"F, L and b hardly separate ({stated}); well known are (L + b) / pixel = "
+            f"{internal[0]:.6g} +- {sure[0]:.2g} px and D / s = A + B / Z with A = "
+            f"{internal[1]:.5g} +- {sure[1]:.2g}, B = {internal[2]:.6g} +- {sure[2]:.2g} mm, on "
+            "which distances rest; boards at very different distances part them"
         )
     names = [name.replace("principal_", "principal point ") for name in OPTICS_PARAMETERS]
-    return (
-        *notes,
-        *(
-            f"{names[j]} and {names[k]} hardly separate (correlation {covariance[k, j] / scale[j] / scale[k]:+.3f}); "
-            "boards in all corners of the field part them"
-            for k in fitted
-            for j in fitted
-            if 2 < j < k and close[k, j]
-        ),
-    )
+    pairs = np.argwhere(np.tril(close, -1))
+    notes += [
+        f"{names[j]} and {names[k]} hardly separate (correlation {correlation[k, j]:+.3f}); "
+        "boards in all corners of the field part them"
+        for k, j in pairs[pairs[:, 1] > 2]
+    ]
+    return tuple(notes)

@@ -20,7 +20,7 @@ import numpy as np
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from ..lattice.robust_fit import TUKEY_CUTOFF, field_rms, tukey_weights
+from ..lattice.robust_fit import TUKEY_CUTOFF, field_rms, robust_sigma, tukey_weights
 from ..lattice.standard_errors import LatticeErrors, Residuals
 from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
@@ -334,7 +334,7 @@ def _explains_more(discs: TwoDiscs, plain: Fit, bent: Fit) -> bool:
     or not, do.
     """
     by_discs = discs.residuals(plain.lenses)
-    most = (TUKEY_CUTOFF * 1.4826) ** 2 * float(np.median(np.abs(by_discs))) ** 2
+    most = (TUKEY_CUTOFF * robust_sigma(by_discs)) ** 2
     cost = [float(np.minimum(by_discs**2, most).mean())]
     for fit in (plain, bent):
         residual, inside, _ = compare_pixels(fit.lenses)

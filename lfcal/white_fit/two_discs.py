@@ -19,7 +19,7 @@ import numpy as np
 from ..gain.gain_map import field_place
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.robust_fit import TUKEY_CUTOFF
+from ..lattice.robust_fit import TUKEY_CUTOFF, biweight, robust_sigma
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.arrays import Floats, Integers
 from .disc_light import (
@@ -351,7 +351,7 @@ def _minimise(
 
     free = np.flatnonzero(spread > 0)
     even = np.ones(len(pixels.light))
-    noise = 1.4826 * float(np.median(np.abs(pixels.compare(p, even)[0]))) + 1e-9
+    noise = robust_sigma(pixels.compare(p, even)[0]) + 1e-9
     last: dict[bytes, tuple[Floats, Floats, Floats]] = {}
 
     def compare(values: Floats) -> tuple[Floats, Floats, Floats]:
@@ -401,8 +401,8 @@ def _finish(
     p = p.copy()
     for _ in range(6):
         residual, table, _ = pixels.compare(p, weight)
-        noise = 1.4826 * float(np.median(np.abs(residual))) + 1e-9
-        weight = np.maximum(1 - (residual / (TUKEY_CUTOFF * noise)) ** 2, 0) ** 2
+        noise = robust_sigma(residual) + 1e-9
+        weight = biweight((residual / (TUKEY_CUTOFF * noise)) ** 2)
         away, stiff = _prior(p, expected, spread)
         rows = table * (weight / noise**2)[:, None]
         prior = (stiff.T @ stiff)[np.ix_(free, free)]

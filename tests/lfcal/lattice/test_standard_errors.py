@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -95,8 +93,7 @@ def test_systematic_residuals_are_drawn_as_arrows(displaced):
     bent = noise + 0.1 * np.sign(indices[:, :1]).astype(np.float32)
     axes = Figure().subplots()
     found = [
-        plot_residuals(replace(camera, residuals=Residuals(indices, offset)), axes)
-        for offset in (noise, bent)
+        plot_residuals(camera.lattice, Residuals(indices, offset), axes) for offset in (noise, bent)
     ]
     assert found[0][1] < 0.05 < found[1][1] and len(found[1][0].U) > 90
 
