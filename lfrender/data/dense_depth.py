@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Optics, OutputError
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, Singles
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
 
@@ -67,18 +67,18 @@ class DenseDepth(Picture, Frozen):
     (47, 62)
     """
 
-    patch_size: NDArray[np.float32]
-    affine: NDArray[np.float64]
+    patch_size: Singles
+    affine: Floats
     pitch: float
     validity: NDArray[np.uint8]
-    standard_error: NDArray[np.float32]
+    standard_error: Singles
 
     @property
-    def resolved(self) -> NDArray[np.bool_]:
+    def resolved(self) -> Booleans:
         """(h, w) bool: where the nearest lens has a depth of its own."""
         return self.validity != FILLED
 
-    def _layers(self) -> dict[str, NDArray]:
+    def _layers(self) -> dict[str, Array]:
         return {
             "patch_size": self.patch_size,
             "validity": self.validity,
@@ -126,7 +126,7 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
     )
 
 
-def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
+def dense_distance(dense: DenseDepth, optics: Optics) -> Singles:
     """(h, w) float32 [m]: distance in front of the main lens at every pixel; NaN where nothing can
     be imaged there.
     """
@@ -136,7 +136,7 @@ def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
 
 
 def write_dense(
-    path: str | os.PathLike[str], dense: DenseDepth, distance: NDArray[np.float32] | None = None
+    path: str | os.PathLike[str], dense: DenseDepth, distance: Singles | None = None
 ) -> None:
     """Write the patch sizes [px], or the `distance` of `dense_distance`, as 32-bit TIFF, OpenEXR,
     or PFM.

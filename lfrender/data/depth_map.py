@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, CalibrationError, FlatSource, LensBlur, LightFieldError, Optics
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, Integers, Singles
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 
-def sample_flat(flat: NDArray | FlatSource) -> NDArray[np.float32]:
+def sample_flat(flat: Array | FlatSource) -> Singles:
     """Gray values (n,) float32 of a flat (H, W) or (H, W, C), in memory or not, on a grid, over
     their mean.
     """
@@ -63,7 +63,7 @@ def sample_flat(flat: NDArray | FlatSource) -> NDArray[np.float32]:
     return (gray / max(float(gray.mean()), 1e-12)).astype(np.float32)
 
 
-def is_same_flat(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
+def is_same_flat(one: Singles, other: Singles) -> bool:
     """Whether the samples of two flats are the same but for rounding; also of another type, bit
     depth or exposure.
     """
@@ -176,10 +176,10 @@ class DepthMap(Frozen):
     True
     """
 
-    patch_size: NDArray[np.float32]
-    standard_error: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    filled_patch_size: NDArray[np.float32]
+    patch_size: Singles
+    standard_error: Singles
+    confidence: Singles
+    filled_patch_size: Singles
     surface: Surface
     pitch: float
     image_size: tuple[int, int]
@@ -187,8 +187,8 @@ class DepthMap(Frozen):
     reason: NDArray[np.int8] = None  # type: ignore[assignment]
     saved: dict[str, float] = field(default_factory=dict)
     frame_state: FrameState = field(default_factory=FrameState, repr=False, compare=False)
-    flat_samples: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
-    centres: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
+    flat_samples: Singles | None = field(default=None, repr=False, compare=False)
+    centres: Singles | None = field(default=None, repr=False, compare=False)
     lens_blur: LensBlur | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -227,7 +227,7 @@ class DepthMap(Frozen):
         return np.sign(np.nan_to_num(self.patch_size)).astype(np.int8)
 
     @cached_property
-    def magnification(self) -> NDArray[np.float32]:
+    def magnification(self) -> Singles:
         """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008, section 6); NaN where
         unresolved.
         """
@@ -235,7 +235,7 @@ class DepthMap(Frozen):
             return (self.pitch / np.abs(self.patch_size)).astype(np.float32)
 
     @cached_property
-    def curvature(self) -> NDArray[np.float32]:
+    def curvature(self) -> Singles:
         """(n,) float32 [1/px^2]: of the log likelihood at its peak, `1 / standard_error^2`; 0 where
         unknown.
         """
@@ -243,13 +243,13 @@ class DepthMap(Frozen):
             return (1 / self.standard_error.astype(np.float64) ** 2).astype(np.float32)
 
     @cached_property
-    def filled(self) -> NDArray[np.bool_]:
+    def filled(self) -> Booleans:
         """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
         return np.isnan(self.patch_size)
 
     def nearest_lens(
         self, shape: tuple[int, int], first: ArrayLike, spacing: float
-    ) -> NDArray[np.int64] | None:
+    ) -> Integers | None:
         """(h, w) the lens nearest to each pixel, `spacing` [px] apart from `first` on; None if the
         centres are not known.
         """
@@ -261,7 +261,7 @@ class DepthMap(Frozen):
         places = np.asarray(first) + spacing * np.stack([u, v], -1).reshape(-1, 2)
         return np.asarray(cKDTree(self.centres).query(places)[1]).reshape(shape)
 
-    def is_of(self, flat: NDArray | FlatSource) -> bool:
+    def is_of(self, flat: Array | FlatSource) -> bool:
         """Whether it was made from a flat (H, W) or (H, W, C), in any type or exposure; True where
         that is unknown.
 
@@ -269,7 +269,7 @@ class DepthMap(Frozen):
         """
         return self.flat_samples is None or is_same_flat(self.flat_samples, sample_flat(flat))
 
-    def distance(self, camera: Optics | Calibration) -> NDArray[np.float64]:
+    def distance(self, camera: Optics | Calibration) -> Floats:
         """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where
         unresolved.
 
@@ -280,7 +280,7 @@ class DepthMap(Frozen):
         optics, points = self._optics(camera)
         return optics.distance(self.patch_size.astype(np.float64) / self.pitch, points)
 
-    def distance_error(self, camera: Optics | Calibration) -> NDArray[np.float64]:
+    def distance_error(self, camera: Optics | Calibration) -> Floats:
         """(n,) float64 [m]: standard errors of `distance`, made of those of `patch_size` and of the
         calibration.
 
@@ -291,7 +291,7 @@ class DepthMap(Frozen):
         error = self.standard_error.astype(np.float64) / self.pitch
         return optics.distance_error(self.patch_size.astype(np.float64) / self.pitch, error, points)
 
-    def _optics(self, camera: Optics | Calibration) -> tuple[Optics, NDArray[np.float64] | None]:
+    def _optics(self, camera: Optics | Calibration) -> tuple[Optics, Floats | None]:
         """The optics, and the centres of the lenses if they are known."""
         if isinstance(camera, Optics):
             return camera, None
@@ -342,7 +342,7 @@ class DepthMap(Frozen):
         bar.minorticks_off()
         return drawn.axes
 
-    def clipped_magnification(self) -> tuple[NDArray[np.float32], float, float]:
+    def clipped_magnification(self) -> tuple[Singles, float, float]:
         """(h, w) magnification on the grid of the surface, clipped to the range of nearly all of
         it, and that range.
         """

@@ -9,11 +9,9 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from numpy.typing import NDArray
 
 from lfcal import FlatError, read_flat
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
 from .samples import cache_folder
@@ -71,7 +69,7 @@ class Registry:
                 f"{address}{name}: cannot be fetched ({' '.join(str(error).split())})"
             ) from error
 
-    def read(self, name: str, page: int | None = None) -> NDArray[Any]:
+    def read(self, name: str, page: int | None = None) -> Array:
         """The pixels of a file, as `lfcal.read_flat`."""
         return read_flat(self.fetch(name), page)
 

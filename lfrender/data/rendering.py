@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import LightFieldError
-from lfcal.runtime.arrays import Frozen, exposure_gain, white_of
+from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, exposure_gain, white_of
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.page import html_card
 
@@ -72,7 +71,7 @@ class PictureGrid:
         """All of the picture."""
         return 0, 0, *self.size
 
-    def affine(self, part: Part | None = None) -> NDArray[np.float64]:
+    def affine(self, part: Part | None = None) -> Floats:
         """(2, 3) from a pixel of a part, by default of the whole, to scene coordinates."""
         left, top = (part or self.whole)[:2]
         step = self.spacing
@@ -156,9 +155,9 @@ def check_patch_size(patch_size: float, pitch: float) -> None:
 class Picture:
     """Base of what lies on the grid of a picture: stands for its pixels where an array is needed."""
 
-    affine: NDArray[np.float64]
+    affine: Floats
 
-    def _layers(self) -> dict[str, NDArray]:
+    def _layers(self) -> dict[str, Array]:
         """The pixels first, then arrays (h, w) about each of them, by name."""
         raise NotImplementedError
 
@@ -171,7 +170,7 @@ class Picture:
         """Pixels, as of an array."""
         return next(iter(self._layers().values()))[key]
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         pixels = next(iter(self._layers().values()))
         return np.array(pixels, dtype) if copy else np.asarray(pixels, dtype)
 
@@ -234,14 +233,14 @@ class Rendering(Picture, Frozen):
     >>> picture.save("picture.png")  # doctest: +SKIP
     """
 
-    image: NDArray
-    affine: NDArray[np.float64]
-    valid: NDArray[np.bool_]
+    image: Array
+    affine: Floats
+    valid: Booleans
     scale: float
     white: float | None = None
     noise: float | None = None
 
-    def _layers(self) -> dict[str, NDArray]:
+    def _layers(self) -> dict[str, Array]:
         return {"image": self.image, "valid": self.valid}
 
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
@@ -277,9 +276,7 @@ class Rendering(Picture, Frozen):
         return html_card(repr(self), {}, self.plot)
 
 
-def show_on_axes(
-    ax: Any, image: NDArray, first: NDArray, last: NDArray, title: str, **look: Any
-) -> Any:
+def show_on_axes(ax: Any, image: Array, first: Array, last: Array, title: str, **look: Any) -> Any:
     """A picture on Matplotlib axes, by default the current ones, between two corners of it in scene
     coordinates.
     """
@@ -291,11 +288,11 @@ def show_on_axes(
 
 
 def finish_picture(
-    image: NDArray,
-    valid: NDArray[np.bool_],
-    affine: NDArray[np.float64],
+    image: Array,
+    valid: Booleans,
+    affine: Floats,
     scale: float,
-    flat: NDArray,
+    flat: Array,
     calibration: Calibration,
 ) -> Rendering:
     """A picture (h, w, C) as a `Rendering` with the dtype and the number of dimensions of the flat."""
@@ -310,7 +307,7 @@ def finish_picture(
     )
 
 
-def convert_to_dtype(image: NDArray, dtype: np.dtype) -> NDArray:
+def convert_to_dtype(image: Array, dtype: np.dtype) -> Array:
     """Round and clip to the range of `dtype`, in place."""
     if dtype.kind == "f" or image.dtype == dtype:
         return image.astype(dtype, copy=False)

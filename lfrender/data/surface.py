@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Frozen, Singles
 from lfcal.runtime.kernels import FAST, kernel
 
 __all__ = [
@@ -85,7 +85,7 @@ class Surface(Frozen):
     (1,)
     """
 
-    patch_size: NDArray[np.float32]
+    patch_size: Singles
     first: tuple[float, float]
     spacing: float
 
@@ -97,7 +97,7 @@ class Surface(Frozen):
         """For kernels; patch sizes that differ by less than `edge` [px] belong to one surface."""
         return DepthGrid(*np.array([*self.first, self.spacing, edge], np.float32))
 
-    def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+    def at(self, points: NDArray[np.floating]) -> Singles:
         """(n,) float32 [px]: patch size of the grid value nearest to scene points (n, 2)."""
         rows, columns = self.patch_size.shape
         u, v = np.rint((points - self.first) / self.spacing).astype(int).T
@@ -111,7 +111,7 @@ def edge_step(pitch: float) -> float:
 
 def sample_surface_at(
     surface: Surface, edge: float, shape: tuple[int, int], first: Any, spacing: float
-) -> NDArray[np.float32]:
+) -> Singles:
     """Patch size [px] at every pixel of a picture, `spacing` apart from `first` (2,) on; `edge`
     [px] is as `edge_step`.
     """

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatSource
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Part, Rendering
@@ -44,7 +43,7 @@ class LargePicture(Frozen):
 
     path: Path
     size: tuple[int, int]  # columns and rows [px]
-    affine: NDArray[np.float64]  # (2, 3), as `Rendering.affine`
+    affine: Floats  # (2, 3), as `Rendering.affine`
     scale: float  # output pixels per pitch
     valid: float  # share of the pixels that at least one lens has seen
     tiles: int  # number of tiles ...
@@ -160,7 +159,7 @@ def render_large(
         _draw_tile, _Drawing(replace(renderer), reader), missing.values(), _read_part
     )
 
-    def store(tile: tuple[int, tuple[NDArray[Any], NDArray[np.bool_]]]) -> None:
+    def store(tile: tuple[int, tuple[Array, Booleans]]) -> None:
         number, (pixels, valid) = tile
         pixels = pixels if reader.channels > 1 else pixels[:, :, 0]
         writer.write(parts[number], with_alpha(pixels, valid) if alpha else pixels)
@@ -187,13 +186,11 @@ class _Drawing(NamedTuple):
     reader: TileReader
 
 
-def _read_part(drawing: _Drawing, tile: Part) -> NDArray[Any]:
+def _read_part(drawing: _Drawing, tile: Part) -> Array:
     return drawing.reader.read_raw(drawing.renderer.required_part(tile))
 
 
-def _draw_tile(
-    drawing: _Drawing, tile: Part, raw: NDArray[Any]
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _draw_tile(drawing: _Drawing, tile: Part, raw: Array) -> tuple[Array, Booleans]:
     part = drawing.renderer.required_part(tile)
     return drawing.renderer.draw(
         drawing.reader.read(part, raw), part[:2], tile, drawing.reader.dtype

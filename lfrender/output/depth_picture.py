@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
+from lfcal.runtime.arrays import Array
 
 from ..data.dense_depth import dense_depth
 from ..data.depth_map import DepthMap, default_scale
@@ -37,7 +38,7 @@ def depth_picture(
     return Rendering(image, dense.affine, dense.resolved, scale)
 
 
-def magnification_limits(magnification: NDArray[Any]) -> tuple[float, float]:
+def magnification_limits(magnification: Array) -> tuple[float, float]:
     """Ends of a scale of M that holds 98 % of the lenses with a finite one."""
     known = magnification[np.isfinite(magnification)]
     low, high = np.percentile(known, [1, 99]) if known.size else (1.0, 10.0)

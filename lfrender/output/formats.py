@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import LightFieldError, OutputError
+from lfcal.runtime.arrays import Array, Floats
 from lfcal.runtime.output_file import check_output
 
 __all__ = [
@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 #: Pixels, with alpha where they have 2 or 4 channels, and their JSON text.
-Page = tuple[NDArray[Any], str]
+Page = tuple[Array, str]
 
 
 class PictureError(LightFieldError, ValueError):
@@ -173,7 +173,7 @@ def is_ome_name(path: Path) -> bool:
     return ".ome." in path.name.lower()
 
 
-def _affine(text: str) -> NDArray[np.float64]:
+def _affine(text: str) -> Floats:
     return np.array(json.loads(text).get("affine", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.float64)
 
 
@@ -245,7 +245,7 @@ def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _comp
         file.write(str(path))
 
 
-def _in_colour(pixels: NDArray[Any]) -> NDArray[Any]:
+def _in_colour(pixels: Array) -> Array:
     """Grey pixels with alpha as colours with alpha, others as they are."""
     return np.ascontiguousarray(
         pixels[..., (0, 0, 0, 1)] if pixels.ndim == 3 and pixels.shape[2] == 2 else pixels

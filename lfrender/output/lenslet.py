@@ -9,18 +9,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lfcal import Calibration, CameraFileError, FlatError, Lattice, read_flat
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES
 
 __all__ = ["lenslet_image", "lenslet_views", "read_view_grid"]
 
 
-def lenslet_image(views: ArrayLike) -> tuple[NDArray[Any], Calibration]:
+def lenslet_image(views: ArrayLike) -> tuple[Array, Calibration]:
     """The flat of a regular array that shows views (rows, columns, h, w) or (rows, columns, h, w,
     3), and its camera.
 
@@ -49,7 +49,7 @@ def lenslet_image(views: ArrayLike) -> tuple[NDArray[Any], Calibration]:
     return np.ascontiguousarray(flat), Calibration(lattice)
 
 
-def lenslet_views(flat: ArrayLike, calibration: Calibration) -> NDArray[Any]:
+def lenslet_views(flat: ArrayLike, calibration: Calibration) -> Array:
     """The views (rows, columns, h, w) or (rows, columns, h, w, 3) under the lenses of a regular
     array.
 
@@ -86,7 +86,7 @@ def lenslet_views(flat: ArrayLike, calibration: Calibration) -> NDArray[Any]:
     return np.moveaxis(lenses, (1, 3, 0, 2), (0, 1, 2, 3))
 
 
-def read_view_grid(inputs: Iterable[Path], grid: tuple[int, int] | None = None) -> NDArray[Any]:
+def read_view_grid(inputs: Iterable[Path], grid: tuple[int, int] | None = None) -> Array:
     """Views (rows, columns, h, w) or (rows, columns, h, w, 3) from image files, or folders of them.
 
     With `grid`, rows and columns, they are taken row by row in the order of the numbers in their

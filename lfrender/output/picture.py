@@ -14,9 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfcal.runtime.arrays import Exposure, brighten, exposure_gain, to_eight_bits
+from lfcal.runtime.arrays import (
+    Array,
+    Booleans,
+    Exposure,
+    Floats,
+    brighten,
+    exposure_gain,
+    to_eight_bits,
+)
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, refuse_leftovers
 
@@ -181,13 +188,13 @@ def default_exposure(path: str | os.PathLike[str]) -> Exposure | None:
     )
 
 
-def describe(affine: NDArray[np.float64] | None, settings: Mapping[str, Any] | None) -> str:
+def describe(affine: Floats | None, settings: Mapping[str, Any] | None) -> str:
     """The JSON text of a picture."""
     known = {} if affine is None else {"affine": affine.tolist()}
     return json.dumps({"software": "lfrender"} | known | dict(settings or {}))
 
 
-def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
+def with_alpha(pixels: Array, valid: Booleans) -> Array:
     """`pixels` with `valid` as one more channel."""
     opaque = 1.0 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
     return np.dstack(

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, Optics
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import Array, Floats, to_eight_bits
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
 
@@ -37,13 +36,13 @@ _AXES = (
 
 
 def point_cloud(
-    flat: NDArray,
+    flat: Array,
     calibration: Calibration,
     depth: DepthMap,
     optics: Optics | None = None,
     *,
     points_per_pitch: float = 7.0,
-) -> NDArray:
+) -> Array:
     """Every resolved place of the scene as a point; CalibrationError if `depth` belongs to another
     camera.
 
@@ -82,7 +81,7 @@ def point_cloud(
 
 
 def mesh(
-    flat: NDArray,
+    flat: Array,
     calibration: Calibration,
     depth: DepthMap,
     optics: Optics | None = None,
@@ -148,7 +147,7 @@ def mesh(
 
 def _places(
     calibration: Calibration, depth: DepthMap, optics: Optics | None, points_per_pitch: float
-) -> tuple[DenseDepth, NDArray[np.float64], bool]:
+) -> tuple[DenseDepth, Floats, bool]:
     """Dense depth, position (h, w, 3) of each of its pixels, NaN where there is none, and whether
     it is in metres.
     """
@@ -167,14 +166,14 @@ def _places(
     return dense, found.reshape(*size.shape, 3), True
 
 
-def _scene(dense: DenseDepth) -> NDArray[np.float64]:
+def _scene(dense: DenseDepth) -> Floats:
     """(h, w, 2) scene coordinates of pixels."""
     v, u = np.indices(dense.patch_size.shape)
-    scene: NDArray[np.float64] = np.stack([u, v, np.ones_like(u)], -1) @ dense.affine.T
+    scene: Floats = np.stack([u, v, np.ones_like(u)], -1) @ dense.affine.T
     return scene
 
 
-def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = False) -> None:
+def write_points(path: str | os.PathLike[str], points: Array, metres: bool = False) -> None:
     """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY or PCD; whole
     or not at all.
 

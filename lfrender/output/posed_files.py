@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Optics, OutputError
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import Array, Booleans, Floats, Singles, to_eight_bits
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..runtime.choices import PoseFormat
 from .picture import write_picture
-from .poses import Array, ViewCamera, ViewRig, view_rig
+from .poses import ViewCamera, ViewRig, view_rig
 from .raw_video import check_raw_format, frame_bytes, yuv_frame
 
 __all__ = ["POSE_FORMATS", "check_posed_folder", "write_posed_views"]
@@ -44,9 +44,9 @@ class _Posed(NamedTuple):
 
     name: str
     picture: Rendering
-    depth: NDArray[np.float32]  # (h, w)
+    depth: Singles  # (h, w)
     camera: ViewCamera
-    known: NDArray[np.bool_]  # (h, w) pixels that were seen, at a finite distance
+    known: Booleans  # (h, w) pixels that were seen, at a finite distance
     centre: list[float]  # principal point where pixel (0, 0) reaches from 0 to 1
 
 
@@ -68,7 +68,7 @@ def check_posed_folder(folder: str | os.PathLike[str], kind: PoseFormat, count: 
 def write_posed_views(
     folder: str | os.PathLike[str],
     kind: PoseFormat,
-    views: Iterable[tuple[Rendering, NDArray[np.float32]]],
+    views: Iterable[tuple[Rendering, Singles]],
     calibration: Calibration,
     depth: DepthMap,
     offsets: list[tuple[float, float]],
@@ -237,7 +237,7 @@ def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
     _write_text(folder / "fusion.cfg", "\n".join(f"{view.name}.png" for view in views))
 
 
-def _write_matrix(path: Path, planes: NDArray[Any]) -> None:
+def _write_matrix(path: Path, planes: Array) -> None:
     """Write (channels, h, w) values as COLMAP writes a `Mat<float>`: sizes as text, then one plane
     after the other.
     """
@@ -248,7 +248,7 @@ def _write_matrix(path: Path, planes: NDArray[Any]) -> None:
         )
 
 
-def _normals(view: _Posed) -> Array:
+def _normals(view: _Posed) -> Floats:
     """(3, h, w) unit normals of the surface that a view shows, towards its camera, in the axes of
     the camera.
     """
@@ -265,7 +265,7 @@ def _normals(view: _Posed) -> Array:
     return np.moveaxis(found, -1, 0)
 
 
-def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8], Array]:
+def _tracks(views: list[_Posed], step: int = 4) -> tuple[Floats, NDArray[np.uint8], Floats]:
     """Points (n, 3) of one of `step` x `step` pixels of the middle view, colours (n, 3), and where
     views see them.
 

@@ -11,20 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lfcal import Calibration, Optics
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Floats, Frozen, Singles
 
 from ..data.depth_map import DepthMap, check_depth
 from ..rendering.warped_surface import virtual_depth
 
 __all__ = ["ViewCamera", "ViewRig", "view_rig"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +36,7 @@ class ViewCamera(Frozen):
     array([[60., 40.]])
     """
 
-    position: Array  # (3,) in the unit of the rig
+    position: Floats  # (3,) in the unit of the rig
     focal: tuple[float, float]  # [px]
     principal_point: tuple[float, float]  # [px], pixel centres at integers
     size: tuple[int, int]  # width and height [px]
@@ -50,7 +47,7 @@ class ViewCamera(Frozen):
         0.0,
     )  # k1, k2, p1, p2 as OpenCV has them
 
-    def project(self, points: ArrayLike) -> Array:
+    def project(self, points: ArrayLike) -> Floats:
         """(n, 2) pixels `u, v` at which points (n, 3) are seen."""
         import cv2
 
@@ -60,7 +57,7 @@ class ViewCamera(Frozen):
         )[0]
         return np.asarray(found.reshape(-1, 2))
 
-    def slopes(self, pixels: ArrayLike) -> Array:
+    def slopes(self, pixels: ArrayLike) -> Floats:
         """(n, 2) slopes `x / z, y / z` of the rays that pixels (n, 2) see along."""
         import cv2
 
@@ -69,7 +66,7 @@ class ViewCamera(Frozen):
             cv2.undistortPoints(places, self._matrix(), np.array(self.distortion)).reshape(-1, 2)
         )
 
-    def _matrix(self) -> Array:
+    def _matrix(self) -> Floats:
         matrix = np.diag([*self.focal, 1.0])
         matrix[:2, 2] = self.principal_point
         return matrix
@@ -93,10 +90,10 @@ class ViewRig:
     unit: str  # "m", or "baseline" of neighbouring views
     error: float  # RMS distance of what the cameras project from what the optics do [px]
     # Distance (n,) of virtual depths (n,) that a view draws at (n, 2) [px of the flat].
-    _distance: Callable[[int, Array, Array], Array] = field(repr=False, compare=False)
+    _distance: Callable[[int, Floats, Floats], Floats] = field(repr=False, compare=False)
     _pitch: float = field(repr=False)
 
-    def depth(self, view: int, patch_size: NDArray[Any], places: Array) -> NDArray[np.float32]:
+    def depth(self, view: int, patch_size: Array, places: Floats) -> Singles:
         """(h, w) float32: distance along the axis, in the unit of the rig, of what view number
         `view` shows.
 
@@ -112,7 +109,7 @@ def view_rig(
     calibration: Calibration,
     depth: DepthMap,
     offsets: Sequence[tuple[float, float]],
-    affine: Array,
+    affine: Floats,
     size: tuple[int, int],
     still: float,
     optics: Optics | None = None,
@@ -140,7 +137,7 @@ def view_rig(
     moved = where * (pitch / still)
     virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
 
-    def cameras(aside: Array, focal: float, centres: Array) -> tuple[ViewCamera, ...]:
+    def cameras(aside: Floats, focal: float, centres: Floats) -> tuple[ViewCamera, ...]:
         """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the
         microlens plane.
         """
@@ -161,7 +158,7 @@ def view_rig(
         gaps = np.linalg.norm(where[:, None] - where, axis=-1)
         unit = float(gaps[gaps > 0].min()) if (gaps > 0).any() else 1.0
 
-        def chosen_distance(_view: int, depths: Array, _places: Array) -> Array:
+        def chosen_distance(_view: int, depths: Floats, _places: Floats) -> Floats:
             with np.errstate(divide="ignore"):
                 return np.where(depths < beyond, focal / unit / (beyond - depths), np.inf)
 
@@ -198,8 +195,8 @@ def view_rig(
         error = float(np.sqrt(np.mean([square for _, square in fitted])))
         made = tuple(camera for camera, _ in fitted)
 
-    def distance(view: int, depths: Array, places: Array) -> Array:
-        found: Array = lens.positions(places - where[view] * depths[:, None], 1 / depths, middle)[
+    def distance(view: int, depths: Floats, places: Floats) -> Floats:
+        found: Floats = lens.positions(places - where[view] * depths[:, None], 1 / depths, middle)[
             :, 2
         ]
         return found - made[view].position[2]
@@ -207,13 +204,13 @@ def view_rig(
     return ViewRig(made, "m", error, distance, pitch)
 
 
-def _fit(camera: ViewCamera, points: Array, pixels: Array) -> tuple[ViewCamera, float]:
+def _fit(camera: ViewCamera, points: Floats, pixels: Floats) -> tuple[ViewCamera, float]:
     """The camera that projects points (n, 3) most nearly to pixels (n, 2), and the mean squared
     distance.
     """
     from scipy.optimize import least_squares
 
-    def changed(step: Array) -> ViewCamera:
+    def changed(step: Floats) -> ViewCamera:
         focal = np.array(camera.focal) * (1 + step[3])
         at = np.array(camera.principal_point) + step[4:6]
         position = camera.position + step[:3]

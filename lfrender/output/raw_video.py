@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 from lfcal.runtime.video import convert_frame, parse_pixel_format
 
@@ -42,9 +42,7 @@ def view_name(number: int, width: int, height: int) -> str:
     return f"v{number:03d}-{width}x{height}.yuv"
 
 
-def yuv_frame(
-    pixels: NDArray[Any], pixel_format: str, white: float | None = None, **colours: Any
-) -> Any:
+def yuv_frame(pixels: Array, pixel_format: str, white: float | None = None, **colours: Any) -> Any:
     """A frame of PyAV: BT.601 of limited range, as FFmpeg takes raw video to be, or as
     `convert_frame` takes `colours`.
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import OutputError
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
 from .formats import tiff_tags, tiff_tiles
@@ -83,7 +83,7 @@ class TileWriter:
             self._start = tiff.pages[0].dataoffsets[0]
         return found
 
-    def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
+    def write(self, tile: tuple[int, int, int, int], pixels: Array) -> None:
         """Write the pixels of `left, top, right, bottom`, safe on the disk; tiles come in any
         order.
         """
@@ -130,7 +130,7 @@ class TileWriter:
                 tifffile.imwrite(temporary, tiles, shape=self._shape, dtype=self._dtype, **options)
         move_into_place(made, output)
 
-    def _tiles(self, side: int) -> Iterator[NDArray[Any]]:
+    def _tiles(self, side: int) -> Iterator[Array]:
         """The tiles of the finished picture, row by row."""
         for top in range(0, self._shape[0], side):
             band = np.array(self._map()[top : top + side])

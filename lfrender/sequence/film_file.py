@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import FlatError, OutputError, read_flat
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.rendering import Rendering
@@ -103,7 +103,7 @@ class FilmFile:
             self._file = av.open(str(path), "w", format=form, options=options)
             self._file.metadata["comment"] = json.dumps({"software": "lfrender", **about})
 
-    def add(self, pixels: NDArray[Any], white: float | None = None) -> None:
+    def add(self, pixels: Array, white: float | None = None) -> None:
         """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float; PictureError if it is unlike
         the first one.
         """
@@ -150,7 +150,7 @@ class FilmFile:
                 context.color_range
             ) = 1
 
-    def _frame(self, pixels: NDArray[Any], white: float | None) -> Any:
+    def _frame(self, pixels: Array, white: float | None) -> Any:
         import av
 
         if self._kind == ".mkv":

@@ -18,9 +18,8 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
 from lfcal import FlatError, count_pages, read_flat, subtract_dark
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS
 from lfcal.runtime.video import import_av, rgb_pixels
@@ -33,7 +32,7 @@ class Frame:
     """One frame of a sequence; `read` returns its flat (h, w) or (h, w, 3), or raises FlatError."""
 
     name: str  # of its picture, without suffix
-    read: Callable[[], NDArray[Any]]
+    read: Callable[[], Array]
     source: Path | None = (
         None  # image file whose metadata its picture gets; None for frames of videos
     )
@@ -258,11 +257,11 @@ def _choose(count: int, frames: int | slice | str) -> range:
 
 
 @lru_cache(1)
-def _read_dark(path: Path) -> NDArray[Any]:
+def _read_dark(path: Path) -> Array:
     return read_flat(path)
 
 
-def _read_less_dark(read: Callable[[], NDArray[Any]], dark: Path) -> NDArray[Any]:
+def _read_less_dark(read: Callable[[], Array], dark: Path) -> Array:
     pixels = read()
     try:
         return subtract_dark(pixels, _read_dark(dark))
@@ -386,7 +385,7 @@ def _decode(container: Any) -> Iterator[Any]:
         yield from [FlatError(wrong[0]) for _ in pictures] if wrong else pictures
 
 
-def _pixels_or_message(name: str, picture: Any) -> NDArray[Any] | str:
+def _pixels_or_message(name: str, picture: Any) -> Array | str:
     try:
         if isinstance(picture, Exception):
             raise picture
@@ -396,7 +395,7 @@ def _pixels_or_message(name: str, picture: Any) -> NDArray[Any] | str:
         return f"{name}: {_one_line(error)}"
 
 
-def _give(found: NDArray[Any] | str) -> NDArray[Any]:
+def _give(found: Array | str) -> Array:
     if isinstance(found, str):
         raise FlatError(found)
     return found

@@ -20,10 +20,8 @@ from threading import RLock
 from time import perf_counter
 from typing import Any, Literal
 
-from numpy.typing import NDArray
-
 from lfcal import Calibration, LightFieldError, OutputError, calibrate, load
-from lfcal.runtime.arrays import Exposure, exposure_gain
+from lfcal.runtime.arrays import Array, Exposure, exposure_gain
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
@@ -86,7 +84,7 @@ class _Reference:
     """A frame that others are compared with."""
 
     name: str
-    flat: NDArray[Any]
+    flat: Array
     depth: DepthMap
     picture: Rendering | None = None
 
@@ -263,7 +261,7 @@ class Job:
     def _depth_file(self, name: str) -> Path:
         return self.hidden / f"depth_{name}.npz"
 
-    def camera(self, pixels: NDArray[Any]) -> Calibration:
+    def camera(self, pixels: Array) -> Calibration:
         """The camera of the run, calibrated from these pixels if there is none yet."""
         if self.calibration is None:
             self.calibration = self._as_stored(calibrate(pixels))
@@ -276,7 +274,7 @@ class Job:
             else calibration
         )
 
-    def read(self, frame: Frame) -> NDArray[Any]:
+    def read(self, frame: Frame) -> Array:
         """The flat of a frame, in colour if the camera has a colour mosaic."""
         pixels = frame.read()
         return demosaic(pixels, self.camera(pixels)) if pixels.ndim == 2 else pixels
@@ -292,11 +290,11 @@ class Job:
             depth.save(file)
         self._remember(_Reference(frame.name, flat, self._load_depth(frame)))
 
-    def _analyze(self, flat: NDArray[Any], before: _Reference | None) -> DepthMap:
+    def _analyze(self, flat: Array, before: _Reference | None) -> DepthMap:
         previous = None if before is None else (before.flat, before.depth)
         return analyze(flat, self.camera(flat), self.preset, previous=previous)
 
-    def _draw(self, flat: NDArray[Any], depth: DepthMap, before: _Reference | None) -> Rendering:
+    def _draw(self, flat: Array, depth: DepthMap, before: _Reference | None) -> Rendering:
         if before is None or before.picture is None:
             return render(flat, self.camera(flat), depth, scale=self.scale)
         return render(
@@ -328,7 +326,7 @@ class Job:
             what = "left by another version, or damaged; render everything again (--overwrite)"
             raise OutputError(f"{file}: {what}") from error
 
-    def _save_settings(self, flat: NDArray[Any], depth: DepthMap) -> None:
+    def _save_settings(self, flat: Array, depth: DepthMap) -> None:
         camera = self.camera(flat)
         if self.exposure is not None:
             self.gain = exposure_gain(flat, camera.white_level, self.exposure)
@@ -352,7 +350,7 @@ class Job:
         shown: Rendering = Brightness(None, self.gain).apply(picture)
         return eight_bits(shown) if self.eight_bits else shown
 
-    def first_of_group(self, frame: Frame, flat: NDArray[Any] | None, key: Frame) -> _Reference:
+    def first_of_group(self, frame: Frame, flat: Array | None, key: Frame) -> _Reference:
         """The first frame of a group with flat, depth and picture; it may be the key frame of its
         segment itself.
         """
@@ -371,7 +369,7 @@ class Job:
         )
 
     def render_frame(
-        self, number: int, frame: Frame, flat: NDArray[Any], first: _Reference
+        self, number: int, frame: Frame, flat: Array, first: _Reference
     ) -> FrameResult:
         """Analyse, draw and write one frame, with its pixels in colour, after the `first` of its
         group.

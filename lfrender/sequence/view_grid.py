@@ -14,12 +14,11 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration, OutputError
+from lfcal.runtime.arrays import Array
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
@@ -67,7 +66,7 @@ class ViewGrid:
 
     def draw(
         self,
-        flat: NDArray[Any],
+        flat: Array,
         calibration: Calibration,
         depth: DepthMap,
         scale: float | None,

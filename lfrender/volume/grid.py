@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Lattice
+from lfcal.runtime.arrays import Floats, Singles
 
 from .microscope import Scale
 from .pixels import FlatPixels
@@ -22,7 +22,7 @@ class VoxelGrid:
     """Planes of square voxels over a flat, with a margin that rays at its border reach; all in
     pixels of the flat."""
 
-    slopes: NDArray[np.float64]  # (n,) k of each plane, 0 at the native plane
+    slopes: Floats  # (n,) k of each plane, 0 at the native plane
     spacing: float  # side of a voxel [px]
     inner: tuple[int, int]  # rows and columns that lie over the flat
     margin: int  # voxels around them
@@ -31,7 +31,7 @@ class VoxelGrid:
     def over(
         cls,
         lattice: Lattice,
-        slopes: NDArray[np.float64],
+        slopes: Floats,
         voxels: int,
         reach: float,
     ) -> VoxelGrid:
@@ -55,18 +55,18 @@ class VoxelGrid:
         """Scene coordinate x and y of the first inner voxel [px]."""
         return 0.5 * self.spacing - 0.5
 
-    def crop(self, volume: NDArray[np.float32]) -> NDArray[np.float32]:
+    def crop(self, volume: Singles) -> Singles:
         """A volume without the margin."""
         rows, columns = self.inner
         low = self.margin
         return np.ascontiguousarray(volume[:, low : low + rows, low : low + columns])
 
-    def pad(self, volume: NDArray[np.float32]) -> NDArray[np.float32]:
+    def pad(self, volume: Singles) -> Singles:
         """A volume with the margin, which continues its border."""
         around = (self.margin, self.margin)
         return np.pad(volume, ((0, 0), around, around), "edge").astype(np.float32)
 
-    def null_space(self, pixels: FlatPixels, lattice: Lattice) -> NDArray[np.float64]:
+    def null_space(self, pixels: FlatPixels, lattice: Lattice) -> Floats:
         """(n, 1) width [voxels] of the box that volumes are smoothed with, since pixels do not see
         what is finer.
 

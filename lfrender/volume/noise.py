@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration
+from lfcal.runtime.arrays import Singles
 
 __all__ = ["measure_variance"]
 
@@ -25,9 +25,7 @@ _DARK = 0.01
 _WEIGHTS = 6**2
 
 
-def measure_variance(
-    flat: NDArray[np.float32], calibration: Calibration
-) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
+def measure_variance(flat: Singles, calibration: Calibration) -> Callable[[Singles], Singles]:
     """A function from values of a linear flat (h, w) to the variance of pixels that have them."""
     lattice = calibration.lattice
     half = int(np.clip((lattice.pitch / 2 - 1) / np.sqrt(2), 2, 5))
@@ -45,7 +43,7 @@ def measure_variance(
     per_light = np.float32(max(np.quantile(change[bright] / mean[bright], _SMOOTH), 1e-12))
     dark = np.float32(_DARK * mean[bright].mean())
 
-    def variance(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def variance(values: Singles) -> Singles:
         return per_light * np.maximum(values, dark)
 
     return variance

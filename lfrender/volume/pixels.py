@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
+from lfcal.runtime.arrays import Floats, Singles
 
 __all__ = ["FlatPixels", "choose_pixels"]
 
@@ -29,10 +30,10 @@ _ROWS = 256
 class FlatPixels:
     """Pixels (p,) of a flat."""
 
-    values: NDArray[np.float32]  # of the flat
-    light: NDArray[np.float32]  # share of light by the white image
-    centres: NDArray[np.float32]  # (p, 2) of their microlenses [px]
-    angles: NDArray[np.float32]  # (p, 2) how far a ray moves for a slope of 1: g [px]
+    values: Singles  # of the flat
+    light: Singles  # share of light by the white image
+    centres: Singles  # (p, 2) of their microlenses [px]
+    angles: Singles  # (p, 2) how far a ray moves for a slope of 1: g [px]
     bins: NDArray[np.int32]  # number of the whole-pixel offset from the centre
     radius: float  # largest distance from the centre of a microimage [px]
     side: int  # there are `side * side` such numbers, row by row
@@ -44,7 +45,7 @@ class FlatPixels:
 
 
 def choose_pixels(
-    flat: NDArray[np.float32], calibration: Calibration, flat_radius: float, pupil_radius: float
+    flat: Singles, calibration: Calibration, flat_radius: float, pupil_radius: float
 ) -> FlatPixels:
     """Pixels with at least half the light of the brightest, within their microimage.
 
@@ -83,7 +84,7 @@ def choose_pixels(
     )
 
 
-def _nearest_centres(lattice: Lattice, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _nearest_centres(lattice: Lattice, points: Floats) -> Floats:
     """(n, 2) centre of the lens nearest to each point (n, 2) [px], in any lattice."""
     low = np.floor(lattice.to_index(points))
     nearest = lattice.points(low)

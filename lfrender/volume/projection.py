@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lfcal.runtime.arrays import Floats, Singles
 from lfcal.runtime.kernels import FAST, kernel
 
 from .footprint import blur, blur_planes
@@ -35,10 +35,10 @@ _TOGETHER = 8
 class Rays(NamedTuple):
     """Where pixels look, in voxels: `x = centre_x + k angle_x`."""
 
-    centre_x: NDArray[np.float32]  # (p,)
-    centre_y: NDArray[np.float32]
-    angle_x: NDArray[np.float32]
-    angle_y: NDArray[np.float32]
+    centre_x: Singles  # (p,)
+    centre_y: Singles
+    angle_x: Singles
+    angle_y: Singles
 
 
 @kernel(share=lambda planes, slopes, rays, out: len(out), fastmath=FAST)
@@ -117,11 +117,11 @@ class Projector:
     and its adjoint."""
 
     rays: Rays
-    slopes: NDArray[np.float32]  # (n,) k of each plane
-    widths: NDArray[np.float64]  # (n, b) boxes of the footprint on each plane [voxels]
+    slopes: Singles  # (n,) k of each plane
+    widths: Floats  # (n, b) boxes of the footprint on each plane [voxels]
     shape: tuple[int, int]  # of a plane
 
-    def forward(self, volume: NDArray[np.float32]) -> NDArray[np.float32]:
+    def forward(self, volume: Singles) -> Singles:
         """(p,) what the pixels see of a volume."""
         out = np.zeros(len(self.rays.centre_x), np.float32)
         for first in range(0, len(volume), _TOGETHER):
@@ -131,7 +131,7 @@ class Projector:
             _gather(planes, self.slopes[some], self.rays, out)
         return out
 
-    def adjoint(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def adjoint(self, values: Singles) -> Singles:
         """(n, h, w) volume that values (p,) of the pixels are spread over."""
         out = np.empty((len(self.slopes), *self.shape), np.float32)
         _backproject(values, self.slopes, self.widths, self.rays, out)
@@ -139,9 +139,9 @@ class Projector:
 
     def multiply(
         self,
-        volume: NDArray[np.float32],
-        values: NDArray[np.float32],
-        norm: NDArray[np.float32],
+        volume: Singles,
+        values: Singles,
+        norm: Singles,
     ) -> None:
         """Multiply a volume in place by `adjoint(values) / norm`, plane by plane in little
         memory."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration
+from lfcal.runtime.arrays import Array, Floats, Singles
 from lfcal.runtime.errors import check_type
 
 from ..flat.validation import check_flat
@@ -31,7 +31,7 @@ _MUCH_LIGHT = 1.5
 
 
 def reconstruct_volume(
-    flat: NDArray,
+    flat: Array,
     calibration: Calibration,
     microscope: Microscope | None = None,
     *,
@@ -132,7 +132,7 @@ def reconstruct_volume(
     )
 
 
-def _to_light(pixels: NDArray, calibration: Calibration) -> NDArray[np.float32]:
+def _to_light(pixels: Array, calibration: Calibration) -> Singles:
     """(H, W) mean over the channels, as floats that are 1 at white.
 
     Flats of 8 bits are taken for linear, as sensors of microscopes give them, unless the camera
@@ -159,7 +159,7 @@ def _rim_radius(calibration: Calibration) -> float:
 
 def _depths(
     given: tuple[float, float] | None, planes: int, scale: Scale, pitch: float, reach: float
-) -> NDArray[np.float64]:
+) -> Floats:
     """(planes,) depth of each plane."""
     widest = _DEFAULT_REACH * pitch / scale.slope_per_depth
     first, last = (-widest, widest) if given is None else (float(end) for end in given)
@@ -185,7 +185,7 @@ def _depths(
 
 
 def _warnings(
-    data: NDArray[np.float32],
+    data: Singles,
     optics: Microscope,
     calibration: Calibration,
 ) -> tuple[str, ...]:

@@ -17,8 +17,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
+
+from lfcal.runtime.arrays import Singles
 
 from .pixels import FlatPixels
 from .projection import Projector
@@ -68,11 +69,11 @@ class Fit:
 def deconvolve(
     projector: Projector,
     pixels: FlatPixels,
-    variance: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    variance: Callable[[Singles], Singles],
     steps: int,
-    start: NDArray[np.float32] | None = None,
+    start: Singles | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[NDArray[np.float32], Fit]:
+) -> tuple[Singles, Fit]:
     """The volume (n, h, w) that the pixels show, before the last box of the projector smooths it,
     and the fit.
 
@@ -117,7 +118,7 @@ def deconvolve(
     return volume, Fit(residual / size, noise / size, done, reason)
 
 
-def _seen(projector: Projector, light: NDArray[np.float32]) -> NDArray[np.float32]:
+def _seen(projector: Projector, light: Singles) -> Singles:
     """Light that each voxel gives to the flat; 0 where that is next to nothing."""
     norm = projector.adjoint(light)
     least = _LEAST_SEEN * norm.max(axis=(1, 2), keepdims=True)
@@ -125,7 +126,7 @@ def _seen(projector: Projector, light: NDArray[np.float32]) -> NDArray[np.float3
     return norm
 
 
-def _balance_directions(pixels: FlatPixels, predicted: NDArray[np.float32]) -> NDArray[np.float32]:
+def _balance_directions(pixels: FlatPixels, predicted: Singles) -> Singles:
     """(p,) factor for the light of each pixel, alike in all microimages.
 
     Summed over all lenses, every direction sees the same light of a specimen. Where the flat and

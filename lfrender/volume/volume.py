@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Floats, Frozen, Singles
 from lfcal.runtime.page import html_card
 
 from .richardson_lucy import Fit
@@ -57,11 +56,11 @@ class Volume(Frozen):
     ((3, 32, 40), (4.0, 2.5, 2.5), 'px')
     """
 
-    data: NDArray[np.float32]
+    data: Singles
     spacing: tuple[float, float, float]
     origin: tuple[float, float, float]
     unit: str
-    slopes: NDArray[np.float64]
+    slopes: Floats
     pitch: float
     fit: Fit
     warnings: tuple[str, ...] = ()
@@ -70,12 +69,12 @@ class Volume(Frozen):
         self._set(data=self.data, slopes=self.slopes)
 
     @property
-    def depths(self) -> NDArray[np.float64]:
+    def depths(self) -> Floats:
         """(z,) depth of each plane from the native plane: in micrometres, or as the slope `k = -D /
         s`."""
         return self.origin[0] + self.spacing[0] * np.arange(len(self.data), dtype=np.float64)
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.array(self.data, dtype) if copy else np.asarray(self.data, dtype)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -100,7 +99,7 @@ class Volume(Frozen):
             known[name] = tuple(known[name])
         return cls(**known)
 
-    def projections(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    def projections(self) -> tuple[Singles, Singles, Singles]:
         """Maximum along z (y, x), along y (z, x) and along x (y, z)."""
         return self.data.max(0), self.data.max(1), np.ascontiguousarray(self.data.max(2).T)
 
