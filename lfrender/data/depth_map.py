@@ -22,6 +22,7 @@ from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import html_card
 
+from ..runtime.types import AnyPath, Size
 from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes
 from .surface import Surface
@@ -41,36 +42,47 @@ __all__ = [
     "check_depth",
     "default_scale",
     "is_same_flat",
+    "magnification_range",
     "sample_flat",
 ]
 
 
+# Rows and columns of a flat whose pixels tell it from other flats.
+_SAMPLED_ROWS = 16
+_SAMPLED_COLUMNS = 64
+# Largest RMS difference between samples of one flat, as a share of their standard deviation:
+# rounding to 8 bits makes 0.01.
+_ROUNDING = 0.02
+
+
 def sample_flat(flat: Array | FlatSource) -> Singles:
-    """Gray values (n,) float32 of a flat (H, W) or (H, W, C), in memory or not, on a grid, over
-    their mean.
-    """
+    """Gray values (n,) of a flat (H, W) or (H, W, C) on a grid, divided by their mean."""
     height, width = flat.shape[:2]
-    at = [
-        np.unique((np.arange(n) + 0.5) / n * length).astype(int)
-        for n, length in ((16, height), (64, width))
-    ]
+    chosen = _spread(_SAMPLED_ROWS, height)
     if isinstance(flat, FlatSource):
-        rows = np.concatenate([flat.read(0, row, width, row + 1) for row in at[0].tolist()])
+        rows = np.concatenate([flat.read(0, row, width, row + 1) for row in chosen.tolist()])
     else:
-        rows = np.asarray(flat[at[0]])
-    few = rows[:, at[1]].astype(np.float64)
-    gray = (few if few.ndim == 2 else few.mean(-1)).ravel()
+        rows = np.asarray(flat[chosen])
+    gray = rows[:, _spread(_SAMPLED_COLUMNS, width)].astype(np.float64)
+    if gray.ndim > 2:
+        gray = gray.mean(-1)
+    gray = gray.ravel()
     return (gray / max(float(gray.mean()), 1e-12)).astype(np.float32)
 
 
+def _spread(count: int, length: int) -> Integers:
+    """At most `count` numbers, evenly spread over those below a length."""
+    return np.unique((np.arange(count) + 0.5) / count * length).astype(int)
+
+
 def is_same_flat(one: Singles, other: Singles) -> bool:
-    """Whether the samples of two flats are the same but for rounding; also of another type, bit
-    depth or exposure.
+    """Whether samples of two flats differ by rounding only; type, bit depth and exposure may
+    differ.
     """
-    # Rounding to 8 bits differs by 0.01 of the standard deviation.
-    return one.shape == other.shape and bool(
-        np.sqrt(np.mean((one - other) ** 2)) <= 0.02 * one.std() + 1e-6
-    )
+    if one.shape != other.shape:
+        return False
+    difference = np.sqrt(np.mean((one - other) ** 2))
+    return bool(difference <= _ROUNDING * one.std() + 1e-6)
 
 
 #: Codes of `DepthMap.mode`.
@@ -90,11 +102,13 @@ REASONS = (
 DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
-# Distances of output pixels from one to its double: steps of 19 %, while the depth of a scene that
-# stays moves by 1 %.
+# Least ratio between the ends of a scale of magnifications.
+_NARROWEST_SCALE = 1.2
+# Distances of output pixels from one to its double: steps of 19 %, while noise moves the depth of a
+# static scene by 1 %.
 _SPACINGS_PER_OCTAVE = 4
-# Of files that somebody has compressed: unpacked bytes over those of the file, and what is never
-# too much [bytes].
+# Limits for files that somebody has compressed: unpacked bytes over those of the file, and unpacked
+# bytes that are always accepted.
 LARGEST_RATIO = 50
 SMALL = 1 << 26
 # Arrays and numbers of a file that bear the name of their field; derived ones are for other
@@ -182,7 +196,7 @@ class DepthMap(Frozen):
     filled_patch_size: Singles
     surface: Surface
     pitch: float
-    image_size: tuple[int, int]
+    image_size: Size
     preset: str = "balanced"
     reason: NDArray[np.int8] = None  # type: ignore[assignment]
     saved: dict[str, float] = field(default_factory=dict)
@@ -195,28 +209,27 @@ class DepthMap(Frozen):
         check_type(self.surface, Surface, "surface", "lfrender.data.surface.Surface makes one")
         names = ("patch_size", "standard_error", "confidence", "filled_patch_size")
         self._set(**{name: np.array(getattr(self, name), dtype=np.float32) for name in names})
+        resolved = np.isfinite(self.patch_size)
         reason = self.reason
-        n = np.size(self.patch_size)
         if reason is None:
-            reason = np.where(np.isfinite(self.patch_size), 0, np.where(self.confidence > 0, 2, 1))
-        self._set(
-            reason=np.array(reason, np.int8),
-            image_size=(int(self.image_size[0]), int(self.image_size[1])),
-        )
-        shapes = dict.fromkeys((*names, "reason"), (n,)) | (
-            {} if self.centres is None else {"centres": (n, 2)}
-        )
+            reason = np.where(resolved, 0, np.where(self.confidence > 0, 2, 1))
+        width, height = self.image_size
+        self._set(reason=np.array(reason, np.int8), image_size=(int(width), int(height)))
+        n = np.size(self.patch_size)
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*names, "reason"), (n,))
+        if self.centres is not None:
+            shapes["centres"] = (n, 2)
         for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
-        if ((self.reason == 0) != np.isfinite(self.patch_size)).any():
+            given = getattr(self, name).shape
+            if given != shape:
+                raise ValueError(f"{name} must have shape {shape}, got {given}")
+        if ((self.reason == 0) != resolved).any():
             raise ValueError(
                 "reason must be 0 for every lens with a patch size, and only for those"
             )
-        if not (
-            np.isfinite(self.filled_patch_size).all() and np.isfinite(self.surface.patch_size).all()
-        ):
-            raise ValueError("filled_patch_size and surface must be finite")
+        for values in (self.filled_patch_size, self.surface.patch_size):
+            if not np.isfinite(values).all():
+                raise ValueError("filled_patch_size and surface must be finite")
 
     def __len__(self) -> int:
         return len(self.patch_size)
@@ -247,9 +260,7 @@ class DepthMap(Frozen):
         """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
         return np.isnan(self.patch_size)
 
-    def nearest_lens(
-        self, shape: tuple[int, int], first: ArrayLike, spacing: float
-    ) -> Integers | None:
+    def nearest_lens(self, shape: Size, first: ArrayLike, spacing: float) -> Integers | None:
         """(h, w) the lens nearest to each pixel, `spacing` [px] apart from `first` on; None if the
         centres are not known.
         """
@@ -304,107 +315,89 @@ class DepthMap(Frozen):
         return camera.optics, camera.lattice.centres()
 
     def dense(self, scale: float | None = None, fill: bool = True) -> DenseDepth:
-        """Patch size, validity and error of every pixel of the picture, as
-        `lfrender.data.dense_depth.dense_depth`.
-        """
+        """Patch size, validity and error of every pixel: `lfrender.data.dense_depth.dense_depth`."""
         from .. import dense_depth
 
         made: DenseDepth = dense_depth(self, scale, fill)
         return made
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the magnification over the scene on Matplotlib axes, by default the current ones;
-        returns them.
-        """
+        """Draw the magnification over the scene, by default on the current axes; returns them."""
         from matplotlib.colors import LogNorm
 
-        (shown, low, high), surface = self.clipped_magnification(), self.surface
+        surface = self.surface
+        shown, low, high = self.clipped_magnification()
         lens = self.nearest_lens(shown.shape, surface.first, surface.spacing)
         if lens is not None:
             shown[self.filled[lens]] = np.nan
-        corner = np.array(surface.first) - surface.spacing / 2
-        corners = corner, corner + surface.spacing * np.array(shown.shape[::-1])
-        look: dict[str, Any] = {
-            "norm": LogNorm(low, high),
-            "cmap": "turbo",
-            "interpolation": "nearest",
-        }
-        drawn = show_on_axes(ax, shown, *corners, "Magnification", **look)
+        first = np.array(surface.first) - surface.spacing / 2
+        last = first + surface.spacing * np.array(shown.shape[::-1])
+        look: dict[str, Any] = {"norm": LogNorm(low, high), "cmap": "turbo"}
+        drawn = show_on_axes(
+            ax, shown, first, last, "Magnification", interpolation="nearest", **look
+        )
         # Grey as in the maps of `lfrender.output.depth_picture`.
         drawn.axes.set_facecolor(np.full(3, 150 / 255))
-        bar = drawn.figure.colorbar(
-            drawn, ax=drawn.axes, label="magnification M (grey: unresolved)"
-        )
-        bar.set_ticks(
-            np.geomspace(low, high, 5),
-            labels=[f"{tick:.2g}" for tick in np.geomspace(low, high, 5)],
-        )
+        label = "magnification M (grey: unresolved)"
+        bar = drawn.figure.colorbar(drawn, ax=drawn.axes, label=label)
+        ticks = np.geomspace(low, high, 5)
+        bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
         bar.minorticks_off()
         return drawn.axes
 
     def clipped_magnification(self) -> tuple[Singles, float, float]:
-        """(h, w) magnification on the grid of the surface, clipped to the range of nearly all of
-        it, and that range.
+        """(h, w) magnification on the grid of the surface, clipped to a range, and this range.
+
+        98 % of the values lie in the range.
         """
         whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), 1e-3 * self.pitch)
-        low, high = (float(value) for value in np.percentile(whole, (1, 99)))
-        high = max(high, 1.2 * low)
+        low, high = magnification_range(whole)
         return np.clip(whole, low, high), low, high
 
     def __repr__(self) -> str:
-        shares = (
-            [f"{np.mean(self.mode == code):.0%} {name}" for code, name in MODES.items()]
-            if len(self)
-            else []
-        )
-        return f"DepthMap({', '.join([f'{len(self)} lenses', *shares])}; {self.preset!r})"
+        parts = [f"{len(self)} lenses"]
+        for code, name in MODES.items() if len(self) else ():
+            parts.append(f"{np.mean(self.mode == code):.0%} {name}")
+        return f"DepthMap({', '.join(parts)}; {self.preset!r})"
 
     def _repr_html_(self) -> str:
         figures = {}
         known = self.magnification[np.isfinite(self.magnification)]
         if known.size:
-            figures["magnification"] = (
-                f"{known.min():.2f} to {known.max():.2f}, median {np.median(known):.2f}"
-            )
-            figures["standard error of s"] = (
-                f"{np.median(self.standard_error[self.mode != 0]):.2g} px (median)"
-            )
+            ends = f"{known.min():.2f} to {known.max():.2f}"
+            figures["magnification"] = f"{ends}, median {np.median(known):.2f}"
+            error = np.median(self.standard_error[self.mode != 0])
+            figures["standard error of s"] = f"{error:.2g} px (median)"
         if self.saved:
             figures["saved"] = ", ".join(f"{name} {part:.0%}" for name, part in self.saved.items())
         return html_card(repr(self), figures, self.plot)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: AnyPath) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
         surface = self.surface
-        saved = self.saved
-        state = self.frame_state
-        values = {
-            name: value
-            for name in (*_SAVED, *_OPTIONAL)
-            if (value := getattr(self, name)) is not None
-        }
+        reference = self.frame_state.reference
+        kept = self.frame_state.kept
+        values: dict[str, Any] = {"version": np.int64(_VERSION)}
+        values["surface_spacing"] = surface.spacing
+        values |= {name: getattr(self, name) for name in (*_SAVED, *_OPTIONAL)}
         values |= {
             "drawn": self.filled_patch_size,
             "surface": surface.patch_size,
             "surface_first": surface.first,
+            "saved_by": np.array(list(self.saved), str),
+            "saved": np.array(list(self.saved.values()), np.float64),
+            "lens_blur": self.lens_blur and json.dumps(self.lens_blur.to_dict()),
         }
-        values |= {
-            "saved_by": np.array(list(saved), str),
-            "saved": np.array(list(saved.values()), np.float64),
-        }
-        if self.lens_blur is not None:
-            values |= {"lens_blur": json.dumps(self.lens_blur.to_dict())}
-        if state.reference is not None and state.kept is not None:
+        if reference is not None and kept is not None:
             # Without it, many small changes would pass once the depth has been loaded again.
-            values |= {
-                "kept": state.kept,
-                **{f"kept_{name}": of for name, of in state.reference._asdict().items()},
-            }
+            values["kept"] = kept
+            values |= {f"kept_{name}": value for name, value in reference._asdict().items()}
+        known = {name: value for name, value in values.items() if value is not None}
         with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
-            np.savez(stream, version=np.int64(_VERSION), surface_spacing=surface.spacing, **values)
+            np.savez(stream, **known)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> DepthMap:
+    def load(cls, path: AnyPath) -> DepthMap:
         """Read a file written by `save`; DepthFileError if it is missing, is not such a file, or a
         field is wrong.
         """
@@ -422,38 +415,7 @@ class DepthMap(Frozen):
                 raise DepthFileError(
                     f"{path}: version {version} is not known (this is {_VERSION}); {remedy}"
                 )
-            grid = np.ascontiguousarray(data["surface"], np.float32)
-            first = tuple(data["surface_first"].tolist())
-            saved = (
-                zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True)
-                if "saved" in data
-                else ()
-            )
-            more: dict[str, Any] = {
-                name: data[name].astype(np.float32)
-                for name in _OPTIONAL
-                if name in data and data[name].size
-            }
-            if "lens_blur" in data:
-                more["lens_blur"] = LensBlur.from_dict(json.loads(str(data["lens_blur"])))
-            if "kept" in data:
-                reference = LocalMatch(*(data[f"kept_{name}"] for name in LocalMatch._fields))
-                more["frame_state"] = FrameState(reference, data["kept"])
-            surface = Surface(grid, first, float(data["surface_spacing"]))
-            reason = data.get("reason")
-            return cls(
-                data["patch_size"],
-                data["standard_error"],
-                data["confidence"],
-                data["drawn"],
-                surface,
-                float(data["pitch"]),
-                tuple(data["image_size"].tolist()),
-                str(data["preset"]),
-                reason,  # type: ignore
-                dict(saved),
-                **more,
-            )
+            return cls(**_fields_of(data))
         except DepthFileError:
             raise
         except OSError as error:
@@ -466,6 +428,34 @@ class DepthMap(Frozen):
             raise DepthFileError(f"{path}: not a whole depth file ({text}); {remedy}") from error
 
 
+def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a depth map from the arrays of its file."""
+    found: dict[str, Any] = {
+        name: data[name] for name in ("patch_size", "standard_error", "confidence")
+    }
+    place = (tuple(data["surface_first"].tolist()), float(data["surface_spacing"]))
+    found |= {
+        "filled_patch_size": data["drawn"],
+        "surface": Surface(np.ascontiguousarray(data["surface"], np.float32), *place),
+        "pitch": float(data["pitch"]),
+        "image_size": tuple(data["image_size"].tolist()),
+        "preset": str(data["preset"]),
+        "reason": data.get("reason"),
+    }
+    if "saved" in data:
+        pairs = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True)
+        found["saved"] = dict(pairs)
+    for name in _OPTIONAL:
+        if name in data and data[name].size:
+            found[name] = data[name].astype(np.float32)
+    if "lens_blur" in data:
+        found["lens_blur"] = LensBlur.from_dict(json.loads(str(data["lens_blur"])))
+    if "kept" in data:
+        reference = LocalMatch(*(data[f"kept_{name}"] for name in LocalMatch._fields))
+        found["frame_state"] = FrameState(reference, data["kept"])
+    return found
+
+
 def _check_unpacked_size(stream: Any) -> None:
     """ValueError if an archive would unpack to far more than its own size: `save` does not
     compress.
@@ -475,6 +465,12 @@ def _check_unpacked_size(stream: Any) -> None:
     size = os.fstat(stream.fileno()).st_size
     if unpacked > max(LARGEST_RATIO * size, SMALL):
         raise ValueError(f"its {size / 1e6:.1f} MB would unpack to {unpacked / 1e6:,.0f} MB")
+
+
+def magnification_range(magnification: Array) -> tuple[float, float]:
+    """Ends of a scale that holds 98 % of these magnifications, at least a fifth wide."""
+    low, high = np.percentile(magnification, (1, 99))
+    return float(low), float(max(high, _NARROWEST_SCALE * low))
 
 
 def check_depth(depth: DepthMap, calibration: Calibration) -> None:

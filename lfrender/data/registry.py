@@ -14,6 +14,7 @@ from lfcal import FlatError, read_flat
 from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
+from ..runtime.types import AnyPath
 from .samples import cache_folder
 
 __all__ = ["Registry", "open_registry", "write_registry"]
@@ -74,9 +75,7 @@ class Registry:
         return read_flat(self.fetch(name), page)
 
 
-def open_registry(
-    base: str | os.PathLike[str], hashes: Mapping[str, str] | str | os.PathLike[str] | None = None
-) -> Registry:
+def open_registry(base: AnyPath, hashes: Mapping[str, str] | AnyPath | None = None) -> Registry:
     """The registry of a folder or of an address (`https://...`); FlatError if its list cannot be
     read.
 
@@ -116,7 +115,7 @@ def open_registry(
     return Registry(place, found)
 
 
-def write_registry(folder: str | os.PathLike[str]) -> Path:
+def write_registry(folder: AnyPath) -> Path:
     """Write `registry.txt` with the hashes of all files in a folder but hidden ones; returns its
     path.
 

@@ -20,21 +20,17 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+from lfcal import OutputError
 
-from lfcal import Calibration, OutputError
+from ..runtime.types import Size
 
 if TYPE_CHECKING:
     from data_synth import BoardShoot, Camera, Capture
-
-    from .depth_map import DepthMap
 
 __all__ = [
     "board",
     "cache_folder",
     "clutter",
-    "example",
     "house",
     "periodic",
     "plane",
@@ -65,7 +61,7 @@ def _scene(name: str, about: str) -> Callable[..., Capture]:
 
     def make(
         *,
-        size: tuple[int, int] = (800, 600),
+        size: Size = (800, 600),
         pitch: float = 23.2,
         samples: int = 16,
         seed: int = 0,
@@ -111,27 +107,9 @@ ramp = _scene("ramp", "A smooth ramp of brightness, on which every seam shows.")
 periodic = _scene("periodic", "Texture that repeats, whose depth is ambiguous.")
 
 
-def example() -> tuple[NDArray[np.uint8], Calibration, DepthMap]:
-    """A small flat of the house, its true camera, and its depth with the preset `fast`: the inputs
-    of the examples.
-
-    Examples
-    --------
-    >>> import lfrender
-    >>> flat, camera, depth = lfrender.data.example()
-    >>> flat.shape, len(depth) == len(camera.lattice)
-    ((180, 240, 3), True)
-    """
-    import lfrender
-
-    sample = house(size=(240, 180), samples=2)
-    camera = sample.truth.calibration
-    return sample.flat, camera, lfrender.analyze(sample.flat, camera, "fast")
-
-
 def board(
     *,
-    size: tuple[int, int] = (800, 600),
+    size: Size = (800, 600),
     pitch: float = 23.2,
     poses: int = 6,
     samples: int = 16,

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from lfcal.runtime.arrays import Frozen, Singles
 from lfcal.runtime.kernels import FAST, kernel
 
+from ..runtime.types import Size
+
 __all__ = [
     "DepthGrid",
     "Surface",
@@ -110,7 +112,7 @@ def edge_step(pitch: float) -> float:
 
 
 def sample_surface_at(
-    surface: Surface, edge: float, shape: tuple[int, int], first: Any, spacing: float
+    surface: Surface, edge: float, shape: Size, first: Any, spacing: float
 ) -> Singles:
     """Patch size [px] at every pixel of a picture, `spacing` apart from `first` (2,) on; `edge`
     [px] is as `edge_step`.
