@@ -11,9 +11,10 @@ from lfcal import Lattice
 from lfcal.runtime.arrays import Array
 
 from ..data.dense_depth import dense_depth
-from ..data.depth_map import DepthMap, default_scale
+from ..data.depth_map import DepthMap, default_scale, magnification_range
 from ..data.rendering import Rendering
 from ..flat.lens_graph import nearest_lens
+from ..runtime.types import Size
 
 __all__ = ["MODE_COLOURS", "colour_scale", "depth_picture", "lens_maps", "magnification_limits"]
 
@@ -41,8 +42,7 @@ def depth_picture(
 def magnification_limits(magnification: Array) -> tuple[float, float]:
     """Ends of a scale of M that holds 98 % of the lenses with a finite one."""
     known = magnification[np.isfinite(magnification)]
-    low, high = np.percentile(known, [1, 99]) if known.size else (1.0, 10.0)
-    return float(low), float(max(high, 1.2 * low))
+    return magnification_range(known) if known.size else (1.0, 10.0)
 
 
 def colour_scale(name: Literal["turbo", "viridis"]) -> NDArray[np.uint8]:
@@ -56,7 +56,7 @@ def colour_scale(name: Literal["turbo", "viridis"]) -> NDArray[np.uint8]:
 
 
 def lens_maps(
-    depth: DepthMap, lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]
+    depth: DepthMap, lattice: Lattice, affine: ArrayLike, shape: Size
 ) -> dict[str, NDArray[np.uint8]]:
     """Colours (h, w, 3) of the lens at each pixel: `"magnification"`, `"modes"`, `"confidence"`.
 

@@ -5,7 +5,6 @@ another.
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
@@ -28,6 +27,7 @@ from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, refuse_leftovers
 
 from ..data.rendering import Rendering
+from ..runtime.types import AnyPath
 from .formats import FORMATS, EmbeddedMetadata, Page, PictureError, check_format
 
 __all__ = [
@@ -46,7 +46,7 @@ _NO_METADATA = EmbeddedMetadata()
 
 
 def write_picture(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     picture: Any,
     *,
     alpha: bool = False,
@@ -98,7 +98,7 @@ def write_picture(
 
 
 def write_stack(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     pictures: Sequence[Any],
     *,
     settings: Sequence[Mapping[str, Any]] | None = None,
@@ -139,7 +139,7 @@ def write_stack(
     return paths
 
 
-def needs_eight_bits(path: str | os.PathLike[str], picture: Any) -> bool:
+def needs_eight_bits(path: AnyPath, picture: Any) -> bool:
     """Whether the format of `path` holds 8 bits a channel, but not the pixels of a picture."""
     kind = FORMATS.get(Path(path).suffix.lower())
     return kind is not None and kind.reduces(
@@ -179,7 +179,7 @@ class Brightness:
         return {} if self.gain == 1 else {"exposure_gain": self.gain}
 
 
-def default_exposure(path: str | os.PathLike[str]) -> Exposure | None:
+def default_exposure(path: AnyPath) -> Exposure | None:
     """`"auto"` for formats that are made to be looked at; None, no gain, for those that are made
     for work.
     """
@@ -203,7 +203,7 @@ def with_alpha(pixels: Array, valid: Booleans) -> Array:
 
 
 def _page(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     picture: Any,
     settings: Mapping[str, Any] | None,
     brightness: Brightness,

@@ -4,7 +4,6 @@ files.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from ..data.dense_depth import DenseDepth, dense_depth
 from ..data.depth_map import DepthMap, check_depth
 from ..data.surface import edge_step
 from ..rendering.render import render
+from ..runtime.types import AnyPath
 
 __all__ = ["CLOUD_SUFFIXES", "MESH_SUFFIXES", "mesh", "point_cloud", "write_mesh", "write_points"]
 
@@ -173,7 +173,7 @@ def _scene(dense: DenseDepth) -> Floats:
     return scene
 
 
-def write_points(path: str | os.PathLike[str], points: Array, metres: bool = False) -> None:
+def write_points(path: AnyPath, points: Array, metres: bool = False) -> None:
     """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY or PCD; whole
     or not at all.
 
@@ -222,7 +222,7 @@ def write_points(path: str | os.PathLike[str], points: Array, metres: bool = Fal
         temporary.write_bytes("\n".join(header).encode() + data)
 
 
-def write_mesh(path: str | os.PathLike[str], surface: Any) -> None:
+def write_mesh(path: AnyPath, surface: Any) -> None:
     """Write what `mesh` gives as glTF (`.glb`) with its texture, or as PLY with colours; whole or
     not at all.
 

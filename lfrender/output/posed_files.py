@@ -8,7 +8,6 @@ TMIV) with raw video. Each camera stands in the axes that its program has.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,6 +23,7 @@ from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftover
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..runtime.choices import PoseFormat
+from ..runtime.types import AnyPath
 from .picture import write_picture
 from .poses import ViewCamera, ViewRig, view_rig
 from .raw_video import check_raw_format, frame_bytes, yuv_frame
@@ -50,7 +50,7 @@ class _Posed(NamedTuple):
     centre: list[float]  # principal point where pixel (0, 0) reaches from 0 to 1
 
 
-def check_posed_folder(folder: str | os.PathLike[str], kind: PoseFormat, count: int) -> None:
+def check_posed_folder(folder: AnyPath, kind: PoseFormat, count: int) -> None:
     """OutputError if a folder holds posed views of an earlier run, of which `count` new ones would
     leave some.
     """
@@ -66,7 +66,7 @@ def check_posed_folder(folder: str | os.PathLike[str], kind: PoseFormat, count: 
 
 
 def write_posed_views(
-    folder: str | os.PathLike[str],
+    folder: AnyPath,
     kind: PoseFormat,
     views: Iterable[tuple[Rendering, Singles]],
     calibration: Calibration,

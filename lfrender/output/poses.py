@@ -20,6 +20,7 @@ from lfcal.runtime.arrays import Array, Floats, Frozen, Singles
 
 from ..data.depth_map import DepthMap, check_depth
 from ..rendering.warped_surface import virtual_depth
+from ..runtime.types import Size
 
 __all__ = ["ViewCamera", "ViewRig", "view_rig"]
 
@@ -39,7 +40,7 @@ class ViewCamera(Frozen):
     position: Floats  # (3,) in the unit of the rig
     focal: tuple[float, float]  # [px]
     principal_point: tuple[float, float]  # [px], pixel centres at integers
-    size: tuple[int, int]  # width and height [px]
+    size: Size  # width and height [px]
     distortion: tuple[float, float, float, float] = (
         0.0,
         0.0,
@@ -110,7 +111,7 @@ def view_rig(
     depth: DepthMap,
     offsets: Sequence[tuple[float, float]],
     affine: Floats,
-    size: tuple[int, int],
+    size: Size,
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:

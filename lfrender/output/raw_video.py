@@ -6,7 +6,6 @@ the view at the top left, the others follow row by row.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
@@ -18,12 +17,13 @@ from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 from lfcal.runtime.video import convert_frame, parse_pixel_format
 
+from ..runtime.types import AnyPath
 from .formats import FORMATS, PictureError, check_package
 
 __all__ = ["check_raw_format", "frame_bytes", "view_name", "write_view_videos", "yuv_frame"]
 
 
-def check_raw_format(folder: str | os.PathLike[str], pixel_format: str) -> str:
+def check_raw_format(folder: AnyPath, pixel_format: str) -> str:
     """The full name of a pixel format, 4:2:0 of 10 bits for `"yuv"`; PictureError if it cannot be
     written.
     """
@@ -81,7 +81,7 @@ def frame_bytes(frame: Any) -> bytes:
 
 
 def write_view_videos(
-    folder: str | os.PathLike[str], pictures: Iterable[Any], pixel_format: str = "yuv420p10"
+    folder: AnyPath, pictures: Iterable[Any], pixel_format: str = "yuv420p10"
 ) -> list[Path]:
     """Write each view, row by row, as raw video of one frame, `v000-1920x1080.yuv` and so on.
 

@@ -14,7 +14,8 @@ from lfcal import OutputError
 from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
-from .formats import tiff_tags, tiff_tiles
+from ..runtime.types import Size
+from .formats import TIFF_TILE, tiff_tags, tiff_tiles
 
 __all__ = ["TileWriter", "move_into_place"]
 
@@ -40,19 +41,19 @@ class TileWriter:
         folder: Path,
         shape: tuple[int, ...],
         dtype: Any,
-        side: tuple[int, int],
+        side: Size,
         text: str,
         icc: bytes = b"",
         compress: bool = False,
     ) -> None:
-        self._is_zarr, self._shape, self._dtype, self._side = (
-            path.suffix.lower() == ".zarr",
-            shape,
-            dtype,
-            side,
-        )
+        self._is_zarr = path.suffix.lower() == ".zarr"
+        self._shape = shape
+        self._dtype = dtype
+        self._side = side
         self._path = folder / ("picture.zarr" if self._is_zarr else "picture.tif")
-        self._text, self._compress, self._start = text, compress, 0
+        self._text = text
+        self._compress = compress
+        self._start = 0
         self._tags = tiff_tags(shape, text, icc)
 
     def open(self, fresh: bool) -> bool:
@@ -126,12 +127,13 @@ class TileWriter:
             made = self._path.with_name("packed.tif")
             options = tiff_tiles(self._dtype) | self._tags
             with atomic_write(made) as temporary:
-                tiles = self._tiles(options["tile"][0])
+                tiles = self._tiles()
                 tifffile.imwrite(temporary, tiles, shape=self._shape, dtype=self._dtype, **options)
         move_into_place(made, output)
 
-    def _tiles(self, side: int) -> Iterator[Array]:
+    def _tiles(self) -> Iterator[Array]:
         """The tiles of the finished picture, row by row."""
-        for top in range(0, self._shape[0], side):
-            band = np.array(self._map()[top : top + side])
-            yield from (band[:, left : left + side] for left in range(0, self._shape[1], side))
+        for top in range(0, self._shape[0], TIFF_TILE):
+            band = np.array(self._map()[top : top + TIFF_TILE])
+            for left in range(0, self._shape[1], TIFF_TILE):
+                yield band[:, left : left + TIFF_TILE]
