@@ -10,6 +10,7 @@ import numpy as np
 from lfcal import Lattice
 from lfcal.runtime.arrays import Floats, Singles
 
+from ..runtime.types import Size
 from .microscope import Scale
 from .pixels import FlatPixels
 from .projection import Projector, Rays
@@ -24,7 +25,7 @@ class VoxelGrid:
 
     slopes: Floats  # (n,) k of each plane, 0 at the native plane
     spacing: float  # side of a voxel [px]
-    inner: tuple[int, int]  # rows and columns that lie over the flat
+    inner: Size  # rows and columns that lie over the flat
     margin: int  # voxels around them
 
     @classmethod
@@ -45,7 +46,7 @@ class VoxelGrid:
         return cls(slopes, spacing, inner, margin)
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Size:
         """Rows and columns with the margin."""
         rows, columns = self.inner
         return rows + 2 * self.margin, columns + 2 * self.margin
@@ -67,8 +68,7 @@ class VoxelGrid:
         return np.pad(volume, ((0, 0), around, around), "edge").astype(np.float32)
 
     def null_space(self, pixels: FlatPixels, lattice: Lattice) -> Floats:
-        """(n, 1) width [voxels] of the box that volumes are smoothed with, since pixels do not see
-        what is finer.
+        """(n, 1) width [voxels] of the box that smooths away what no pixel resolves.
 
         On the native plane all pixels of a microimage see one place: what lies between the lenses
         is not known, and reconstructions show it as square blocks. At a slope k a place is seen by
@@ -86,12 +86,7 @@ class VoxelGrid:
         low = self.first - self.margin * self.spacing
         places = (pixels.centres - low) / self.spacing
         angles = pixels.angles / self.spacing
-        rays = Rays(
-            np.ascontiguousarray(places[:, 0]),
-            np.ascontiguousarray(places[:, 1]),
-            np.ascontiguousarray(angles[:, 0]),
-            np.ascontiguousarray(angles[:, 1]),
-        )
+        rays = Rays(*np.ascontiguousarray(np.hstack([places, angles]).T))
         steep = np.abs(self.slopes)
         # Square or hexagonal, a lens takes in the light of one cell of the lattice.
         lens = np.full(len(steep), np.sqrt(abs(np.linalg.det(lattice.basis))))

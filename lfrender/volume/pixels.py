@@ -13,14 +13,13 @@ from lfcal.runtime.arrays import Floats, Singles
 
 __all__ = ["FlatPixels", "choose_pixels"]
 
-# Less light than this share of the brightest is that of rims, which diffraction and neighbours
-# change.
+# Pixels with less light than this share of the brightest are left out: they lie at the rims of
+# microimages, where diffraction and neighbours change the light.
 _LEAST_LIGHT = 0.5
-# Distance from the rim of a microimage or of its cell [px]: pixels nearer to it show part of
-# something else.
+# Pixels nearer than this to the rim of a microimage or of its cell [px] are left out: half a pixel
+# reaches beyond it.
 _RIM = 0.5
-# Rays flatter than this share of a right angle (in its sine) are left out: their places run to
-# infinity.
+# Largest sine of the angle between a ray and the axis: flatter rays would run to infinity.
 _LARGEST_SINE = 0.98
 # Rows of a flat whose pixels are assigned to lenses at a time: bounds the memory.
 _ROWS = 256
@@ -34,9 +33,9 @@ class FlatPixels:
     light: Singles  # share of light by the white image
     centres: Singles  # (p, 2) of their microlenses [px]
     angles: Singles  # (p, 2) how far a ray moves for a slope of 1: g [px]
-    bins: NDArray[np.int32]  # number of the whole-pixel offset from the centre
+    bins: NDArray[np.int32]  # offset from the centre, rounded and numbered row by row
     radius: float  # largest distance from the centre of a microimage [px]
-    side: int  # there are `side * side` such numbers, row by row
+    side: int  # bins in a row, and rows of bins
 
     @property
     def reach(self) -> float:

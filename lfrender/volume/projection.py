@@ -24,11 +24,12 @@ from numba import njit
 from lfcal.runtime.arrays import Floats, Singles
 from lfcal.runtime.kernels import FAST, kernel
 
+from ..runtime.types import Size
 from .footprint import blur, blur_planes
 
 __all__ = ["Projector", "Rays"]
 
-# Planes that are blurred before pixels look at them together: their copies bound the memory.
+# Planes that are copied and blurred at a time: bounds the memory.
 _TOGETHER = 8
 
 
@@ -41,23 +42,28 @@ class Rays(NamedTuple):
     angle_y: Singles
 
 
+@njit(fastmath=FAST, inline="always")
+def _locate(rays, p, k, plane):
+    """Where pixel `p` looks on a plane (h, w) at slope `k`: whether it lies inside, row and column
+    of the voxel above and to the left, and the distances from it."""
+    x = rays.centre_x[p] + k * rays.angle_x[p]
+    y = rays.centre_y[p] + k * rays.angle_y[p]
+    column = int(np.floor(x))
+    row = int(np.floor(y))
+    inside = 0 <= row < plane.shape[0] - 1 and 0 <= column < plane.shape[1] - 1
+    return inside, row, column, y - row, x - column
+
+
 @kernel(share=lambda planes, slopes, rays, out: len(out), fastmath=FAST)
 def _gather(begin, end, planes, slopes, rays, out):
-    """Add to `out` (p,) what pixels see of planes (n, h, w) at slopes k (n,), between four voxels
-    each."""
-    height, width = planes.shape[1:]
+    """Add to `out` (p,) what pixels see of planes (n, h, w) at slopes k (n,), by bilinear
+    interpolation."""
     for plane in range(len(planes)):
         values = planes[plane]
-        k = slopes[plane]
         for p in range(begin, end):
-            x = rays.centre_x[p] + k * rays.angle_x[p]
-            y = rays.centre_y[p] + k * rays.angle_y[p]
-            column = int(np.floor(x))
-            row = int(np.floor(y))
-            if row < 0 or column < 0 or row >= height - 1 or column >= width - 1:
+            inside, row, column, low, right = _locate(rays, p, slopes[plane], values)
+            if not inside:
                 continue
-            right = x - column
-            low = y - row
             upper = values[row]
             lower = values[row + 1]
             above = upper[column] + right * (upper[column + 1] - upper[column])
@@ -68,17 +74,11 @@ def _gather(begin, end, planes, slopes, rays, out):
 @njit(fastmath=FAST, forceinline=True)
 def _scatter(values, k, rays, plane):
     """The adjoint of `_gather` for one plane (h, w), which is overwritten."""
-    height, width = plane.shape
     plane[:] = 0.0
     for p in range(len(values)):
-        x = rays.centre_x[p] + k * rays.angle_x[p]
-        y = rays.centre_y[p] + k * rays.angle_y[p]
-        column = int(np.floor(x))
-        row = int(np.floor(y))
-        if row < 0 or column < 0 or row >= height - 1 or column >= width - 1:
+        inside, row, column, low, right = _locate(rays, p, k, plane)
+        if not inside:
             continue
-        right = x - column
-        low = y - row
         below = low * values[p]
         above = values[p] - below
         plane[row, column] += above - right * above
@@ -119,7 +119,7 @@ class Projector:
     rays: Rays
     slopes: Singles  # (n,) k of each plane
     widths: Floats  # (n, b) boxes of the footprint on each plane [voxels]
-    shape: tuple[int, int]  # of a plane
+    shape: Size  # of a plane
 
     def forward(self, volume: Singles) -> Singles:
         """(p,) what the pixels see of a volume."""

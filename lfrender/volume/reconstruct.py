@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from lfcal import Calibration
@@ -11,6 +9,7 @@ from lfcal.runtime.arrays import Array, Floats, Singles
 from lfcal.runtime.errors import check_type
 
 from ..flat.validation import check_flat
+from ..runtime.types import Progress
 from .footprint import blur_planes
 from .grid import VoxelGrid
 from .microscope import Microscope, Scale
@@ -24,9 +23,9 @@ __all__ = ["reconstruct_volume"]
 # Slope k, in pitches, up to which volumes reach where no range is given. A pixel averages over a
 # pitch there.
 _DEFAULT_REACH = 1.0
-# Light of an outermost plane over that of the median plane, from which on the specimen is said to
-# reach farther: the captures have 1.0 to 1.3 where it ends within the range, 2.0 and more where it
-# does not.
+# Warn that the specimen reaches beyond the range if an outermost plane has this many times the
+# light of the median plane. Captures have 1.0 to 1.3 if it ends within the range, 2.0 and more if
+# it does not.
 _MUCH_LIGHT = 1.5
 
 
@@ -40,7 +39,7 @@ def reconstruct_volume(
     steps: int = 40,
     voxels: int = 8,
     start: Volume | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Volume:
     """Deconvolve a flat of a light-field microscope into a volume (experimental).
 
