@@ -8,7 +8,7 @@ flat.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -33,6 +33,7 @@ from ..flat.lens_blur import find_lens_blur
 from ..flat.texture import estimate_noise, find_texture, sample_statistics
 from ..flat.validation import match_exposure
 from ..runtime.choices import Preset, Shortcut, check_choice
+from ..runtime.types import Progress
 from ..sequence.workers import Workers
 from .tiles import LensTile, TileReader, lens_tiles, lens_windows
 
@@ -48,7 +49,7 @@ def analyze_large(
     preset: Preset = "balanced",
     *,
     skip: bool | Iterable[Shortcut] = True,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     client: Any = None,
     threads: int | None = None,
     memory: float = 6e8,
@@ -208,7 +209,7 @@ def _analyze_tiles(
     flat: _Flat,
     workers: Workers,
     tiles: list[LensTile],
-    progress: Callable[[int, int], None] | None,
+    progress: Progress | None,
 ) -> DepthMap:
     lattice = flat.lattice
     preset = flat.preset

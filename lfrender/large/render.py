@@ -4,8 +4,7 @@ drawn as a whole.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +24,7 @@ from ..output.tiled_picture import TileWriter, move_into_place
 from ..rendering.render import make_renderer
 from ..rendering.renderer import Renderer
 from ..runtime.choices import Detail
+from ..runtime.types import AnyPath, Progress, Size
 from ..sequence.workers import Workers, ahead
 from .tiles import TileReader
 
@@ -42,7 +42,7 @@ class LargePicture(Frozen):
     """
 
     path: Path
-    size: tuple[int, int]  # columns and rows [px]
+    size: Size  # columns and rows [px]
     affine: Floats  # (2, 3), as `Rendering.affine`
     scale: float  # output pixels per pitch
     valid: float  # share of the pixels that at least one lens has seen
@@ -52,7 +52,7 @@ class LargePicture(Frozen):
 
 def render_large(
     source: FlatSource,
-    path: str | os.PathLike[str],
+    path: AnyPath,
     calibration: Calibration,
     depth: DepthMap | None = None,
     *,
@@ -64,7 +64,7 @@ def render_large(
     alpha: bool = False,
     compress: bool = False,
     settings: Mapping[str, Any] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     client: Any = None,
     threads: int | None = None,
 ) -> LargePicture:
@@ -209,9 +209,7 @@ def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ())
         raise PictureError(f"{output}: is an input of this command; give another output")
 
 
-def _tile_size(
-    renderer: Renderer, reader: TileReader, tile: int | None, least: int
-) -> tuple[int, int]:
+def _tile_size(renderer: Renderer, reader: TileReader, tile: int | None, least: int) -> Size:
     """Columns and rows of the tiles: as given, or nearly square ones of a gigabyte, at least
     `least` of them.
     """

@@ -24,6 +24,7 @@ from ..depth.surface.scene_grid import grid_shape
 from ..flat.demosaicing import SUPPORT, demosaic
 from ..flat.validation import exposure_rows
 from ..output.resume import file_identity
+from ..runtime.types import Size
 
 __all__ = ["LensTile", "Rectangle", "TileReader", "lens_tiles", "lens_windows"]
 
@@ -192,7 +193,7 @@ def lens_tiles(
             yield LensTile.cut(whole, factor, low, high, core)
 
 
-def _reduced_size(whole: Lattice, factor: int) -> tuple[int, int]:
+def _reduced_size(whole: Lattice, factor: int) -> Size:
     width, height = whole.image_size
     return -(-width // factor), -(-height // factor)
 

@@ -18,11 +18,11 @@ from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.rendering import Rendering
-from ..output.formats import FORMATS, PictureError
+from ..output.formats import FORMATS, PictureError, describe_pixels
 from ..output.raw_video import yuv_frame
 from ..output.tiled_picture import move_into_place
 from ..output.views import write_animation
-from .job import FrameResult
+from .run import FrameResult
 
 __all__ = ["FilmFile", "film_results", "write_moving"]
 
@@ -107,7 +107,7 @@ class FilmFile:
         """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float; PictureError if it is unlike
         the first one.
         """
-        kind = f"{pixels.shape[1]} x {pixels.shape[0]} px of {pixels.dtype}{'' if pixels.ndim == 2 else ' in colour'}"
+        kind = describe_pixels(pixels)
         self._first = self._first or kind
         if kind != self._first:
             raise PictureError(

@@ -4,7 +4,6 @@ pixels.
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from bisect import bisect_left
@@ -23,6 +22,8 @@ from lfcal.runtime.arrays import Array
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS
 from lfcal.runtime.video import import_av, rgb_pixels
+
+from ..runtime.types import AnyPath, Size
 
 __all__ = ["Frame", "Frames", "is_video", "open_frames"]
 
@@ -154,11 +155,11 @@ class Frames:
 
 
 def open_frames(
-    inputs: Iterable[str | os.PathLike[str]],
+    inputs: Iterable[AnyPath],
     *,
-    size: tuple[int, int] | None = None,
+    size: Size | None = None,
     pixel_format: str | None = None,
-    dark: str | os.PathLike[str] | None = None,
+    dark: AnyPath | None = None,
     frames: int | slice | str | None = None,
     start: float | None = None,
     end: float | None = None,

@@ -27,6 +27,7 @@ from ..output.picture import write_picture
 from ..output.raw_video import check_raw_format, frame_bytes, view_name, yuv_frame
 from ..output.views import resize_view, scale_for_size
 from ..rendering.viewpoints import grid_offsets, views
+from ..runtime.types import Size
 
 __all__ = ["ViewGrid", "ViewOutput"]
 
@@ -55,9 +56,7 @@ class ViewGrid:
     aperture: float = (
         0.7  # distance of its corners from the middle, as a part of the radius of the microimages
     )
-    size: tuple[int, int] | None = (
-        None  # width and height of the views [px]; with None the scale of the run
-    )
+    size: Size | None = None  # width and height of the views [px]; with None the scale of the run
 
     @property
     def count(self) -> int:
