@@ -11,7 +11,7 @@ Detail = Literal["natural", "off"]
 #: Programs that views are written for with their cameras.
 PoseFormat = Literal["nerfstudio", "colmap", "rvs"]
 #: How much time a depth analysis takes.
-Preset = Literal["fast", "balanced", "accurate"]
+Preset = Literal["fast", "balanced"]
 #: What a depth analysis may leave out (`lfrender.depth.presets.Shortcuts`).
 Shortcut = Literal["blank", "ranges", "still", "steady"]
 
