@@ -23,6 +23,7 @@ from .formats import FORMATS, PictureError, check_format
 from .picture import Brightness, default_exposure, write_picture
 
 __all__ = [
+    "MILLISECONDS",
     "check_grid",
     "crop_view",
     "resize_view",
@@ -33,6 +34,8 @@ __all__ = [
     "write_quilt",
 ]
 
+#: How long an animation shows a picture.
+MILLISECONDS = 80
 # Names of the files of a grid, as a regular expression.
 _GRID_FILES = r"row\d+_column\d+\.\w+"
 
@@ -204,7 +207,7 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
 
 
 def write_animation(
-    path: AnyPath, pictures: Iterable[Rendering], *, milliseconds: int = 80
+    path: AnyPath, pictures: Iterable[Rendering], *, milliseconds: int = MILLISECONDS
 ) -> None:
     """Write at least one view as GIF, animated PNG or WebP of 8 bits that repeats without end;
     whole or not at all.

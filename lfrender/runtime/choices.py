@@ -17,8 +17,6 @@ Shortcut = Literal["blank", "ranges", "still", "steady"]
 
 
 def check_choice(value: Any, choices: Any, name: str) -> None:
-    """Raise a ValueError that names the argument and its choices, a `Literal`, if a value is none
-    of them.
-    """
+    """Raise a ValueError with the choices (a `Literal`) if an argument is none of them."""
     if value not in get_args(choices):
         raise ValueError(f"{name} must be one of {', '.join(get_args(choices))}, got {value!r}")

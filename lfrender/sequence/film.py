@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
@@ -18,7 +18,7 @@ from ..output.formats import check_format
 from ..output.picture import default_exposure
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..runtime.types import AnyPath, Size
-from .film_file import film_results
+from .film_file import Results, film_results
 from .frames import Frame, Frames, is_video
 from .options import FrameOptions
 from .run import FrameResult, Run, render_group
@@ -54,7 +54,7 @@ def render_frames(
     client: Any = None,
     threads: int | None = None,
     **given: Any,
-) -> Generator[FrameResult, None, None]:
+) -> Results:
     """Render the frames of a sequence into a folder, one picture per frame.
 
     A hidden folder inside stores the camera, the settings, and a depth map every 5 frames. The same
@@ -114,7 +114,7 @@ def render_frames(
     # Workers may have another working directory.
     place = Path(folder) if client is None else Path(folder).absolute()
     target = RunFolder(place, options, known.names, overwrite)
-    run = Run(target, options, calibration, known.dark, known.encoded)
+    run = Run(target, options, calibration, known)
     workers = Workers(client, threads, _GROUPS_AT_ONCE)
     results = _render(run, frames, known.names, overwrite, announce, workers)
     if not target.makes_depth_film:
@@ -141,7 +141,7 @@ def _render(
     overwrite: bool,
     announce: Callable[[Plan], None] | None,
     workers: Workers,
-) -> Generator[FrameResult, None, None]:
+) -> Results:
     kept = 0 if overwrite else sum(not run.folder.is_missing(name) for name in names)
     groups = run.groups(frames, overwrite)
     first = next(groups)
@@ -166,7 +166,10 @@ def render_film(
     options: FrameOptions | None = None,
     *,
     overwrite: bool = False,
-    **more: Any,
+    announce: Callable[[Plan], None] | None = None,
+    client: Any = None,
+    threads: int | None = None,
+    **given: Any,
 ) -> Iterator[FrameResult]:
     """Render the frames of a sequence into a film, complete after the last result has been taken.
 
@@ -195,8 +198,7 @@ def render_film(
     check_type(frames, Frames, "frames", "lfrender.open_frames finds them")
     output = Path(path).absolute()
     check_format(output, "film", inputs=frames.files)
-    chosen = {name: more.pop(name) for name in vars(FrameOptions()).keys() & more.keys()}
-    options = replace(options or FrameOptions(), **chosen)
+    options = replace(options or FrameOptions(), **given)
     if options.exposure is None:
         options = replace(options, exposure=default_exposure(output))
     checkpoint = Checkpoint(output)
@@ -210,8 +212,9 @@ def render_film(
         checkpoint.remove()
         checkpoint.keep("film", key)
     folder = checkpoint.folder
+    run: dict[str, Any] = {"announce": announce, "client": client, "threads": threads}
     results = film_results(
-        render_frames(frames, folder, calibration, options, **more),
+        render_frames(frames, folder, calibration, options, **run),
         output,
         folder,
         Fraction(options.rate or frames.rate or _DEFAULT_RATE),

@@ -72,14 +72,12 @@ class _Part:
             _open_video(self.path) as container,
         ):
             stream = container.streams.video[0]
-            rate = stream.average_rate
-            count = max(stream.frames, _least_length(container))
-            # Streams without a header and Matroska are read through, which takes little beside
-            # decoding.
-            count = stream.frames or max(
-                count, sum(packet.size > 0 for packet in container.demux(stream))
-            )
-            return count, rate
+            count = stream.frames
+            if not count:
+                # Streams without a header and Matroska are read through: fast without decoding.
+                packets = sum(packet.size > 0 for packet in container.demux(stream))
+                count = max(_least_length(container), packets)
+            return count, stream.average_rate
         return 0, None
 
     @property
@@ -146,12 +144,9 @@ class Frames:
                 own = range(taken.start - first, taken.stop - first, taken.step)
                 first = end
             for frame in part.frames(own) if own else ():
-                less = (
-                    frame.read
-                    if self.dark is None
-                    else partial(_read_less_dark, frame.read, self.dark)
-                )
-                yield replace(frame, read=less)
+                if self.dark is not None:
+                    frame = replace(frame, read=partial(_read_less_dark, frame.read, self.dark))
+                yield frame
 
 
 def open_frames(
@@ -191,7 +186,8 @@ def open_frames(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     for name in ("f10", "f9"):
     ...         lfrender.write_picture(f"{folder}/{name}.png", lfrender.data.example()[0])
-    ...     [frame.name for frame in lfrender.open_frames([folder])], lfrender.open_frames([folder], frames="1:").names
+    ...     later = lfrender.open_frames([folder], frames="1:")
+    ...     [frame.name for frame in lfrender.open_frames([folder])], later.names
     (['f9', 'f10'], ['f10'])
     """
     check_type(inputs, Iterable, "inputs", "give a list of files and folders")
@@ -205,9 +201,8 @@ def open_frames(
     names = Counter(name for part in parts for name in (part.pages or (part.path.stem,)))
     twice = sorted(name for name, count in names.items() if count > 1)
     if twice:
-        raise FlatError(
-            f"{len(twice)} frames would have the same name, such as '{twice[0]}'; give them one by one"
-        )
+        such = f"{len(twice)} frames would have the same name, such as '{twice[0]}'"
+        raise FlatError(f"{such}; give them one by one")
     if dark is not None:
         # Errors of this file are raised at once, not for every frame.
         _read_dark(dark)
@@ -238,13 +233,13 @@ def _choose(count: int, frames: int | slice | str) -> range:
     """The numbers of the frames, out of `count`, that are asked for."""
     text = frames
     if isinstance(frames, str):
-        found = re.fullmatch(r"\s*(-?\d+)?(:(-?\d+)?(?::(-?\d+)?)?)?\s*", frames)
-        if not found or not frames.strip():
+        try:
+            numbers = [int(number) if number.strip() else None for number in frames.split(":")]
+            frames = slice(*numbers) if ":" in frames else int(frames)
+        except (ValueError, TypeError) as error:
             raise ValueError(
                 f"frames must be START:STOP:STEP such as 10:60:2, or one number, got {frames!r}"
-            )
-        numbers = [None if text is None else int(text) for text in found.group(1, 3, 4)]
-        frames = slice(*numbers) if found[2] else int(found[1])
+            ) from error
     if not isinstance(frames, slice):
         frames = slice(frames, frames + 1 or None)
     if frames.step is not None and frames.step < 1:
@@ -304,10 +299,9 @@ def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
 
 def _numeric_order(path: Path) -> Any:
     """Sort key that puts frame_2 before frame_10."""
-    return [
-        (not piece.isdigit(), int(piece) if piece.isdigit() else piece)
-        for piece in re.split(r"(\d+)", path.name)
-    ]
+    pieces = re.split(r"(\d+)", path.name)
+    # Every other piece is a number.
+    return [int(piece) if place % 2 else piece for place, piece in enumerate(pieces)]
 
 
 def _open_video(path: Path) -> Any:
@@ -349,15 +343,12 @@ def _video_frames(path: Path, chosen: range) -> Iterator[Frame]:
 def _least_length(container: Any) -> int:
     """Least number of frames by the header of a video, 0 if it has none."""
     stream = container.streams.video[0]
-    steady = (
-        stream.average_rate
-        and stream.average_rate == stream.base_rate
-        and len(container.streams) == 1
-    )
+    rate = stream.average_rate
+    steady = rate and rate == stream.base_rate and len(container.streams) == 1
     if stream.frames or not (steady and container.duration):
         return int(stream.frames)
     # Durations [us] are rounded, and some reach only to the start of the last frame.
-    return int(Fraction(container.duration, 1_000_000) * stream.average_rate - Fraction(1, 2))
+    return int(Fraction(container.duration, 1_000_000) * rate - Fraction(1, 2))
 
 
 def _decode(container: Any) -> Iterator[Any]:
@@ -387,11 +378,13 @@ def _decode(container: Any) -> Iterator[Any]:
 
 
 def _pixels_or_message(name: str, picture: Any) -> Array | str:
+    if isinstance(picture, Exception):
+        return f"{name}: {_one_line(picture)}"
+    # Decoders fill in what is missing; such a flat must not be rendered.
+    if picture.is_corrupt:
+        return f"{name} is damaged"
     try:
-        if isinstance(picture, Exception):
-            raise picture
-        # Decoders fill in what is missing; such a flat must not be rendered.
-        return f"{name} is damaged" if picture.is_corrupt else rgb_pixels(picture)
+        return rgb_pixels(picture)
     except Exception as error:
         return f"{name}: {_one_line(error)}"
 

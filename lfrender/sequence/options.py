@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 
 from lfcal.runtime.arrays import Exposure
 
@@ -57,6 +56,6 @@ class FrameOptions:
     eight_bits: bool = False
     exposure: Exposure | None = None
     depth_maps: AnyPath | None = None
-    rate: float | Fraction | None = None
+    rate: float | None = None
     segment: int = 30
     group: int = 5

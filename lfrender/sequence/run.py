@@ -31,7 +31,7 @@ from ..output.picture import Brightness, eight_bits, write_picture
 from ..rendering.render import render
 from ..rendering.viewpoints import still_depth
 from ..runtime.types import Size
-from .frames import Frame
+from .frames import Frame, Frames
 from .options import FrameOptions
 from .run_folder import RunFolder, RunState
 
@@ -84,48 +84,40 @@ class _KeyFrames:
 
     def __init__(self) -> None:
         self.lock = RLock()
-        self._kept: dict[str, _Reference] = {}
+        self.kept: dict[str, _Reference] = {}
 
     def __reduce__(self) -> tuple[type, tuple[()]]:
         return _KeyFrames, ()
 
-    def find(self, name: str) -> _Reference | None:
-        return self._kept.get(name)
-
     def keep(self, key: _Reference) -> _Reference:
         with self.lock:
-            latest = list(self._kept.items())[-1:]
-            self._kept = {**dict(latest), key.name: key}
+            latest = list(self.kept.items())[-1:]
+            self.kept = {**dict(latest), key.name: key}
         return key
 
 
 class Run:
-    """Analyses, draws and writes the frames of one sequence.
-
-    `encoded` frames are encoded for display, whatever bits they have; `dark` is the file of the
-    dark frame that has been subtracted.
-    """
+    """Analyses, draws and writes the frames of one sequence."""
 
     def __init__(
         self,
         folder: RunFolder,
         options: FrameOptions,
         camera: Calibration | None,
-        dark: Path | None,
-        encoded: bool,
+        frames: Frames,
     ) -> None:
         self.folder = folder
         self.options = options
-        self.camera = None if camera is None else _as_stored(camera, encoded)
+        self._encoded = frames.encoded
+        self.camera = camera and self._as_stored(camera)
         self.state: RunState | None = None
         self.stopped = False  # nobody takes the results of further frames
-        self._encoded = encoded
         self._keys = _KeyFrames()
         views = options.views and {**asdict(options.views), "format": options.suffix}
         settings = {
             "preset": options.preset,
             "eight_bits": options.eight_bits,
-            "dark": None if dark is None else str(dark),
+            "dark": frames.dark and str(frames.dark),
             "views": views,
             "exposure": options.exposure,
         }
@@ -168,8 +160,7 @@ class Run:
             if not overwrite and not self.folder.is_missing(frame.name):
                 key = key or frame
                 group.first = group.first or frame
-                path = self.folder.path_of(frame.name)
-                group.items.append(FrameResult(frame.name, path, "kept"))
+                group.items.append(self.result(frame, "kept"))
                 continue
             try:
                 if key is None or not self.folder.reference_path_of(key.name).exists():
@@ -184,9 +175,11 @@ class Run:
             group.key = key
         yield group
 
+    def result(self, frame: Frame, outcome: Any, **more: Any) -> FrameResult:
+        return FrameResult(frame.name, self.folder.path_of(frame.name), outcome, **more)
+
     def failed(self, frame: Frame, error: LightFieldError) -> FrameResult:
-        path = self.folder.path_of(frame.name)
-        return FrameResult(frame.name, path, "failed", f"{frame.name}: {error}")
+        return self.result(frame, "failed", message=f"{frame.name}: {error}")
 
     def read(self, frame: Frame) -> Array:
         """The flat of a frame, in colour if the camera has a colour mosaic."""
@@ -196,8 +189,13 @@ class Run:
     def _camera(self, pixels: Array) -> Calibration:
         """The camera of the run, calibrated from these pixels if there is none yet."""
         if self.camera is None:
-            self.camera = _as_stored(calibrate(pixels), self._encoded)
+            self.camera = self._as_stored(calibrate(pixels))
         return self.camera
+
+    def _as_stored(self, camera: Calibration) -> Calibration:
+        if self._encoded and camera.encoded is None:
+            return replace(camera, encoded=True)
+        return camera
 
     def _analyze_key(self, frame: Frame, earlier: Frame | None) -> None:
         """Write the depth map of a key frame, compared with an earlier one, if any."""
@@ -229,13 +227,17 @@ class Run:
     def _draw(self, flat: Array, depth: DepthMap, before: _Reference | None = None) -> Rendering:
         camera = self._camera(flat)
         if before is None or before.picture is None:
-            assert self.state is not None
-            return render(flat, camera, depth, scale=self.state.scale)
+            return render(flat, camera, depth, scale=self._known.scale)
         return render(flat, camera, depth, previous=(before.flat, before.depth, before.picture))
+
+    @property
+    def _known(self) -> RunState:
+        assert self.state is not None
+        return self.state
 
     def _key(self, frame: Frame) -> _Reference:
         with self._keys.lock:
-            found = self._keys.find(frame.name)
+            found = self._keys.kept.get(frame.name)
             if found is None:
                 depth = self._load_depth(frame)
                 found = self._keys.keep(_Reference(frame.name, self.read(frame), depth))
@@ -275,12 +277,14 @@ class Run:
     ) -> FrameResult:
         """Analyse, draw and write a frame, with its flat in colour, after the first of its group."""
         start = perf_counter()
-        state = self.state
-        assert state is not None
-        path = self.folder.path_of(frame.name)
+        state = self._known
         is_first = first.name == frame.name
         depth = first.depth if is_first else self._analyze(flat, first)
-        self._write_depth(frame, depth, state)
+        if self.folder.makes_depth_film:
+            picture_of_depth = depth_picture(depth, state.scale, state.colours)
+            write_picture(self.folder.depth_path_of(frame.name), picture_of_depth)
+        elif self.folder.depth_maps is not None:
+            depth.save(self.folder.depth_path_of(frame.name))
         if self.folder.views is not None:
             assert self.options.views is not None
             pictures = self.options.views.draw(
@@ -294,27 +298,14 @@ class Run:
             settings |= Brightness(None, state.gain).entries
             embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
             shown = self._as_written(picture)
+            path = self.folder.path_of(frame.name)
             write_picture(path, shown, settings=settings, embedded=embedded, exposure=0.0)
         still = float(depth.saved.get("still", 0))
-        return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, still)
-
-    def _write_depth(self, frame: Frame, depth: DepthMap, state: RunState) -> None:
-        if self.folder.depth_maps is None:
-            return
-        path = self.folder.depth_path_of(frame.name)
-        if self.folder.makes_depth_film:
-            write_picture(path, depth_picture(depth, state.scale, state.colours))
-        else:
-            depth.save(path)
+        return self.result(frame, "rendered", seconds=perf_counter() - start, still=still)
 
     def _as_written(self, picture: Rendering) -> Rendering:
-        assert self.state is not None
-        shown: Rendering = Brightness(None, self.state.gain).apply(picture)
+        shown: Rendering = Brightness(None, self._known.gain).apply(picture)
         return eight_bits(shown) if self.options.eight_bits else shown
-
-
-def _as_stored(camera: Calibration, encoded: bool) -> Calibration:
-    return replace(camera, encoded=True) if encoded and camera.encoded is None else camera
 
 
 def render_group(run: Run, group: Group, _loaded: object) -> list[FrameResult]:

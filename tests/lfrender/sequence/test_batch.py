@@ -106,7 +106,7 @@ def test_a_run_uses_the_camera_as_its_file_has_it_so_that_a_continued_one_has_th
     camera = lfcal.calibrate(house.white, kind="white")
     options = FrameOptions(preset="fast", scale=4.0)
     folder = RunFolder(tmp_path, options, frames.names, overwrite=False)
-    run = Run(folder, options, camera, dark=None, encoded=False)
+    run = Run(folder, options, camera, frames)
     list(run.groups(frames, overwrite=False))
     stored = load_camera(tmp_path).gain_map
     np.testing.assert_array_equal(run.camera.gain_map.profile, stored.profile)
