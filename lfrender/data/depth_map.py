@@ -1,6 +1,4 @@
-"""Result of the depth analysis: patch size, mode, magnification and confidence of every lens, and
-its files.
-"""
+"""Result of the depth analysis: patch size, mode and confidence of every lens, and its files."""
 
 from __future__ import annotations
 
@@ -133,9 +131,9 @@ class DepthFileError(LightFieldError, ValueError):
 
     Examples
     --------
-    >>> DepthMap.load("no.npz")
+    >>> DepthMap.load("no.npz")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    lfrender.data.depth_map.DepthFileError: no.npz: cannot be read as a depth file (No such file or directory)
+    lfrender.data.depth_map.DepthFileError: no.npz: cannot be read as a depth file (No such file...
     """
 
 
@@ -241,28 +239,25 @@ class DepthMap(Frozen):
 
     @cached_property
     def magnification(self) -> Singles:
-        """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008, section 6); NaN where
-        unresolved.
-        """
+        """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008); NaN where unresolved."""
         with np.errstate(divide="ignore"):
             return (self.pitch / np.abs(self.patch_size)).astype(np.float32)
 
     @cached_property
     def curvature(self) -> Singles:
-        """(n,) float32 [1/px^2]: of the log likelihood at its peak, `1 / standard_error^2`; 0 where
-        unknown.
-        """
+        """(n,) float32 [1/px^2]: curvature of the log likelihood; 0 where unknown."""
         with np.errstate(divide="ignore"):
             return (1 / self.standard_error.astype(np.float64) ** 2).astype(np.float32)
 
     @cached_property
     def filled(self) -> Booleans:
-        """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
+        """(n,) bool: unresolved lenses, whose `filled_patch_size` comes from their neighbours."""
         return np.isnan(self.patch_size)
 
     def nearest_lens(self, shape: Size, first: ArrayLike, spacing: float) -> Integers | None:
-        """(h, w) the lens nearest to each pixel, `spacing` [px] apart from `first` on; None if the
-        centres are not known.
+        """(h, w) number of the lens nearest to each pixel; None if the centres are unknown.
+
+        Pixels lie `spacing` [px] apart; `first` is the place of the first.
         """
         from scipy.spatial import cKDTree
 
@@ -273,16 +268,16 @@ class DepthMap(Frozen):
         return np.asarray(cKDTree(self.centres).query(places)[1]).reshape(shape)
 
     def is_of(self, flat: Array | FlatSource) -> bool:
-        """Whether it was made from a flat (H, W) or (H, W, C), in any type or exposure; True where
-        that is unknown.
+        """Whether it was made from this flat (H, W) or (H, W, C); True if that is unknown.
 
         Flats of a colour filter mosaic are given in colour, as they were analysed.
         """
         return self.flat_samples is None or is_same_flat(self.flat_samples, sample_flat(flat))
 
     def distance(self, camera: Optics | Calibration) -> Floats:
-        """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where
-        unresolved.
+        """(n,) float64 [m]: distance of what each lens shows, in front of the main lens.
+
+        NaN where unresolved.
 
         A Calibration with `optics`, as made by `calibrate_metric`, also takes account of the tilt
         of its array and of the curvature of its field, which Optics alone cannot. CalibrationError
@@ -292,8 +287,7 @@ class DepthMap(Frozen):
         return optics.distance(self.patch_size.astype(np.float64) / self.pitch, points)
 
     def distance_error(self, camera: Optics | Calibration) -> Floats:
-        """(n,) float64 [m]: standard errors of `distance`, made of those of `patch_size` and of the
-        calibration.
+        """(n,) float64 [m]: standard errors of `distance`, from `patch_size` and calibration.
 
         Errors of the calibration are shared by all lenses: they do not average out. inf where
         unknown, NaN where unresolved.
@@ -315,7 +309,7 @@ class DepthMap(Frozen):
         return camera.optics, camera.lattice.centres()
 
     def dense(self, scale: float | None = None, fill: bool = True) -> DenseDepth:
-        """Patch size, validity and error of every pixel: `lfrender.data.dense_depth.dense_depth`."""
+        """Patch size, validity and error of every pixel, by `lfrender.data.dense_depth`."""
         from .. import dense_depth
 
         made: DenseDepth = dense_depth(self, scale, fill)
@@ -398,9 +392,7 @@ class DepthMap(Frozen):
 
     @classmethod
     def load(cls, path: AnyPath) -> DepthMap:
-        """Read a file written by `save`; DepthFileError if it is missing, is not such a file, or a
-        field is wrong.
-        """
+        """Read a file written by `save`; DepthFileError if it is missing or damaged."""
         remedy = "make one with 'lfrender analyze'"
         try:
             # np.load leaves a damaged file open if it opened it itself.
@@ -474,9 +466,7 @@ def magnification_range(magnification: Array) -> tuple[float, float]:
 
 
 def check_depth(depth: DepthMap, calibration: Calibration) -> None:
-    """Raise a TypeError if these are something else, a CalibrationError if they do not belong to
-    each other.
-    """
+    """Raise a CalibrationError if depth map and camera do not belong to each other."""
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
@@ -486,8 +476,7 @@ def check_depth(depth: DepthMap, calibration: Calibration) -> None:
 
 
 def default_scale(depth: DepthMap) -> float:
-    """Output pixels per pitch that keep the flat's resolution where patches are largest [px per
-    pitch].
+    """Output pixels per pitch that keep the resolution of the flat in the largest patches.
 
     Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as
     its patch has, for 98 % of the lenses. The distance of output pixels is rounded to 1, 1.19,

@@ -22,8 +22,9 @@ __all__ = ["Registry", "open_registry", "write_registry"]
 
 @dataclass(frozen=True)
 class Registry:
-    """Files at `base`, a folder or an address, with their `hashes` (`sha256:...`) by name; from
-    `open_registry`.
+    """Files in a folder or at an address `base`, with their `hashes` (`sha256:...`) by name.
+
+    `open_registry` makes one.
 
     Examples
     --------
@@ -45,8 +46,9 @@ class Registry:
         return sorted(self.hashes)
 
     def fetch(self, name: str) -> Path:
-        """The file, from the cache if it is there; FlatError if there is none, or its hash is not
-        the one listed.
+        """The path of a file, which is fetched into the cache if it is not there.
+
+        FlatError if the file is missing or its hash is not the listed one.
         """
         if name not in self.hashes:
             raise FlatError(
@@ -76,8 +78,7 @@ class Registry:
 
 
 def open_registry(base: AnyPath, hashes: Mapping[str, str] | AnyPath | None = None) -> Registry:
-    """The registry of a folder or of an address (`https://...`); FlatError if its list cannot be
-    read.
+    """The registry of a folder or an address; FlatError if its list cannot be read.
 
     `hashes` are those by name, or the list with them: by default `registry.txt` in the folder. For
     an address it must be given, since a list from the same server would prove nothing.
@@ -116,8 +117,7 @@ def open_registry(base: AnyPath, hashes: Mapping[str, str] | AnyPath | None = No
 
 
 def write_registry(folder: AnyPath) -> Path:
-    """Write `registry.txt` with the hashes of all files in a folder but hidden ones; returns its
-    path.
+    """Write `registry.txt` with the hashes of all files but hidden ones; returns its path.
 
     Examples
     --------

@@ -188,8 +188,9 @@ class Picture:
         return np.array(self._pixels, dtype) if copy else np.asarray(self._pixels, dtype)
 
     def to_xarray(self) -> Any:
-        """An `xarray.DataArray` with scene coordinates `x, y` [px of the flat]; the other arrays
-        are coordinates too.
+        """An `xarray.DataArray` with scene coordinates `x, y` [px of the flat].
+
+        The other arrays become coordinates too.
 
         LightFieldError if the package `xarray` is not installed.
         """
@@ -262,8 +263,7 @@ class Rendering(Picture, Frozen):
         write_picture(path, self, **options)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the picture over scene coordinates on Matplotlib axes, by default the current ones;
-        returns them.
+        """Draw the picture over scene coordinates, by default on the current axes; returns them.
 
         Dim pictures of more than 8 bits are shown brighter.
         """
@@ -279,10 +279,8 @@ class Rendering(Picture, Frozen):
     def __repr__(self) -> str:
         height, width = self.image.shape[:2]
         channels = self.image.shape[2] if self.image.ndim == 3 else 1
-        return (
-            f"Rendering({width} x {height} px, {channels} x {self.image.dtype}, {self.scale:.4g} px per pitch, "
-            f"{np.mean(self.valid):.1%} seen)"
-        )
+        size = f"{width} x {height} px, {channels} x {self.image.dtype}"
+        return f"Rendering({size}, {self.scale:.4g} px per pitch, {np.mean(self.valid):.1%} seen)"
 
     def _repr_html_(self) -> str:
         return html_card(repr(self), {}, self.plot)
@@ -305,7 +303,7 @@ def finish_picture(
     flat: Array,
     calibration: Calibration,
 ) -> Rendering:
-    """A picture (h, w, C) as a `Rendering` with the dtype and the number of dimensions of the flat."""
+    """A picture (h, w, C) as a `Rendering` with the type and dimensions of the flat."""
     if np.ndim(flat) == 2 and image.shape[2] == 1:
         image = image[:, :, 0]
     return Rendering(

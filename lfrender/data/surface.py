@@ -1,6 +1,4 @@
-"""Patch size on a regular grid of scene points: linear between its values on one surface, nearest
-across an edge.
-"""
+"""Patch size on a regular grid of scene points: linear on a surface, nearest across an edge."""
 
 from __future__ import annotations
 
@@ -37,9 +35,7 @@ class DepthGrid(NamedTuple):
 
 @njit(fastmath=FAST, inline="always")
 def patch_size_at(surface, grid, x, y):
-    """Patch size at scene point (x, y): linear between the values of the surface, nearest across a
-    depth edge.
-    """
+    """Patch size at scene point (x, y): linear on one surface, nearest across a depth edge."""
     rows, columns = surface.shape
     gx = min(max((x - grid.x) / grid.spacing, np.float32(0.0)), np.float32(columns - 1))
     gy = min(max((y - grid.y) / grid.spacing, np.float32(0.0)), np.float32(rows - 1))
@@ -114,8 +110,9 @@ def edge_step(pitch: float) -> float:
 def sample_surface_at(
     surface: Surface, edge: float, shape: Size, first: Any, spacing: float
 ) -> Singles:
-    """Patch size [px] at every pixel of a picture, `spacing` apart from `first` (2,) on; `edge`
-    [px] is as `edge_step`.
+    """Patch size [px] at every pixel of a picture.
+
+    Pixels lie `spacing` apart, the first at `first` (2,); `edge` [px] is that of `edge_step`.
     """
     out = np.empty(shape, np.float32)
     _sample(surface.patch_size, surface.grid(edge), float(first[0]), float(first[1]), spacing, out)

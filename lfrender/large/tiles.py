@@ -109,7 +109,7 @@ class LensTile:
     corner: Integers  # (2,) first pixel x, y
     full: Lattice  # in the pixels of the part as it is read
     lattice: Lattice  # in those of the part as it is analysed
-    inside: Booleans  # lenses of `lattice` whose results are taken from this part; the others are its halo
+    inside: Booleans  # lenses of `lattice` whose results are used; the others are the halo
     core: tuple[float, ...]  # `left, top, right, bottom` around the centres of these lenses
 
     @classmethod

@@ -25,8 +25,7 @@ MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 def depth_picture(
     depth: DepthMap, scale: float | None = None, limits: tuple[float, float] | None = None
 ) -> Rendering:
-    """The magnification of every pixel of the picture that `render` draws, in the colours of
-    `lens_maps`.
+    """The magnification of every pixel of the picture of `render`, in colours.
 
     They lie between these `limits` if they are given; valid are pixels whose nearest lens has a
     depth.

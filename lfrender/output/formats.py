@@ -1,5 +1,4 @@
-"""The file formats of pictures, registered once: what each can hold, and how pictures are written
-into it.
+"""The file formats of pictures: what each can hold, and how pictures are written into it.
 
 TIFF files named `.ome.tif` and Zarr are as the microscopy community stores them (OME, NGFF 0.5):
 pixels have the size of scene coordinates, so that viewers lay pictures of any scale over each
@@ -74,8 +73,9 @@ class EmbeddedMetadata(NamedTuple):
 
 
 def read_metadata(path: AnyPath) -> EmbeddedMetadata:
-    """Colour profile and EXIF data of an image file (PNG, JPEG, WebP), of TIFF the profile; nothing
-    if damaged.
+    """Colour profile and EXIF data of an image file; empty if there are none.
+
+    Of TIFF only the profile is read, of damaged files nothing.
     """
     import tifffile
     from PIL import Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
@@ -142,8 +142,7 @@ def check_format(
     alpha: bool = False,
     inputs: Iterable[Any] = (),
 ) -> None:
-    """Raise an OutputError or PictureError if a file could not be written, before anything is
-    computed for it.
+    """Raise an OutputError or PictureError if a file could not be written.
 
     Its format must be for one of the `uses`, hold 8 bits or pixels of this type, and have its
     package installed; `path` must be in a folder that can be written, and none of the `inputs` that

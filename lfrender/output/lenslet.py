@@ -28,8 +28,9 @@ _TOLERANCE = 0.25
 
 
 def lenslet_image(views: ArrayLike) -> tuple[Array, Calibration]:
-    """The flat of a regular array that shows views (rows, columns, h, w) or (rows, columns, h, w,
-    3), and its camera.
+    """The flat of a regular lens array that shows these views, and its camera.
+
+    Views have shape (rows, columns, h, w) or (rows, columns, h, w, 3).
 
     A view of row `v`, column `u` is `flat[v::rows, u::columns]`. Where things move by `d` px to the
     right from a view to the one on its right, the patch size is `1 / d` px: an HCI disparity, which
@@ -57,8 +58,7 @@ def lenslet_image(views: ArrayLike) -> tuple[Array, Calibration]:
 
 
 def lenslet_views(flat: ArrayLike, calibration: Calibration) -> Array:
-    """The views (rows, columns, h, w) or (rows, columns, h, w, 3) under the lenses of a regular
-    array.
+    """The views (rows, columns, h, w) or (rows, columns, h, w, 3) of a regular lens array.
 
     FlatError if the flat is of another size than those of the camera, CameraFileError if its
     microimages are no rectangles of whole pixels: `lfrender.views` draws views of any camera.

@@ -1,6 +1,4 @@
-"""Writing pictures: the pixels as they are, and with them the affine that lays one picture over
-another.
-"""
+"""Picture files: pixels, and the affine that lays one picture over another."""
 
 from __future__ import annotations
 
@@ -55,8 +53,9 @@ def write_picture(
     compress: bool = False,
     exposure: Exposure | None = None,
 ) -> None:
-    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr; whole or
-    not at all.
+    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr.
+
+    The file appears whole or not at all.
 
     All but WebP carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3
     affine from output pixel `(u, v)` to scene coordinates `X` and the settings. OutputError or
@@ -104,8 +103,7 @@ def write_stack(
     settings: Sequence[Mapping[str, Any]] | None = None,
     embedded: EmbeddedMetadata = _NO_METADATA,
 ) -> list[Path]:
-    """Write pictures, at least one, as pages of one TIFF, or in other formats as numbered files,
-    `NAME_01.png` ...
+    """Write pictures as pages of one TIFF, in other formats as files `NAME_01.png`, ...
 
     `settings` are further entries for the JSON text of each; the rest is as for `write_picture`.
     OutputError if numbered files of a longer stack are there already.
@@ -148,8 +146,9 @@ def needs_eight_bits(path: AnyPath, picture: Any) -> bool:
 
 
 def eight_bits(picture: Any) -> Any:
-    """A rendering, or plain pixels, with 8 bits a channel: 0 to white become 0 to 255, without a
-    tone curve.
+    """A rendering, or plain pixels, with 8 bits per channel, without a tone curve.
+
+    0 to white become 0 to 255.
 
     White is that of the rendering, else the largest value of the type, and 1 of floats.
     """
@@ -159,8 +158,9 @@ def eight_bits(picture: Any) -> Any:
 
 
 class Brightness:
-    """One gain for all pictures of a result, found on the first: `exposure` is in EV, `"auto"`, or
-    None for no gain.
+    """One gain for all pictures of a result, found on the first one.
+
+    `exposure` is in EV, `"auto"`, or None for no gain.
     """
 
     def __init__(self, exposure: Exposure | None = None, gain: float = 1.0) -> None:
@@ -180,9 +180,7 @@ class Brightness:
 
 
 def default_exposure(path: AnyPath) -> Exposure | None:
-    """`"auto"` for formats that are made to be looked at; None, no gain, for those that are made
-    for work.
-    """
+    """`"auto"` for formats that are made to be looked at, None (no gain) for all others."""
     return (
         "auto" if Path(path).suffix.lower() in (".jpg", ".jpeg", ".webp", ".gif", ".mp4") else None
     )

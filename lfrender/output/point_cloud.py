@@ -1,6 +1,4 @@
-"""The scene as points, or as a mesh, in virtual-depth units or metres; their PLY, PCD and glTF
-files.
-"""
+"""The scene as points or as a mesh, in virtual depth or metres; PLY, PCD and glTF files."""
 
 from __future__ import annotations
 
@@ -43,8 +41,9 @@ def point_cloud(
     *,
     points_per_pitch: float = 7.0,
 ) -> Array:
-    """Every resolved place of the scene as a point; CalibrationError if `depth` belongs to another
-    camera.
+    """Every resolved place of the scene as a point.
+
+    CalibrationError if `depth` belongs to another camera.
 
     Parameters
     ----------
@@ -88,8 +87,7 @@ def mesh(
     *,
     points_per_pitch: float = 7.0,
 ) -> Any:
-    """The scene as triangles between neighbouring points, with the picture of `render` as their
-    texture.
+    """The scene as triangles between neighbouring points, textured with its picture.
 
     Arguments, axes, units and errors are those of `point_cloud`. There are no triangles across
     depth edges, nor where no lens has a depth. LightFieldError if the package `trimesh` is not
@@ -148,8 +146,9 @@ def mesh(
 def _places(
     calibration: Calibration, depth: DepthMap, optics: Optics | None, points_per_pitch: float
 ) -> tuple[DenseDepth, Floats, bool]:
-    """Dense depth, position (h, w, 3) of each of its pixels, NaN where there is none, and whether
-    it is in metres.
+    """Dense depth, places (h, w, 3) of its pixels, and whether these are in metres.
+
+    Places are NaN where there is no depth.
     """
     check_depth(depth, calibration)
     optics = optics or calibration.optics
@@ -174,8 +173,9 @@ def _scene(dense: DenseDepth) -> Floats:
 
 
 def write_points(path: AnyPath, points: Array, metres: bool = False) -> None:
-    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY or PCD; whole
-    or not at all.
+    """Write the points of `point_cloud` as binary PLY or PCD; whole or not at all.
+
+    `metres` tells that they were made with optics.
 
     Examples
     --------
@@ -223,8 +223,7 @@ def write_points(path: AnyPath, points: Array, metres: bool = False) -> None:
 
 
 def write_mesh(path: AnyPath, surface: Any) -> None:
-    """Write what `mesh` gives as glTF (`.glb`) with its texture, or as PLY with colours; whole or
-    not at all.
+    """Write a mesh as glTF (`.glb`) with its texture, or as PLY with colours.
 
     glTF has its own axes: x right, y up, z toward the viewer. PLY keeps those of the points.
 

@@ -51,9 +51,7 @@ class _Posed(NamedTuple):
 
 
 def check_posed_folder(folder: AnyPath, kind: PoseFormat, count: int) -> None:
-    """OutputError if a folder holds posed views of an earlier run, of which `count` new ones would
-    leave some.
-    """
+    """OutputError if `count` new posed views would leave some of an earlier run."""
     views = [_view_name(number) for number in range(count)]
     mask = _MASK_NAMES.get(kind, "")
     kept = {f"{view}{suffix}" for view in views for suffix in (".png", ".exr", ".tif")}
@@ -75,8 +73,9 @@ def write_posed_views(
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
-    """Write views with intrinsics, extrinsics, depth and masks; OutputError or PictureError if that
-    fails.
+    """Write views with intrinsics, extrinsics, depth and masks.
+
+    OutputError or PictureError if that fails.
 
     Views of an earlier run that these do not replace are an OutputError too. The folder is made
     where it does not exist; `kind` is `"nerfstudio"`, `"colmap"` or `"rvs"`. The views are as
@@ -178,9 +177,7 @@ def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
 
 
 def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
-    """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as
-    COLMAP names them.
-    """
+    """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1."""
     step = _write_files(folder, views, _MASK_NAMES["colmap"])
     _write_fusion_maps(folder / "stereo", views)
     points, colours, pixels = _tracks(views)
@@ -219,8 +216,9 @@ def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
 
 
 def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
-    """Depth and normals of the views as `colmap stereo_fusion` reads them; OutputError if there are
-    those of others.
+    """Depth and normals of the views as `colmap stereo_fusion` reads them.
+
+    OutputError if maps of other views are there.
 
     Stereo fusion knows no distortion: for cameras that have some, nothing is written.
     """
@@ -238,9 +236,7 @@ def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
 
 
 def _write_matrix(path: Path, planes: Array) -> None:
-    """Write (channels, h, w) values as COLMAP writes a `Mat<float>`: sizes as text, then one plane
-    after the other.
-    """
+    """Write (channels, h, w) values as COLMAP's `Mat<float>`: sizes as text, then planes."""
     channels, height, width = planes.shape
     with atomic_write(path) as temporary:
         temporary.write_bytes(
@@ -249,9 +245,7 @@ def _write_matrix(path: Path, planes: Array) -> None:
 
 
 def _normals(view: _Posed) -> Floats:
-    """(3, h, w) unit normals of the surface that a view shows, towards its camera, in the axes of
-    the camera.
-    """
+    """(3, h, w) unit normals of the surface, towards the camera, in axes of the camera."""
     rows, columns = np.indices(view.depth.shape)
     slopes = view.camera.slopes(np.column_stack([columns.ravel(), rows.ravel()]))
     rays = np.hstack([slopes, np.ones((len(slopes), 1))]).reshape(*view.depth.shape, 3)
@@ -297,9 +291,7 @@ def _tracks(views: list[_Posed], step: int = 4) -> tuple[Floats, NDArray[np.uint
 
 
 def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
-    """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the
-    depths of each view.
-    """
+    """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits."""
     cameras: list[dict[str, Any]] = []
     written: list[str] = []
     for number, (_, picture, depth, camera, known, centre) in enumerate(views):

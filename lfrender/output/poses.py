@@ -82,7 +82,8 @@ class ViewRig:
     >>> import lfrender
     >>> flat, camera, depth = lfrender.data.example()
     >>> picture = lfrender.render(flat, camera, depth, scale=6)
-    >>> rig = view_rig(camera, depth, [(-4.0, 0.0), (4.0, 0.0)], picture.affine, (62, 47), still=-7.0)
+    >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
+    >>> rig = view_rig(camera, depth, offsets, picture.affine, (62, 47), still=-7.0)
     >>> len(rig.cameras), rig.unit
     (2, 'baseline')
     """
@@ -115,8 +116,7 @@ def view_rig(
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
-    """The cameras of the views that `lfrender.views` draws for these `offsets` [px] and `still`
-    [px].
+    """The cameras of the views that `lfrender.views` draws for `offsets` and `still` [px].
 
     All views have the `affine` from pixel to scene coordinates, and the width and height `size`
     [px]. The optics are those of the calibration if no others are given.
@@ -206,9 +206,7 @@ def view_rig(
 
 
 def _fit(camera: ViewCamera, points: Floats, pixels: Floats) -> tuple[ViewCamera, float]:
-    """The camera that projects points (n, 3) most nearly to pixels (n, 2), and the mean squared
-    distance.
-    """
+    """The camera that projects points (n, 3) nearest to pixels (n, 2), and the squared error."""
     from scipy.optimize import least_squares
 
     def changed(step: Floats) -> ViewCamera:

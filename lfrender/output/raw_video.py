@@ -24,8 +24,9 @@ __all__ = ["check_raw_format", "frame_bytes", "view_name", "write_view_videos", 
 
 
 def check_raw_format(folder: AnyPath, pixel_format: str) -> str:
-    """The full name of a pixel format, 4:2:0 of 10 bits for `"yuv"`; PictureError if it cannot be
-    written.
+    """The full name of a pixel format; PictureError if it cannot be written.
+
+    `"yuv"` stands for 4:2:0 with 10 bits.
     """
     check_package(Path(folder) / "v000.yuv", FORMATS[".yuv"])
     if pixel_format == "yuv":
@@ -43,8 +44,9 @@ def view_name(number: int, width: int, height: int) -> str:
 
 
 def yuv_frame(pixels: Array, pixel_format: str, white: float | None = None, **colours: Any) -> Any:
-    """A frame of PyAV: BT.601 of limited range, as FFmpeg takes raw video to be, or as
-    `convert_frame` takes `colours`.
+    """A frame of PyAV, by default BT.601 of limited range, as FFmpeg reads raw video.
+
+    `colours` are further arguments of `convert_frame`.
 
     `pixels` are (h, w) or (h, w, 3), uint8, uint16 or float; `white` is the white level of
     integers, if it is less than the largest value of the type. A last column or row without a

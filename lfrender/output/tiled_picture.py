@@ -57,9 +57,7 @@ class TileWriter:
         self._tags = tiff_tags(shape, text, icc)
 
     def open(self, fresh: bool) -> bool:
-        """Start with an empty file, or continue the one in the folder; returns whether there was
-        one to continue.
-        """
+        """Start an empty file, or continue that in the folder; returns whether there was one."""
         if fresh and self._path.exists():
             shutil.rmtree(self._path) if self._is_zarr else self._path.unlink()
         found = self._path.exists()
@@ -85,9 +83,7 @@ class TileWriter:
         return found
 
     def write(self, tile: tuple[int, int, int, int], pixels: Array) -> None:
-        """Write the pixels of `left, top, right, bottom`, safe on the disk; tiles come in any
-        order.
-        """
+        """Write the pixels of `left, top, right, bottom` to the disk, in any order of tiles."""
         left, top, right, bottom = tile
         if self._is_zarr:
             import zarr
@@ -101,9 +97,7 @@ class TileWriter:
         mapped.flush()
 
     def _map(self) -> np.memmap:
-        """The pixels of the TIFF, mapped anew for each tile: what stays mapped counts as memory of
-        the process.
-        """
+        """The pixels of the TIFF, mapped for one tile: mapped pixels count as memory."""
         return np.memmap(self._path, self._dtype, "r+", self._start, self._shape)
 
     def finish(self, output: Path) -> None:

@@ -1,6 +1,4 @@
-"""Files of several viewpoints: a folder of pictures, a stereo pair in one picture, a quilt, an
-animation.
-"""
+"""Files of several viewpoints: folders of pictures, stereo pairs, quilts, animations."""
 
 from __future__ import annotations
 
@@ -47,8 +45,7 @@ def check_grid(
     inputs: Iterable[Any] = (),
     grid: Size | None = None,
 ) -> None:
-    """Raise an error if a folder of views could not be made, before the views are drawn; as
-    `check_format`.
+    """Raise the errors of `check_format` if a folder of views could not be made.
 
     Files of an earlier run that a `grid` of (rows, columns) would not replace are an OutputError.
     """
@@ -75,8 +72,7 @@ def write_grid(
     exposure: Exposure | None = None,
     **options: Any,
 ) -> list[Path]:
-    """Write views, `columns` in a row, as `row1_column1.tif` and so on, into a folder that is made
-    if needed.
+    """Write views, `columns` in a row, as `row1_column1.tif`, ... into a folder.
 
     One of the `pictures` at a time is held in memory. All have one gain, found on the first;
     `exposure`, `options` and errors are those of `write_picture`. OutputError if views of an
@@ -110,8 +106,9 @@ def write_quilt(
     rows: int,
     **options: Any,
 ) -> str:
-    """Write views from left to right as a quilt of a Looking Glass display: the first at the bottom
-    left, row by row.
+    """Write views from left to right as a quilt of a Looking Glass display.
+
+    The first view is at the bottom left; others follow row by row.
 
     There must be `columns * rows` of one size; `options` are those of `write_picture`. Players take
     grid and aspect of a view from the end of the name, such as `_qs8x6a1.33`, which is returned.
@@ -147,9 +144,7 @@ def scale_for_size(calibration: Calibration, size: Size) -> float:
 
 
 def resize_view(picture: Rendering, size: Size) -> Rendering:
-    """A view with exactly this width and height [px]; its affine lays it over the same scene
-    coordinates.
-    """
+    """A view with exactly this width and height [px], over the same scene coordinates."""
     if picture.valid.shape[::-1] == size:
         return picture
     import cv2
@@ -190,8 +185,7 @@ def crop_view(
 
 
 def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
-    """Two views side by side, for parallel viewing: the left eye's on the left. The affine is that
-    of the left one.
+    """Two views side by side for parallel viewing; the affine is that of the left one.
 
     Examples
     --------
@@ -209,8 +203,7 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
 def write_animation(
     path: AnyPath, pictures: Iterable[Rendering], *, milliseconds: int = MILLISECONDS
 ) -> None:
-    """Write at least one view as GIF, animated PNG or WebP of 8 bits that repeats without end;
-    whole or not at all.
+    """Write views as endless GIF, animated PNG or WebP with 8 bits; whole or not at all.
 
     The suffix of `path` chooses the format; each picture is shown so many `milliseconds`.
 

@@ -1,6 +1,4 @@
-"""The frames of a sequence, found in image files, folders, multi-page TIFFs and videos, and their
-pixels.
-"""
+"""The frames of a sequence, found in image files, folders, multi-page TIFFs and videos."""
 
 from __future__ import annotations
 
@@ -131,7 +129,7 @@ class Frames:
 
     @property
     def encoded(self) -> bool:
-        """Whether frames are encoded for display, whatever bits they have, as those of videos are."""
+        """Whether frames are encoded for display whatever their bits, as frames of videos are."""
         return bool(self.parts) and all(is_video(part.path) for part in self.parts)
 
     def __iter__(self) -> Iterator[Frame]:
@@ -218,7 +216,8 @@ def _slice_of_seconds(parts: list[_Part], start: float | None, end: float | None
     rates = {part.header[1] for part in parts}
     if len(rates) > 1 or None in rates:
         raise FlatError(
-            "seconds are for videos of one frame rate; choose frames by their numbers, such as 10:60"
+            "seconds are for videos of one frame rate; choose frames by their numbers, such as "
+            "10:60"
         )
     if (start or 0) < 0 or (end is not None and not (start or 0) < end):
         raise ValueError(

@@ -275,7 +275,7 @@ class Run:
     def render_frame(
         self, number: int, frame: Frame, flat: Array, first: _Reference
     ) -> FrameResult:
-        """Analyse, draw and write a frame, with its flat in colour, after the first of its group."""
+        """Analyse, draw and write a frame, given its flat in colour and the first of a group."""
         start = perf_counter()
         state = self._known
         is_first = first.name == frame.name

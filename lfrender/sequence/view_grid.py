@@ -79,7 +79,7 @@ class ViewGrid:
 
 
 class ViewOutput:
-    """The files of a run; `suffix` is one of pictures, or `yuv` with the pixel format of raw video."""
+    """The files of views; `suffix` is one of pictures, or the pixel format of raw video."""
 
     def __init__(self, folder: Path, hidden: Path, suffix: str) -> None:
         self.folder = folder

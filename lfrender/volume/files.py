@@ -1,5 +1,4 @@
-"""Volumes as files of the microscopy community: OME-TIFF and OME-Zarr (NGFF 0.5), with sizes of
-voxels."""
+"""Volumes as files of the microscopy community: OME-TIFF and OME-Zarr (NGFF 0.5)."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ _FIELDS = ("spacing", "origin", "unit", "slopes", "pitch", "fit", "warnings")
 
 
 def check_volume_file(path: AnyPath, inputs: Any = ()) -> None:
-    """Raise OutputError or PictureError if a volume could not be written, before it is
-    reconstructed."""
+    """Raise OutputError or PictureError if a volume could not be written."""
     check_output(path, SUFFIXES, inputs)
     check_package(path, FORMATS[Path(path).suffix.lower()])
 
@@ -44,8 +42,7 @@ def write_volume(path: AnyPath, volume: Volume) -> None:
 
 
 def read_volume(path: AnyPath) -> dict[str, Any]:
-    """The voxels of a file that `write_volume` has written, as `data`, and all else by its name;
-    else a FlatError."""
+    """Voxels (`data`) and other fields of a file of `write_volume`; else a FlatError."""
     target = Path(path)
     try:
         if target.suffix.lower() == ".zarr":

@@ -1,5 +1,4 @@
-"""The grid of voxels that a volume is reconstructed on, and the footprint of pixels on each of its
-planes."""
+"""The voxels that a volume is reconstructed on, and the footprint of pixels on each plane."""
 
 from __future__ import annotations
 
@@ -20,8 +19,7 @@ __all__ = ["VoxelGrid"]
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """Planes of square voxels over a flat, with a margin that rays at its border reach; all in
-    pixels of the flat."""
+    """Planes of square voxels over a flat, with a margin for rays at its border; in px."""
 
     slopes: Floats  # (n,) k of each plane, 0 at the native plane
     spacing: float  # side of a voxel [px]

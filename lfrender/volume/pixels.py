@@ -1,5 +1,4 @@
-"""The pixels of a flat that a volume is reconstructed from: where each looks, its value, and its
-share of light."""
+"""The pixels of a flat that a volume is reconstructed from: place, value, share of light."""
 
 from __future__ import annotations
 

@@ -44,8 +44,11 @@ class Rays(NamedTuple):
 
 @njit(fastmath=FAST, inline="always")
 def _locate(rays, p, k, plane):
-    """Where pixel `p` looks on a plane (h, w) at slope `k`: whether it lies inside, row and column
-    of the voxel above and to the left, and the distances from it."""
+    """Place of pixel `p` on a plane (h, w) at slope `k`.
+
+    Returns whether it lies inside, row and column of the voxel above and to the left, and the
+    distances down and to the right from it.
+    """
     x = rays.centre_x[p] + k * rays.angle_x[p]
     y = rays.centre_y[p] + k * rays.angle_y[p]
     column = int(np.floor(x))
@@ -56,8 +59,7 @@ def _locate(rays, p, k, plane):
 
 @kernel(share=lambda planes, slopes, rays, out: len(out), fastmath=FAST)
 def _gather(begin, end, planes, slopes, rays, out):
-    """Add to `out` (p,) what pixels see of planes (n, h, w) at slopes k (n,), by bilinear
-    interpolation."""
+    """Add to `out` (p,) what pixels see of planes (n, h, w) at slopes (n,), bilinearly."""
     for plane in range(len(planes)):
         values = planes[plane]
         for p in range(begin, end):
@@ -96,8 +98,7 @@ def _backproject(begin, end, values, slopes, widths, rays, out):
 
 @kernel(share=lambda values, slopes, widths, rays, norm, volume: len(volume))
 def _multiply(begin, end, values, slopes, widths, rays, norm, volume):
-    """Multiply planes of a volume by the adjoint of `values` over `norm`; where `norm` is 0 they
-    become 0."""
+    """Multiply planes of a volume by the adjoint of `values` over `norm`; 0 where it is 0."""
     update = np.empty(volume.shape[1:], np.float32)
     for plane in range(begin, end):
         _scatter(values, slopes[plane], rays, update)
@@ -113,8 +114,7 @@ def _multiply(begin, end, values, slopes, widths, rays, norm, volume):
 
 @dataclass(frozen=True)
 class Projector:
-    """The linear operator from a volume (n, h, w) to the pixels (p,) of a flat that is lit evenly,
-    and its adjoint."""
+    """The linear operator from a volume (n, h, w) to pixels (p,) of a flat, and its adjoint."""
 
     rays: Rays
     slopes: Singles  # (n,) k of each plane

@@ -109,7 +109,8 @@ def reconstruct_volume(
         check_type(start, Volume, "start", "reconstruct_volume makes one")
     if start is not None and (start.data.shape != shape or not np.allclose(start.slopes, slopes)):
         raise ValueError(
-            "start must be a volume on the same grid: of the same camera, depth_range, planes and voxels"
+            "start must be a volume on the same grid: of the same camera, depth_range, planes and "
+            "voxels"
         )
     projector = grid.projector(used, lattice, scale)
     before = None if start is None else grid.pad(start.data)
@@ -146,8 +147,7 @@ def _to_light(pixels: Array, calibration: Calibration) -> Singles:
 
 
 def _rim_radius(calibration: Calibration) -> float:
-    """Radius [px] at which a microimage has half the light of its middle; at most half the
-    pitch."""
+    """Radius [px] at which a microimage has half its light; at most half the pitch."""
     lattice = calibration.lattice
     if calibration.vignetting is None:
         return lattice.radius
@@ -171,7 +171,8 @@ def _depths(
         least = pitch / (2 * reach) / scale.slope_per_depth
         raise ValueError(
             f"depth_range lies within {least:.3g}{unit} of the native plane, where one place is "
-            "resolved for each microlens ('lfrender render --traditional' draws it); give a wider one"
+            "resolved for each microlens ('lfrender render --traditional' draws it); give a wider "
+            "one"
         )
     if farthest > 4 * pitch:
         unit = "um" if scale.unit == "um" else "(slopes k)"
@@ -191,7 +192,10 @@ def _warnings(
     """What a user should know before relying on a volume."""
     warnings = list(calibration.warnings)
     if not optics.metric:
-        missing = f"without {optics.missing()} the volume is in pixels of the flat, its depth in slopes k = -D / s"
+        missing = (
+            f"without {optics.missing()} the volume is in pixels of the flat, its depth in slopes "
+            "k = -D / s"
+        )
         if optics.na is None:
             missing += ", and rays are paraxial: at a high NA, depths are bent"
         warnings.append(missing)

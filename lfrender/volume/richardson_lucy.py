@@ -1,5 +1,4 @@
-"""Richardson-Lucy deconvolution (Richardson 1972, Lucy 1974), weighted by light, until the noise of
-the flat is met.
+"""Richardson-Lucy deconvolution (Richardson 1972, Lucy 1974) down to the noise of the flat.
 
 The volume that makes the flat most likely under photon noise is approached in steps that keep it
 positive:

@@ -72,16 +72,14 @@ class Volume(Frozen):
 
     @property
     def depths(self) -> Floats:
-        """(z,) depth of each plane from the native plane: in micrometres, or as the slope `k = -D /
-        s`."""
+        """(z,) depth of each plane from the native plane [um], or its slope `k = -D / s`."""
         return self.origin[0] + self.spacing[0] * np.arange(len(self.data), dtype=np.float64)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.array(self.data, dtype) if copy else np.asarray(self.data, dtype)
 
     def save(self, path: AnyPath) -> None:
-        """Write OME-TIFF (`.ome.tif`, `.tif`) or OME-Zarr (`.zarr`) with the sizes of voxels; whole
-        or not at all.
+        """Write OME-TIFF (`.ome.tif`, `.tif`) or OME-Zarr (`.zarr`) with the sizes of voxels.
 
         OutputError or PictureError where that is not possible.
         """
@@ -106,8 +104,7 @@ class Volume(Frozen):
         return self.data.max(0), self.data.max(1), np.ascontiguousarray(self.data.max(2).T)
 
     def plot(self, figure: Any = None) -> Any:
-        """Draw the three maximum projections, by default on a new Matplotlib figure, which is
-        returned."""
+        """Draw the three maximum projections, by default on a new figure, which is returned."""
         import matplotlib.pyplot as plt
 
         figure = figure or plt.figure(figsize=(5, 5), layout="tight")
@@ -140,8 +137,7 @@ class Volume(Frozen):
         return figure
 
     def napari_layer(self, name: str = "volume") -> tuple[Any, dict[str, Any], str]:
-        """The volume as a layer of napari, (data, keywords, type), in its own unit; napari need not
-        be installed.
+        """The volume as a layer of napari (data, keywords, type); napari is not needed.
 
         Add it by `viewer.add_layer(napari.layers.Layer.create(*volume.napari_layer()))`.
         """
