@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.sequence.cluster import connect, render_frames_on
+from lfrender.sequence.workers import connect
 
 _SIZE = (900, 700)
 _PITCH = 23.2
@@ -69,8 +69,13 @@ def _timed(
             before = client.run(time.process_time)
             start = time.perf_counter()
             results = list(
-                render_frames_on(
-                    client, frames, folder / f"{name}{workers}", camera, preset=preset, threads=1
+                lfrender.render_frames(
+                    frames,
+                    folder / f"{name}{workers}",
+                    camera,
+                    preset=preset,
+                    client=client,
+                    threads=1,
                 )
             )
             wall = time.perf_counter() - start

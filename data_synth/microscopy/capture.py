@@ -13,10 +13,11 @@ from lfcal import Calibration
 from .microscope import Microscope
 from .specimen import Specimen
 
-__all__ = ["MicroscopeCapture", "expose"]
+__all__ = ["MicroscopeCapture", "photograph"]
 
+# Largest value of 16 bits.
 _TOP = 65535
-# Of the brightest pixel.
+# Value of the brightest pixel, as a share of the largest value.
 _EXPOSURE = 0.8
 
 
@@ -47,11 +48,28 @@ class MicroscopeCapture:
     calibration: Calibration
 
 
-def expose(
+def photograph(
+    light: NDArray[Any],
+    white: NDArray[Any],
+    specimen: Specimen,
+    microscope: Microscope,
+    noise: tuple[float | None, float],
+    rng: np.random.Generator,
+) -> MicroscopeCapture:
+    """The capture of a specimen from the light (h, w) of its flat and of an even field.
+
+    `noise` are the electrons of the brightest pixel, None for no noise, and those of read-out. The
+    white image has no noise.
+    """
+    flat = _expose(light, *noise, rng)
+    even = _expose(white, None, 0.0, rng)
+    return MicroscopeCapture(flat, even, specimen, microscope, microscope.calibration(white))
+
+
+def _expose(
     light: NDArray[Any], electrons: float | None, read: float, rng: np.random.Generator
 ) -> NDArray[np.uint16]:
-    """16 bits of a picture whose brightest pixel has so many electrons, with photon and read-out
-    noise; None: without noise."""
+    """A picture of 16 bits, with photon and read-out noise unless `electrons` is None."""
     shown = light / light.max()
     if electrons is not None:
         counted = rng.poisson(shown * electrons) + read * rng.standard_normal(shown.shape)

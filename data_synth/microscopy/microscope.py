@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 from lfcal.gain.gain_map import Vignetting
@@ -100,15 +101,22 @@ class Microscope:
         middle = (np.array(self.size) - 1) / 2
         return Lattice(middle, basis, self.size, min(self.pupil_radius, self.pitch / 2))
 
+    def nearest_lenses(self, x: Any, y: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lattice index (n, 2) of the lens nearest to each point of a grid, and offset from it.
+
+        The grid has columns `x` and rows `y` [px]; its points follow row by row.
+        """
+        across, down = np.meshgrid(x, y)
+        points = np.column_stack([across.ravel(), down.ravel()]).astype(float)
+        index = np.rint(self.lattice.to_index(points))
+        return index, points - self.lattice.points(index)
+
     def calibration(self, light: Any) -> Calibration:
         """The true camera, with the `light` (h, w) of a white image as the mean over all
         microimages."""
-        lattice = self.lattice
         width, height = self.size
-        column, row = np.meshgrid(np.arange(width), np.arange(height))
-        points = np.column_stack([column.ravel(), row.ravel()]).astype(float)
-        centres = lattice.points(np.rint(lattice.to_index(points)))
-        away = np.hypot(*(points - centres).T)
+        _, offset = self.nearest_lenses(np.arange(width), np.arange(height))
+        away = np.hypot(*offset.T)
         step = 0.75 * self.pitch / _RINGS
         ring = np.rint(away / step).astype(int)
         total = np.bincount(ring, np.ravel(light), _RINGS)
@@ -117,4 +125,4 @@ class Microscope:
         places = np.arange(len(count))
         profile = np.interp(places, places[known], total[known] / count[known])
         profile = profile / profile.max()
-        return Calibration(lattice, Vignetting(profile, step), source="truth")
+        return Calibration(self.lattice, Vignetting(profile, step), source="truth")

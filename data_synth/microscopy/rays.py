@@ -1,5 +1,4 @@
-"""Flats of a microscope by tracing rays: from points of a pixel through microlens, tube lens and
-objective.
+"""Flats of a microscope by tracing rays from pixels through microlens, tube lens and objective.
 
 Every ray is refracted at three surfaces: a thin microlens, a thin tube lens, and an objective that
 obeys the sine condition of Abbe. In the medium it is straight; its light is the length of its way
@@ -14,13 +13,13 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import kernel
 
-from .capture import MicroscopeCapture, expose
+from .capture import MicroscopeCapture, photograph
 from .microscope import Microscope
 from .specimen import Specimen
 
 __all__ = ["trace_flat"]
 
-# Any will do: it cancels.
+# Focal length of the tube lens [um]; it cancels, so any value will do.
 _TUBE_LENGTH = 200_000.0
 # Tables of random places that pixels take in turn; a prime, so that columns do not repeat.
 _TABLES = 997
@@ -129,13 +128,7 @@ def trace_flat(
     balls = np.column_stack([specimen.centres, specimen.outer, specimen.inner, specimen.brightness])
     light = _traced(balls, microscope, samples, rng, uniform=False)
     white = _traced(balls[:0], microscope, samples, rng, uniform=True)
-    return MicroscopeCapture(
-        expose(light, electrons, read, rng),
-        expose(white, None, read, rng),
-        specimen,
-        microscope,
-        microscope.calibration(white),
-    )
+    return photograph(light, white, specimen, microscope, (electrons, read), rng)
 
 
 def _traced(
@@ -146,17 +139,14 @@ def _traced(
     uniform: bool,
 ) -> NDArray[np.float64]:
     """(h, w) light of the pixels."""
-    lattice = microscope.lattice
     width, height = microscope.size
-    column, row = np.meshgrid(np.arange(width), np.arange(height))
-    points = np.column_stack([column.ravel(), row.ravel()]).astype(float)
-    nearest = np.rint(lattice.to_index(points))
+    index, _ = microscope.nearest_lenses(np.arange(width), np.arange(height))
     # The lens above a pixel, and those around it.
     steps = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
-    index = (nearest[:, None] + steps).reshape(-1, 2)
+    index = (index[:, None] + steps).reshape(-1, 2)
     turn = np.radians(microscope.rotation)
     lenses = np.empty((len(index), 4))
-    lenses[:, :2] = lattice.points(index) * microscope.pixel
+    lenses[:, :2] = microscope.lattice.points(index) * microscope.pixel
     lenses[:, 2:] = np.cos(turn), np.sin(turn)
     centres = lenses.reshape(height, width, len(steps), 4)
     objective = _TUBE_LENGTH / microscope.magnification

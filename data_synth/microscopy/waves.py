@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from .capture import MicroscopeCapture, expose
+from .capture import MicroscopeCapture, photograph
 from .microscope import Microscope
 from .specimen import Specimen
 
@@ -41,10 +41,7 @@ class _Propagation:
         self.y, self.x = (
             (np.arange(n) + 0.5) / _OVERSAMPLING - 0.5 - self.margin for n in self.shape
         )
-        lattice = microscope.lattice
-        across, down = np.meshgrid(self.x, self.y)
-        points = np.column_stack([across.ravel(), down.ravel()])
-        away = points - lattice.points(np.rint(lattice.to_index(points)))
+        _, away = microscope.nearest_lenses(self.x, self.y)
         away2 = (away**2).sum(1).reshape(self.shape) * microscope.pixel**2
         wavelength = microscope.wavelength
         phase = -np.pi * away2 / (wavelength * microscope.microlens_focal_length)
@@ -135,10 +132,5 @@ def propagate_flat(
     for point, light in zip(*specimen.points(spacing, rng), strict=True):
         total += np.float32(light) * waves.intensity(point)
     white = waves.pixels(waves.white())
-    return MicroscopeCapture(
-        expose(waves.pixels(total), electrons, read, rng),
-        expose(white, None, read, rng),
-        specimen,
-        microscope,
-        microscope.calibration(white),
-    )
+    light = waves.pixels(total)
+    return photograph(light, white, specimen, microscope, (electrons, read), rng)

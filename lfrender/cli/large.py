@@ -35,7 +35,7 @@ def render_in_tiles(
     """Calibrate, analyse and render in tiles; what is finished is kept until the end."""
     from .. import render_large
     from ..data.depth_map import DepthMap
-    from ..large.render import check_large_picture
+    from ..large.render import LargeOptions, check_large_picture
     from ..output.resume import Checkpoint, file_identity, fingerprint
 
     report = capture.report
@@ -68,16 +68,9 @@ def render_in_tiles(
                     depth = DepthMap.load(file)
         settings = figures.rendering_settings(depth, given.patch_size, given.detail)
         with report.stage("render"), report.progress("tiles") as progress, option_errors():
+            chosen = LargeOptions(settings=settings, tile=given.tile, **options)
             made = render_large(
-                source,
-                output,
-                calibration,
-                depth,
-                settings=settings,
-                progress=progress,
-                tile=given.tile,
-                **options,
-                **cluster,
+                source, output, calibration, depth, chosen, progress=progress, **cluster
             )
     kept = f", {made.kept} of them kept from an earlier run" if made.kept else ""
     width, height = made.size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
     from ..sequence.film import Plan
     from ..sequence.frames import Frames
-    from ..sequence.job import FrameResult
+    from ..sequence.options import FrameOptions
+    from ..sequence.run import FrameResult
 
 __all__ = ["batch"]
 
@@ -69,7 +71,7 @@ def batch(capture: CaptureInput, given: Any) -> int:
     output = given.output
     maps = given.depth_maps
     films = [path for path in (output, maps) if path is not None and is_video(path)]
-    further = _drawing_options(given, output in films)
+    options = _frame_options(capture, given, output in films)
     if given.fps is not None and not films:
         raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
     if films == [output, output]:
@@ -84,10 +86,10 @@ def batch(capture: CaptureInput, given: Any) -> int:
         with report.stage("calibrate"):
             calibration = _find_camera(frames, capture)
     start = perf_counter()
-    results, plan = _render(capture, given, frames, calibration, films, further)
+    results, plan = _render(capture, given, frames, calibration, films, options)
     found, sentence = _sum_up(results, perf_counter() - start)
     if calibration is None and output not in films:
-        from ..sequence.job import load_camera
+        from ..sequence.run_folder import load_camera
 
         with suppress(CameraFileError):
             calibration = load_camera(output)
@@ -114,7 +116,7 @@ def _render(
     frames: Frames,
     calibration: Calibration | None,
     films: list[Path],
-    further: dict[str, Any],
+    options: FrameOptions,
 ) -> tuple[list[FrameResult], Plan]:
     """Render all frames; print the plan before, and show the progress."""
     from .. import render_frames
@@ -141,15 +143,10 @@ def _render(
                 frames,
                 given.output,
                 calibration,
-                preset=capture.chosen_preset,
-                scale=given.scale,
+                options,
                 overwrite=given.overwrite,
-                depth_maps=given.depth_maps,
-                rate=given.fps,
                 announce=announce,
-                exposure=given.exposure,
                 **cluster,
-                **further,
             ):
                 results.append(result)
                 step(len(results), frames.count or None, result.message)
@@ -200,9 +197,18 @@ def _sum_up(results: list[FrameResult], seconds: float) -> tuple[dict[str, Any],
     return figures, f"{', '.join(told)}.{moved}"
 
 
-def _drawing_options(given: Any, film: bool) -> dict[str, Any]:
-    """Further arguments of `render_frames`; those of films are the defaults."""
+def _frame_options(capture: CaptureInput, given: Any, film: bool) -> FrameOptions:
+    """The options of `render_frames`, or of `render_film` if the output is a film."""
+    from ..sequence.options import FrameOptions
     from ..sequence.view_grid import ViewGrid
+
+    options = FrameOptions(
+        preset=capture.chosen_preset,
+        scale=given.scale,
+        exposure=given.exposure,
+        depth_maps=given.depth_maps,
+        rate=given.fps,
+    )
 
     if given.views is None and (given.aperture is not None or given.resize is not None):
         raise click.UsageError("--aperture and --resize are for --views")
@@ -211,7 +217,7 @@ def _drawing_options(given: Any, film: bool) -> dict[str, Any]:
             raise click.UsageError(f"{given.output} is a film; views go into a folder")
         if given.suffix is not None or given.eight_bits:
             raise click.UsageError(f"{given.output} is a film: leave out --format and --8bit")
-        return {}
+        return options
     check_folder(given.output)
     suffix = (given.suffix or "tif").lstrip(".")
     if suffix.startswith("yuv") and given.eight_bits:
@@ -220,7 +226,7 @@ def _drawing_options(given: Any, film: bool) -> dict[str, Any]:
         raise click.UsageError("raw video is a film or views: give -o FILM.yuv, or --views")
     rows, columns = given.views or (0, 0)
     grid = ViewGrid(rows, columns, given.aperture or 0.7, given.resize) if given.views else None
-    return {"eight_bits": given.eight_bits, "suffix": f".{suffix}", "views": grid}
+    return replace(options, eight_bits=given.eight_bits, suffix=f".{suffix}", views=grid)
 
 
 def _find_camera(frames: Frames, capture: CaptureInput) -> Calibration:

@@ -8,8 +8,9 @@ For every room above; plots for notebooks and napari are made from them here too
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ..depth.example import example
     from .registry import Registry, open_registry, write_registry
-    from .samples import board, cache_folder, clutter, example, house, periodic, plane, ramp, slope
+    from .samples import board, cache_folder, clutter, house, periodic, plane, ramp, slope
 
 __all__ = [
     "Registry",
@@ -26,6 +27,14 @@ __all__ = [
     "write_registry",
 ]
 
+# Modules of the names; samples have all others.
+_HOMES = {
+    "Registry": ".registry",
+    "example": "..depth.example",
+    "open_registry": ".registry",
+    "write_registry": ".registry",
+}
+
 
 def __getattr__(name: str) -> Any:
     # At first use, as in `lfrender`: the rooms above import this one for its modules.
@@ -33,5 +42,4 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    home = "registry" if name in ("Registry", "open_registry", "write_registry") else "samples"
-    return getattr(import_module(f".{home}", __name__), name)
+    return getattr(import_module(_HOMES.get(name, ".samples"), __name__), name)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Optics, OutputError
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, Singles
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
 
+from ..runtime.types import AnyPath
 from .depth_map import DEPTH_ADVICE, DepthMap, default_scale
 from .rendering import Picture, PictureGrid, check_scale
 from .surface import edge_step, sample_surface_at
@@ -29,6 +30,7 @@ __all__ = [
     "dense_depth",
     "dense_distance",
     "write_dense",
+    "write_exr",
 ]
 
 DENSE_FORMATS = (".tif", ".tiff", ".pfm", ".exr")
@@ -55,8 +57,8 @@ class DenseDepth(Picture, Frozen):
         From pixel `(u, v, 1)` to scene coordinates.
     pitch : float [px]
     validity : (h, w) uint8
-        255 where the nearest lens has a depth of its own, 128 where one has beside a depth edge,
-        which may lie a pixel or two elsewhere, 0 where the depth is filled in from around.
+        255 where the nearest lens has a depth of its own, 128 likewise but beside a depth edge
+        (which may be wrong by a pixel or two), 0 where the depth is filled in from around.
     standard_error : (h, w) float32 [px of the flat]
         Of `patch_size`, that of the nearest lens; inf where it is filled in.
 
@@ -67,32 +69,26 @@ class DenseDepth(Picture, Frozen):
     (47, 62)
     """
 
-    patch_size: NDArray[np.float32]
-    affine: NDArray[np.float64]
+    patch_size: Singles
+    affine: Floats
     pitch: float
     validity: NDArray[np.uint8]
-    standard_error: NDArray[np.float32]
+    standard_error: Singles
+    _layers = ("patch_size", "validity", "standard_error")
 
     @property
-    def resolved(self) -> NDArray[np.bool_]:
+    def resolved(self) -> Booleans:
         """(h, w) bool: where the nearest lens has a depth of its own."""
         return self.validity != FILLED
 
-    def _layers(self) -> dict[str, NDArray]:
-        return {
-            "patch_size": self.patch_size,
-            "validity": self.validity,
-            "standard_error": self.standard_error,
-        }
-
 
 def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) -> DenseDepth:
-    """Patch size at every pixel of the picture that `render` draws at `scale` [px per pitch], by
-    default its own.
+    """Patch size at every pixel of the picture that `render` draws at `scale` [px per pitch].
 
-    Between the grid values of `DepthMap.surface` it is linear on one surface, and the nearest
-    across a depth edge. Unresolved places have the depth of those around them if `fill`, else NaN.
-    Errors are those of `render`.
+    `scale` is by default that of `render`. Between the grid values of `DepthMap.surface` the patch
+    size is interpolated linearly on one surface; across a depth edge it is the nearest value.
+    Unresolved places get the depth of their surroundings if `fill`, else NaN. Errors are those of
+    `render`.
 
     Examples
     --------
@@ -105,39 +101,34 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
 
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     pitch = depth.pitch
-    grid = PictureGrid(
-        depth.image_size,
-        pitch,
-        check_scale(default_scale(depth) if scale is None else scale, pitch),
-    )
-    shape = grid.size[::-1]
+    scale = default_scale(depth) if scale is None else scale
+    grid = PictureGrid(depth.image_size, pitch, check_scale(scale, pitch))
+    place = (grid.size[::-1], (grid.first, grid.first), grid.spacing)
     edge = edge_step(pitch)
+    sizes = sample_surface_at(depth.surface, edge, *place)
+    lens = depth.nearest_lens(*place)
+    if lens is None:
+        resolved = np.ones(sizes.shape, bool)
+        error = np.full(sizes.shape, np.inf, np.float32)
+    else:
+        resolved = ~depth.filled[lens]
+        error = np.where(resolved, depth.standard_error[lens], np.float32(np.inf))
     around = np.ones((3, 3), np.uint8)
-    sizes = sample_surface_at(depth.surface, edge, shape, (grid.first, grid.first), grid.spacing)
-    lens = depth.nearest_lens(shape, (grid.first, grid.first), grid.spacing)
-    error = depth.standard_error[lens] if lens is not None else np.full(shape, np.inf, np.float32)
-    resolved = ~depth.filled[lens] if lens is not None else np.ones(shape, bool)
     beside = cv2.dilate(sizes, around) - cv2.erode(sizes, around) >= edge
     validity = np.where(resolved, np.where(beside, EDGE, SEEN), FILLED).astype(np.uint8)
     if not fill:
         sizes[~resolved] = np.nan
-    return DenseDepth(
-        sizes, grid.affine(), pitch, validity, np.where(resolved, error, np.float32(np.inf))
-    )
+    return DenseDepth(sizes, grid.affine(), pitch, validity, error)
 
 
-def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
-    """(h, w) float32 [m]: distance in front of the main lens at every pixel; NaN where nothing can
-    be imaged there.
-    """
+def dense_distance(dense: DenseDepth, optics: Optics) -> Singles:
+    """(h, w) float32 [m]: distance in front of the main lens; NaN where nothing can be imaged."""
     v, u = np.indices(dense.patch_size.shape)
     points = np.stack([u, v, np.ones_like(u)], axis=-1) @ dense.affine.T
     return optics.distance(dense.patch_size / dense.pitch, points).astype(np.float32)
 
 
-def write_dense(
-    path: str | os.PathLike[str], dense: DenseDepth, distance: NDArray[np.float32] | None = None
-) -> None:
+def write_dense(path: AnyPath, dense: DenseDepth, distance: Singles | None = None) -> None:
     """Write the patch sizes [px], or the `distance` of `dense_distance`, as 32-bit TIFF, OpenEXR,
     or PFM.
 
@@ -160,14 +151,15 @@ def write_dense(
     path = Path(path)
     check_output(path, set(DENSE_FORMATS))
     suffix = path.suffix.lower()
-    values = dense.patch_size if distance is None else distance
     if suffix == ".exr" and find_spec("OpenEXR") is None:
         raise OutputError(
             f"{path}: .exr files need the package 'OpenEXR'; pip install 'lfrender[exr]'"
         )
-    content = (
-        "signed patch size [px]" if distance is None else "distance in front of the main lens [m]"
-    )
+    values = dense.patch_size
+    content = "signed patch size [px]"
+    if distance is not None:
+        values = distance
+        content = "distance in front of the main lens [m]"
     about = {
         "software": "lfrender",
         "content": content,
@@ -180,24 +172,38 @@ def write_dense(
             head = "Pf\n{1} {0}\n-1.0\n".format(*values.shape)
             temporary.write_bytes(head.encode() + values[::-1].astype("<f4").tobytes())
         elif suffix == ".exr":
-            import OpenEXR
-
-            kind = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-            channels = {
-                "Y": np.ascontiguousarray(values),
+            channels: dict[str, Array] = {
+                "Y": values,
                 "resolved": dense.resolved.astype(np.float32),
                 "validity": dense.validity / np.float32(255),
                 "standard_error": dense.standard_error,
             }
-            with OpenEXR.File(kind | {"comments": json.dumps(about)}, channels) as file:
-                file.write(str(temporary))
+            write_exr(temporary, channels, json.dumps(about))
         else:
-            import tifffile
+            _write_pages(temporary, values, dense, about)
 
-            with tifffile.TiffWriter(temporary) as file:
-                file.write(values, description=json.dumps(about), metadata=None)
-                for text, name in _FURTHER.items():
-                    # Deflated: readers would take pages of one kind for a stack.
-                    page = getattr(dense, name)
-                    description = json.dumps(about | {"content": text})
-                    file.write(page, description=description, metadata=None, compression="zlib")
+
+def _write_pages(path: Path, values: Singles, dense: DenseDepth, about: dict[str, Any]) -> None:
+    import tifffile
+
+    with tifffile.TiffWriter(path) as file:
+        file.write(values, description=json.dumps(about), metadata=None)
+        for text, name in _FURTHER.items():
+            description = json.dumps(about | {"content": text})
+            # Compressed unlike the first page: readers would take equal pages for a stack.
+            options: dict[str, Any] = {"description": description, "compression": "zlib"}
+            file.write(getattr(dense, name), metadata=None, **options)
+
+
+def write_exr(path: Path, channels: dict[str, Array], text: str) -> None:
+    """Write channels (h, w), or (h, w, 3) and (h, w, 4) as `RGB` and `RGBA`, with a comment."""
+    import OpenEXR
+
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "comments": text,
+    }
+    layers = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    with OpenEXR.File(header, layers) as file:
+        file.write(str(path))

@@ -1,6 +1,4 @@
-"""Result of the depth analysis: patch size, mode, magnification and confidence of every lens, and
-its files.
-"""
+"""Result of the depth analysis: patch size, mode and confidence of every lens, and its files."""
 
 from __future__ import annotations
 
@@ -16,12 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, CalibrationError, FlatSource, LensBlur, LightFieldError, Optics
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, Integers, Singles
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import html_card
 
+from ..runtime.types import AnyPath, Size
 from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes
 from .surface import Surface
@@ -41,36 +40,47 @@ __all__ = [
     "check_depth",
     "default_scale",
     "is_same_flat",
+    "magnification_range",
     "sample_flat",
 ]
 
 
-def sample_flat(flat: NDArray | FlatSource) -> NDArray[np.float32]:
-    """Gray values (n,) float32 of a flat (H, W) or (H, W, C), in memory or not, on a grid, over
-    their mean.
-    """
+# Rows and columns of a flat whose pixels tell it from other flats.
+_SAMPLED_ROWS = 16
+_SAMPLED_COLUMNS = 64
+# Largest RMS difference between samples of one flat, as a share of their standard deviation:
+# rounding to 8 bits makes 0.01.
+_ROUNDING = 0.02
+
+
+def sample_flat(flat: Array | FlatSource) -> Singles:
+    """Gray values (n,) of a flat (H, W) or (H, W, C) on a grid, divided by their mean."""
     height, width = flat.shape[:2]
-    at = [
-        np.unique((np.arange(n) + 0.5) / n * length).astype(int)
-        for n, length in ((16, height), (64, width))
-    ]
+    chosen = _spread(_SAMPLED_ROWS, height)
     if isinstance(flat, FlatSource):
-        rows = np.concatenate([flat.read(0, row, width, row + 1) for row in at[0].tolist()])
+        rows = np.concatenate([flat.read(0, row, width, row + 1) for row in chosen.tolist()])
     else:
-        rows = np.asarray(flat[at[0]])
-    few = rows[:, at[1]].astype(np.float64)
-    gray = (few if few.ndim == 2 else few.mean(-1)).ravel()
+        rows = np.asarray(flat[chosen])
+    gray = rows[:, _spread(_SAMPLED_COLUMNS, width)].astype(np.float64)
+    if gray.ndim > 2:
+        gray = gray.mean(-1)
+    gray = gray.ravel()
     return (gray / max(float(gray.mean()), 1e-12)).astype(np.float32)
 
 
-def is_same_flat(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
-    """Whether the samples of two flats are the same but for rounding; also of another type, bit
-    depth or exposure.
+def _spread(count: int, length: int) -> Integers:
+    """At most `count` numbers, evenly spread over those below a length."""
+    return np.unique((np.arange(count) + 0.5) / count * length).astype(int)
+
+
+def is_same_flat(one: Singles, other: Singles) -> bool:
+    """Whether samples of two flats differ by rounding only; type, bit depth and exposure may
+    differ.
     """
-    # Rounding to 8 bits differs by 0.01 of the standard deviation.
-    return one.shape == other.shape and bool(
-        np.sqrt(np.mean((one - other) ** 2)) <= 0.02 * one.std() + 1e-6
-    )
+    if one.shape != other.shape:
+        return False
+    difference = np.sqrt(np.mean((one - other) ** 2))
+    return bool(difference <= _ROUNDING * one.std() + 1e-6)
 
 
 #: Codes of `DepthMap.mode`.
@@ -90,11 +100,13 @@ REASONS = (
 DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
-# Distances of output pixels from one to its double: steps of 19 %, while the depth of a scene that
-# stays moves by 1 %.
+# Least ratio between the ends of a scale of magnifications.
+_NARROWEST_SCALE = 1.2
+# Distances of output pixels from one to its double: steps of 19 %, while noise moves the depth of a
+# static scene by 1 %.
 _SPACINGS_PER_OCTAVE = 4
-# Of files that somebody has compressed: unpacked bytes over those of the file, and what is never
-# too much [bytes].
+# Limits for files that somebody has compressed: unpacked bytes over those of the file, and unpacked
+# bytes that are always accepted.
 LARGEST_RATIO = 50
 SMALL = 1 << 26
 # Arrays and numbers of a file that bear the name of their field; derived ones are for other
@@ -119,9 +131,9 @@ class DepthFileError(LightFieldError, ValueError):
 
     Examples
     --------
-    >>> DepthMap.load("no.npz")
+    >>> DepthMap.load("no.npz")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    lfrender.data.depth_map.DepthFileError: no.npz: cannot be read as a depth file (No such file or directory)
+    lfrender.data.depth_map.DepthFileError: no.npz: cannot be read as a depth file (No such file...
     """
 
 
@@ -176,47 +188,46 @@ class DepthMap(Frozen):
     True
     """
 
-    patch_size: NDArray[np.float32]
-    standard_error: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    filled_patch_size: NDArray[np.float32]
+    patch_size: Singles
+    standard_error: Singles
+    confidence: Singles
+    filled_patch_size: Singles
     surface: Surface
     pitch: float
-    image_size: tuple[int, int]
+    image_size: Size
     preset: str = "balanced"
     reason: NDArray[np.int8] = None  # type: ignore[assignment]
     saved: dict[str, float] = field(default_factory=dict)
     frame_state: FrameState = field(default_factory=FrameState, repr=False, compare=False)
-    flat_samples: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
-    centres: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
+    flat_samples: Singles | None = field(default=None, repr=False, compare=False)
+    centres: Singles | None = field(default=None, repr=False, compare=False)
     lens_blur: LensBlur | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_type(self.surface, Surface, "surface", "lfrender.data.surface.Surface makes one")
         names = ("patch_size", "standard_error", "confidence", "filled_patch_size")
         self._set(**{name: np.array(getattr(self, name), dtype=np.float32) for name in names})
+        resolved = np.isfinite(self.patch_size)
         reason = self.reason
-        n = np.size(self.patch_size)
         if reason is None:
-            reason = np.where(np.isfinite(self.patch_size), 0, np.where(self.confidence > 0, 2, 1))
-        self._set(
-            reason=np.array(reason, np.int8),
-            image_size=(int(self.image_size[0]), int(self.image_size[1])),
-        )
-        shapes = dict.fromkeys((*names, "reason"), (n,)) | (
-            {} if self.centres is None else {"centres": (n, 2)}
-        )
+            reason = np.where(resolved, 0, np.where(self.confidence > 0, 2, 1))
+        width, height = self.image_size
+        self._set(reason=np.array(reason, np.int8), image_size=(int(width), int(height)))
+        n = np.size(self.patch_size)
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*names, "reason"), (n,))
+        if self.centres is not None:
+            shapes["centres"] = (n, 2)
         for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
-        if ((self.reason == 0) != np.isfinite(self.patch_size)).any():
+            given = getattr(self, name).shape
+            if given != shape:
+                raise ValueError(f"{name} must have shape {shape}, got {given}")
+        if ((self.reason == 0) != resolved).any():
             raise ValueError(
                 "reason must be 0 for every lens with a patch size, and only for those"
             )
-        if not (
-            np.isfinite(self.filled_patch_size).all() and np.isfinite(self.surface.patch_size).all()
-        ):
-            raise ValueError("filled_patch_size and surface must be finite")
+        for values in (self.filled_patch_size, self.surface.patch_size):
+            if not np.isfinite(values).all():
+                raise ValueError("filled_patch_size and surface must be finite")
 
     def __len__(self) -> int:
         return len(self.patch_size)
@@ -227,31 +238,26 @@ class DepthMap(Frozen):
         return np.sign(np.nan_to_num(self.patch_size)).astype(np.int8)
 
     @cached_property
-    def magnification(self) -> NDArray[np.float32]:
-        """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008, section 6); NaN where
-        unresolved.
-        """
+    def magnification(self) -> Singles:
+        """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008); NaN where unresolved."""
         with np.errstate(divide="ignore"):
             return (self.pitch / np.abs(self.patch_size)).astype(np.float32)
 
     @cached_property
-    def curvature(self) -> NDArray[np.float32]:
-        """(n,) float32 [1/px^2]: of the log likelihood at its peak, `1 / standard_error^2`; 0 where
-        unknown.
-        """
+    def curvature(self) -> Singles:
+        """(n,) float32 [1/px^2]: curvature of the log likelihood; 0 where unknown."""
         with np.errstate(divide="ignore"):
             return (1 / self.standard_error.astype(np.float64) ** 2).astype(np.float32)
 
     @cached_property
-    def filled(self) -> NDArray[np.bool_]:
-        """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
+    def filled(self) -> Booleans:
+        """(n,) bool: unresolved lenses, whose `filled_patch_size` comes from their neighbours."""
         return np.isnan(self.patch_size)
 
-    def nearest_lens(
-        self, shape: tuple[int, int], first: ArrayLike, spacing: float
-    ) -> NDArray[np.int64] | None:
-        """(h, w) the lens nearest to each pixel, `spacing` [px] apart from `first` on; None if the
-        centres are not known.
+    def nearest_lens(self, shape: Size, first: ArrayLike, spacing: float) -> Integers | None:
+        """(h, w) number of the lens nearest to each pixel; None if the centres are unknown.
+
+        Pixels lie `spacing` [px] apart; `first` is the place of the first.
         """
         from scipy.spatial import cKDTree
 
@@ -261,17 +267,17 @@ class DepthMap(Frozen):
         places = np.asarray(first) + spacing * np.stack([u, v], -1).reshape(-1, 2)
         return np.asarray(cKDTree(self.centres).query(places)[1]).reshape(shape)
 
-    def is_of(self, flat: NDArray | FlatSource) -> bool:
-        """Whether it was made from a flat (H, W) or (H, W, C), in any type or exposure; True where
-        that is unknown.
+    def is_of(self, flat: Array | FlatSource) -> bool:
+        """Whether it was made from this flat (H, W) or (H, W, C); True if that is unknown.
 
         Flats of a colour filter mosaic are given in colour, as they were analysed.
         """
         return self.flat_samples is None or is_same_flat(self.flat_samples, sample_flat(flat))
 
-    def distance(self, camera: Optics | Calibration) -> NDArray[np.float64]:
-        """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where
-        unresolved.
+    def distance(self, camera: Optics | Calibration) -> Floats:
+        """(n,) float64 [m]: distance of what each lens shows, in front of the main lens.
+
+        NaN where unresolved.
 
         A Calibration with `optics`, as made by `calibrate_metric`, also takes account of the tilt
         of its array and of the curvature of its field, which Optics alone cannot. CalibrationError
@@ -280,9 +286,8 @@ class DepthMap(Frozen):
         optics, points = self._optics(camera)
         return optics.distance(self.patch_size.astype(np.float64) / self.pitch, points)
 
-    def distance_error(self, camera: Optics | Calibration) -> NDArray[np.float64]:
-        """(n,) float64 [m]: standard errors of `distance`, made of those of `patch_size` and of the
-        calibration.
+    def distance_error(self, camera: Optics | Calibration) -> Floats:
+        """(n,) float64 [m]: standard errors of `distance`, from `patch_size` and calibration.
 
         Errors of the calibration are shared by all lenses: they do not average out. inf where
         unknown, NaN where unresolved.
@@ -291,7 +296,7 @@ class DepthMap(Frozen):
         error = self.standard_error.astype(np.float64) / self.pitch
         return optics.distance_error(self.patch_size.astype(np.float64) / self.pitch, error, points)
 
-    def _optics(self, camera: Optics | Calibration) -> tuple[Optics, NDArray[np.float64] | None]:
+    def _optics(self, camera: Optics | Calibration) -> tuple[Optics, Floats | None]:
         """The optics, and the centres of the lenses if they are known."""
         if isinstance(camera, Optics):
             return camera, None
@@ -304,110 +309,90 @@ class DepthMap(Frozen):
         return camera.optics, camera.lattice.centres()
 
     def dense(self, scale: float | None = None, fill: bool = True) -> DenseDepth:
-        """Patch size, validity and error of every pixel of the picture, as
-        `lfrender.data.dense_depth.dense_depth`.
-        """
+        """Patch size, validity and error of every pixel, by `lfrender.data.dense_depth`."""
         from .. import dense_depth
 
         made: DenseDepth = dense_depth(self, scale, fill)
         return made
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the magnification over the scene on Matplotlib axes, by default the current ones;
-        returns them.
-        """
+        """Draw the magnification over the scene, by default on the current axes; returns them."""
         from matplotlib.colors import LogNorm
 
-        (shown, low, high), surface = self.clipped_magnification(), self.surface
+        surface = self.surface
+        shown, low, high = self.clipped_magnification()
         lens = self.nearest_lens(shown.shape, surface.first, surface.spacing)
         if lens is not None:
             shown[self.filled[lens]] = np.nan
-        corner = np.array(surface.first) - surface.spacing / 2
-        corners = corner, corner + surface.spacing * np.array(shown.shape[::-1])
-        look: dict[str, Any] = {
-            "norm": LogNorm(low, high),
-            "cmap": "turbo",
-            "interpolation": "nearest",
-        }
-        drawn = show_on_axes(ax, shown, *corners, "Magnification", **look)
+        first = np.array(surface.first) - surface.spacing / 2
+        last = first + surface.spacing * np.array(shown.shape[::-1])
+        look: dict[str, Any] = {"norm": LogNorm(low, high), "cmap": "turbo"}
+        drawn = show_on_axes(
+            ax, shown, first, last, "Magnification", interpolation="nearest", **look
+        )
         # Grey as in the maps of `lfrender.output.depth_picture`.
         drawn.axes.set_facecolor(np.full(3, 150 / 255))
-        bar = drawn.figure.colorbar(
-            drawn, ax=drawn.axes, label="magnification M (grey: unresolved)"
-        )
-        bar.set_ticks(
-            np.geomspace(low, high, 5),
-            labels=[f"{tick:.2g}" for tick in np.geomspace(low, high, 5)],
-        )
+        label = "magnification M (grey: unresolved)"
+        bar = drawn.figure.colorbar(drawn, ax=drawn.axes, label=label)
+        ticks = np.geomspace(low, high, 5)
+        bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
         bar.minorticks_off()
         return drawn.axes
 
-    def clipped_magnification(self) -> tuple[NDArray[np.float32], float, float]:
-        """(h, w) magnification on the grid of the surface, clipped to the range of nearly all of
-        it, and that range.
+    def clipped_magnification(self) -> tuple[Singles, float, float]:
+        """(h, w) magnification on the grid of the surface, clipped to a range, and this range.
+
+        98 % of the values lie in the range.
         """
         whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), 1e-3 * self.pitch)
-        low, high = (float(value) for value in np.percentile(whole, (1, 99)))
-        high = max(high, 1.2 * low)
+        low, high = magnification_range(whole)
         return np.clip(whole, low, high), low, high
 
     def __repr__(self) -> str:
-        shares = (
-            [f"{np.mean(self.mode == code):.0%} {name}" for code, name in MODES.items()]
-            if len(self)
-            else []
-        )
-        return f"DepthMap({', '.join([f'{len(self)} lenses', *shares])}; {self.preset!r})"
+        parts = [f"{len(self)} lenses"]
+        for code, name in MODES.items() if len(self) else ():
+            parts.append(f"{np.mean(self.mode == code):.0%} {name}")
+        return f"DepthMap({', '.join(parts)}; {self.preset!r})"
 
     def _repr_html_(self) -> str:
         figures = {}
         known = self.magnification[np.isfinite(self.magnification)]
         if known.size:
-            figures["magnification"] = (
-                f"{known.min():.2f} to {known.max():.2f}, median {np.median(known):.2f}"
-            )
-            figures["standard error of s"] = (
-                f"{np.median(self.standard_error[self.mode != 0]):.2g} px (median)"
-            )
+            ends = f"{known.min():.2f} to {known.max():.2f}"
+            figures["magnification"] = f"{ends}, median {np.median(known):.2f}"
+            error = np.median(self.standard_error[self.mode != 0])
+            figures["standard error of s"] = f"{error:.2g} px (median)"
         if self.saved:
             figures["saved"] = ", ".join(f"{name} {part:.0%}" for name, part in self.saved.items())
         return html_card(repr(self), figures, self.plot)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: AnyPath) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
         surface = self.surface
-        saved = self.saved
-        state = self.frame_state
-        values = {
-            name: value
-            for name in (*_SAVED, *_OPTIONAL)
-            if (value := getattr(self, name)) is not None
-        }
+        reference = self.frame_state.reference
+        kept = self.frame_state.kept
+        values: dict[str, Any] = {"version": np.int64(_VERSION)}
+        values["surface_spacing"] = surface.spacing
+        values |= {name: getattr(self, name) for name in (*_SAVED, *_OPTIONAL)}
         values |= {
             "drawn": self.filled_patch_size,
             "surface": surface.patch_size,
             "surface_first": surface.first,
+            "saved_by": np.array(list(self.saved), str),
+            "saved": np.array(list(self.saved.values()), np.float64),
+            "lens_blur": self.lens_blur and json.dumps(self.lens_blur.to_dict()),
         }
-        values |= {
-            "saved_by": np.array(list(saved), str),
-            "saved": np.array(list(saved.values()), np.float64),
-        }
-        if self.lens_blur is not None:
-            values |= {"lens_blur": json.dumps(self.lens_blur.to_dict())}
-        if state.reference is not None and state.kept is not None:
+        if reference is not None and kept is not None:
             # Without it, many small changes would pass once the depth has been loaded again.
-            values |= {
-                "kept": state.kept,
-                **{f"kept_{name}": of for name, of in state.reference._asdict().items()},
-            }
+            values["kept"] = kept
+            values |= {f"kept_{name}": value for name, value in reference._asdict().items()}
+        known = {name: value for name, value in values.items() if value is not None}
         with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
-            np.savez(stream, version=np.int64(_VERSION), surface_spacing=surface.spacing, **values)
+            np.savez(stream, **known)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> DepthMap:
-        """Read a file written by `save`; DepthFileError if it is missing, is not such a file, or a
-        field is wrong.
-        """
+    def load(cls, path: AnyPath) -> DepthMap:
+        """Read a file written by `save`; DepthFileError if it is missing or damaged."""
         remedy = "make one with 'lfrender analyze'"
         try:
             # np.load leaves a damaged file open if it opened it itself.
@@ -422,38 +407,7 @@ class DepthMap(Frozen):
                 raise DepthFileError(
                     f"{path}: version {version} is not known (this is {_VERSION}); {remedy}"
                 )
-            grid = np.ascontiguousarray(data["surface"], np.float32)
-            first = tuple(data["surface_first"].tolist())
-            saved = (
-                zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True)
-                if "saved" in data
-                else ()
-            )
-            more: dict[str, Any] = {
-                name: data[name].astype(np.float32)
-                for name in _OPTIONAL
-                if name in data and data[name].size
-            }
-            if "lens_blur" in data:
-                more["lens_blur"] = LensBlur.from_dict(json.loads(str(data["lens_blur"])))
-            if "kept" in data:
-                reference = LocalMatch(*(data[f"kept_{name}"] for name in LocalMatch._fields))
-                more["frame_state"] = FrameState(reference, data["kept"])
-            surface = Surface(grid, first, float(data["surface_spacing"]))
-            reason = data.get("reason")
-            return cls(
-                data["patch_size"],
-                data["standard_error"],
-                data["confidence"],
-                data["drawn"],
-                surface,
-                float(data["pitch"]),
-                tuple(data["image_size"].tolist()),
-                str(data["preset"]),
-                reason,  # type: ignore
-                dict(saved),
-                **more,
-            )
+            return cls(**_fields_of(data))
         except DepthFileError:
             raise
         except OSError as error:
@@ -464,6 +418,34 @@ class DepthMap(Frozen):
         except Exception as error:
             text = " ".join(str(error).split())[:200] or type(error).__name__
             raise DepthFileError(f"{path}: not a whole depth file ({text}); {remedy}") from error
+
+
+def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a depth map from the arrays of its file."""
+    found: dict[str, Any] = {
+        name: data[name] for name in ("patch_size", "standard_error", "confidence")
+    }
+    place = (tuple(data["surface_first"].tolist()), float(data["surface_spacing"]))
+    found |= {
+        "filled_patch_size": data["drawn"],
+        "surface": Surface(np.ascontiguousarray(data["surface"], np.float32), *place),
+        "pitch": float(data["pitch"]),
+        "image_size": tuple(data["image_size"].tolist()),
+        "preset": str(data["preset"]),
+        "reason": data.get("reason"),
+    }
+    if "saved" in data:
+        pairs = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True)
+        found["saved"] = dict(pairs)
+    for name in _OPTIONAL:
+        if name in data and data[name].size:
+            found[name] = data[name].astype(np.float32)
+    if "lens_blur" in data:
+        found["lens_blur"] = LensBlur.from_dict(json.loads(str(data["lens_blur"])))
+    if "kept" in data:
+        reference = LocalMatch(*(data[f"kept_{name}"] for name in LocalMatch._fields))
+        found["frame_state"] = FrameState(reference, data["kept"])
+    return found
 
 
 def _check_unpacked_size(stream: Any) -> None:
@@ -477,10 +459,14 @@ def _check_unpacked_size(stream: Any) -> None:
         raise ValueError(f"its {size / 1e6:.1f} MB would unpack to {unpacked / 1e6:,.0f} MB")
 
 
+def magnification_range(magnification: Array) -> tuple[float, float]:
+    """Ends of a scale that holds 98 % of these magnifications, at least a fifth wide."""
+    low, high = np.percentile(magnification, (1, 99))
+    return float(low), float(max(high, _NARROWEST_SCALE * low))
+
+
 def check_depth(depth: DepthMap, calibration: Calibration) -> None:
-    """Raise a TypeError if these are something else, a CalibrationError if they do not belong to
-    each other.
-    """
+    """Raise a CalibrationError if depth map and camera do not belong to each other."""
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
@@ -490,8 +476,7 @@ def check_depth(depth: DepthMap, calibration: Calibration) -> None:
 
 
 def default_scale(depth: DepthMap) -> float:
-    """Output pixels per pitch that keep the flat's resolution where patches are largest [px per
-    pitch].
+    """Output pixels per pitch that keep the resolution of the flat in the largest patches.
 
     Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as
     its patch has, for 98 % of the lenses. The distance of output pixels is rounded to 1, 1.19,

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lfcal.runtime.arrays import Booleans, Singles
 
 __all__ = ["FrameState", "LocalMatch"]
 
@@ -15,15 +16,15 @@ __all__ = ["FrameState", "LocalMatch"]
 class LocalMatch(NamedTuple):
     """How lenses match at and about the depth they had."""
 
-    cost: NDArray[np.float32]  # (n,) at that depth
-    offset: NDArray[np.float32]  # (n,) [px of the search] from there to the minimum
-    error: NDArray[np.float32]  # (n,) [px of the search] standard error of the offset for one pair
-    clear: NDArray[
-        np.bool_
-    ]  # (n,) lenses with texture, and with any that a match may distinguish from noise
-    textured: NDArray[np.bool_]
+    cost: Singles  # (n,) at that depth
+    offset: Singles  # (n,) [px of the search] from there to the minimum
+    error: Singles  # (n,) [px of the search] standard error of the offset for one pair
+    clear: (
+        Booleans  # (n,) lenses with texture, and with any that a match may distinguish from noise
+    )
+    textured: Booleans
 
-    def where(self, mask: NDArray[np.bool_], other: LocalMatch) -> LocalMatch:
+    def where(self, mask: Booleans, other: LocalMatch) -> LocalMatch:
         """This one, with the lenses of `mask` (n,) taken from another."""
         return LocalMatch(
             *(np.where(mask, theirs, own) for theirs, own in zip(other, self, strict=True))
@@ -37,13 +38,11 @@ class FrameState:
     # What the `kept` lenses are compared with: their match in the frame in which their depth was
     # estimated. A comparison with the last frame only would let many small changes pass.
     reference: LocalMatch | None = None
-    kept: NDArray[np.bool_] | None = (
-        None  # (n,) lenses that have kept their depth from an earlier frame
-    )
+    kept: Booleans | None = None  # (n,) lenses that have kept their depth from an earlier frame
     complete: LocalMatch | None = (
         None  # the reference of all lenses; made when the first next frame needs it
     )
-    changed: NDArray[np.bool_] | None = (
+    changed: Booleans | None = (
         None  # (n,) lenses that show something else than in the frame of `previous`
     )
     previous: weakref.ref[Any] | None = None  # of a DepthMap

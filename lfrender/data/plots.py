@@ -22,8 +22,7 @@ def napari_layers(
     depth: DepthMap | None = None,
     rendering: Rendering | None = None,
 ) -> list[tuple[Any, dict[str, Any], str]]:
-    """Layers of napari, one for each argument that is given, all in the coordinates of the flat,
-    order `y, x`.
+    """Layers of napari, one for each given argument, in coordinates of the flat (`y, x`).
 
     Add them by `for layer in napari_layers(...):
     viewer.add_layer(napari.layers.Layer.create(*layer))`.

@@ -9,13 +9,12 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from numpy.typing import NDArray
 
 from lfcal import FlatError, read_flat
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
+from ..runtime.types import AnyPath
 from .samples import cache_folder
 
 __all__ = ["Registry", "open_registry", "write_registry"]
@@ -23,8 +22,9 @@ __all__ = ["Registry", "open_registry", "write_registry"]
 
 @dataclass(frozen=True)
 class Registry:
-    """Files at `base`, a folder or an address, with their `hashes` (`sha256:...`) by name; from
-    `open_registry`.
+    """Files in a folder or at an address `base`, with their `hashes` (`sha256:...`) by name.
+
+    `open_registry` makes one.
 
     Examples
     --------
@@ -46,8 +46,9 @@ class Registry:
         return sorted(self.hashes)
 
     def fetch(self, name: str) -> Path:
-        """The file, from the cache if it is there; FlatError if there is none, or its hash is not
-        the one listed.
+        """The path of a file, which is fetched into the cache if it is not there.
+
+        FlatError if the file is missing or its hash is not the listed one.
         """
         if name not in self.hashes:
             raise FlatError(
@@ -71,16 +72,13 @@ class Registry:
                 f"{address}{name}: cannot be fetched ({' '.join(str(error).split())})"
             ) from error
 
-    def read(self, name: str, page: int | None = None) -> NDArray[Any]:
+    def read(self, name: str, page: int | None = None) -> Array:
         """The pixels of a file, as `lfcal.read_flat`."""
         return read_flat(self.fetch(name), page)
 
 
-def open_registry(
-    base: str | os.PathLike[str], hashes: Mapping[str, str] | str | os.PathLike[str] | None = None
-) -> Registry:
-    """The registry of a folder or of an address (`https://...`); FlatError if its list cannot be
-    read.
+def open_registry(base: AnyPath, hashes: Mapping[str, str] | AnyPath | None = None) -> Registry:
+    """The registry of a folder or an address; FlatError if its list cannot be read.
 
     `hashes` are those by name, or the list with them: by default `registry.txt` in the folder. For
     an address it must be given, since a list from the same server would prove nothing.
@@ -118,9 +116,8 @@ def open_registry(
     return Registry(place, found)
 
 
-def write_registry(folder: str | os.PathLike[str]) -> Path:
-    """Write `registry.txt` with the hashes of all files in a folder but hidden ones; returns its
-    path.
+def write_registry(folder: AnyPath) -> Path:
+    """Write `registry.txt` with the hashes of all files but hidden ones; returns its path.
 
     Examples
     --------

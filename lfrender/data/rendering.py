@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import LightFieldError
-from lfcal.runtime.arrays import Frozen, exposure_gain, white_of
+from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, exposure_gain, white_of
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.page import html_card
+
+from ..runtime.types import AnyPath, Size
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -30,6 +30,7 @@ __all__ = [
     "check_scale",
     "convert_to_dtype",
     "finish_picture",
+    "pixels_between",
     "show_on_axes",
 ]
 
@@ -44,7 +45,7 @@ Part = tuple[int, int, int, int]
 class PictureGrid:
     """The pixels of a picture of all that a flat shows."""
 
-    image_size: tuple[int, int]  # width and height of the flat [px]
+    image_size: Size  # width and height of the flat [px]
     pitch: float  # [px]
     scale: float  # pixels of the picture per pitch
 
@@ -59,7 +60,7 @@ class PictureGrid:
         return 0.5 * self.spacing - 0.5
 
     @property
-    def size(self) -> tuple[int, int]:
+    def size(self) -> Size:
         """Columns and rows."""
         # The last digits of the pitch do not decide what is done with halves.
         columns, rows = (
@@ -72,7 +73,7 @@ class PictureGrid:
         """All of the picture."""
         return 0, 0, *self.size
 
-    def affine(self, part: Part | None = None) -> NDArray[np.float64]:
+    def affine(self, part: Part | None = None) -> Floats:
         """(2, 3) from a pixel of a part, by default of the whole, to scene coordinates."""
         left, top = (part or self.whole)[:2]
         step = self.spacing
@@ -86,40 +87,30 @@ class PictureGrid:
         return low[0], low[1], min(self.image_size[0], high[0]), min(self.image_size[1], high[1])
 
     def expand(self, part: Part, halo: int) -> Part:
-        """A part of the picture with `halo` pixels about it, as far as there are any."""
-        columns, rows = self.size
+        """A part of the picture with up to `halo` pixels around it, as far as there are any."""
         left, top, right, bottom = part
-        return (
-            max(left - halo, 0),
-            max(top - halo, 0),
-            min(right + halo, columns),
-            min(bottom + halo, rows),
-        )
+        return _intersect(self.whole, (left - halo, top - halo, right + halo, bottom + halo))
 
     def border(self, part: Part, wide: int) -> Iterator[Part]:
-        """What a part has in common with the four strips, `wide` pixels, along the border of the
-        whole picture.
-        """
+        """Where a part meets the four strips, `wide` pixels, along the border of the picture."""
         columns, rows = self.size
-        top_down = (0, 0, columns, wide), (0, rows - wide, columns, rows)
-        for strip in (*top_down, (0, 0, wide, rows), (columns - wide, 0, columns, rows)):
-            left, top = (max(pair) for pair in zip(part[:2], strip[:2], strict=True))
-            right, bottom = (min(pair) for pair in zip(part[2:], strip[2:], strict=True))
+        strips = (
+            (0, 0, columns, wide),
+            (0, rows - wide, columns, rows),
+            (0, 0, wide, rows),
+            (columns - wide, 0, columns, rows),
+        )
+        for strip in strips:
+            left, top, right, bottom = common = _intersect(part, strip)
             if left < right and top < bottom:
-                yield left, top, right, bottom
+                yield common
 
     def part_of_region(self, roi: tuple[float, float, float, float]) -> Part:
         """Columns and rows whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
-        low, high = ((np.array(ends) - self.first) / self.spacing for ends in (roi[:2], roi[2:]))
-        left, top = (
-            int(min(max(np.ceil(at), 0), n - 1)) for at, n in zip(low, self.size, strict=True)
-        )
-        right, bottom = (
-            int(min(np.floor(at) + 1, n)) for at, n in zip(high, self.size, strict=True)
-        )
-        return left, top, max(right, left + 1), max(bottom, top + 1)
+        corners = (np.array(roi).reshape(2, 2) - self.first) / self.spacing
+        return pixels_between(corners, self.size)
 
-    def tiles(self, side: tuple[int, int]) -> Iterator[Part]:
+    def tiles(self, side: Size) -> Iterator[Part]:
         """Parts of at most `side` (columns, rows), row by row."""
         columns, rows = self.size
         for top in range(0, rows, side[1]):
@@ -127,8 +118,27 @@ class PictureGrid:
                 yield left, top, min(left + side[0], columns), min(top + side[1], rows)
 
 
+def _intersect(one: Part, other: Part) -> Part:
+    left, top = map(max, one[:2], other[:2])
+    right, bottom = map(min, one[2:], other[2:])
+    return left, top, right, bottom
+
+
+def pixels_between(corners: Floats, size: Size) -> Part:
+    """The pixels, at least one, between two corners (2, 2) of a picture of this width and height.
+
+    Corners are in pixels; pixel centres lie at integers.
+    """
+    low, high = corners
+    last = np.array(size)
+    first = np.clip(np.ceil(low), 0, last - 1)
+    end = np.clip(np.floor(high) + 1, first + 1, last)
+    left, top, right, bottom = np.concatenate([first, end]).astype(int).tolist()
+    return left, top, right, bottom
+
+
 def check_pictures(pictures: Any) -> Iterator[Rendering]:
-    """The pictures one by one, or a TypeError where something else stands among them."""
+    """The pictures one by one; TypeError if one of them is something else."""
     check_type(
         pictures, Iterable, "pictures", "give a list of what lfrender.render or lfrender.views draw"
     )
@@ -154,30 +164,33 @@ def check_patch_size(patch_size: float, pitch: float) -> None:
 
 
 class Picture:
-    """Base of what lies on the grid of a picture: stands for its pixels where an array is needed."""
+    """Base of records on the grid of a picture: as an array, they are their pixels."""
 
-    affine: NDArray[np.float64]
+    affine: Floats
+    # Names of the fields with the pixels and, after them, with arrays (h, w) about each pixel.
+    _layers: ClassVar[tuple[str, ...]]
 
-    def _layers(self) -> dict[str, NDArray]:
-        """The pixels first, then arrays (h, w) about each of them, by name."""
-        raise NotImplementedError
+    @property
+    def _pixels(self) -> Array:
+        found: Array = getattr(self, self._layers[0])
+        return found
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Rows, columns and, if there are several, channels of the pixels."""
-        return next(iter(self._layers().values())).shape
+        return self._pixels.shape
 
     def __getitem__(self, key: Any) -> Any:
         """Pixels, as of an array."""
-        return next(iter(self._layers().values()))[key]
+        return self._pixels[key]
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
-        pixels = next(iter(self._layers().values()))
-        return np.array(pixels, dtype) if copy else np.asarray(pixels, dtype)
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        return np.array(self._pixels, dtype) if copy else np.asarray(self._pixels, dtype)
 
     def to_xarray(self) -> Any:
-        """An `xarray.DataArray` with scene coordinates `x, y` [px of the flat]; the other arrays
-        are coordinates too.
+        """An `xarray.DataArray` with scene coordinates `x, y` [px of the flat].
+
+        The other arrays become coordinates too.
 
         LightFieldError if the package `xarray` is not installed.
         """
@@ -188,13 +201,14 @@ class Picture:
                 "arrays with coordinates need the package 'xarray'; pip install 'lfrender[xarray]'"
             )
             raise LightFieldError(message) from error
-        (name, pixels), *others = self._layers().items()
+        name, *others = self._layers
+        pixels = self._pixels
         height, width = pixels.shape[:2]
         places = {
             "y": self.affine[1, 2] + self.affine[1, 1] * np.arange(height),
             "x": self.affine[0, 2] + self.affine[0, 0] * np.arange(width),
         }
-        about = {key: (("y", "x"), values) for key, values in others}
+        about = {key: (("y", "x"), getattr(self, key)) for key in others}
         return xarray.DataArray(
             pixels, {**places, **about}, ("y", "x", "channel")[: pixels.ndim], name
         )
@@ -234,25 +248,22 @@ class Rendering(Picture, Frozen):
     >>> picture.save("picture.png")  # doctest: +SKIP
     """
 
-    image: NDArray
-    affine: NDArray[np.float64]
-    valid: NDArray[np.bool_]
+    image: Array
+    affine: Floats
+    valid: Booleans
     scale: float
     white: float | None = None
     noise: float | None = None
+    _layers = ("image", "valid")
 
-    def _layers(self) -> dict[str, NDArray]:
-        return {"image": self.image, "valid": self.valid}
-
-    def save(self, path: str | os.PathLike[str], **options: Any) -> None:
+    def save(self, path: AnyPath, **options: Any) -> None:
         """Write the picture to a file, as `lfrender.write_picture`, with its options and errors."""
         from .. import write_picture
 
         write_picture(path, self, **options)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the picture over scene coordinates on Matplotlib axes, by default the current ones;
-        returns them.
+        """Draw the picture over scene coordinates, by default on the current axes; returns them.
 
         Dim pictures of more than 8 bits are shown brighter.
         """
@@ -268,21 +279,15 @@ class Rendering(Picture, Frozen):
     def __repr__(self) -> str:
         height, width = self.image.shape[:2]
         channels = self.image.shape[2] if self.image.ndim == 3 else 1
-        return (
-            f"Rendering({width} x {height} px, {channels} x {self.image.dtype}, {self.scale:.4g} px per pitch, "
-            f"{np.mean(self.valid):.1%} seen)"
-        )
+        size = f"{width} x {height} px, {channels} x {self.image.dtype}"
+        return f"Rendering({size}, {self.scale:.4g} px per pitch, {np.mean(self.valid):.1%} seen)"
 
     def _repr_html_(self) -> str:
         return html_card(repr(self), {}, self.plot)
 
 
-def show_on_axes(
-    ax: Any, image: NDArray, first: NDArray, last: NDArray, title: str, **look: Any
-) -> Any:
-    """A picture on Matplotlib axes, by default the current ones, between two corners of it in scene
-    coordinates.
-    """
+def show_on_axes(ax: Any, image: Array, first: Array, last: Array, title: str, **look: Any) -> Any:
+    """Draw a picture between two corners in scene coordinates, by default on the current axes."""
     import matplotlib.pyplot as plt
 
     ax = ax or plt.gca()
@@ -291,14 +296,14 @@ def show_on_axes(
 
 
 def finish_picture(
-    image: NDArray,
-    valid: NDArray[np.bool_],
-    affine: NDArray[np.float64],
+    image: Array,
+    valid: Booleans,
+    affine: Floats,
     scale: float,
-    flat: NDArray,
+    flat: Array,
     calibration: Calibration,
 ) -> Rendering:
-    """A picture (h, w, C) as a `Rendering` with the dtype and the number of dimensions of the flat."""
+    """A picture (h, w, C) as a `Rendering` with the type and dimensions of the flat."""
     if np.ndim(flat) == 2 and image.shape[2] == 1:
         image = image[:, :, 0]
     return Rendering(
@@ -310,7 +315,7 @@ def finish_picture(
     )
 
 
-def convert_to_dtype(image: NDArray, dtype: np.dtype) -> NDArray:
+def convert_to_dtype(image: Array, dtype: np.dtype) -> Array:
     """Round and clip to the range of `dtype`, in place."""
     if dtype.kind == "f" or image.dtype == dtype:
         return image.astype(dtype, copy=False)

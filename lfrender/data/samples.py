@@ -1,5 +1,4 @@
-"""Sample data: simulated captures with their truth, made on demand and kept, the same on every
-machine.
+"""Sample data: simulated captures with their truth, made on demand, the same on every machine.
 
 So that documentation, tutorials and reports of bugs are about the same pixels:
 `lfrender.data.house()` is traced once and read from the cache after that. Another version of the
@@ -20,21 +19,17 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+from lfcal import OutputError
 
-from lfcal import Calibration, OutputError
+from ..runtime.types import Size
 
 if TYPE_CHECKING:
     from data_synth import BoardShoot, Camera, Capture
-
-    from .depth_map import DepthMap
 
 __all__ = [
     "board",
     "cache_folder",
     "clutter",
-    "example",
     "house",
     "periodic",
     "plane",
@@ -44,8 +39,7 @@ __all__ = [
 
 
 def cache_folder() -> Path:
-    """Where samples and fetched captures are kept: `$LFRENDER_CACHE`, or the user's cache of the
-    system.
+    """Folder of samples and fetched captures: `$LFRENDER_CACHE`, or the user's cache.
 
     Examples
     --------
@@ -65,7 +59,7 @@ def _scene(name: str, about: str) -> Callable[..., Capture]:
 
     def make(
         *,
-        size: tuple[int, int] = (800, 600),
+        size: Size = (800, 600),
         pitch: float = 23.2,
         samples: int = 16,
         seed: int = 0,
@@ -86,10 +80,11 @@ def _scene(name: str, about: str) -> Callable[..., Capture]:
     make.__name__ = make.__qualname__ = name
     make.__doc__ = f"""{about}
 
-    `size` is width and height of the flat, `pitch` the distance between neighbouring microimages [px]; `samples` are
-    rays per pixel and microlens, `seed` is that of the scene, of sampling and noise; `camera` are further arguments of
-    `data_synth.Camera.design`, such as `lattice="square"` or `rotation=3`. Returns a `data_synth.Capture` with `flat`,
-    `white`, `camera` and the `truth`. OutputError if the cache cannot be written.
+    `size` is width and height of the flat, `pitch` the distance between neighbouring microimages
+    [px], `samples` the number of rays per pixel and microlens. `seed` sets scene, sampling and
+    noise; `camera` are further arguments of `data_synth.Camera.design`, such as `lattice="square"`
+    or `rotation=3`. Returns a `data_synth.Capture` with `flat`, `white`, `camera` and the `truth`.
+    OutputError if the cache cannot be written.
 
     Examples
     --------
@@ -111,35 +106,18 @@ ramp = _scene("ramp", "A smooth ramp of brightness, on which every seam shows.")
 periodic = _scene("periodic", "Texture that repeats, whose depth is ambiguous.")
 
 
-def example() -> tuple[NDArray[np.uint8], Calibration, DepthMap]:
-    """A small flat of the house, its true camera, and its depth with the preset `fast`: the inputs
-    of the examples.
-
-    Examples
-    --------
-    >>> import lfrender
-    >>> flat, camera, depth = lfrender.data.example()
-    >>> flat.shape, len(depth) == len(camera.lattice)
-    ((180, 240, 3), True)
-    """
-    import lfrender
-
-    sample = house(size=(240, 180), samples=2)
-    camera = sample.truth.calibration
-    return sample.flat, camera, lfrender.analyze(sample.flat, camera, "fast")
-
-
 def board(
     *,
-    size: tuple[int, int] = (800, 600),
+    size: Size = (800, 600),
     pitch: float = 23.2,
     poses: int = 6,
     samples: int = 16,
     seed: int = 0,
     **camera: Any,
 ) -> BoardShoot:
-    """Photographs of a checkerboard in random poses, for metric calibration; arguments as of
-    `house`.
+    """Photographs of a checkerboard in random poses, for metric calibration.
+
+    Arguments are those of `house`.
 
     Returns a `data_synth.BoardShoot` with `flats`, `white`, `camera`, and the poses.
 
@@ -189,8 +167,9 @@ def _cached(
     except OSError as error:
         # Another process may have been faster; its files are the same.
         if not folder.is_dir():
-            message = f"cannot be written ({error.strerror or error}); set LFRENDER_CACHE to another folder"
-            raise OutputError(f"{folder}: {message}") from error
+            problem = f"cannot be written ({error.strerror or error})"
+            remedy = "set LFRENDER_CACHE to another folder"
+            raise OutputError(f"{folder}: {problem}; {remedy}") from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
     # Read again, so that the first call and all later ones give the same.

@@ -1,6 +1,4 @@
-"""Patch size on a regular grid of scene points: linear between its values on one surface, nearest
-across an edge.
-"""
+"""Patch size on a regular grid of scene points: linear on a surface, nearest across an edge."""
 
 from __future__ import annotations
 
@@ -11,8 +9,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Frozen, Singles
 from lfcal.runtime.kernels import FAST, kernel
+
+from ..runtime.types import Size
 
 __all__ = [
     "DepthGrid",
@@ -35,9 +35,7 @@ class DepthGrid(NamedTuple):
 
 @njit(fastmath=FAST, inline="always")
 def patch_size_at(surface, grid, x, y):
-    """Patch size at scene point (x, y): linear between the values of the surface, nearest across a
-    depth edge.
-    """
+    """Patch size at scene point (x, y): linear on one surface, nearest across a depth edge."""
     rows, columns = surface.shape
     gx = min(max((x - grid.x) / grid.spacing, np.float32(0.0)), np.float32(columns - 1))
     gy = min(max((y - grid.y) / grid.spacing, np.float32(0.0)), np.float32(rows - 1))
@@ -85,7 +83,7 @@ class Surface(Frozen):
     (1,)
     """
 
-    patch_size: NDArray[np.float32]
+    patch_size: Singles
     first: tuple[float, float]
     spacing: float
 
@@ -97,7 +95,7 @@ class Surface(Frozen):
         """For kernels; patch sizes that differ by less than `edge` [px] belong to one surface."""
         return DepthGrid(*np.array([*self.first, self.spacing, edge], np.float32))
 
-    def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+    def at(self, points: NDArray[np.floating]) -> Singles:
         """(n,) float32 [px]: patch size of the grid value nearest to scene points (n, 2)."""
         rows, columns = self.patch_size.shape
         u, v = np.rint((points - self.first) / self.spacing).astype(int).T
@@ -110,10 +108,11 @@ def edge_step(pitch: float) -> float:
 
 
 def sample_surface_at(
-    surface: Surface, edge: float, shape: tuple[int, int], first: Any, spacing: float
-) -> NDArray[np.float32]:
-    """Patch size [px] at every pixel of a picture, `spacing` apart from `first` (2,) on; `edge`
-    [px] is as `edge_step`.
+    surface: Surface, edge: float, shape: Size, first: Any, spacing: float
+) -> Singles:
+    """Patch size [px] at every pixel of a picture.
+
+    Pixels lie `spacing` apart, the first at `first` (2,); `edge` [px] is that of `edge_step`.
     """
     out = np.empty(shape, np.float32)
     _sample(surface.patch_size, surface.grid(edge), float(first[0]), float(first[1]), spacing, out)

@@ -51,8 +51,8 @@ def analyze(
         their type, floats to 1.
     calibration : Calibration
         Of the same image size.
-    preset : {"fast", "balanced", "accurate"}
-        How much time to spend; `"accurate"` is another word for `"balanced"`.
+    preset : {"fast", "balanced"}
+        How much time to spend.
     skip : bool or names
         Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`,
         `"ranges"`, `"still"`, `"steady"` (see `Shortcuts`). `DepthMap.saved` has the share of the

@@ -1,6 +1,4 @@
-"""How much time each stage of an analysis spends: the presets `"fast"`, `"balanced"`, `"accurate"`;
-shortcuts.
-"""
+"""How much time each stage of an analysis spends: the presets `"fast"` and `"balanced"`; shortcuts."""
 
 from __future__ import annotations
 
@@ -42,12 +40,9 @@ class Preset:
         return max(1, min(3, int(pitch / self.least_pitch))) if self.least_pitch else 1
 
 
-_BALANCED = Preset(24, 0.75, 1.0, 2, 5, 0.02, 0, 7, True, True)
-
 PRESETS = {
     "fast": Preset(16, 1.0, 1.0, 1, 3, 0.04, 11, 5, False, False),
-    "balanced": _BALANCED,
-    "accurate": _BALANCED,
+    "balanced": Preset(24, 0.75, 1.0, 2, 5, 0.02, 0, 7, True, True),
 }
 
 

@@ -14,9 +14,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatSource, Lattice, LensBlur
+from lfcal.runtime.arrays import Array, Singles
 from lfcal.runtime.progress import Progress, Step, show_progress
 
 from ..data.depth_map import DepthMap, sample_flat
@@ -163,10 +163,10 @@ class _Flat:
             else None
         )
 
-    def read(self, part: LensTile) -> NDArray[Any]:
+    def read(self, part: LensTile) -> Array:
         return self.reader.read_raw(part.rectangle)
 
-    def gray_tile(self, part: LensTile, raw: NDArray[Any]) -> GrayFlat:
+    def gray_tile(self, part: LensTile, raw: Array) -> GrayFlat:
         pixels = self.reader.read(part.rectangle, raw)
         height, width = pixels.shape[:2]
         light = None if self._gain is None else self._gain.at(*part.rectangle[:2], width, height)
@@ -175,9 +175,7 @@ class _Flat:
         )
 
 
-def _survey_window(
-    flat: _Flat, part: LensTile, pixels: NDArray[Any]
-) -> tuple[NDArray[np.float32], ...]:
+def _survey_window(flat: _Flat, part: LensTile, pixels: Array) -> tuple[Singles, ...]:
     """Roughness of the lenses of a window, with and without their common shading, and the depths of
     those with one.
     """
@@ -193,7 +191,7 @@ def _survey_window(
     )
 
 
-def _analyze_tile(flat: _Flat, part: LensTile, pixels: NDArray[Any]) -> DepthMap:
+def _analyze_tile(flat: _Flat, part: LensTile, pixels: Array) -> DepthMap:
     """Depth of the lenses of a part and its halo."""
     gray = flat.gray_tile(part, pixels)
     plain = sample_statistics(gray)
@@ -242,9 +240,7 @@ def _analyze_tiles(
     )
 
 
-def _paste(
-    target: NDArray[np.float32], surface: Surface, part: LensTile, spacing: float, finer: int
-) -> None:
+def _paste(target: Singles, surface: Surface, part: LensTile, spacing: float, finer: int) -> None:
     """Copy the cells, `spacing` [px] wide with `finer` values each way, of a tile from its own
     surface.
     """

@@ -1,20 +1,16 @@
-"""Pictures of flats too large for memory: drawn tile by tile into a file, with the same bits as
-drawn as a whole.
-"""
+"""Pictures of flats too large for memory, drawn tile by tile with the bits of the whole picture."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatSource
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen
 from lfcal.runtime.progress import Progress, show_progress
 
 from ..data.depth_map import DepthMap
@@ -27,10 +23,19 @@ from ..output.tiled_picture import TileWriter, move_into_place
 from ..rendering.render import make_renderer
 from ..rendering.renderer import Renderer
 from ..runtime.choices import Detail
+from ..runtime.types import AnyPath, Size
 from ..sequence.workers import Workers, ahead
 from .tiles import TileReader
 
-__all__ = ["LargePicture", "check_large_picture", "render_large"]
+__all__ = ["LargeOptions", "LargePicture", "check_large_picture", "render_large"]
+
+# Tiles of a picture for each thread of a cluster, so that few threads are idle at the end.
+_TILES_PER_THREAD = 4
+# Memory for a tile while it is drawn [bytes], and its least side [px]: smaller ones are mostly
+# halo, the more so if a cluster draws many tiles at once.
+_TILE_MEMORY = 2**30
+_LEAST_SIDE = 64
+_LEAST_SIDE_ON_CLUSTER = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,38 +49,61 @@ class LargePicture(Frozen):
     """
 
     path: Path
-    size: tuple[int, int]  # columns and rows [px]
-    affine: NDArray[np.float64]  # (2, 3), as `Rendering.affine`
+    size: Size  # columns and rows [px]
+    affine: Floats  # (2, 3), as `Rendering.affine`
     scale: float  # output pixels per pitch
     valid: float  # share of the pixels that at least one lens has seen
     tiles: int  # number of tiles ...
     kept: int  # ... and how many of them an earlier run had finished
 
 
+@dataclass(frozen=True)
+class LargeOptions:
+    """Options of `render_large`, which also takes each of them as a keyword.
+
+    Parameters
+    ----------
+    patch_size, scale, blend, detail
+        As in `render`.
+    tile : int or None [px]
+        Side of the tiles of the picture. None chooses it by the size of the flat.
+    alpha, compress, settings
+        As in `write_picture`.
+
+    Examples
+    --------
+    >>> from lfrender.large.render import LargeOptions
+    >>> LargeOptions(patch_size=6.5, tile=512).alpha
+    False
+    """
+
+    patch_size: float | None = None
+    scale: float | None = None
+    blend: bool | None = None
+    detail: Detail | None = None
+    tile: int | None = None
+    alpha: bool = False
+    compress: bool = False
+    settings: Mapping[str, Any] | None = None
+
+
 def render_large(
     source: FlatSource,
-    path: str | os.PathLike[str],
+    path: AnyPath,
     calibration: Calibration,
     depth: DepthMap | None = None,
+    options: LargeOptions | None = None,
     *,
-    patch_size: float | None = None,
-    scale: float | None = None,
-    blend: bool | None = None,
-    detail: Detail | None = None,
-    tile: int | None = None,
-    alpha: bool = False,
-    compress: bool = False,
-    settings: Mapping[str, Any] | None = None,
     progress: Progress = None,
     client: Any = None,
     threads: int | None = None,
+    **given: Any,
 ) -> LargePicture:
-    """Draw a large flat into a file, tile by tile: the pixels are those of `render`, whatever the
-    tiles.
+    """Draw a large flat into a file tile by tile; the pixels are those of `render`.
 
-    Finished tiles are kept in a hidden folder beside `path`, with which a run that was killed can
-    be continued. The picture appears whole; errors are those of `render` and `write_picture`. TIFF
-    and Zarr pictures need memory for one tile, others are held as a whole to be encoded.
+    Finished tiles are kept in a hidden folder beside `path`, from which a killed run is continued.
+    The picture appears when it is complete. Errors are those of `render` and `write_picture`. TIFF
+    and Zarr pictures need memory for one tile; other formats are held in memory to be encoded.
 
     Parameters
     ----------
@@ -83,14 +111,14 @@ def render_large(
         From `lfcal.open_flat`.
     path : path-like
         `.tif`, `.zarr` (needs the package `zarr`), or any suffix of `write_picture`.
-    calibration, depth, patch_size, scale, blend, detail
-        As in `render`, except that the depth is not analysed here: `analyze_large` makes it.
-    tile : int or None [px]
-        Side of the tiles of the picture; None chooses it by the size of the flat.
-    alpha, compress, settings
-        As in `write_picture`.
+    calibration, depth
+        As in `render`, but the depth is not analysed here: `analyze_large` makes it.
+    options : LargeOptions, optional
+        What is drawn, and how it is written.
     progress, client, threads
-        As in `analyze_large`: tiles are drawn by the workers of a cluster, and written here.
+        As in `analyze_large`. Workers of a cluster draw tiles, this process writes them.
+    **given
+        Single fields of `LargeOptions`, such as `scale=6`.
 
     Examples
     --------
@@ -99,56 +127,49 @@ def render_large(
     >>> flat, camera, depth = lfrender.data.example()
     >>> with TemporaryDirectory() as folder:
     ...     lfrender.write_picture(f"{folder}/flat.tif", flat)
+    ...     picture = f"{folder}/picture.tif"
     ...     with lfcal.open_flat(f"{folder}/flat.tif") as source:
-    ...         made = lfrender.render_large(source, f"{folder}/picture.tif", camera, depth, scale=6)
+    ...         made = lfrender.render_large(source, picture, camera, depth, scale=6)
     >>> made.scale
     6.0
     """
     output = Path(path)
+    chosen = replace(options or LargeOptions(), **given)
+    alpha = chosen.alpha
     reader = TileReader(source, calibration)
     check_large_picture(output, source.dtype, alpha)
     exposed = match_exposure(reader.sample_exposure(), calibration)
-    renderer = make_renderer(reader.read, exposed, depth, patch_size, scale, blend, detail)
+    drawn_as = (chosen.patch_size, chosen.scale, chosen.blend, chosen.detail)
+    renderer = make_renderer(reader.read, exposed, depth, *drawn_as)
     grid = renderer.grid
     workers = Workers(client, threads)
-    # For a cluster four tiles a thread, so that few threads are idle at the end.
-    side = _tile_size(renderer, reader, tile, 1 if client is None else 4 * workers.count)
-    text = describe(grid.affine(), settings)
-    suffix = output.suffix.lower()
-    channels = reader.channels + alpha
-    shape = (*grid.size[::-1], channels) if channels > 1 else grid.size[::-1]
-    # Of all that the picture depends on: tiles of an earlier run are used if it is the same.
+    least = 1 if client is None else _TILES_PER_THREAD * workers.count
+    side = _tile_size(renderer, reader, chosen.tile, least)
+    text = describe(grid.affine(), chosen.settings)
+    # Tiles of an earlier run are used if all that the picture depends on is the same.
+    known = {"tile": side, "scale": grid.scale, "blend": renderer.blend, "settings": text}
     key = fingerprint(
         file_identity(source.path),
         file_identity(source.dark),
-        [source.page, str(source.dtype)],
+        [source.page, str(source.dtype), renderer.noise, output.suffix.lower()],
         calibration.to_dict(),
-        [
-            patch_size,
-            grid.scale,
-            renderer.blend,
-            renderer.noise,
-            *side,
-            alpha,
-            compress,
-            suffix,
-            text,
-        ],
+        vars(replace(chosen, settings=None)) | known,
         *([] if depth is None else [depth.patch_size, depth.surface.patch_size]),
     )
     checkpoint = Checkpoint(output)
-    direct = FORMATS[suffix].tiles
+    direct = FORMATS[output.suffix.lower()].tiles
+    channels = reader.channels + alpha
     writer = TileWriter(
         output if direct else output.with_suffix(".tif"),
         checkpoint.open(),
-        shape,
+        (*grid.size[::-1], channels)[: 3 if channels > 1 else 2],
         source.dtype,
         side,
         text,
         icc=read_metadata(source.path).icc,
-        compress=compress and direct,
+        compress=chosen.compress and direct,
     )
-    # Valid pixels of each finished tile. A killed run may have left the list of tiles without them.
+    # Number of valid pixels of each finished tile. A killed run may have left it without the tiles.
     done: dict[str, int] = checkpoint.find("picture", key) or {}
     if not writer.open(fresh=not done):
         done = {}
@@ -157,11 +178,10 @@ def render_large(
     parts = dict(enumerate(grid.tiles(side)))
     missing = {number: part for number, part in parts.items() if str(number) not in done}
     # A copy, without the tables that are cached in it: workers compute their own.
-    drawn = workers.map(
-        _draw_tile, _Drawing(replace(renderer), reader), missing.values(), _read_part
-    )
+    drawing = _Drawing(replace(renderer), reader)
+    drawn = workers.map(_draw_tile, drawing, missing.values(), _read_part)
 
-    def store(tile: tuple[int, tuple[NDArray[Any], NDArray[np.bool_]]]) -> None:
+    def store(tile: tuple[int, tuple[Array, Booleans]]) -> None:
         number, (pixels, valid) = tile
         pixels = pixels if reader.channels > 1 else pixels[:, :, 0]
         writer.write(parts[number], with_alpha(pixels, valid) if alpha else pixels)
@@ -175,10 +195,11 @@ def render_large(
     if direct:
         writer.finish(output)
     else:
-        _encode(writer, checkpoint.folder, output, renderer, settings, source, alpha)
+        _encode(writer, checkpoint.folder, output, renderer, chosen, source)
     checkpoint.remove()
-    valid_share = sum(done.values()) / (shape[0] * shape[1])
-    return LargePicture(output, grid.size, grid.affine(), grid.scale, valid_share, len(parts), kept)
+    columns, rows = grid.size
+    share = sum(done.values()) / (rows * columns)
+    return LargePicture(output, grid.size, grid.affine(), grid.scale, share, len(parts), kept)
 
 
 class _Drawing(NamedTuple):
@@ -188,13 +209,11 @@ class _Drawing(NamedTuple):
     reader: TileReader
 
 
-def _read_part(drawing: _Drawing, tile: Part) -> NDArray[Any]:
+def _read_part(drawing: _Drawing, tile: Part) -> Array:
     return drawing.reader.read_raw(drawing.renderer.required_part(tile))
 
 
-def _draw_tile(
-    drawing: _Drawing, tile: Part, raw: NDArray[Any]
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _draw_tile(drawing: _Drawing, tile: Part, raw: Array) -> tuple[Array, Booleans]:
     part = drawing.renderer.required_part(tile)
     return drawing.renderer.draw(
         drawing.reader.read(part, raw), part[:2], tile, drawing.reader.dtype
@@ -202,9 +221,7 @@ def _draw_tile(
 
 
 def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> None:
-    """Raise an error if a picture could not be written; as `check_format`, but Zarr arrays may be
-    replaced.
-    """
+    """Raise the errors of `check_format`, but allow that a Zarr array is replaced."""
     if output.suffix.lower() != ".zarr" or not output.is_dir():
         check_format(output, "picture", dtype=dtype, alpha=alpha, inputs=inputs)
         return
@@ -213,12 +230,8 @@ def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ())
         raise PictureError(f"{output}: is an input of this command; give another output")
 
 
-def _tile_size(
-    renderer: Renderer, reader: TileReader, tile: int | None, least: int
-) -> tuple[int, int]:
-    """Columns and rows of the tiles: as given, or nearly square ones of a gigabyte, at least
-    `least` of them.
-    """
+def _tile_size(renderer: Renderer, reader: TileReader, tile: int | None, least: int) -> Size:
+    """Columns and rows of the tiles: as given, or nearly square, and at least `least` tiles."""
     columns, rows = renderer.grid.size
     if tile is not None:
         if tile < 1:
@@ -226,15 +239,15 @@ def _tile_size(
         return min(tile, columns), min(tile, rows)
     item = reader.dtype.itemsize * reader.channels
     spacing = renderer.grid.spacing
-    # A pixel of the flat is in memory as read, for this tile and the next one, without vignetting,
-    # and prepared for interpolation, and has an occlusion depth. A pixel of the picture is there as
+    # Memory of a pixel of the flat: as read (this tile and the next one), without vignetting,
+    # prepared for interpolation, and its occlusion depth. Memory of a pixel of the picture: as
     # computed, and as stored twice.
     bytes_each = spacing**2 * (4 * item + 6) + 4 * reader.channels + 4 + 2 * item
     one = renderer.required_part((columns // 2, rows // 2, columns // 2 + 1, rows // 2 + 1))
-    side = max(int((2**30 / bytes_each) ** 0.5 - (one[2] - one[0]) / spacing), 64)
+    halo = (one[2] - one[0]) / spacing
+    side = max(int((_TILE_MEMORY / bytes_each) ** 0.5 - halo), _LEAST_SIDE)
     if least > 1:
-        # Smaller tiles for a cluster would be mostly halo.
-        side = min(side, max(int(np.sqrt(columns * rows / least)), 512))
+        side = min(side, max(int(np.sqrt(columns * rows / least)), _LEAST_SIDE_ON_CLUSTER))
     across = -(-columns // side)
     down = -(-rows // side)
     return -(-columns // across), -(-rows // down)
@@ -245,9 +258,8 @@ def _encode(
     folder: Path,
     output: Path,
     renderer: Renderer,
-    settings: Mapping[str, Any] | None,
+    options: LargeOptions,
     source: FlatSource,
-    alpha: bool,
 ) -> None:
     """Write the finished tiles as a picture of another format."""
     import tifffile
@@ -257,12 +269,13 @@ def _encode(
     writer.finish(whole)
     pixels = tifffile.imread(whole)
     valid = np.ones(renderer.grid.size[::-1], bool)
-    if alpha:
+    if options.alpha:
         valid = pixels[..., -1] > 0
         pixels = pixels[..., :3] if pixels.shape[2] > 2 else pixels[..., 0]
     picture = Rendering(pixels, renderer.grid.affine(), valid, renderer.scale)
     # Encoded into the hidden folder: if the process is killed, the next run removes the file.
+    embedded = read_metadata(source.path)
     write_picture(
-        encoded, picture, alpha=alpha, settings=settings, embedded=read_metadata(source.path)
+        encoded, picture, alpha=options.alpha, settings=options.settings, embedded=embedded
     )
     move_into_place(encoded, output)

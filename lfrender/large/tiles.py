@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError, FlatError, FlatSource, Lattice, open_flat
+from lfcal.runtime.arrays import Array, Booleans, Floats, Integers
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 
 from ..depth.presets import Preset
@@ -24,6 +24,7 @@ from ..depth.surface.scene_grid import grid_shape
 from ..flat.demosaicing import SUPPORT, demosaic
 from ..flat.validation import exposure_rows
 from ..output.resume import file_identity
+from ..runtime.types import Size
 
 __all__ = ["LensTile", "Rectangle", "TileReader", "lens_tiles", "lens_windows"]
 
@@ -57,7 +58,7 @@ class TileReader:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_source": None}
 
-    def read_raw(self, part: Rectangle) -> NDArray[Any]:
+    def read_raw(self, part: Rectangle) -> Array:
         """The pixels of a part as stored, with those around it that demosaicing needs."""
         if self._source is None:
             if file_identity(self._file[0])[1] != self._bytes:
@@ -67,7 +68,7 @@ class TileReader:
             self._source = open_flat(*self._file)
         return self._source.read(*self._widen(part))
 
-    def read(self, part: Rectangle, raw: NDArray[Any] | None = None) -> NDArray[Any]:
+    def read(self, part: Rectangle, raw: Array | None = None) -> Array:
         """(h, w, C) pixels of a part, the same as `check_flat` gives there; from those of
         `read_raw` if given.
         """
@@ -90,7 +91,7 @@ class TileReader:
         right, bottom = (min(n, at + SUPPORT) for n, at in zip(self.size, part[2:], strict=True))
         return left, top, right, bottom
 
-    def sample_exposure(self) -> NDArray[Any]:
+    def sample_exposure(self) -> Array:
         """Rows (n, W, C) of the flat from which its exposure is measured."""
         width, height = self.size
         return np.concatenate(
@@ -105,12 +106,10 @@ class LensTile:
     """
 
     factor: int
-    corner: NDArray[np.int64]  # (2,) first pixel x, y
+    corner: Integers  # (2,) first pixel x, y
     full: Lattice  # in the pixels of the part as it is read
     lattice: Lattice  # in those of the part as it is analysed
-    inside: NDArray[
-        np.bool_
-    ]  # lenses of `lattice` whose results are taken from this part; the others are its halo
+    inside: Booleans  # lenses of `lattice` whose results are used; the others are the halo
     core: tuple[float, ...]  # `left, top, right, bottom` around the centres of these lenses
 
     @classmethod
@@ -120,7 +119,7 @@ class LensTile:
         factor: int,
         low: Iterable[int],
         high: Iterable[int],
-        core: NDArray[np.float64],
+        core: Floats,
     ) -> LensTile:
         """The part from pixel `low` to before `high` of the flat whose lattice, in pixels as read,
         is `whole`.
@@ -194,7 +193,7 @@ def lens_tiles(
             yield LensTile.cut(whole, factor, low, high, core)
 
 
-def _reduced_size(whole: Lattice, factor: int) -> tuple[int, int]:
+def _reduced_size(whole: Lattice, factor: int) -> Size:
     width, height = whole.image_size
     return -(-width // factor), -(-height // factor)
 

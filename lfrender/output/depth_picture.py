@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
+from lfcal.runtime.arrays import Array
 
 from ..data.dense_depth import dense_depth
-from ..data.depth_map import DepthMap, default_scale
+from ..data.depth_map import DepthMap, default_scale, magnification_range
 from ..data.rendering import Rendering
 from ..flat.lens_graph import nearest_lens
+from ..runtime.types import Size
 
 __all__ = ["MODE_COLOURS", "colour_scale", "depth_picture", "lens_maps", "magnification_limits"]
 
@@ -23,8 +25,7 @@ MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 def depth_picture(
     depth: DepthMap, scale: float | None = None, limits: tuple[float, float] | None = None
 ) -> Rendering:
-    """The magnification of every pixel of the picture that `render` draws, in the colours of
-    `lens_maps`.
+    """The magnification of every pixel of the picture of `render`, in colours.
 
     They lie between these `limits` if they are given; valid are pixels whose nearest lens has a
     depth.
@@ -37,11 +38,10 @@ def depth_picture(
     return Rendering(image, dense.affine, dense.resolved, scale)
 
 
-def magnification_limits(magnification: NDArray[Any]) -> tuple[float, float]:
+def magnification_limits(magnification: Array) -> tuple[float, float]:
     """Ends of a scale of M that holds 98 % of the lenses with a finite one."""
     known = magnification[np.isfinite(magnification)]
-    low, high = np.percentile(known, [1, 99]) if known.size else (1.0, 10.0)
-    return float(low), float(max(high, 1.2 * low))
+    return magnification_range(known) if known.size else (1.0, 10.0)
 
 
 def colour_scale(name: Literal["turbo", "viridis"]) -> NDArray[np.uint8]:
@@ -55,7 +55,7 @@ def colour_scale(name: Literal["turbo", "viridis"]) -> NDArray[np.uint8]:
 
 
 def lens_maps(
-    depth: DepthMap, lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]
+    depth: DepthMap, lattice: Lattice, affine: ArrayLike, shape: Size
 ) -> dict[str, NDArray[np.uint8]]:
     """Colours (h, w, 3) of the lens at each pixel: `"magnification"`, `"modes"`, `"confidence"`.
 

@@ -1,5 +1,4 @@
-"""The file formats of pictures, registered once: what each can hold, and how pictures are written
-into it.
+"""The file formats of pictures: what each can hold, and how pictures are written into it.
 
 TIFF files named `.ome.tif` and Zarr are as the microscopy community stores them (OME, NGFF 0.5):
 pixels have the size of scene coordinates, so that viewers lay pictures of any scale over each
@@ -9,7 +8,6 @@ other.
 from __future__ import annotations
 
 import json
-import os
 import secrets
 import shutil
 import struct
@@ -21,27 +19,38 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import LightFieldError, OutputError
+from lfcal.runtime.arrays import Array, Floats
 from lfcal.runtime.output_file import check_output
+
+from ..data.dense_depth import write_exr
+from ..runtime.types import AnyPath
 
 __all__ = [
     "FORMATS",
+    "TIFF_TILE",
     "EmbeddedMetadata",
     "Page",
     "PictureError",
     "PictureFormat",
     "check_format",
     "check_package",
+    "describe_pixels",
     "is_ome_name",
     "read_metadata",
     "tiff_tags",
     "tiff_tiles",
+    "write_ome_zarr",
 ]
 
+#: Side of the tiles of compressed TIFFs [px].
+TIFF_TILE = 256
+# Largest sides of the chunks of OME-Zarr: all channels, one plane of a volume, 512 x 512 pixels.
+_CHUNKS = {"c": 4, "z": 1, "y": 512, "x": 512}
+
 #: Pixels, with alpha where they have 2 or 4 channels, and their JSON text.
-Page = tuple[NDArray[Any], str]
+Page = tuple[Array, str]
 
 
 class PictureError(LightFieldError, ValueError):
@@ -63,9 +72,10 @@ class EmbeddedMetadata(NamedTuple):
     exif: bytes = b""
 
 
-def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
-    """Colour profile and EXIF data of an image file (PNG, JPEG, WebP), of TIFF the profile; nothing
-    if damaged.
+def read_metadata(path: AnyPath) -> EmbeddedMetadata:
+    """Colour profile and EXIF data of an image file; empty if there are none.
+
+    Of TIFF only the profile is read, of damaged files nothing.
     """
     import tifffile
     from PIL import Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
@@ -126,24 +136,22 @@ class PictureFormat:
 
 
 def check_format(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     *uses: Literal["picture", "animation", "film"],
     dtype: Any = None,
     alpha: bool = False,
     inputs: Iterable[Any] = (),
 ) -> None:
-    """Raise an OutputError or PictureError if a file could not be written, before anything is
-    computed for it.
+    """Raise an OutputError or PictureError if a file could not be written.
 
     Its format must be for one of the `uses`, hold 8 bits or pixels of this type, and have its
     package installed; `path` must be in a folder that can be written, and none of the `inputs` that
     are read for it.
     """
-    check_output(
-        path,
-        [name for name, kind in FORMATS.items() if any(getattr(kind, use) for use in uses)],
-        inputs,
-    )
+    suffixes = []
+    for known, format_ in FORMATS.items():
+        suffixes += [known for use in uses if getattr(format_, use)]
+    check_output(path, suffixes, inputs)
     suffix = Path(path).suffix.lower()
     kind = FORMATS[suffix]
     name = None if dtype is None else np.dtype(dtype).name
@@ -155,17 +163,23 @@ def check_format(
     if kind.film:
         import av
 
-        if kind.film[0] not in av.codecs_available:
-            raise PictureError(
-                f"{path}: the package 'av' was built without the encoder {kind.film[0]}; use another suffix"
-            )
+        encoder = kind.film[0]
+        if encoder not in av.codecs_available:
+            built = f"the package 'av' was built without the encoder {encoder}"
+            raise PictureError(f"{path}: {built}; use another suffix")
 
 
-def check_package(path: str | os.PathLike[str], kind: PictureFormat) -> None:
+def check_package(path: AnyPath, kind: PictureFormat) -> None:
     """Raise PictureError if the package that a format needs is not installed."""
     if kind.package and find_spec(kind.package) is None:
         needs = f"{Path(path).suffix} files need the package '{kind.package}'"
         raise PictureError(f"{path}: {needs}; pip install 'lfrender[{kind.extra}]'")
+
+
+def describe_pixels(pixels: Array) -> str:
+    """Size and type of a picture in words, for messages and to compare pictures."""
+    colour = " in colour" if pixels.ndim > 2 else ""
+    return f"{pixels.shape[1]} x {pixels.shape[0]} px of {pixels.dtype}{colour}"
 
 
 def is_ome_name(path: Path) -> bool:
@@ -173,7 +187,7 @@ def is_ome_name(path: Path) -> bool:
     return ".ome." in path.name.lower()
 
 
-def _affine(text: str) -> NDArray[np.float64]:
+def _affine(text: str) -> Floats:
     return np.array(json.loads(text).get("affine", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.float64)
 
 
@@ -196,10 +210,10 @@ def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes, ome: bool = False) 
     }
 
 
-def tiff_tiles(dtype: Any, side: int = 256) -> dict[str, Any]:
-    """Options of tifffile for deflated tiles of `side` x `side` pixels."""
+def tiff_tiles(dtype: Any) -> dict[str, Any]:
+    """Options of tifffile for deflated tiles."""
     return {
-        "tile": (side, side),
+        "tile": (TIFF_TILE, TIFF_TILE),
         "compression": "zlib",
         "compressionargs": {"level": 3},
         "predictor": np.dtype(dtype).kind != "f",
@@ -223,33 +237,21 @@ def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compr
 
 
 def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
-    import OpenEXR
-
     ((pixels, text),) = pages
-    layers = np.atleast_3d(pixels)
-    count = layers.shape[2]
+    count = (*pixels.shape, 1)[2]
     # The library writes three or four layers of one name as R, G, B and A.
-    channels = (
-        {"RGBA"[:count]: pixels}
-        if count > 2
-        else {name: layers[..., k] for k, name in enumerate("YA"[:count])}
-    )
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "comments": text,
-    }
-    with OpenEXR.File(
-        header, {name: np.ascontiguousarray(values) for name, values in channels.items()}
-    ) as file:
-        file.write(str(path))
+    channels = {"RGBA"[:count]: pixels}
+    if count < 3:
+        layers = np.atleast_3d(pixels)
+        channels = {name: layers[..., k] for k, name in enumerate("YA"[:count])}
+    write_exr(path, channels, text)
 
 
-def _in_colour(pixels: NDArray[Any]) -> NDArray[Any]:
+def _in_colour(pixels: Array) -> Array:
     """Grey pixels with alpha as colours with alpha, others as they are."""
-    return np.ascontiguousarray(
-        pixels[..., (0, 0, 0, 1)] if pixels.ndim == 3 and pixels.shape[2] == 2 else pixels
-    )
+    if pixels.shape[2:] == (2,):
+        pixels = pixels[..., (0, 0, 0, 1)]
+    return np.ascontiguousarray(pixels)
 
 
 def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool) -> None:
@@ -259,22 +261,21 @@ def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compr
     ((pixels, text),) = pages
     pixels = _in_colour(pixels)
     if pixels.ndim == 3:
-        pixels = cv2.cvtColor(
-            pixels, cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
-        )
+        order = {3: cv2.COLOR_RGB2BGR, 4: cv2.COLOR_RGBA2BGRA}[pixels.shape[2]]
+        pixels = cv2.cvtColor(pixels, order)
     try:
         data = cv2.imencode(".png", pixels)[1].tobytes()
     except cv2.error as error:
         raise PictureError(f"{path}: cannot be written as .png ({error.err or error})") from error
-    chunks = (
-        _png_chunk(b"iCCP", b"ICC profile\0\0" + zlib.compress(embedded.icc))
-        if embedded.icc
-        else b""
-    )
-    chunks += _png_chunk(b"tEXt", b"Description\0" + text.encode("ascii"))
-    chunks += _png_chunk(b"eXIf", embedded.exif.removeprefix(b"Exif\0\0")) if embedded.exif else b""
-    # Behind the signature and the header.
-    path.write_bytes(data[:33] + chunks + data[33:])
+    # Chunks stand behind the signature and the header.
+    written = [data[:33]]
+    if embedded.icc:
+        profile = b"ICC profile\0\0" + zlib.compress(embedded.icc)
+        written.append(_png_chunk(b"iCCP", profile))
+    written.append(_png_chunk(b"tEXt", b"Description\0" + text.encode("ascii")))
+    if embedded.exif:
+        written.append(_png_chunk(b"eXIf", embedded.exif.removeprefix(b"Exif\0\0")))
+    path.write_bytes(b"".join([*written, data[33:]]))
 
 
 def _png_chunk(kind: bytes, body: bytes) -> bytes:
@@ -288,9 +289,11 @@ def _write_small(
     from PIL import Image
 
     ((pixels, text),) = pages
-    more: dict[str, Any] = {
-        name: value for name, value in zip(("icc_profile", "exif"), embedded, strict=True) if value
-    }
+    more: dict[str, Any] = {}
+    if embedded.icc:
+        more["icc_profile"] = embedded.icc
+    if embedded.exif:
+        more["exif"] = embedded.exif
     if path.suffix.lower() != ".webp":
         more["comment"] = text.encode("ascii")
     try:
@@ -302,40 +305,57 @@ def _write_small(
         ) from error
 
 
-def _write_ome_zarr(
+def _write_zarr_picture(
     path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool
 ) -> None:
     """An OME-Zarr group with the array `0`, (c, y, x) or (y, x)."""
+    ((pixels, text),) = pages
+    affine = _affine(text)
+    scale = np.diag(affine)[::-1].tolist()
+    first = affine[::-1, 2].tolist()
+    if pixels.ndim == 2:
+        write_ome_zarr(path, pixels, "yx", scale, first, text)
+    else:
+        layers = np.moveaxis(pixels, 2, 0)
+        write_ome_zarr(path, layers, "cyx", [1.0, *scale], [0.0, *first], text)
+
+
+def write_ome_zarr(
+    path: Path,
+    array: Array,
+    axes: str,
+    scale: list[float],
+    first: list[float],
+    text: str,
+    unit: str | None = None,
+) -> None:
+    """Write an array as array `0` of an OME-Zarr group (NGFF 0.5), whole or not at all.
+
+    `axes` has a letter for each axis, of which `c` are channels; `scale` and `first` are distance
+    and place of its values along each; `text` is stored as the description.
+    """
     import zarr
 
-    ((pixels, text),) = pages
-    array = np.moveaxis(pixels, 2, 0) if pixels.ndim == 3 else pixels
-    lead = pixels.ndim - 2
-    affine = _affine(text)
-    axes = [{"name": "c", "type": "channel"}] * lead + [
-        {"name": name, "type": "space"} for name in "yx"
-    ]
+    named: list[dict[str, str]] = []
+    for name in axes:
+        named.append({"name": name, "type": "channel" if name == "c" else "space"})
+        if unit is not None:
+            named[-1]["unit"] = unit
     moves = [
-        {"type": "scale", "scale": [1.0] * lead + np.diag(affine)[::-1].tolist()},
-        {"type": "translation", "translation": [0.0] * lead + affine[::-1, 2].tolist()},
+        {"type": "scale", "scale": scale},
+        {"type": "translation", "translation": first},
     ]
-    scales = [
-        {
-            "name": path.name,
-            "axes": axes,
-            "datasets": [{"path": "0", "coordinateTransformations": moves}],
-        }
-    ]
+    datasets = [{"path": "0", "coordinateTransformations": moves}]
+    scales = [{"name": path.name, "axes": named, "datasets": datasets}]
+    attributes = {"ome": {"version": "0.5", "multiscales": scales}, "description": text}
+    sides = zip(axes, array.shape, strict=True)
+    chunks = tuple(min(length, _CHUNKS[name]) for name, length in sides)
     made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
         with zarr.config.set({"array.write_empty_chunks": True}):
-            attributes = {"ome": {"version": "0.5", "multiscales": scales}, "description": text}
             group = zarr.create_group(str(made), attributes=attributes, zarr_format=3)
-            chunks = (*array.shape[:lead], *np.minimum(array.shape[lead:], 512))
-            names = [one["name"] for one in axes]
-            group.create_array(
-                "0", data=np.ascontiguousarray(array), chunks=chunks, dimension_names=names
-            )
+            data = np.ascontiguousarray(array)
+            group.create_array("0", data=data, chunks=chunks, dimension_names=list(axes))
         made.replace(path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
@@ -375,6 +395,6 @@ FORMATS = {
     # Raw planes, by default 4:2:0 of 10 bits, as coders of video take them.
     ".yuv": _film(_WHOLE, "rawvideo"),
     ".zarr": PictureFormat(
-        _ALL, _write_ome_zarr, folder=True, tiles=True, package="zarr", extra="zarr"
+        _ALL, _write_zarr_picture, folder=True, tiles=True, package="zarr", extra="zarr"
     ),
 }

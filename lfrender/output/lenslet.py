@@ -8,21 +8,29 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lfcal import Calibration, CameraFileError, FlatError, Lattice, read_flat
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES
+
+from ..runtime.types import Size
+from .formats import describe_pixels
 
 __all__ = ["lenslet_image", "lenslet_views", "read_view_grid"]
 
+# Share of a microimage, and of a pixel, by which microimages may miss whole pixels.
+_TOLERANCE = 0.25
 
-def lenslet_image(views: ArrayLike) -> tuple[NDArray[Any], Calibration]:
-    """The flat of a regular array that shows views (rows, columns, h, w) or (rows, columns, h, w,
-    3), and its camera.
+
+def lenslet_image(views: ArrayLike) -> tuple[Array, Calibration]:
+    """The flat of a regular lens array that shows these views, and its camera.
+
+    Views have shape (rows, columns, h, w) or (rows, columns, h, w, 3).
 
     A view of row `v`, column `u` is `flat[v::rows, u::columns]`. Where things move by `d` px to the
     right from a view to the one on its right, the patch size is `1 / d` px: an HCI disparity, which
@@ -49,9 +57,8 @@ def lenslet_image(views: ArrayLike) -> tuple[NDArray[Any], Calibration]:
     return np.ascontiguousarray(flat), Calibration(lattice)
 
 
-def lenslet_views(flat: ArrayLike, calibration: Calibration) -> NDArray[Any]:
-    """The views (rows, columns, h, w) or (rows, columns, h, w, 3) under the lenses of a regular
-    array.
+def lenslet_views(flat: ArrayLike, calibration: Calibration) -> Array:
+    """The views (rows, columns, h, w) or (rows, columns, h, w, 3) of a regular lens array.
 
     FlatError if the flat is of another size than those of the camera, CameraFileError if its
     microimages are no rectangles of whole pixels: `lfrender.views` draws views of any camera.
@@ -68,12 +75,11 @@ def lenslet_views(flat: ArrayLike, calibration: Calibration) -> NDArray[Any]:
         raise FlatError("the flat is of another size than those of the camera")
     side = np.rint(np.abs(np.diag(lattice.basis)))
     start = lattice.origin - (side - 1) / 2
-    straight = (
-        np.abs(np.abs(lattice.basis) - np.diag(side)).max() * max(lattice.image_size)
-        < 0.25 * side.max()
-    )
-    exact = straight and side.min() >= 1 and np.abs(start - np.rint(start)).max() < 0.25
-    if lattice.distortion is not None or not exact:
+    # From one border of the flat to the other.
+    drift = np.abs(np.abs(lattice.basis) - np.diag(side)).max() * max(lattice.image_size)
+    straight = lattice.distortion is None and drift < _TOLERANCE * side.max()
+    whole = side.min() >= 1 and np.abs(start - np.rint(start)).max() < _TOLERANCE
+    if not (straight and whole):
         raise CameraFileError(
             "the microimages are no rectangles of whole pixels; 'lfrender views' draws views"
         )
@@ -81,12 +87,12 @@ def lenslet_views(flat: ArrayLike, calibration: Calibration) -> NDArray[Any]:
     left, top = (np.rint(start) % side).astype(int)
     height = (pixels.shape[0] - top) // rows
     width = (pixels.shape[1] - left) // columns
-    whole = pixels[top : top + height * rows, left : left + width * columns]
-    lenses = whole.reshape(height, rows, width, columns, *pixels.shape[2:])
+    used = pixels[top : top + height * rows, left : left + width * columns]
+    lenses = used.reshape(height, rows, width, columns, *pixels.shape[2:])
     return np.moveaxis(lenses, (1, 3, 0, 2), (0, 1, 2, 3))
 
 
-def read_view_grid(inputs: Iterable[Path], grid: tuple[int, int] | None = None) -> NDArray[Any]:
+def read_view_grid(inputs: Iterable[Path], grid: Size | None = None) -> Array:
     """Views (rows, columns, h, w) or (rows, columns, h, w, 3) from image files, or folders of them.
 
     With `grid`, rows and columns, they are taken row by row in the order of the numbers in their
@@ -103,43 +109,48 @@ def read_view_grid(inputs: Iterable[Path], grid: tuple[int, int] | None = None) 
     ...     read_view_grid([Path(folder)]).shape
     (1, 2, 47, 62, 3)
     """
-    named: dict[Path, list[int]] = {}
+    paths: list[Path] = []
     for source in inputs:
-        pictures = (path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-        for path in pictures if source.is_dir() else (source,):
-            named[path] = [int(number) for number in re.findall(r"\d+", path.stem)]
-    paths = sorted(named, key=lambda path: (named[path], path))
+        if source.is_dir():
+            paths += [path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+        else:
+            paths.append(source)
+    numbers = {path: [int(number) for number in re.findall(r"\d+", path.stem)] for path in paths}
+    paths = sorted(numbers, key=lambda path: (numbers[path], path))
     if grid is None:
-        if not paths or min(map(len, named.values())) < 2:
-            raise FlatError(
-                "names of views have their row and column, as row1_column1; else give --grid ROWSxCOLUMNS"
-            )
-        cells = {tuple(named[path][-2:]): path for path in paths}
-        rows, columns = (sorted({cell[axis] for cell in cells}) for axis in (0, 1))
-        grid = (len(rows), len(columns))
-        order = [(row, column) for row in rows for column in columns]
-        missing = [
-            f"no view of row {row}, column {column}"
-            for row, column in order
-            if (row, column) not in cells
-        ]
-        if missing or len(cells) != len(paths):
-            told = missing[0] if missing else "several views of one row and column"
-            raise FlatError(f"a grid of {grid[0]} x {grid[1]} views: there is {told}")
-        paths = [cells[cell] for cell in order]
-    if len(paths) != grid[0] * grid[1]:
+        grid, paths = _arrange(numbers)
+    rows, columns = grid
+    if len(paths) != rows * columns:
         raise FlatError(
-            f"a grid of {grid[0]} x {grid[1]} needs {grid[0] * grid[1]} views, {len(paths)} are there"
+            f"a grid of {rows} x {columns} needs {rows * columns} views, {len(paths)} are there"
         )
-    views = [read_flat(paths[0])]
-    for path in paths[1:]:
-        views.append(read_flat(path))
-        kinds = [
-            "{} x {} px of {}".format(*view.shape[1::-1], view.dtype)
-            for view in (views[-1], views[0])
-        ]
-        if kinds[0] != kinds[1] or views[-1].ndim != views[0].ndim:
+    views = [read_flat(path) for path in paths]
+    first = describe_pixels(views[0])
+    for path, view in zip(paths, views, strict=True):
+        kind = describe_pixels(view)
+        if kind != first:
             raise FlatError(
-                f"{path}: is {kinds[0]}, the first is {kinds[1]}; views of a grid are of one kind"
+                f"{path}: is {kind}, the first is {first}; views of a grid are of one kind"
             )
-    return np.stack(views).reshape(*grid, *views[0].shape)
+    return np.stack(views).reshape(rows, columns, *views[0].shape)
+
+
+def _arrange(numbers: dict[Path, list[int]]) -> tuple[Size, list[Path]]:
+    """Rows and columns, and the files row by row, by the last two numbers in each name."""
+    cells = {tuple(found[-2:]): path for path, found in numbers.items()}
+    if not cells or min(map(len, cells)) < 2:
+        raise FlatError(
+            "names of views have their row and column, as row1_column1; else give --grid "
+            "ROWSxCOLUMNS"
+        )
+    rows, columns = map(sorted, map(set, zip(*cells, strict=True)))
+    grid = (len(rows), len(columns))
+    order = list(product(rows, columns))
+    problem = None if len(cells) == len(numbers) else "several views have one row and column"
+    for cell in order:
+        if cell not in cells:
+            problem = "there is no view of row {}, column {}".format(*cell)
+            break
+    if problem is not None:
+        raise FlatError(f"a grid of {grid[0]} x {grid[1]} views: {problem}")
+    return grid, [cells[cell] for cell in order]

@@ -1,11 +1,8 @@
-"""Writing pictures: the pixels as they are, and with them the affine that lays one picture over
-another.
-"""
+"""Picture files: pixels, and the affine that lays one picture over another."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
@@ -14,13 +11,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfcal.runtime.arrays import Exposure, brighten, exposure_gain, to_eight_bits
+from lfcal.runtime.arrays import (
+    Array,
+    Booleans,
+    Exposure,
+    Floats,
+    brighten,
+    exposure_gain,
+    to_eight_bits,
+)
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, refuse_leftovers
 
 from ..data.rendering import Rendering
+from ..runtime.types import AnyPath
 from .formats import FORMATS, EmbeddedMetadata, Page, PictureError, check_format
 
 __all__ = [
@@ -39,7 +44,7 @@ _NO_METADATA = EmbeddedMetadata()
 
 
 def write_picture(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     picture: Any,
     *,
     alpha: bool = False,
@@ -48,8 +53,9 @@ def write_picture(
     compress: bool = False,
     exposure: Exposure | None = None,
 ) -> None:
-    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr; whole or
-    not at all.
+    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr.
+
+    The file appears whole or not at all.
 
     All but WebP carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3
     affine from output pixel `(u, v)` to scene coordinates `X` and the settings. OutputError or
@@ -91,14 +97,13 @@ def write_picture(
 
 
 def write_stack(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     pictures: Sequence[Any],
     *,
     settings: Sequence[Mapping[str, Any]] | None = None,
     embedded: EmbeddedMetadata = _NO_METADATA,
 ) -> list[Path]:
-    """Write pictures, at least one, as pages of one TIFF, or in other formats as numbered files,
-    `NAME_01.png` ...
+    """Write pictures as pages of one TIFF, in other formats as files `NAME_01.png`, ...
 
     `settings` are further entries for the JSON text of each; the rest is as for `write_picture`.
     OutputError if numbered files of a longer stack are there already.
@@ -132,7 +137,7 @@ def write_stack(
     return paths
 
 
-def needs_eight_bits(path: str | os.PathLike[str], picture: Any) -> bool:
+def needs_eight_bits(path: AnyPath, picture: Any) -> bool:
     """Whether the format of `path` holds 8 bits a channel, but not the pixels of a picture."""
     kind = FORMATS.get(Path(path).suffix.lower())
     return kind is not None and kind.reduces(
@@ -141,8 +146,9 @@ def needs_eight_bits(path: str | os.PathLike[str], picture: Any) -> bool:
 
 
 def eight_bits(picture: Any) -> Any:
-    """A rendering, or plain pixels, with 8 bits a channel: 0 to white become 0 to 255, without a
-    tone curve.
+    """A rendering, or plain pixels, with 8 bits per channel, without a tone curve.
+
+    0 to white become 0 to 255.
 
     White is that of the rendering, else the largest value of the type, and 1 of floats.
     """
@@ -152,8 +158,9 @@ def eight_bits(picture: Any) -> Any:
 
 
 class Brightness:
-    """One gain for all pictures of a result, found on the first: `exposure` is in EV, `"auto"`, or
-    None for no gain.
+    """One gain for all pictures of a result, found on the first one.
+
+    `exposure` is in EV, `"auto"`, or None for no gain.
     """
 
     def __init__(self, exposure: Exposure | None = None, gain: float = 1.0) -> None:
@@ -172,22 +179,20 @@ class Brightness:
         return {} if self.gain == 1 else {"exposure_gain": self.gain}
 
 
-def default_exposure(path: str | os.PathLike[str]) -> Exposure | None:
-    """`"auto"` for formats that are made to be looked at; None, no gain, for those that are made
-    for work.
-    """
+def default_exposure(path: AnyPath) -> Exposure | None:
+    """`"auto"` for formats that are made to be looked at, None (no gain) for all others."""
     return (
         "auto" if Path(path).suffix.lower() in (".jpg", ".jpeg", ".webp", ".gif", ".mp4") else None
     )
 
 
-def describe(affine: NDArray[np.float64] | None, settings: Mapping[str, Any] | None) -> str:
+def describe(affine: Floats | None, settings: Mapping[str, Any] | None) -> str:
     """The JSON text of a picture."""
     known = {} if affine is None else {"affine": affine.tolist()}
     return json.dumps({"software": "lfrender"} | known | dict(settings or {}))
 
 
-def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
+def with_alpha(pixels: Array, valid: Booleans) -> Array:
     """`pixels` with `valid` as one more channel."""
     opaque = 1.0 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
     return np.dstack(
@@ -196,7 +201,7 @@ def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
 
 
 def _page(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     picture: Any,
     settings: Mapping[str, Any] | None,
     brightness: Brightness,

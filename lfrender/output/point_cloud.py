@@ -1,18 +1,14 @@
-"""The scene as points, or as a mesh, in virtual-depth units or metres; their PLY, PCD and glTF
-files.
-"""
+"""The scene as points or as a mesh, in virtual depth or metres; PLY, PCD and glTF files."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, Optics
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import Array, Floats, to_eight_bits
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
 
@@ -20,6 +16,7 @@ from ..data.dense_depth import DenseDepth, dense_depth
 from ..data.depth_map import DepthMap, check_depth
 from ..data.surface import edge_step
 from ..rendering.render import render
+from ..runtime.types import AnyPath
 
 __all__ = ["CLOUD_SUFFIXES", "MESH_SUFFIXES", "mesh", "point_cloud", "write_mesh", "write_points"]
 
@@ -37,15 +34,16 @@ _AXES = (
 
 
 def point_cloud(
-    flat: NDArray,
+    flat: Array,
     calibration: Calibration,
     depth: DepthMap,
     optics: Optics | None = None,
     *,
     points_per_pitch: float = 7.0,
-) -> NDArray:
-    """Every resolved place of the scene as a point; CalibrationError if `depth` belongs to another
-    camera.
+) -> Array:
+    """Every resolved place of the scene as a point.
+
+    CalibrationError if `depth` belongs to another camera.
 
     Parameters
     ----------
@@ -82,15 +80,14 @@ def point_cloud(
 
 
 def mesh(
-    flat: NDArray,
+    flat: Array,
     calibration: Calibration,
     depth: DepthMap,
     optics: Optics | None = None,
     *,
     points_per_pitch: float = 7.0,
 ) -> Any:
-    """The scene as triangles between neighbouring points, with the picture of `render` as their
-    texture.
+    """The scene as triangles between neighbouring points, textured with its picture.
 
     Arguments, axes, units and errors are those of `point_cloud`. There are no triangles across
     depth edges, nor where no lens has a depth. LightFieldError if the package `trimesh` is not
@@ -148,9 +145,10 @@ def mesh(
 
 def _places(
     calibration: Calibration, depth: DepthMap, optics: Optics | None, points_per_pitch: float
-) -> tuple[DenseDepth, NDArray[np.float64], bool]:
-    """Dense depth, position (h, w, 3) of each of its pixels, NaN where there is none, and whether
-    it is in metres.
+) -> tuple[DenseDepth, Floats, bool]:
+    """Dense depth, places (h, w, 3) of its pixels, and whether these are in metres.
+
+    Places are NaN where there is no depth.
     """
     check_depth(depth, calibration)
     optics = optics or calibration.optics
@@ -167,16 +165,17 @@ def _places(
     return dense, found.reshape(*size.shape, 3), True
 
 
-def _scene(dense: DenseDepth) -> NDArray[np.float64]:
+def _scene(dense: DenseDepth) -> Floats:
     """(h, w, 2) scene coordinates of pixels."""
     v, u = np.indices(dense.patch_size.shape)
-    scene: NDArray[np.float64] = np.stack([u, v, np.ones_like(u)], -1) @ dense.affine.T
+    scene: Floats = np.stack([u, v, np.ones_like(u)], -1) @ dense.affine.T
     return scene
 
 
-def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = False) -> None:
-    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY or PCD; whole
-    or not at all.
+def write_points(path: AnyPath, points: Array, metres: bool = False) -> None:
+    """Write the points of `point_cloud` as binary PLY or PCD; whole or not at all.
+
+    `metres` tells that they were made with optics.
 
     Examples
     --------
@@ -223,9 +222,8 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
         temporary.write_bytes("\n".join(header).encode() + data)
 
 
-def write_mesh(path: str | os.PathLike[str], surface: Any) -> None:
-    """Write what `mesh` gives as glTF (`.glb`) with its texture, or as PLY with colours; whole or
-    not at all.
+def write_mesh(path: AnyPath, surface: Any) -> None:
+    """Write a mesh as glTF (`.glb`) with its texture, or as PLY with colours.
 
     glTF has its own axes: x right, y up, z toward the viewer. PLY keeps those of the points.
 

@@ -8,7 +8,6 @@ TMIV) with raw video. Each camera stands in the axes that its program has.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Optics, OutputError
-from lfcal.runtime.arrays import to_eight_bits
+from lfcal.runtime.arrays import Array, Booleans, Floats, Singles, to_eight_bits
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..runtime.choices import PoseFormat
+from ..runtime.types import AnyPath
 from .picture import write_picture
-from .poses import Array, ViewCamera, ViewRig, view_rig
+from .poses import ViewCamera, ViewRig, view_rig
 from .raw_video import check_raw_format, frame_bytes, yuv_frame
 
 __all__ = ["POSE_FORMATS", "check_posed_folder", "write_posed_views"]
@@ -44,16 +44,14 @@ class _Posed(NamedTuple):
 
     name: str
     picture: Rendering
-    depth: NDArray[np.float32]  # (h, w)
+    depth: Singles  # (h, w)
     camera: ViewCamera
-    known: NDArray[np.bool_]  # (h, w) pixels that were seen, at a finite distance
+    known: Booleans  # (h, w) pixels that were seen, at a finite distance
     centre: list[float]  # principal point where pixel (0, 0) reaches from 0 to 1
 
 
-def check_posed_folder(folder: str | os.PathLike[str], kind: PoseFormat, count: int) -> None:
-    """OutputError if a folder holds posed views of an earlier run, of which `count` new ones would
-    leave some.
-    """
+def check_posed_folder(folder: AnyPath, kind: PoseFormat, count: int) -> None:
+    """OutputError if `count` new posed views would leave some of an earlier run."""
     views = [_view_name(number) for number in range(count)]
     mask = _MASK_NAMES.get(kind, "")
     kept = {f"{view}{suffix}" for view in views for suffix in (".png", ".exr", ".tif")}
@@ -66,17 +64,18 @@ def check_posed_folder(folder: str | os.PathLike[str], kind: PoseFormat, count: 
 
 
 def write_posed_views(
-    folder: str | os.PathLike[str],
+    folder: AnyPath,
     kind: PoseFormat,
-    views: Iterable[tuple[Rendering, NDArray[np.float32]]],
+    views: Iterable[tuple[Rendering, Singles]],
     calibration: Calibration,
     depth: DepthMap,
     offsets: list[tuple[float, float]],
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
-    """Write views with intrinsics, extrinsics, depth and masks; OutputError or PictureError if that
-    fails.
+    """Write views with intrinsics, extrinsics, depth and masks.
+
+    OutputError or PictureError if that fails.
 
     Views of an earlier run that these do not replace are an OutputError too. The folder is made
     where it does not exist; `kind` is `"nerfstudio"`, `"colmap"` or `"rvs"`. The views are as
@@ -178,9 +177,7 @@ def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
 
 
 def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
-    """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as
-    COLMAP names them.
-    """
+    """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1."""
     step = _write_files(folder, views, _MASK_NAMES["colmap"])
     _write_fusion_maps(folder / "stereo", views)
     points, colours, pixels = _tracks(views)
@@ -219,8 +216,9 @@ def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
 
 
 def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
-    """Depth and normals of the views as `colmap stereo_fusion` reads them; OutputError if there are
-    those of others.
+    """Depth and normals of the views as `colmap stereo_fusion` reads them.
+
+    OutputError if maps of other views are there.
 
     Stereo fusion knows no distortion: for cameras that have some, nothing is written.
     """
@@ -237,10 +235,8 @@ def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
     _write_text(folder / "fusion.cfg", "\n".join(f"{view.name}.png" for view in views))
 
 
-def _write_matrix(path: Path, planes: NDArray[Any]) -> None:
-    """Write (channels, h, w) values as COLMAP writes a `Mat<float>`: sizes as text, then one plane
-    after the other.
-    """
+def _write_matrix(path: Path, planes: Array) -> None:
+    """Write (channels, h, w) values as COLMAP's `Mat<float>`: sizes as text, then planes."""
     channels, height, width = planes.shape
     with atomic_write(path) as temporary:
         temporary.write_bytes(
@@ -248,10 +244,8 @@ def _write_matrix(path: Path, planes: NDArray[Any]) -> None:
         )
 
 
-def _normals(view: _Posed) -> Array:
-    """(3, h, w) unit normals of the surface that a view shows, towards its camera, in the axes of
-    the camera.
-    """
+def _normals(view: _Posed) -> Floats:
+    """(3, h, w) unit normals of the surface, towards the camera, in axes of the camera."""
     rows, columns = np.indices(view.depth.shape)
     slopes = view.camera.slopes(np.column_stack([columns.ravel(), rows.ravel()]))
     rays = np.hstack([slopes, np.ones((len(slopes), 1))]).reshape(*view.depth.shape, 3)
@@ -265,7 +259,7 @@ def _normals(view: _Posed) -> Array:
     return np.moveaxis(found, -1, 0)
 
 
-def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8], Array]:
+def _tracks(views: list[_Posed], step: int = 4) -> tuple[Floats, NDArray[np.uint8], Floats]:
     """Points (n, 3) of one of `step` x `step` pixels of the middle view, colours (n, 3), and where
     views see them.
 
@@ -297,9 +291,7 @@ def _tracks(views: list[_Posed], step: int = 4) -> tuple[Array, NDArray[np.uint8
 
 
 def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
-    """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the
-    depths of each view.
-    """
+    """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits."""
     cameras: list[dict[str, Any]] = []
     written: list[str] = []
     for number, (_, picture, depth, camera, known, centre) in enumerate(views):

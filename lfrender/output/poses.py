@@ -11,20 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lfcal import Calibration, Optics
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Floats, Frozen, Singles
 
 from ..data.depth_map import DepthMap, check_depth
 from ..rendering.warped_surface import virtual_depth
+from ..runtime.types import Size
 
 __all__ = ["ViewCamera", "ViewRig", "view_rig"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +37,10 @@ class ViewCamera(Frozen):
     array([[60., 40.]])
     """
 
-    position: Array  # (3,) in the unit of the rig
+    position: Floats  # (3,) in the unit of the rig
     focal: tuple[float, float]  # [px]
     principal_point: tuple[float, float]  # [px], pixel centres at integers
-    size: tuple[int, int]  # width and height [px]
+    size: Size  # width and height [px]
     distortion: tuple[float, float, float, float] = (
         0.0,
         0.0,
@@ -50,7 +48,7 @@ class ViewCamera(Frozen):
         0.0,
     )  # k1, k2, p1, p2 as OpenCV has them
 
-    def project(self, points: ArrayLike) -> Array:
+    def project(self, points: ArrayLike) -> Floats:
         """(n, 2) pixels `u, v` at which points (n, 3) are seen."""
         import cv2
 
@@ -60,7 +58,7 @@ class ViewCamera(Frozen):
         )[0]
         return np.asarray(found.reshape(-1, 2))
 
-    def slopes(self, pixels: ArrayLike) -> Array:
+    def slopes(self, pixels: ArrayLike) -> Floats:
         """(n, 2) slopes `x / z, y / z` of the rays that pixels (n, 2) see along."""
         import cv2
 
@@ -69,7 +67,7 @@ class ViewCamera(Frozen):
             cv2.undistortPoints(places, self._matrix(), np.array(self.distortion)).reshape(-1, 2)
         )
 
-    def _matrix(self) -> Array:
+    def _matrix(self) -> Floats:
         matrix = np.diag([*self.focal, 1.0])
         matrix[:2, 2] = self.principal_point
         return matrix
@@ -84,7 +82,8 @@ class ViewRig:
     >>> import lfrender
     >>> flat, camera, depth = lfrender.data.example()
     >>> picture = lfrender.render(flat, camera, depth, scale=6)
-    >>> rig = view_rig(camera, depth, [(-4.0, 0.0), (4.0, 0.0)], picture.affine, (62, 47), still=-7.0)
+    >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
+    >>> rig = view_rig(camera, depth, offsets, picture.affine, (62, 47), still=-7.0)
     >>> len(rig.cameras), rig.unit
     (2, 'baseline')
     """
@@ -93,10 +92,10 @@ class ViewRig:
     unit: str  # "m", or "baseline" of neighbouring views
     error: float  # RMS distance of what the cameras project from what the optics do [px]
     # Distance (n,) of virtual depths (n,) that a view draws at (n, 2) [px of the flat].
-    _distance: Callable[[int, Array, Array], Array] = field(repr=False, compare=False)
+    _distance: Callable[[int, Floats, Floats], Floats] = field(repr=False, compare=False)
     _pitch: float = field(repr=False)
 
-    def depth(self, view: int, patch_size: NDArray[Any], places: Array) -> NDArray[np.float32]:
+    def depth(self, view: int, patch_size: Array, places: Floats) -> Singles:
         """(h, w) float32: distance along the axis, in the unit of the rig, of what view number
         `view` shows.
 
@@ -112,13 +111,12 @@ def view_rig(
     calibration: Calibration,
     depth: DepthMap,
     offsets: Sequence[tuple[float, float]],
-    affine: Array,
-    size: tuple[int, int],
+    affine: Floats,
+    size: Size,
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
-    """The cameras of the views that `lfrender.views` draws for these `offsets` [px] and `still`
-    [px].
+    """The cameras of the views that `lfrender.views` draws for `offsets` and `still` [px].
 
     All views have the `affine` from pixel to scene coordinates, and the width and height `size`
     [px]. The optics are those of the calibration if no others are given.
@@ -140,7 +138,7 @@ def view_rig(
     moved = where * (pitch / still)
     virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
 
-    def cameras(aside: Array, focal: float, centres: Array) -> tuple[ViewCamera, ...]:
+    def cameras(aside: Floats, focal: float, centres: Floats) -> tuple[ViewCamera, ...]:
         """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the
         microlens plane.
         """
@@ -161,7 +159,7 @@ def view_rig(
         gaps = np.linalg.norm(where[:, None] - where, axis=-1)
         unit = float(gaps[gaps > 0].min()) if (gaps > 0).any() else 1.0
 
-        def chosen_distance(_view: int, depths: Array, _places: Array) -> Array:
+        def chosen_distance(_view: int, depths: Floats, _places: Floats) -> Floats:
             with np.errstate(divide="ignore"):
                 return np.where(depths < beyond, focal / unit / (beyond - depths), np.inf)
 
@@ -198,8 +196,8 @@ def view_rig(
         error = float(np.sqrt(np.mean([square for _, square in fitted])))
         made = tuple(camera for camera, _ in fitted)
 
-    def distance(view: int, depths: Array, places: Array) -> Array:
-        found: Array = lens.positions(places - where[view] * depths[:, None], 1 / depths, middle)[
+    def distance(view: int, depths: Floats, places: Floats) -> Floats:
+        found: Floats = lens.positions(places - where[view] * depths[:, None], 1 / depths, middle)[
             :, 2
         ]
         return found - made[view].position[2]
@@ -207,13 +205,11 @@ def view_rig(
     return ViewRig(made, "m", error, distance, pitch)
 
 
-def _fit(camera: ViewCamera, points: Array, pixels: Array) -> tuple[ViewCamera, float]:
-    """The camera that projects points (n, 3) most nearly to pixels (n, 2), and the mean squared
-    distance.
-    """
+def _fit(camera: ViewCamera, points: Floats, pixels: Floats) -> tuple[ViewCamera, float]:
+    """The camera that projects points (n, 3) nearest to pixels (n, 2), and the squared error."""
     from scipy.optimize import least_squares
 
-    def changed(step: Array) -> ViewCamera:
+    def changed(step: Floats) -> ViewCamera:
         focal = np.array(camera.focal) * (1 + step[3])
         at = np.array(camera.principal_point) + step[4:6]
         position = camera.position + step[:3]

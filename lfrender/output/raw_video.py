@@ -6,26 +6,27 @@ the view at the top left, the others follow row by row.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 from lfcal.runtime.video import convert_frame, parse_pixel_format
 
+from ..runtime.types import AnyPath
 from .formats import FORMATS, PictureError, check_package
 
 __all__ = ["check_raw_format", "frame_bytes", "view_name", "write_view_videos", "yuv_frame"]
 
 
-def check_raw_format(folder: str | os.PathLike[str], pixel_format: str) -> str:
-    """The full name of a pixel format, 4:2:0 of 10 bits for `"yuv"`; PictureError if it cannot be
-    written.
+def check_raw_format(folder: AnyPath, pixel_format: str) -> str:
+    """The full name of a pixel format; PictureError if it cannot be written.
+
+    `"yuv"` stands for 4:2:0 with 10 bits.
     """
     check_package(Path(folder) / "v000.yuv", FORMATS[".yuv"])
     if pixel_format == "yuv":
@@ -42,11 +43,10 @@ def view_name(number: int, width: int, height: int) -> str:
     return f"v{number:03d}-{width}x{height}.yuv"
 
 
-def yuv_frame(
-    pixels: NDArray[Any], pixel_format: str, white: float | None = None, **colours: Any
-) -> Any:
-    """A frame of PyAV: BT.601 of limited range, as FFmpeg takes raw video to be, or as
-    `convert_frame` takes `colours`.
+def yuv_frame(pixels: Array, pixel_format: str, white: float | None = None, **colours: Any) -> Any:
+    """A frame of PyAV, by default BT.601 of limited range, as FFmpeg reads raw video.
+
+    `colours` are further arguments of `convert_frame`.
 
     `pixels` are (h, w) or (h, w, 3), uint8, uint16 or float; `white` is the white level of
     integers, if it is less than the largest value of the type. A last column or row without a
@@ -83,7 +83,7 @@ def frame_bytes(frame: Any) -> bytes:
 
 
 def write_view_videos(
-    folder: str | os.PathLike[str], pictures: Iterable[Any], pixel_format: str = "yuv420p10"
+    folder: AnyPath, pictures: Iterable[Any], pixel_format: str = "yuv420p10"
 ) -> list[Path]:
     """Write each view, row by row, as raw video of one frame, `v000-1920x1080.yuv` and so on.
 

@@ -1,6 +1,4 @@
-"""Intermediate results kept beside the output of a long run, so that a run that was killed can be
-continued.
-"""
+"""Intermediate results beside the output of a long run, from which a killed run is continued."""
 
 from __future__ import annotations
 
@@ -21,9 +19,7 @@ __all__ = ["Checkpoint", "file_identity", "fingerprint"]
 
 
 class Checkpoint:
-    """A hidden folder beside an output with the finished parts of a run; removed once the output is
-    there.
-    """
+    """A hidden folder with the finished parts of a run, removed when the output is there."""
 
     def __init__(self, output: Path) -> None:
         self.folder = output.absolute().parent / f".{output.name}.unfinished"
@@ -49,9 +45,7 @@ class Checkpoint:
         return found["value"] if isinstance(found, dict) and found.get("key") == key else None
 
     def keep(self, name: str, key: str, value: Any = True) -> None:
-        """Keep a value that JSON can hold; files that belong to it must have been written
-        completely.
-        """
+        """Keep a value that JSON can hold; files that belong to it must be complete."""
         self.open()
         self._kept[name] = {"key": key, "value": value}
         with atomic_write(self._state) as temporary:
@@ -68,9 +62,7 @@ class Checkpoint:
 
 
 def file_identity(path: Path | None) -> list[Any]:
-    """Path, size and time of an input file or Zarr folder: they change if another file takes its
-    place.
-    """
+    """Path, size and time of an input file or Zarr folder, which tell it from others."""
     if path is None:
         return []
     names = ("zarr.json", ".zarray", ".zgroup") if path.is_dir() else ()

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import OutputError
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
-from .formats import tiff_tags, tiff_tiles
+from ..runtime.types import Size
+from .formats import TIFF_TILE, tiff_tags, tiff_tiles
 
 __all__ = ["TileWriter", "move_into_place"]
 
@@ -40,25 +41,23 @@ class TileWriter:
         folder: Path,
         shape: tuple[int, ...],
         dtype: Any,
-        side: tuple[int, int],
+        side: Size,
         text: str,
         icc: bytes = b"",
         compress: bool = False,
     ) -> None:
-        self._is_zarr, self._shape, self._dtype, self._side = (
-            path.suffix.lower() == ".zarr",
-            shape,
-            dtype,
-            side,
-        )
+        self._is_zarr = path.suffix.lower() == ".zarr"
+        self._shape = shape
+        self._dtype = dtype
+        self._side = side
         self._path = folder / ("picture.zarr" if self._is_zarr else "picture.tif")
-        self._text, self._compress, self._start = text, compress, 0
+        self._text = text
+        self._compress = compress
+        self._start = 0
         self._tags = tiff_tags(shape, text, icc)
 
     def open(self, fresh: bool) -> bool:
-        """Start with an empty file, or continue the one in the folder; returns whether there was
-        one to continue.
-        """
+        """Start an empty file, or continue that in the folder; returns whether there was one."""
         if fresh and self._path.exists():
             shutil.rmtree(self._path) if self._is_zarr else self._path.unlink()
         found = self._path.exists()
@@ -83,10 +82,8 @@ class TileWriter:
             self._start = tiff.pages[0].dataoffsets[0]
         return found
 
-    def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
-        """Write the pixels of `left, top, right, bottom`, safe on the disk; tiles come in any
-        order.
-        """
+    def write(self, tile: tuple[int, int, int, int], pixels: Array) -> None:
+        """Write the pixels of `left, top, right, bottom` to the disk, in any order of tiles."""
         left, top, right, bottom = tile
         if self._is_zarr:
             import zarr
@@ -100,9 +97,7 @@ class TileWriter:
         mapped.flush()
 
     def _map(self) -> np.memmap:
-        """The pixels of the TIFF, mapped anew for each tile: what stays mapped counts as memory of
-        the process.
-        """
+        """The pixels of the TIFF, mapped for one tile: mapped pixels count as memory."""
         return np.memmap(self._path, self._dtype, "r+", self._start, self._shape)
 
     def finish(self, output: Path) -> None:
@@ -126,12 +121,13 @@ class TileWriter:
             made = self._path.with_name("packed.tif")
             options = tiff_tiles(self._dtype) | self._tags
             with atomic_write(made) as temporary:
-                tiles = self._tiles(options["tile"][0])
+                tiles = self._tiles()
                 tifffile.imwrite(temporary, tiles, shape=self._shape, dtype=self._dtype, **options)
         move_into_place(made, output)
 
-    def _tiles(self, side: int) -> Iterator[NDArray[Any]]:
+    def _tiles(self) -> Iterator[Array]:
         """The tiles of the finished picture, row by row."""
-        for top in range(0, self._shape[0], side):
-            band = np.array(self._map()[top : top + side])
-            yield from (band[:, left : left + side] for left in range(0, self._shape[1], side))
+        for top in range(0, self._shape[0], TIFF_TILE):
+            band = np.array(self._map()[top : top + TIFF_TILE])
+            for left in range(0, self._shape[1], TIFF_TILE):
+                yield band[:, left : left + TIFF_TILE]

@@ -1,10 +1,7 @@
-"""Files of several viewpoints: a folder of pictures, a stereo pair in one picture, a quilt, an
-animation.
-"""
+"""Files of several viewpoints: folders of pictures, stereo pairs, quilts, animations."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -17,12 +14,14 @@ from lfcal.runtime.arrays import Exposure, to_eight_bits
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_folder, make_folder, refuse_leftovers
 
-from ..data.rendering import PICTURE_ADVICE, Rendering, check_pictures
+from ..data.rendering import PICTURE_ADVICE, Rendering, check_pictures, pixels_between
 from ..depth.region import check_region
+from ..runtime.types import AnyPath, Size
 from .formats import FORMATS, PictureError, check_format
 from .picture import Brightness, default_exposure, write_picture
 
 __all__ = [
+    "MILLISECONDS",
     "check_grid",
     "crop_view",
     "resize_view",
@@ -33,19 +32,20 @@ __all__ = [
     "write_quilt",
 ]
 
+#: How long an animation shows a picture.
+MILLISECONDS = 80
 # Names of the files of a grid, as a regular expression.
 _GRID_FILES = r"row\d+_column\d+\.\w+"
 
 
 def check_grid(
-    folder: str | os.PathLike[str],
+    folder: AnyPath,
     suffix: str,
     dtype: Any = None,
     inputs: Iterable[Any] = (),
-    grid: tuple[int, int] | None = None,
+    grid: Size | None = None,
 ) -> None:
-    """Raise an error if a folder of views could not be made, before the views are drawn; as
-    `check_format`.
+    """Raise the errors of `check_format` if a folder of views could not be made.
 
     Files of an earlier run that a `grid` of (rows, columns) would not replace are an OutputError.
     """
@@ -64,7 +64,7 @@ def _grid_name(index: int, columns: int) -> str:
 
 
 def write_grid(
-    folder: str | os.PathLike[str],
+    folder: AnyPath,
     pictures: Iterable[Rendering],
     columns: int,
     suffix: str = ".tif",
@@ -72,8 +72,7 @@ def write_grid(
     exposure: Exposure | None = None,
     **options: Any,
 ) -> list[Path]:
-    """Write views, `columns` in a row, as `row1_column1.tif` and so on, into a folder that is made
-    if needed.
+    """Write views, `columns` in a row, as `row1_column1.tif`, ... into a folder.
 
     One of the `pictures` at a time is held in memory. All have one gain, found on the first;
     `exposure`, `options` and errors are those of `write_picture`. OutputError if views of an
@@ -101,14 +100,15 @@ def write_grid(
 
 
 def write_quilt(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     pictures: Iterable[Rendering],
     columns: int,
     rows: int,
     **options: Any,
 ) -> str:
-    """Write views from left to right as a quilt of a Looking Glass display: the first at the bottom
-    left, row by row.
+    """Write views from left to right as a quilt of a Looking Glass display.
+
+    The first view is at the bottom left; others follow row by row.
 
     There must be `columns * rows` of one size; `options` are those of `write_picture`. Players take
     grid and aspect of a view from the end of the name, such as `_qs8x6a1.33`, which is returned.
@@ -136,17 +136,15 @@ def write_quilt(
     return f"_qs{columns}x{rows}a{width / height:.2f}"
 
 
-def scale_for_size(calibration: Calibration, size: tuple[int, int]) -> float:
+def scale_for_size(calibration: Calibration, size: Size) -> float:
     """Output pixels per pitch at which a picture has at least this width and height [px]."""
     return (
         min(float(np.max(np.divide(size, calibration.image_size))), 4.0) * calibration.lattice.pitch
     )
 
 
-def resize_view(picture: Rendering, size: tuple[int, int]) -> Rendering:
-    """A view with exactly this width and height [px]; its affine lays it over the same scene
-    coordinates.
-    """
+def resize_view(picture: Rendering, size: Size) -> Rendering:
+    """A view with exactly this width and height [px], over the same scene coordinates."""
     if picture.valid.shape[::-1] == size:
         return picture
     import cv2
@@ -173,24 +171,21 @@ def resize_view(picture: Rendering, size: tuple[int, int]) -> Rendering:
 def crop_view(
     picture: Rendering, roi: tuple[float, float, float, float], lattice: Lattice
 ) -> Rendering:
-    """The pixels of a picture, at least one, whose scene coordinates lie between two opposite
-    corners x0, y0, x1, y1.
+    """The part of a picture between scene coordinates x0, y0, x1, y1, at least one pixel.
 
-    ValueError if these lie outside the flat.
+    ValueError if the corners lie outside the flat.
     """
-    size = np.array(picture.valid.shape[::-1])
+    rows, columns = picture.valid.shape
     corners = np.array(check_region(roi, lattice)).reshape(2, 2)
-    low, high = (corners - picture.affine[:, 2]) / np.diag(picture.affine)
-    left, top = np.clip(np.ceil(low), 0, size - 1).astype(int)
-    right, bottom = np.clip(np.floor(high) + 1, (left + 1, top + 1), size).astype(int)
+    corners = (corners - picture.affine[:, 2]) / np.diag(picture.affine)
+    left, top, right, bottom = pixels_between(corners, (columns, rows))
     affine = np.column_stack([picture.affine[:, :2], picture.affine @ [left, top, 1]])
     part = np.s_[top:bottom, left:right]
     return replace(picture, image=picture.image[part], valid=picture.valid[part], affine=affine)
 
 
 def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
-    """Two views side by side, for parallel viewing: the left eye's on the left. The affine is that
-    of the left one.
+    """Two views side by side for parallel viewing; the affine is that of the left one.
 
     Examples
     --------
@@ -206,10 +201,9 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
 
 
 def write_animation(
-    path: str | os.PathLike[str], pictures: Iterable[Rendering], *, milliseconds: int = 80
+    path: AnyPath, pictures: Iterable[Rendering], *, milliseconds: int = MILLISECONDS
 ) -> None:
-    """Write at least one view as GIF, animated PNG or WebP of 8 bits that repeats without end;
-    whole or not at all.
+    """Write views as endless GIF, animated PNG or WebP with 8 bits; whole or not at all.
 
     The suffix of `path` chooses the format; each picture is shown so many `milliseconds`.
 

@@ -1,6 +1,4 @@
-"""Reused memory for large arrays: fresh pages from the system take longer than the kernels that
-fill them.
-"""
+"""Reused memory for large arrays, since getting new memory takes longer than filling it."""
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ _pool: deque[NDArray[np.uint8]] = deque()
 
 
 class _Lease:
-    """What all arrays in a piece of pooled memory refer to, so that its end is theirs."""
+    """Owner of a piece of memory: it is reused when the last array in it has been deleted."""
 
     __slots__ = ("__array_interface__", "__weakref__")
 
@@ -51,9 +49,7 @@ def _take(size: int) -> NDArray[np.uint8]:
 
 
 def allocate_pooled(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """An array of undefined content, in memory allocated here earlier that no array refers to any
-    more.
-    """
+    """An array of undefined content, in memory of an earlier array if that has been deleted."""
     kind = np.dtype(dtype)
     size = prod(shape) * kind.itemsize
     if size == 0 or size > _MOST_POOLED:

@@ -1,6 +1,4 @@
-"""Cache of values that depend on a frozen object alone, such as a camera, for as long as the object
-lives.
-"""
+"""Cache of values that depend on a frozen object only, such as a camera, while it exists."""
 
 from __future__ import annotations
 
@@ -18,10 +16,10 @@ _entries: dict[int, dict[Hashable, Any]] = {}
 
 
 def cached(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
-    """The result of `make`, called once for each frozen `owner` and `key`; the owner is not kept
-    alive.
+    """The result of `make`, which is called once for each frozen `owner` and `key`.
 
-    Values must not be written to, nor refer to their owner, or neither would be freed.
+    The cache does not keep the owner in memory. Values must not be changed, and must not refer to
+    the owner, or neither would be freed.
     """
     at = id(owner)
     values = _entries.get(at)

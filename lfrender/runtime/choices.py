@@ -11,14 +11,12 @@ Detail = Literal["natural", "off"]
 #: Programs that views are written for with their cameras.
 PoseFormat = Literal["nerfstudio", "colmap", "rvs"]
 #: How much time a depth analysis takes.
-Preset = Literal["fast", "balanced", "accurate"]
+Preset = Literal["fast", "balanced"]
 #: What a depth analysis may leave out (`lfrender.depth.presets.Shortcuts`).
 Shortcut = Literal["blank", "ranges", "still", "steady"]
 
 
 def check_choice(value: Any, choices: Any, name: str) -> None:
-    """Raise a ValueError that names the argument and its choices, a `Literal`, if a value is none
-    of them.
-    """
+    """Raise a ValueError with the choices (a `Literal`) if an argument is none of them."""
     if value not in get_args(choices):
         raise ValueError(f"{name} must be one of {', '.join(get_args(choices))}, got {value!r}")

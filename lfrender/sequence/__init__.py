@@ -1,5 +1,4 @@
-"""Sequences of frames of one camera: pictures of all frames, or a film, on this machine or on a
-Dask cluster.
+"""Sequences of frames of one camera, rendered into pictures or a film, here or on a cluster.
 
 Depth and pictures are updated incrementally where frames differ; interrupted runs are continued.
 """

@@ -1,6 +1,4 @@
-"""Film files: H.264 in MP4, which plays everywhere, ProRes in QuickTime for cutting, lossless FFV1
-in Matroska, raw.
-"""
+"""Film files: H.264 in MP4, ProRes in QuickTime, lossless FFV1 in Matroska, and raw planes."""
 
 from __future__ import annotations
 
@@ -12,19 +10,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import FlatError, OutputError, read_flat
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.rendering import Rendering
-from ..output.formats import FORMATS, PictureError
+from ..output.formats import FORMATS, PictureError, describe_pixels
 from ..output.raw_video import yuv_frame
 from ..output.tiled_picture import move_into_place
-from ..output.views import write_animation
-from .job import FrameResult
+from ..output.views import MILLISECONDS, write_animation
+from .run import FrameResult
 
-__all__ = ["FilmFile", "film_results", "write_moving"]
+__all__ = ["FilmFile", "Results", "film_results", "write_moving"]
+
+#: Outcomes of frames, which are computed as they are taken.
+Results = Generator[FrameResult, None, None]
 
 # What PyAV calls arrays of so many dimensions and bytes, and how FFV1 stores them.
 _LOSSLESS = {
@@ -44,22 +45,23 @@ def write_moving(path: Path, pictures: Iterable[Rendering]) -> None:
     if not FORMATS[path.suffix.lower()].film:
         write_animation(path, pictures)
         return
-    with atomic_write(path) as temporary, FilmFile(temporary, Fraction(25, 2)) as film:
+    with atomic_write(path) as temporary, FilmFile(temporary, Fraction(1000, MILLISECONDS)) as film:
         for picture in pictures:
             film.add(picture.image, picture.white)
 
 
 def film_results(
-    results: Generator[FrameResult, None, None],
+    results: Results,
     path: Path,
     folder: Path,
     rate: Fraction,
     picture: Callable[[FrameResult], Path],
     white: Callable[[], float | None] = lambda: None,
     **about: str,
-) -> Generator[FrameResult, None, None]:
-    """Pass results on, and write their pictures into a film: in a folder, moved to its place after
-    the last one.
+) -> Results:
+    """Pass results on, and write their pictures into a film, which is moved into place at the end.
+
+    A failed frame repeats the picture before it. `folder` holds the unfinished film.
     """
     partial = folder / f"film{path.suffix.lower()}"
     shown = None
@@ -82,9 +84,7 @@ def film_results(
 
 
 class FilmFile:
-    """A film being written, of `rate` pictures a second, complete once it is closed; use it in a
-    `with` statement.
-    """
+    """A film of `rate` pictures per second, written by a `with` statement, complete at its end."""
 
     def __init__(self, path: Path, rate: Fraction, **about: str) -> None:
         import av
@@ -93,7 +93,9 @@ class FilmFile:
         self.count = 0
         # Rates of television have denominators up to 1001; further digits of a decimal number are
         # rounding.
-        self._path, self._rate, self._kind = path, rate.limit_denominator(1001), path.suffix.lower()
+        self._path = path
+        self._rate = rate.limit_denominator(1001)
+        self._kind = path.suffix.lower()
         self._stream: Any = None
         self._first = ""  # kind of the first picture
         # With the index before the pictures, a browser can play the film before it has all of it.
@@ -103,16 +105,15 @@ class FilmFile:
             self._file = av.open(str(path), "w", format=form, options=options)
             self._file.metadata["comment"] = json.dumps({"software": "lfrender", **about})
 
-    def add(self, pixels: NDArray[Any], white: float | None = None) -> None:
+    def add(self, pixels: Array, white: float | None = None) -> None:
         """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float; PictureError if it is unlike
         the first one.
         """
-        kind = f"{pixels.shape[1]} x {pixels.shape[0]} px of {pixels.dtype}{'' if pixels.ndim == 2 else ' in colour'}"
+        kind = describe_pixels(pixels)
         self._first = self._first or kind
         if kind != self._first:
-            raise PictureError(
-                f"{self._path}: the pictures of a film are of one kind, not {self._first} and {kind}"
-            )
+            kinds = f"{self._first} and {kind}"
+            raise PictureError(f"{self._path}: the pictures of a film are of one kind, not {kinds}")
         with self._output_errors():
             frame = self._frame(pixels, white)
             if self._stream is None:
@@ -150,7 +151,7 @@ class FilmFile:
                 context.color_range
             ) = 1
 
-    def _frame(self, pixels: NDArray[Any], white: float | None) -> Any:
+    def _frame(self, pixels: Array, white: float | None) -> Any:
         import av
 
         if self._kind == ".mkv":

@@ -1,10 +1,7 @@
-"""The frames of a sequence, found in image files, folders, multi-page TIFFs and videos, and their
-pixels.
-"""
+"""The frames of a sequence, found in image files, folders, multi-page TIFFs and videos."""
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from bisect import bisect_left
@@ -18,12 +15,13 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
 from lfcal import FlatError, count_pages, read_flat, subtract_dark
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS
 from lfcal.runtime.video import import_av, rgb_pixels
+
+from ..runtime.types import AnyPath, Size
 
 __all__ = ["Frame", "Frames", "is_video", "open_frames"]
 
@@ -33,7 +31,7 @@ class Frame:
     """One frame of a sequence; `read` returns its flat (h, w) or (h, w, 3), or raises FlatError."""
 
     name: str  # of its picture, without suffix
-    read: Callable[[], NDArray[Any]]
+    read: Callable[[], Array]
     source: Path | None = (
         None  # image file whose metadata its picture gets; None for frames of videos
     )
@@ -72,14 +70,12 @@ class _Part:
             _open_video(self.path) as container,
         ):
             stream = container.streams.video[0]
-            rate = stream.average_rate
-            count = max(stream.frames, _least_length(container))
-            # Streams without a header and Matroska are read through, which takes little beside
-            # decoding.
-            count = stream.frames or max(
-                count, sum(packet.size > 0 for packet in container.demux(stream))
-            )
-            return count, rate
+            count = stream.frames
+            if not count:
+                # Streams without a header and Matroska are read through: fast without decoding.
+                packets = sum(packet.size > 0 for packet in container.demux(stream))
+                count = max(_least_length(container), packets)
+            return count, stream.average_rate
         return 0, None
 
     @property
@@ -133,7 +129,7 @@ class Frames:
 
     @property
     def encoded(self) -> bool:
-        """Whether frames are encoded for display, whatever bits they have, as those of videos are."""
+        """Whether frames are encoded for display whatever their bits, as frames of videos are."""
         return bool(self.parts) and all(is_video(part.path) for part in self.parts)
 
     def __iter__(self) -> Iterator[Frame]:
@@ -146,20 +142,17 @@ class Frames:
                 own = range(taken.start - first, taken.stop - first, taken.step)
                 first = end
             for frame in part.frames(own) if own else ():
-                less = (
-                    frame.read
-                    if self.dark is None
-                    else partial(_read_less_dark, frame.read, self.dark)
-                )
-                yield replace(frame, read=less)
+                if self.dark is not None:
+                    frame = replace(frame, read=partial(_read_less_dark, frame.read, self.dark))
+                yield frame
 
 
 def open_frames(
-    inputs: Iterable[str | os.PathLike[str]],
+    inputs: Iterable[AnyPath],
     *,
-    size: tuple[int, int] | None = None,
+    size: Size | None = None,
     pixel_format: str | None = None,
-    dark: str | os.PathLike[str] | None = None,
+    dark: AnyPath | None = None,
     frames: int | slice | str | None = None,
     start: float | None = None,
     end: float | None = None,
@@ -191,7 +184,8 @@ def open_frames(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     for name in ("f10", "f9"):
     ...         lfrender.write_picture(f"{folder}/{name}.png", lfrender.data.example()[0])
-    ...     [frame.name for frame in lfrender.open_frames([folder])], lfrender.open_frames([folder], frames="1:").names
+    ...     later = lfrender.open_frames([folder], frames="1:")
+    ...     [frame.name for frame in lfrender.open_frames([folder])], later.names
     (['f9', 'f10'], ['f10'])
     """
     check_type(inputs, Iterable, "inputs", "give a list of files and folders")
@@ -205,9 +199,8 @@ def open_frames(
     names = Counter(name for part in parts for name in (part.pages or (part.path.stem,)))
     twice = sorted(name for name, count in names.items() if count > 1)
     if twice:
-        raise FlatError(
-            f"{len(twice)} frames would have the same name, such as '{twice[0]}'; give them one by one"
-        )
+        such = f"{len(twice)} frames would have the same name, such as '{twice[0]}'"
+        raise FlatError(f"{such}; give them one by one")
     if dark is not None:
         # Errors of this file are raised at once, not for every frame.
         _read_dark(dark)
@@ -223,7 +216,8 @@ def _slice_of_seconds(parts: list[_Part], start: float | None, end: float | None
     rates = {part.header[1] for part in parts}
     if len(rates) > 1 or None in rates:
         raise FlatError(
-            "seconds are for videos of one frame rate; choose frames by their numbers, such as 10:60"
+            "seconds are for videos of one frame rate; choose frames by their numbers, such as "
+            "10:60"
         )
     if (start or 0) < 0 or (end is not None and not (start or 0) < end):
         raise ValueError(
@@ -238,13 +232,13 @@ def _choose(count: int, frames: int | slice | str) -> range:
     """The numbers of the frames, out of `count`, that are asked for."""
     text = frames
     if isinstance(frames, str):
-        found = re.fullmatch(r"\s*(-?\d+)?(:(-?\d+)?(?::(-?\d+)?)?)?\s*", frames)
-        if not found or not frames.strip():
+        try:
+            numbers = [int(number) if number.strip() else None for number in frames.split(":")]
+            frames = slice(*numbers) if ":" in frames else int(frames)
+        except (ValueError, TypeError) as error:
             raise ValueError(
                 f"frames must be START:STOP:STEP such as 10:60:2, or one number, got {frames!r}"
-            )
-        numbers = [None if text is None else int(text) for text in found.group(1, 3, 4)]
-        frames = slice(*numbers) if found[2] else int(found[1])
+            ) from error
     if not isinstance(frames, slice):
         frames = slice(frames, frames + 1 or None)
     if frames.step is not None and frames.step < 1:
@@ -258,11 +252,11 @@ def _choose(count: int, frames: int | slice | str) -> range:
 
 
 @lru_cache(1)
-def _read_dark(path: Path) -> NDArray[Any]:
+def _read_dark(path: Path) -> Array:
     return read_flat(path)
 
 
-def _read_less_dark(read: Callable[[], NDArray[Any]], dark: Path) -> NDArray[Any]:
+def _read_less_dark(read: Callable[[], Array], dark: Path) -> Array:
     pixels = read()
     try:
         return subtract_dark(pixels, _read_dark(dark))
@@ -304,10 +298,9 @@ def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
 
 def _numeric_order(path: Path) -> Any:
     """Sort key that puts frame_2 before frame_10."""
-    return [
-        (not piece.isdigit(), int(piece) if piece.isdigit() else piece)
-        for piece in re.split(r"(\d+)", path.name)
-    ]
+    pieces = re.split(r"(\d+)", path.name)
+    # Every other piece is a number.
+    return [int(piece) if place % 2 else piece for place, piece in enumerate(pieces)]
 
 
 def _open_video(path: Path) -> Any:
@@ -349,15 +342,12 @@ def _video_frames(path: Path, chosen: range) -> Iterator[Frame]:
 def _least_length(container: Any) -> int:
     """Least number of frames by the header of a video, 0 if it has none."""
     stream = container.streams.video[0]
-    steady = (
-        stream.average_rate
-        and stream.average_rate == stream.base_rate
-        and len(container.streams) == 1
-    )
+    rate = stream.average_rate
+    steady = rate and rate == stream.base_rate and len(container.streams) == 1
     if stream.frames or not (steady and container.duration):
         return int(stream.frames)
     # Durations [us] are rounded, and some reach only to the start of the last frame.
-    return int(Fraction(container.duration, 1_000_000) * stream.average_rate - Fraction(1, 2))
+    return int(Fraction(container.duration, 1_000_000) * rate - Fraction(1, 2))
 
 
 def _decode(container: Any) -> Iterator[Any]:
@@ -386,17 +376,19 @@ def _decode(container: Any) -> Iterator[Any]:
         yield from [FlatError(wrong[0]) for _ in pictures] if wrong else pictures
 
 
-def _pixels_or_message(name: str, picture: Any) -> NDArray[Any] | str:
+def _pixels_or_message(name: str, picture: Any) -> Array | str:
+    if isinstance(picture, Exception):
+        return f"{name}: {_one_line(picture)}"
+    # Decoders fill in what is missing; such a flat must not be rendered.
+    if picture.is_corrupt:
+        return f"{name} is damaged"
     try:
-        if isinstance(picture, Exception):
-            raise picture
-        # Decoders fill in what is missing; such a flat must not be rendered.
-        return f"{name} is damaged" if picture.is_corrupt else rgb_pixels(picture)
+        return rgb_pixels(picture)
     except Exception as error:
         return f"{name}: {_one_line(error)}"
 
 
-def _give(found: NDArray[Any] | str) -> NDArray[Any]:
+def _give(found: Array | str) -> Array:
     if isinstance(found, str):
         raise FlatError(found)
     return found

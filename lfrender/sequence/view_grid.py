@@ -14,12 +14,11 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration, OutputError
+from lfcal.runtime.arrays import Array
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
@@ -28,6 +27,7 @@ from ..output.picture import write_picture
 from ..output.raw_video import check_raw_format, frame_bytes, view_name, yuv_frame
 from ..output.views import resize_view, scale_for_size
 from ..rendering.viewpoints import grid_offsets, views
+from ..runtime.types import Size
 
 __all__ = ["ViewGrid", "ViewOutput"]
 
@@ -46,19 +46,16 @@ class ViewGrid:
     >>> with TemporaryDirectory() as folder:
     ...     lfrender.write_picture(f"{folder}/0.png", flat)
     ...     frames, grid = lfrender.open_frames([folder]), ViewGrid(1, 2)
-    ...     done = list(lfrender.render_frames(frames, f"{folder}/out", camera, preset="fast", views=grid))
+    ...     options = {"preset": "fast", "views": grid}
+    ...     done = list(lfrender.render_frames(frames, f"{folder}/out", camera, **options))
     >>> grid.count
     2
     """
 
     rows: int = 5
     columns: int = 5
-    aperture: float = (
-        0.7  # distance of its corners from the middle, as a part of the radius of the microimages
-    )
-    size: tuple[int, int] | None = (
-        None  # width and height of the views [px]; with None the scale of the run
-    )
+    aperture: float = 0.7  # distance of the corners from the middle [radius of a microimage]
+    size: Size | None = None  # width and height of the views [px]; with None the scale of the run
 
     @property
     def count(self) -> int:
@@ -67,7 +64,7 @@ class ViewGrid:
 
     def draw(
         self,
-        flat: NDArray[Any],
+        flat: Array,
         calibration: Calibration,
         depth: DepthMap,
         scale: float | None,
@@ -82,10 +79,11 @@ class ViewGrid:
 
 
 class ViewOutput:
-    """The files of a run; `suffix` is one of pictures, or `yuv` with the pixel format of raw video."""
+    """The files of views; `suffix` is one of pictures, or the pixel format of raw video."""
 
     def __init__(self, folder: Path, hidden: Path, suffix: str) -> None:
-        self.folder, self.suffix = folder, suffix
+        self.folder = folder
+        self.suffix = suffix
         self._parts = hidden / "views"  # unfinished files
         kind = suffix.lstrip(".")
         #: Pixel format of raw video, empty for pictures.
@@ -100,9 +98,7 @@ class ViewOutput:
         return not (self._mark(name) if self.raw else self.folder / name).exists()
 
     def start(self, overwrite: bool, names: list[str]) -> None:
-        """Make the hidden folder; OutputError if files have others than the frames of these names
-        at their places.
-        """
+        """Make the hidden folder; OutputError if it belongs to frames with other names."""
         if overwrite:
             shutil.rmtree(self._parts, ignore_errors=True)
             for file in self.folder.glob(_VIDEOS) if self.raw else ():
@@ -111,10 +107,8 @@ class ViewOutput:
         places = {name: f"{number}" for number, name in enumerate(names)}
         marks = self._parts.glob("*.done") if names else ()
         if any(places.get(mark.stem) != mark.read_text(encoding="utf-8").strip() for mark in marks):
-            raise OutputError(
-                f"{self.folder}: holds the frames of another sequence; give another folder, or render everything "
-                "again (--overwrite)"
-            )
+            remedy = "give another folder, or render everything again (--overwrite)"
+            raise OutputError(f"{self.folder}: holds the frames of another sequence; {remedy}")
 
     def write(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
         if self.raw:

@@ -1,6 +1,4 @@
-"""Work on parts, tiles of a flat or frames of a sequence, in this process or on the workers of a
-Dask cluster.
-"""
+"""Runs the parts of a result (tiles, groups of frames) in this process or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -18,8 +16,9 @@ __all__ = ["Workers", "ahead", "connect"]
 
 
 class Workers:
-    """This process, `at_once` parts at a time, or the workers of the cluster of a `client`, with so
-    many `threads`.
+    """Computes parts of a result: `at_once` in this process, or on the cluster of a `client`.
+
+    `threads` is the number of threads of a worker of the cluster.
     """
 
     def __init__(self, client: Any = None, threads: int | None = None, at_once: int = 1) -> None:
@@ -81,8 +80,9 @@ class Workers:
 
 
 def ahead(function: Callable[[Any], Any], items: Iterable[Any], count: int) -> Iterator[Any]:
-    """What the function makes of each item, `count` of them at a time in threads; the first one in
-    this thread.
+    """Results of a function for all items, computed by `count` threads ahead of being taken.
+
+    The first item is computed in the calling thread.
     """
     import numba
 
@@ -149,10 +149,9 @@ def _result(future: Any) -> Any:
     try:
         result = future.result()
     except (KilledWorker, FutureCancelledError) as error:
-        raise OutputError(
-            f"the cluster has given up a part of the work ({error}); workers die if memory runs out: start fewer of "
-            "them, or on larger machines"
-        ) from error
+        problem = f"the cluster has given up a part of the work ({error})"
+        cause = "workers die if memory runs out: start fewer of them, or on larger machines"
+        raise OutputError(f"{problem}; {cause}") from error
     if isinstance(result, LightFieldError):
         raise result
     return result
@@ -160,9 +159,7 @@ def _result(future: Any) -> Any:
 
 @contextmanager
 def connect(workers: int | None, scheduler: str | None, timeout: float = 15.0) -> Iterator[Any]:
-    """A client of a scheduler such as `"tcp://host:8786"`, or of so many worker processes on this
-    machine.
-    """
+    """A client of a scheduler such as `"tcp://host:8786"`, or of new processes on this machine."""
     try:
         from distributed import Client, LocalCluster
     except ImportError as error:

@@ -1,5 +1,4 @@
-"""Volumes of light-field microscopes, by deconvolution of the raw flat on its own lattice
-(experimental)."""
+"""Volumes of light-field microscopes, by deconvolution of the raw flat (experimental)."""
 
 from .microscope import Microscope
 from .volume import Volume

@@ -1,19 +1,16 @@
-"""Volumes as files of the microscopy community: OME-TIFF and OME-Zarr (NGFF 0.5), with sizes of
-voxels."""
+"""Volumes as files of the microscopy community: OME-TIFF and OME-Zarr (NGFF 0.5)."""
 
 from __future__ import annotations
 
 import json
-import os
-import secrets
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lfcal import FlatError, OutputError
+from lfcal import FlatError
 from lfcal.runtime.output_file import atomic_write, check_output
 
-from ..output.formats import FORMATS, check_package
+from ..output.formats import FORMATS, check_package, write_ome_zarr
+from ..runtime.types import AnyPath
 
 if TYPE_CHECKING:
     from .volume import Volume
@@ -24,30 +21,28 @@ __all__ = ["SUFFIXES", "check_volume_file", "read_volume", "write_volume"]
 SUFFIXES = (".tif", ".tiff", ".zarr")
 # What files hold beside the voxels.
 _FIELDS = ("spacing", "origin", "unit", "slopes", "pitch", "fit", "warnings")
-# A chunk of Zarr has at most so many voxels along y and x.
-_CHUNK = 512
 
 
-def check_volume_file(path: str | os.PathLike[str], inputs: Any = ()) -> None:
-    """Raise OutputError or PictureError if a volume could not be written, before it is
-    reconstructed."""
+def check_volume_file(path: AnyPath, inputs: Any = ()) -> None:
+    """Raise OutputError or PictureError if a volume could not be written."""
     check_output(path, SUFFIXES, inputs)
     check_package(path, FORMATS[Path(path).suffix.lower()])
 
 
-def write_volume(path: str | os.PathLike[str], volume: Volume) -> None:
+def write_volume(path: AnyPath, volume: Volume) -> None:
     """Write a volume as the ending of the name asks; whole or not at all."""
     target = Path(path)
     check_volume_file(target)
     if target.suffix.lower() == ".zarr":
-        _write_zarr(target, volume)
+        unit = "micrometer" if volume.unit == "um" else None
+        place = (list(volume.spacing), list(volume.origin))
+        write_ome_zarr(target, volume.data, "zyx", *place, _describe(volume), unit)
     else:
         _write_tiff(target, volume)
 
 
-def read_volume(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The voxels of a file that `write_volume` has written, as `data`, and all else by its name;
-    else a FlatError."""
+def read_volume(path: AnyPath) -> dict[str, Any]:
+    """Voxels (`data`) and other fields of a file of `write_volume`; else a FlatError."""
     target = Path(path)
     try:
         if target.suffix.lower() == ".zarr":
@@ -106,34 +101,3 @@ def _write_tiff(path: Path, volume: Volume) -> None:
             software="lfrender",
             metadata=about,
         )
-
-
-def _write_zarr(path: Path, volume: Volume) -> None:
-    import zarr
-
-    axes: list[dict[str, str]] = [{"name": name, "type": "space"} for name in "zyx"]
-    if volume.unit == "um":
-        for axis in axes:
-            axis["unit"] = "micrometer"
-    moves = [
-        {"type": "scale", "scale": list(volume.spacing)},
-        {"type": "translation", "translation": list(volume.origin)},
-    ]
-    datasets = [{"path": "0", "coordinateTransformations": moves}]
-    scales = [{"name": path.name, "axes": axes, "datasets": datasets}]
-    attributes = {
-        "ome": {"version": "0.5", "multiscales": scales},
-        "description": _describe(volume),
-    }
-    high, wide = volume.data.shape[1:]
-    chunks = (1, min(high, _CHUNK), min(wide, _CHUNK))
-    made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        with zarr.config.set({"array.write_empty_chunks": True}):
-            group = zarr.create_group(str(made), attributes=attributes, zarr_format=3)
-            group.create_array("0", data=volume.data, chunks=chunks, dimension_names=list("zyx"))
-        made.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        shutil.rmtree(made, ignore_errors=True)

@@ -2,7 +2,8 @@
 
 A pixel averages over the aperture of its microlens (one pitch), over its own width, and over the
 blur of diffraction. Each is a box along both axes, of any width; several in a row come near to a
-Gaussian. A box filter with zeros around the plane is a symmetric matrix, so it is its own adjoint.
+Gaussian. A box filter with zeros around the plane is a symmetric matrix, so it
+is its own adjoint; several in a row are so except near the border, where they do not commute.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""The grid of voxels that a volume is reconstructed on, and the footprint of pixels on each of its
-planes."""
+"""The voxels that a volume is reconstructed on, and the footprint of pixels on each plane."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Lattice
+from lfcal.runtime.arrays import Floats, Singles
 
+from ..runtime.types import Size
 from .microscope import Scale
 from .pixels import FlatPixels
 from .projection import Projector, Rays
@@ -19,19 +19,18 @@ __all__ = ["VoxelGrid"]
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """Planes of square voxels over a flat, with a margin that rays at its border reach; all in
-    pixels of the flat."""
+    """Planes of square voxels over a flat, with a margin for rays at its border; in px."""
 
-    slopes: NDArray[np.float64]  # (n,) k of each plane, 0 at the native plane
+    slopes: Floats  # (n,) k of each plane, 0 at the native plane
     spacing: float  # side of a voxel [px]
-    inner: tuple[int, int]  # rows and columns that lie over the flat
+    inner: Size  # rows and columns that lie over the flat
     margin: int  # voxels around them
 
     @classmethod
     def over(
         cls,
         lattice: Lattice,
-        slopes: NDArray[np.float64],
+        slopes: Floats,
         voxels: int,
         reach: float,
     ) -> VoxelGrid:
@@ -45,7 +44,7 @@ class VoxelGrid:
         return cls(slopes, spacing, inner, margin)
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Size:
         """Rows and columns with the margin."""
         rows, columns = self.inner
         return rows + 2 * self.margin, columns + 2 * self.margin
@@ -55,20 +54,19 @@ class VoxelGrid:
         """Scene coordinate x and y of the first inner voxel [px]."""
         return 0.5 * self.spacing - 0.5
 
-    def crop(self, volume: NDArray[np.float32]) -> NDArray[np.float32]:
+    def crop(self, volume: Singles) -> Singles:
         """A volume without the margin."""
         rows, columns = self.inner
         low = self.margin
         return np.ascontiguousarray(volume[:, low : low + rows, low : low + columns])
 
-    def pad(self, volume: NDArray[np.float32]) -> NDArray[np.float32]:
+    def pad(self, volume: Singles) -> Singles:
         """A volume with the margin, which continues its border."""
         around = (self.margin, self.margin)
         return np.pad(volume, ((0, 0), around, around), "edge").astype(np.float32)
 
-    def null_space(self, pixels: FlatPixels, lattice: Lattice) -> NDArray[np.float64]:
-        """(n, 1) width [voxels] of the box that volumes are smoothed with, since pixels do not see
-        what is finer.
+    def null_space(self, pixels: FlatPixels, lattice: Lattice) -> Floats:
+        """(n, 1) width [voxels] of the box that smooths away what no pixel resolves.
 
         On the native plane all pixels of a microimage see one place: what lies between the lenses
         is not known, and reconstructions show it as square blocks. At a slope k a place is seen by
@@ -86,12 +84,7 @@ class VoxelGrid:
         low = self.first - self.margin * self.spacing
         places = (pixels.centres - low) / self.spacing
         angles = pixels.angles / self.spacing
-        rays = Rays(
-            np.ascontiguousarray(places[:, 0]),
-            np.ascontiguousarray(places[:, 1]),
-            np.ascontiguousarray(angles[:, 0]),
-            np.ascontiguousarray(angles[:, 1]),
-        )
+        rays = Rays(*np.ascontiguousarray(np.hstack([places, angles]).T))
         steep = np.abs(self.slopes)
         # Square or hexagonal, a lens takes in the light of one cell of the lattice.
         lens = np.full(len(steep), np.sqrt(abs(np.linalg.det(lattice.basis))))

@@ -1,5 +1,4 @@
-"""The optics of a light-field microscope: how depth becomes the slope k of rays, and pixels become
-micrometres."""
+"""The optics of a light-field microscope: slopes k of rays from depths, micrometres from pixels."""
 
 from __future__ import annotations
 

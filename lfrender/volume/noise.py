@@ -1,9 +1,9 @@
-"""The variance of the pixels of a flat: photon noise, in proportion to light, measured where the
-flat is smoothest.
+"""The noise variance of the pixels of a flat, estimated from the smoothest microimages.
 
-Second differences along both axes leave noise alone where light changes evenly (Immerkaer 1996). Of
-the brighter half of the microimages, those that have the least show the least of the specimen; dark
-ones would show read-out alone.
+Second differences along both axes cancel light that changes evenly, and leave the noise (Immerkaer
+1996). Of the brighter half of the microimages, those with the least second differences show the
+least of the specimen; dark microimages would show the read-out noise only. Photon noise is in
+proportion to light.
 """
 
 from __future__ import annotations
@@ -11,24 +11,23 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration
+from lfcal.runtime.arrays import Singles
 
 __all__ = ["measure_variance"]
 
-# Of the brighter half of the microimages, the share that is taken for smooth.
+# Share of the brighter half of the microimages that is taken as free of structure.
 _SMOOTH = 0.1
-# Below this share of the mean of the brighter half, read-out hides how noise depends on light.
+# The variance is constant below this share of the mean light of the brighter half, where read-out
+# noise dominates.
 _DARK = 0.01
-# The sum of the squared weights of both second differences.
+# The sum of the squared weights (1, -2, 1) of both second differences.
 _WEIGHTS = 6**2
 
 
-def measure_variance(
-    flat: NDArray[np.float32], calibration: Calibration
-) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """A function from values of a linear flat (h, w) to the variance of pixels that have them."""
+def measure_variance(flat: Singles, calibration: Calibration) -> Callable[[Singles], Singles]:
+    """A function from values of a linear flat (h, w) to the noise variance of such pixels."""
     lattice = calibration.lattice
     half = int(np.clip((lattice.pitch / 2 - 1) / np.sqrt(2), 2, 5))
     centres = np.rint(lattice.centres()).astype(int)
@@ -45,7 +44,7 @@ def measure_variance(
     per_light = np.float32(max(np.quantile(change[bright] / mean[bright], _SMOOTH), 1e-12))
     dark = np.float32(_DARK * mean[bright].mean())
 
-    def variance(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def variance(values: Singles) -> Singles:
         return per_light * np.maximum(values, dark)
 
     return variance

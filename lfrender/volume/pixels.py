@@ -1,5 +1,4 @@
-"""The pixels of a flat that a volume is reconstructed from: where each looks, its value, and its
-share of light."""
+"""The pixels of a flat that a volume is reconstructed from: place, value, share of light."""
 
 from __future__ import annotations
 
@@ -9,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
+from lfcal.runtime.arrays import Floats, Singles
 
 __all__ = ["FlatPixels", "choose_pixels"]
 
-# Less light than this share of the brightest is that of rims, which diffraction and neighbours
-# change.
+# Pixels with less light than this share of the brightest are left out: they lie at the rims of
+# microimages, where diffraction and neighbours change the light.
 _LEAST_LIGHT = 0.5
-# Distance from the rim of a microimage or of its cell [px]: pixels nearer to it show part of
-# something else.
+# Pixels nearer than this to the rim of a microimage or of its cell [px] are left out: half a pixel
+# reaches beyond it.
 _RIM = 0.5
-# Rays flatter than this share of a right angle (in its sine) are left out: their places run to
-# infinity.
+# Largest sine of the angle between a ray and the axis: flatter rays would run to infinity.
 _LARGEST_SINE = 0.98
 # Rows of a flat whose pixels are assigned to lenses at a time: bounds the memory.
 _ROWS = 256
@@ -29,13 +28,13 @@ _ROWS = 256
 class FlatPixels:
     """Pixels (p,) of a flat."""
 
-    values: NDArray[np.float32]  # of the flat
-    light: NDArray[np.float32]  # share of light by the white image
-    centres: NDArray[np.float32]  # (p, 2) of their microlenses [px]
-    angles: NDArray[np.float32]  # (p, 2) how far a ray moves for a slope of 1: g [px]
-    bins: NDArray[np.int32]  # number of the whole-pixel offset from the centre
+    values: Singles  # of the flat
+    light: Singles  # share of light by the white image
+    centres: Singles  # (p, 2) of their microlenses [px]
+    angles: Singles  # (p, 2) how far a ray moves for a slope of 1: g [px]
+    bins: NDArray[np.int32]  # offset from the centre, rounded and numbered row by row
     radius: float  # largest distance from the centre of a microimage [px]
-    side: int  # there are `side * side` such numbers, row by row
+    side: int  # bins in a row, and rows of bins
 
     @property
     def reach(self) -> float:
@@ -44,7 +43,7 @@ class FlatPixels:
 
 
 def choose_pixels(
-    flat: NDArray[np.float32], calibration: Calibration, flat_radius: float, pupil_radius: float
+    flat: Singles, calibration: Calibration, flat_radius: float, pupil_radius: float
 ) -> FlatPixels:
     """Pixels with at least half the light of the brightest, within their microimage.
 
@@ -83,7 +82,7 @@ def choose_pixels(
     )
 
 
-def _nearest_centres(lattice: Lattice, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _nearest_centres(lattice: Lattice, points: Floats) -> Floats:
     """(n, 2) centre of the lens nearest to each point (n, 2) [px], in any lattice."""
     low = np.floor(lattice.to_index(points))
     nearest = lattice.points(low)

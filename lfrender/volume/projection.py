@@ -20,44 +20,52 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lfcal.runtime.arrays import Floats, Singles
 from lfcal.runtime.kernels import FAST, kernel
 
+from ..runtime.types import Size
 from .footprint import blur, blur_planes
 
 __all__ = ["Projector", "Rays"]
 
-# Planes that are blurred before pixels look at them together: their copies bound the memory.
+# Planes that are copied and blurred at a time: bounds the memory.
 _TOGETHER = 8
 
 
 class Rays(NamedTuple):
     """Where pixels look, in voxels: `x = centre_x + k angle_x`."""
 
-    centre_x: NDArray[np.float32]  # (p,)
-    centre_y: NDArray[np.float32]
-    angle_x: NDArray[np.float32]
-    angle_y: NDArray[np.float32]
+    centre_x: Singles  # (p,)
+    centre_y: Singles
+    angle_x: Singles
+    angle_y: Singles
+
+
+@njit(fastmath=FAST, inline="always")
+def _locate(rays, p, k, plane):
+    """Place of pixel `p` on a plane (h, w) at slope `k`.
+
+    Returns whether it lies inside, row and column of the voxel above and to the left, and the
+    distances down and to the right from it.
+    """
+    x = rays.centre_x[p] + k * rays.angle_x[p]
+    y = rays.centre_y[p] + k * rays.angle_y[p]
+    column = int(np.floor(x))
+    row = int(np.floor(y))
+    inside = 0 <= row < plane.shape[0] - 1 and 0 <= column < plane.shape[1] - 1
+    return inside, row, column, y - row, x - column
 
 
 @kernel(share=lambda planes, slopes, rays, out: len(out), fastmath=FAST)
 def _gather(begin, end, planes, slopes, rays, out):
-    """Add to `out` (p,) what pixels see of planes (n, h, w) at slopes k (n,), between four voxels
-    each."""
-    height, width = planes.shape[1:]
+    """Add to `out` (p,) what pixels see of planes (n, h, w) at slopes (n,), bilinearly."""
     for plane in range(len(planes)):
         values = planes[plane]
-        k = slopes[plane]
         for p in range(begin, end):
-            x = rays.centre_x[p] + k * rays.angle_x[p]
-            y = rays.centre_y[p] + k * rays.angle_y[p]
-            column = int(np.floor(x))
-            row = int(np.floor(y))
-            if row < 0 or column < 0 or row >= height - 1 or column >= width - 1:
+            inside, row, column, low, right = _locate(rays, p, slopes[plane], values)
+            if not inside:
                 continue
-            right = x - column
-            low = y - row
             upper = values[row]
             lower = values[row + 1]
             above = upper[column] + right * (upper[column + 1] - upper[column])
@@ -68,17 +76,11 @@ def _gather(begin, end, planes, slopes, rays, out):
 @njit(fastmath=FAST, forceinline=True)
 def _scatter(values, k, rays, plane):
     """The adjoint of `_gather` for one plane (h, w), which is overwritten."""
-    height, width = plane.shape
     plane[:] = 0.0
     for p in range(len(values)):
-        x = rays.centre_x[p] + k * rays.angle_x[p]
-        y = rays.centre_y[p] + k * rays.angle_y[p]
-        column = int(np.floor(x))
-        row = int(np.floor(y))
-        if row < 0 or column < 0 or row >= height - 1 or column >= width - 1:
+        inside, row, column, low, right = _locate(rays, p, k, plane)
+        if not inside:
             continue
-        right = x - column
-        low = y - row
         below = low * values[p]
         above = values[p] - below
         plane[row, column] += above - right * above
@@ -96,8 +98,7 @@ def _backproject(begin, end, values, slopes, widths, rays, out):
 
 @kernel(share=lambda values, slopes, widths, rays, norm, volume: len(volume))
 def _multiply(begin, end, values, slopes, widths, rays, norm, volume):
-    """Multiply planes of a volume by the adjoint of `values` over `norm`; where `norm` is 0 they
-    become 0."""
+    """Multiply planes of a volume by the adjoint of `values` over `norm`; 0 where it is 0."""
     update = np.empty(volume.shape[1:], np.float32)
     for plane in range(begin, end):
         _scatter(values, slopes[plane], rays, update)
@@ -113,15 +114,14 @@ def _multiply(begin, end, values, slopes, widths, rays, norm, volume):
 
 @dataclass(frozen=True)
 class Projector:
-    """The linear operator from a volume (n, h, w) to the pixels (p,) of a flat that is lit evenly,
-    and its adjoint."""
+    """The linear operator from a volume (n, h, w) to pixels (p,) of a flat, and its adjoint."""
 
     rays: Rays
-    slopes: NDArray[np.float32]  # (n,) k of each plane
-    widths: NDArray[np.float64]  # (n, b) boxes of the footprint on each plane [voxels]
-    shape: tuple[int, int]  # of a plane
+    slopes: Singles  # (n,) k of each plane
+    widths: Floats  # (n, b) boxes of the footprint on each plane [voxels]
+    shape: Size  # of a plane
 
-    def forward(self, volume: NDArray[np.float32]) -> NDArray[np.float32]:
+    def forward(self, volume: Singles) -> Singles:
         """(p,) what the pixels see of a volume."""
         out = np.zeros(len(self.rays.centre_x), np.float32)
         for first in range(0, len(volume), _TOGETHER):
@@ -131,7 +131,7 @@ class Projector:
             _gather(planes, self.slopes[some], self.rays, out)
         return out
 
-    def adjoint(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def adjoint(self, values: Singles) -> Singles:
         """(n, h, w) volume that values (p,) of the pixels are spread over."""
         out = np.empty((len(self.slopes), *self.shape), np.float32)
         _backproject(values, self.slopes, self.widths, self.rays, out)
@@ -139,9 +139,9 @@ class Projector:
 
     def multiply(
         self,
-        volume: NDArray[np.float32],
-        values: NDArray[np.float32],
-        norm: NDArray[np.float32],
+        volume: Singles,
+        values: Singles,
+        norm: Singles,
     ) -> None:
         """Multiply a volume in place by `adjoint(values) / norm`, plane by plane in little
         memory."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration
+from lfcal.runtime.arrays import Array, Floats, Singles
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.progress import Progress, show_progress
 
@@ -23,14 +23,14 @@ __all__ = ["reconstruct_volume"]
 # Slope k, in pitches, up to which volumes reach where no range is given. A pixel averages over a
 # pitch there.
 _DEFAULT_REACH = 1.0
-# Light of an outermost plane over that of the median plane, from which on the specimen is said to
-# reach farther: the captures have 1.0 to 1.3 where it ends within the range, 2.0 and more where it
-# does not.
+# Warn that the specimen reaches beyond the range if an outermost plane has this many times the
+# light of the median plane. Captures have 1.0 to 1.3 if it ends within the range, 2.0 and more if
+# it does not.
 _MUCH_LIGHT = 1.5
 
 
 def reconstruct_volume(
-    flat: NDArray,
+    flat: Array,
     calibration: Calibration,
     microscope: Microscope | None = None,
     *,
@@ -109,7 +109,8 @@ def reconstruct_volume(
         check_type(start, Volume, "start", "reconstruct_volume makes one")
     if start is not None and (start.data.shape != shape or not np.allclose(start.slopes, slopes)):
         raise ValueError(
-            "start must be a volume on the same grid: of the same camera, depth_range, planes and voxels"
+            "start must be a volume on the same grid: of the same camera, depth_range, planes and "
+            "voxels"
         )
     projector = grid.projector(used, lattice, scale)
     before = None if start is None else grid.pad(start.data)
@@ -132,7 +133,7 @@ def reconstruct_volume(
     )
 
 
-def _to_light(pixels: NDArray, calibration: Calibration) -> NDArray[np.float32]:
+def _to_light(pixels: Array, calibration: Calibration) -> Singles:
     """(H, W) mean over the channels, as floats that are 1 at white.
 
     Flats of 8 bits are taken for linear, as sensors of microscopes give them, unless the camera
@@ -147,8 +148,7 @@ def _to_light(pixels: NDArray, calibration: Calibration) -> NDArray[np.float32]:
 
 
 def _rim_radius(calibration: Calibration) -> float:
-    """Radius [px] at which a microimage has half the light of its middle; at most half the
-    pitch."""
+    """Radius [px] at which a microimage has half its light; at most half the pitch."""
     lattice = calibration.lattice
     if calibration.vignetting is None:
         return lattice.radius
@@ -159,7 +159,7 @@ def _rim_radius(calibration: Calibration) -> float:
 
 def _depths(
     given: tuple[float, float] | None, planes: int, scale: Scale, pitch: float, reach: float
-) -> NDArray[np.float64]:
+) -> Floats:
     """(planes,) depth of each plane."""
     widest = _DEFAULT_REACH * pitch / scale.slope_per_depth
     first, last = (-widest, widest) if given is None else (float(end) for end in given)
@@ -172,7 +172,8 @@ def _depths(
         least = pitch / (2 * reach) / scale.slope_per_depth
         raise ValueError(
             f"depth_range lies within {least:.3g}{unit} of the native plane, where one place is "
-            "resolved for each microlens ('lfrender render --traditional' draws it); give a wider one"
+            "resolved for each microlens ('lfrender render --traditional' draws it); give a wider "
+            "one"
         )
     if farthest > 4 * pitch:
         unit = "um" if scale.unit == "um" else "(slopes k)"
@@ -185,14 +186,17 @@ def _depths(
 
 
 def _warnings(
-    data: NDArray[np.float32],
+    data: Singles,
     optics: Microscope,
     calibration: Calibration,
 ) -> tuple[str, ...]:
     """What a user should know before relying on a volume."""
     warnings = list(calibration.warnings)
     if not optics.metric:
-        missing = f"without {optics.missing()} the volume is in pixels of the flat, its depth in slopes k = -D / s"
+        missing = (
+            f"without {optics.missing()} the volume is in pixels of the flat, its depth in slopes "
+            "k = -D / s"
+        )
         if optics.na is None:
             missing += ", and rays are paraxial: at a high NA, depths are bent"
         warnings.append(missing)

@@ -1,5 +1,4 @@
-"""Richardson-Lucy deconvolution (Richardson 1972, Lucy 1974), weighted by light, until the noise of
-the flat is met.
+"""Richardson-Lucy deconvolution (Richardson 1972, Lucy 1974) down to the noise of the flat.
 
 The volume that makes the flat most likely under photon noise is approached in steps that keep it
 positive:
@@ -17,9 +16,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from lfcal.runtime.arrays import Singles
 from lfcal.runtime.progress import Step
 
 from .pixels import FlatPixels
@@ -27,16 +26,15 @@ from .projection import Projector
 
 __all__ = ["Fit", "deconvolve"]
 
-#: Misfit, in variances of the noise, is said to hardly fall any more if a step lowers it by less
-#: than this share. Ray-traced shells: correlation with the truth 0.88 at 0.02, 0.89 at 0.01, at
-#: twice the steps.
+# Stop if a step lowers the misfit (in variances of the noise) by less than this share. Ray-traced
+# shells: correlation with the truth 0.88 at 0.02, 0.89 at 0.01, which takes twice the steps.
 _LEAST_GAIN = 0.01
-#: Steps before which directions are not balanced, and after which they stay as they are.
+# Steps after which the light of directions is balanced; later it stays as it is.
 _BALANCED_STEPS = range(2, 7)
-# Voxels seen with less than this share of the light of the best seen one of their plane stay 0.
+# Voxels that get less light than this share of the best lit voxel of their plane stay 0.
 _LEAST_SEEN = 1e-3
-# Of the mean light of a direction: that much evidence for 1 is added to each, so that dark
-# directions stay near 1.
+# Light that is added to both sides of the ratio of a direction, as a share of the mean light of
+# all directions: it keeps the ratio of dark directions near 1.
 _PRIOR = 0.1
 
 
@@ -49,10 +47,10 @@ class Fit:
     residual : float
         RMS of the difference, over the RMS of the flat.
     noise : float
-        The same of the noise of the flat alone.
+        RMS of the noise of the flat, over the RMS of the flat.
     steps : int
     reason : str
-        Why there were no more steps.
+        Why the iteration stopped.
 
     Examples
     --------
@@ -70,16 +68,16 @@ class Fit:
 def deconvolve(
     projector: Projector,
     pixels: FlatPixels,
-    variance: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    variance: Callable[[Singles], Singles],
     steps: int,
-    start: NDArray[np.float32] | None = None,
+    start: Singles | None = None,
     progress: Step | None = None,
-) -> tuple[NDArray[np.float32], Fit]:
-    """The volume (n, h, w) that the pixels show, before the last box of the projector smooths it,
-    and the fit.
+) -> tuple[Singles, Fit]:
+    """The volume (n, h, w) that the pixels show, not yet smoothed by the null space, and the fit.
 
-    `variance` is that of pixels with the given values; `start` the volume before the first step, an
-    even one by default; `progress` is called after each of at most `steps` steps.
+    `variance` maps values of pixels to the variance of their noise. `start` is the volume before
+    the first step, an even one by default. `progress` is called after each of at most `steps`
+    steps.
     """
     values = pixels.values
     light = pixels.light
@@ -113,26 +111,30 @@ def deconvolve(
             progress(done, steps)
     else:
         predicted = light * projector.forward(volume)
-    size = float(np.sqrt(np.mean(values**2, dtype=float)))
-    residual = float(np.sqrt(np.mean((values - predicted) ** 2, dtype=float)))
-    noise = float(np.sqrt(np.mean(variance(predicted), dtype=float)))
+    size = _root_mean(values**2)
+    residual = _root_mean((values - predicted) ** 2)
+    noise = _root_mean(variance(predicted))
     return volume, Fit(residual / size, noise / size, done, reason)
 
 
-def _seen(projector: Projector, light: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Light that each voxel gives to the flat; 0 where that is next to nothing."""
+def _root_mean(squares: Singles) -> float:
+    return float(np.sqrt(np.mean(squares, dtype=float)))
+
+
+def _seen(projector: Projector, light: Singles) -> Singles:
+    """Light that each voxel gives to the flat; negligible light is set to 0."""
     norm = projector.adjoint(light)
     least = _LEAST_SEEN * norm.max(axis=(1, 2), keepdims=True)
     norm[norm < least] = 0
     return norm
 
 
-def _balance_directions(pixels: FlatPixels, predicted: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(p,) factor for the light of each pixel, alike in all microimages.
+def _balance_directions(pixels: FlatPixels, predicted: Singles) -> Singles:
+    """(p,) factor for the light of each pixel, the same in all microimages.
 
-    Summed over all lenses, every direction sees the same light of a specimen. Where the flat and
-    its prediction differ in that sum, the white image was lit otherwise than the specimen lights
-    the aperture, as by the longer way of slanted rays through a volume.
+    Summed over all lenses, every direction sees the same light of a specimen. If the flat and its
+    prediction differ in that sum, the white image lit the aperture in another way than the specimen
+    does: slanted rays, for example, have a longer way through a volume.
     """
     count = pixels.side**2
     shape = (pixels.side, pixels.side)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfcal.runtime.arrays import Frozen
+from lfcal.runtime.arrays import Array, Floats, Frozen, Singles
 from lfcal.runtime.page import html_card
 
+from ..runtime.types import AnyPath
 from .richardson_lucy import Fit
 
 __all__ = ["Volume"]
@@ -48,20 +47,22 @@ class Volume(Frozen):
 
     Examples
     --------
-    >>> import numpy as np, lfrender
-    >>> from lfcal import Calibration, Lattice
-    >>> camera = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (100, 80), 9))
-    >>> flat = np.full((80, 100), 0.5, np.float32)
-    >>> volume = lfrender.reconstruct_volume(flat, camera, depth_range=(-4, 4), planes=3, steps=2)
-    >>> volume.data.shape, volume.spacing, volume.unit
-    ((3, 32, 40), (4.0, 2.5, 2.5), 'px')
+    >>> import numpy as np
+    >>> from lfrender import Volume
+    >>> from lfrender.volume.richardson_lucy import Fit
+    >>> fit = Fit(0.05, 0.04, 2, "2 steps were done")
+    >>> places = {"spacing": (4.0, 2.5, 2.5), "origin": (-4.0, 0.75, 0.75), "unit": "px"}
+    >>> slopes = np.array([-4.0, 0.0, 4.0])
+    >>> volume = Volume(np.zeros((3, 32, 40)), slopes=slopes, pitch=20.0, fit=fit, **places)
+    >>> volume
+    Volume(40 x 32 x 3 voxels of 2.5 px, planes 4 apart in k)
     """
 
-    data: NDArray[np.float32]
+    data: Singles
     spacing: tuple[float, float, float]
     origin: tuple[float, float, float]
     unit: str
-    slopes: NDArray[np.float64]
+    slopes: Floats
     pitch: float
     fit: Fit
     warnings: tuple[str, ...] = ()
@@ -70,17 +71,15 @@ class Volume(Frozen):
         self._set(data=self.data, slopes=self.slopes)
 
     @property
-    def depths(self) -> NDArray[np.float64]:
-        """(z,) depth of each plane from the native plane: in micrometres, or as the slope `k = -D /
-        s`."""
+    def depths(self) -> Floats:
+        """(z,) depth of each plane from the native plane [um], or its slope `k = -D / s`."""
         return self.origin[0] + self.spacing[0] * np.arange(len(self.data), dtype=np.float64)
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.array(self.data, dtype) if copy else np.asarray(self.data, dtype)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write OME-TIFF (`.ome.tif`, `.tif`) or OME-Zarr (`.zarr`) with the sizes of voxels; whole
-        or not at all.
+    def save(self, path: AnyPath) -> None:
+        """Write OME-TIFF (`.ome.tif`, `.tif`) or OME-Zarr (`.zarr`) with the sizes of voxels.
 
         OutputError or PictureError where that is not possible.
         """
@@ -89,7 +88,7 @@ class Volume(Frozen):
         write_volume(path, self)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Volume:
+    def load(cls, path: AnyPath) -> Volume:
         """Read what `save` has written; FlatError where it is something else."""
         from .files import read_volume
 
@@ -100,44 +99,45 @@ class Volume(Frozen):
             known[name] = tuple(known[name])
         return cls(**known)
 
-    def projections(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    def projections(self) -> tuple[Singles, Singles, Singles]:
         """Maximum along z (y, x), along y (z, x) and along x (y, z)."""
         return self.data.max(0), self.data.max(1), np.ascontiguousarray(self.data.max(2).T)
 
     def plot(self, figure: Any = None) -> Any:
-        """Draw the three maximum projections, by default on a new Matplotlib figure, which is
-        returned."""
+        """Draw the three maximum projections, by default on a new figure, which is returned."""
         import matplotlib.pyplot as plt
 
         figure = figure or plt.figure(figsize=(5, 5), layout="tight")
         across, along, side = self.projections()
-        deep, high, wide = self.data.shape
-        dz, dy, dx = self.spacing
-        lengths = deep * dz, high * dy, wide * dx
+        lengths = np.multiply(self.data.shape, self.spacing)
+        low = np.subtract(self.origin, np.divide(self.spacing, 2))
+        z, y, x = np.column_stack([low, low + lengths]).tolist()
+        unit = "px"
+        depth = "k = -D / s"
         # Without optics, depth has another unit: it is shown a third as long as the shorter side.
-        shown = lengths[0] if self.unit == "um" else min(lengths[1:]) / 3
+        shown = lengths[1:].min() / 3
+        if self.unit == "um":
+            unit = "µm"
+            depth = "z [µm]"
+            shown = lengths[0]
         ratios = {"width_ratios": [lengths[2], shown], "height_ratios": [lengths[1], shown]}
         axes = figure.subplots(2, 2, gridspec_kw=ratios, squeeze=False)
-        name = "z [µm]" if self.unit == "um" else "k = -D / s"
-        z0, y0, x0 = self.origin
-        z_ends = z0 - dz / 2, z0 + (deep - 0.5) * dz
-        y_ends = y0 + (high - 0.5) * dy, y0 - dy / 2
-        x_ends = x0 - dx / 2, x0 + (wide - 0.5) * dx
         white = max(float(np.quantile(across, _WHITE_QUANTILE)), 1e-12)
         looks: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": white, "aspect": "auto"}
-        unit = "µm" if self.unit == "um" else "px"
-        axes[0, 0].imshow(across, extent=(*x_ends, *y_ends), **looks)
-        axes[0, 0].set(ylabel=f"y [{unit}]")
-        axes[0, 1].imshow(side, extent=(*z_ends, *y_ends), **looks)
-        axes[0, 1].set(xlabel=name)
-        axes[1, 0].imshow(along, extent=(*x_ends, z_ends[1], z_ends[0]), **looks)
-        axes[1, 0].set(xlabel=f"x [{unit}]", ylabel=name)
+        # Rows and columns of the panels, their pixels, and what runs to the right and down.
+        panels = [
+            (axes[0, 0], across, (x, ""), (y, f"y [{unit}]")),
+            (axes[0, 1], side, (z, depth), (y, "")),
+            (axes[1, 0], along, (x, f"x [{unit}]"), (z, depth)),
+        ]
+        for panel, pixels, (right, below), (down, beside) in panels:
+            panel.imshow(pixels, extent=(*right, *down[::-1]), **looks)
+            panel.set(xlabel=below, ylabel=beside)
         axes[1, 1].axis("off")
         return figure
 
     def napari_layer(self, name: str = "volume") -> tuple[Any, dict[str, Any], str]:
-        """The volume as a layer of napari, (data, keywords, type), in its own unit; napari need not
-        be installed.
+        """The volume as a layer of napari (data, keywords, type); napari is not needed.
 
         Add it by `viewer.add_layer(napari.layers.Layer.create(*volume.napari_layer()))`.
         """

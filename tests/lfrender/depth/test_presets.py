@@ -60,6 +60,5 @@ def test_fast_gives_the_same_bits_with_one_thread(house, found):
     np.testing.assert_array_equal(alone.patch_size, found.patch_size)
 
 
-def test_accurate_is_another_word_for_balanced_which_locates_edges():
-    assert PRESETS["accurate"] == PRESETS["balanced"]
+def test_balanced_locates_edges_and_fast_does_not():
     assert PRESETS["balanced"].edges and not PRESETS["fast"].edges

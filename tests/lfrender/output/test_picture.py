@@ -77,11 +77,9 @@ def test_alpha_is_the_mask_of_valid_pixels(tmp_path, rendering, extension, grey)
         rendering.image = rendering.image[..., 0]
     path = tmp_path / f"picture{extension}"
     write_picture(path, rendering, alpha=True)
-    if extension == ".tif":
-        alpha = tifffile.imread(path)[..., -1]
-    else:
-        alpha = np.asarray(Image.open(path).convert("RGBA"))[..., -1]
-    np.testing.assert_array_equal(alpha, rendering.valid * 255)
+    is_tiff = extension == ".tif"
+    pixels = tifffile.imread(path) if is_tiff else np.asarray(Image.open(path).convert("RGBA"))
+    np.testing.assert_array_equal(pixels[..., -1], rendering.valid * 255)
 
 
 def test_formats_that_cannot_hold_the_pixels_are_refused(tmp_path, rendering):

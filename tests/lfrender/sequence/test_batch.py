@@ -19,8 +19,10 @@ import lfcal
 import lfrender
 from lfcal import read_flat
 from lfrender.cli.main import main
-from lfrender.sequence import job
 from lfrender.sequence.film_file import FilmFile
+from lfrender.sequence.options import FrameOptions
+from lfrender.sequence.run import Run
+from lfrender.sequence.run_folder import RunFolder, load_camera
 
 #: Segments of three frames and groups of two.
 SHORT = {"segment": 3, "group": 2}
@@ -102,11 +104,12 @@ def test_a_run_uses_the_camera_as_its_file_has_it_so_that_a_continued_one_has_th
 ):
     frames = lfrender.open_frames([sequence[0]], frames="2:4")
     camera = lfcal.calibrate(house.white, kind="white")
-    run = job.Job(tmp_path, camera, "fast", 4.0, ".tif")
-    run.start(False, frames.names)
-    list(run.groups(frames, False, 30, 5))
-    stored = job.load_camera(tmp_path).gain_map
-    np.testing.assert_array_equal(run.calibration.gain_map.profile, stored.profile)
+    options = FrameOptions(preset="fast", scale=4.0)
+    folder = RunFolder(tmp_path, options, frames.names, overwrite=False)
+    run = Run(folder, options, camera, frames)
+    list(run.groups(frames, overwrite=False))
+    stored = load_camera(tmp_path).gain_map
+    np.testing.assert_array_equal(run.camera.gain_map.profile, stored.profile)
     assert not np.array_equal(camera.gain_map.profile, stored.profile)
 
 
@@ -169,7 +172,7 @@ def test_dark_frame_is_subtracted_from_every_frame_and_another_one_is_refused(ho
     assert done.exit_code == 0, done.output
     # That of the run has the blur of the lenses.
     flat = np.minimum(house.flat, 190)
-    camera = job.load_camera(tmp_path / "out")
+    camera = load_camera(tmp_path / "out")
     expected = lfrender.render(flat, camera, lfrender.analyze(flat, camera, "fast"))
     np.testing.assert_array_equal(read_flat(tmp_path / "out" / "a.tif"), expected.image)
     refused = CliRunner().invoke(main, command)
@@ -186,7 +189,7 @@ def test_depth_maps_of_all_frames_are_those_of_single_ones_and_missing_ones_are_
     options = {"preset": "fast", "depth_maps": maps, "announce": plans.append}
     (first, _) = lfrender.render_frames(part, tmp_path / "out", camera, **options)
     assert sorted(p.name for p in maps.iterdir()) == ["f11.npz", "f12.npz"]
-    camera = job.load_camera(tmp_path / "out")
+    camera = load_camera(tmp_path / "out")
     expected = lfrender.analyze(read_flat(frames / "f11.png"), camera, "fast")
     np.testing.assert_array_equal(
         lfrender.DepthMap.load(maps / "f11.npz").patch_size, expected.patch_size

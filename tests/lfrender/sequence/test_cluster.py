@@ -20,7 +20,7 @@ import lfcal
 import lfrender
 from lfcal import OutputError
 from lfrender.cli.main import main
-from lfrender.sequence.cluster import connect, render_frames_on
+from lfrender.sequence.workers import connect
 
 pytest.importorskip("distributed")
 
@@ -57,7 +57,8 @@ def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(
     camera = house.truth.calibration
     options = {"preset": "fast", "segment": 4, "group": 2}
     here = list(lfrender.render_frames(frames, tmp_path / "here", camera, **options))
-    running = render_frames_on(client, frames, tmp_path / "there", camera, threads=1, **options)
+    remote = {"client": client, "threads": 1, **options}
+    running = lfrender.render_frames(frames, tmp_path / "there", camera, **remote)
     there = list(islice(running, 3))
     kill_one(client)
     there += list(running)

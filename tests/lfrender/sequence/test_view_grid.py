@@ -16,7 +16,7 @@ import lfrender
 from lfrender.cli.main import main
 from lfrender.output.raw_video import frame_bytes, yuv_frame
 from lfrender.rendering.viewpoints import grid_offsets, still_depth
-from lfrender.sequence.job import load_camera
+from lfrender.sequence.run_folder import load_camera
 from lfrender.sequence.view_grid import ViewGrid
 
 av = pytest.importorskip("av", reason="raw video is written by PyAV (lfrender[video])")

@@ -45,6 +45,39 @@ def test_the_adjoint_is_exact(name, microscope):
     assert seen == pytest.approx(spread, rel=1e-6)
 
 
+@pytest.mark.parametrize("boxes", [(1.7,), (7.1,), (40.2,), (2.6, 7.1, 4.3)])
+def test_the_footprint_is_its_own_adjoint(boxes):
+    rng = np.random.default_rng(2)
+    one, other = rng.random((2, 1, 29, 37)).astype(np.float32)
+    if len(boxes) > 1:
+        # Boxes that cut each other off at the border do not commute.
+        one, other = (np.pad(plane, ((0, 0), (9, 9), (9, 9))) for plane in (one, other))
+    widths = np.array([boxes])
+    blurred_one, blurred_other = one.copy(), other.copy()
+    blur_planes(blurred_one, widths)
+    blur_planes(blurred_other, widths)
+
+    left = np.vdot(blurred_one.astype(float), other.astype(float))
+    right = np.vdot(one.astype(float), blurred_other.astype(float))
+
+    assert left == pytest.approx(right, rel=1e-6)
+
+
+def test_multiplying_a_volume_is_multiplying_by_the_adjoint():
+    projector = _projector(*LATTICES["hexagonal"], Microscope(), [-2.3, 0.0, 4.1])
+    rng = np.random.default_rng(3)
+    values = rng.random(len(projector.rays.centre_x)).astype(np.float32)
+    volume = rng.random((3, *projector.shape)).astype(np.float32)
+    norm = projector.adjoint(np.ones_like(values))
+    seen = norm > 0
+    share = projector.adjoint(values) / np.where(seen, norm, 1)
+    expected = np.where(seen, volume * share, 0)
+
+    projector.multiply(volume, values, norm)
+
+    np.testing.assert_allclose(volume, expected, rtol=1e-5, atol=1e-7)
+
+
 def test_an_even_volume_is_seen_evenly():
     projector = _projector(*LATTICES["square, turned"], Microscope(), [-3.0, 0.0, 3.0])
     volume = np.ones((3, *projector.shape), np.float32)
