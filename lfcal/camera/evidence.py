@@ -170,6 +170,18 @@ class Evidence:
         """
         return white_probability(self.inside, self.detail, self.unlike)
 
+    def describe(self) -> str:
+        """What proves the lattice, or, if nothing does, what speaks against it, in a clause."""
+        proofs = []
+        if self.by_shape() > 0.5:
+            circles = f"circles lie on {max(self.circles, 0.0):.0%} of the lattice points"
+            proofs.append(f"the average cell has the shape of a lens, and {circles}")
+        if self._content_proof() > 0.5:
+            proofs.append("neighbours show the same content, shifted")
+        if self._border_proof() > 0.5:
+            proofs.append("cells touch each other on straight lines")
+        return "; ".join(proofs) or self.describe_doubt()
+
     def describe_doubt(self) -> str:
         """What speaks most against the lattice, in a clause."""
         terms = self.terms()

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from ..camera.lens_types import LensBlur
     from ..camera.optics import Optics
 
-__all__ = ["describe", "describe_optics", "summarise"]
+__all__ = ["describe", "describe_blur", "describe_optics", "summarise"]
 
 
 def describe(camera: Calibration) -> dict[str, Any]:
@@ -42,6 +42,7 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "lenses_used": camera.lenses_used,
         "residual_rms": camera.residual_rms,
         "confidence": camera.confidence,
+        "proof": camera.evidence and camera.evidence.describe(),
         "evidence": camera.evidence and camera.evidence.to_dict(),
         "mosaic": camera.mosaic or "none",
         "defect_pixels": len(defects.pixels),
@@ -91,12 +92,14 @@ def summarise(camera: Calibration) -> list[str]:
     told += "".join(f"; {number:,} {what}" for number, what in counts if number)
     lenses = f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
     sentences = [f"{lenses}: a {shape} lattice turned by {rotation:.2f} degrees.", f"{told}."]
+    if camera.evidence is not None:
+        sentences.append(f"Evidence for the lattice: {camera.evidence.describe()}.")
     if camera.lens_blur is not None:
-        sentences.append(_describe_blur(camera.lens_blur))
+        sentences.append(describe_blur(camera.lens_blur))
     return sentences
 
 
-def _describe_blur(blur: LensBlur) -> str:
+def describe_blur(blur: LensBlur) -> str:
     """Where the microlenses are in focus, and how wide their discs are, by lens type."""
     if not blur.tells_aperture:
         ratio = float(min(blur.ratios, key=abs))

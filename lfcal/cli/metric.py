@@ -8,7 +8,7 @@ import click
 
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
-from .figures import describe_optics, summarise
+from .figures import describe_blur, describe_optics
 
 if TYPE_CHECKING:
     from ..boards.board import Board
@@ -139,6 +139,7 @@ def metric(report: cl.Report, given: Any) -> None:
             "mm as stated: "
             "--pixel is wrong by as much, or the lens is zoomed"
         )
+    blur = found.calibration.lens_blur
     distances = [pose.translation[2] / 1000 for pose in found.poses]
     report.finish(
         {"camera": str(output), **_describe(found)},
@@ -151,7 +152,7 @@ def metric(report: cl.Report, given: Any) -> None:
         "before the main lens. "
         "A wrong --square scales these distances and shows nowhere else; a wrong --pixel scales "
         "the focal length.",
-        *summarise(found.calibration)[2:],
+        *([describe_blur(blur)] if blur else []),
         f"{output} in {report.took}: depth of its flats is in metres.",
     )
 

@@ -1,0 +1,20 @@
+"""What the evidence for a lattice says in words."""
+
+from dataclasses import replace
+
+import lfcal
+
+
+def test_the_words_name_the_proofs(house):
+    evidence = lfcal.calibrate(house.white).evidence
+    assert "shape of a lens, and circles lie on" in evidence.describe()
+    touching = replace(
+        evidence, shape=0.2, borders=0.9, parallax=0.8, inside=-3.0, between=-4.0, halves=0.01
+    )
+    assert "cells touch each other on straight lines" in touching.describe()
+
+
+def test_without_a_proof_the_words_are_those_of_the_doubt(house):
+    evidence = lfcal.calibrate(house.white).evidence
+    blank = replace(evidence, shape=0.2, circles=0.0, parallax=0.0)
+    assert blank.describe() == blank.describe_doubt()
