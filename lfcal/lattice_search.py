@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera.evidence import Evidence
-from .detection.capture_kind import is_white_image
 from .detection.search import Candidate, find_candidates
+from .detection.tones import is_white_image
 from .images.mosaic import equalise_mosaic, remove_mosaic
 from .images.preprocessing import luminance, sqrt_luminance
 from .images.stack import average_scenes, combine_whites, select_contrasted

@@ -69,8 +69,9 @@ class _Sums(NamedTuple):
 @njit(error_model="numpy", inline="always")
 def _edge(distance, blur):
     """Value of a blurred edge from -1 to 1 at a signed distance [px], and its slope [1/px]."""
-    slope = math.sqrt(2 / math.pi) / blur * math.exp(-0.5 * (distance / blur) ** 2)
-    return math.erf(distance / (math.sqrt(2.0) * blur)), slope
+    place = distance / blur
+    slope = math.sqrt(2 / math.pi) / blur * math.exp(-0.5 * place * place)
+    return math.erf(place / math.sqrt(2.0)), slope
 
 
 @kernel(error_model="numpy", share=lambda flat, centres, *_: len(centres))

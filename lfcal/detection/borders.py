@@ -268,9 +268,9 @@ def _whitened_log_power(steps: Singles, size: int) -> Singles:
         power += np.abs(np.fft.rfft2(window)) ** 2
     power = np.fft.fftshift(power, axes=0)
     # The half plane is mirrored across zero frequency, so that it has no edge there.
-    margin = _BACKGROUND - 1
-    mirrored = np.roll(power[::-1, margin:0:-1], 1, axis=0)
-    background = cv2.blur(np.hstack([mirrored, power]), (_BACKGROUND, _BACKGROUND))[:, margin:]
+    side = min(_BACKGROUND, size // 4 * 2 - 1)
+    mirrored = np.roll(power[::-1, side - 1 : 0 : -1], 1, axis=0)
+    background = cv2.blur(np.hstack([mirrored, power]), (side, side))[:, side - 1 :]
     whitened: Singles = np.log(np.maximum(power / background, np.float32(0.05)))
     return whitened
 

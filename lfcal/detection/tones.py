@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..camera.evidence import white_probability
 from ..images.preprocessing import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
 from ..runtime.arrays import Floats, Integers, Singles
 
-__all__ = ["Tones", "measure_tones"]
+__all__ = ["Tones", "is_white_image", "measure_tones"]
 
 #: Lenses measured, evenly spread over the flat, and lens types told apart in each lattice
 #: direction.
@@ -100,3 +101,15 @@ def _without_types(values: Floats, types: Integers) -> Floats:
     for kind in np.unique(types):
         left[types == kind] -= np.median(left[types == kind])
     return left
+
+
+def is_white_image(picture: Singles, lattice: Lattice) -> bool:
+    """Whether a picture (h, w), the square root of the luminance, shows evenly lit microimages on a
+    lattice.
+    """
+    tones = measure_tones(picture, lattice)
+    if tones is None:
+        return False
+    inside = float(np.log(tones.inside + 1e-3))
+    detail = float(np.log(max(tones.detail, 1.0)))
+    return white_probability(inside, detail, tones.unlike) > 0.5

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..detection.capture_kind import is_white_image
 from ..detection.search import Candidate, find_candidates
+from ..detection.tones import is_white_image
 from ..images.mosaic import equalise_mosaic
 from ..images.preprocessing import luminance
 from ..lattice.lattice import Lattice

@@ -110,7 +110,7 @@ def test_an_hci_disparity_is_the_negative_reciprocal_of_the_patch_size(disparity
     depth = lfrender.analyze(*lenslet_image(_views_of_a_plane(disparity, 13)), preset="fast")
     assert np.nanmedian(depth.patch_size) == pytest.approx(-1 / disparity, abs=0.02)
     text = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
-    assert "is a patch size of `-1 / d` px" in text
+    assert "becomes a patch size of `-1 / d` px" in text
 
 
 @pytest.mark.parametrize(("side", "warned"), [(9, True), (13, False)])
