@@ -83,12 +83,12 @@ class WebServer:
         self.token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            listening = socket.create_server((host, port), family=family, backlog=128)
+            self._listening = socket.create_server((host, port), family=family, backlog=128)
         except OSError as error:
             raise ServerError(
                 f"{host} port {port}: cannot be used ({error.strerror or error})"
             ) from error
-        self.port: int = listening.getsockname()[1]
+        self.port: int = self._listening.getsockname()[1]
         app = Starlette(routes=[_route(*key, answer) for key, answer in routes.items()])
         self._server = Server(
             Config(
@@ -106,7 +106,7 @@ class WebServer:
                 timeout_graceful_shutdown=0,
             )
         )
-        self._thread = Thread(target=self._server.run, args=([listening],), daemon=True)
+        self._thread = Thread(target=self._server.run, args=([self._listening],), daemon=True)
         self._thread.start()
 
     def __enter__(self) -> WebServer:
@@ -119,6 +119,8 @@ class WebServer:
         """Answer no longer; connections are closed."""
         self._server.should_exit = True
         self._thread.join(timeout=5)
+        # Not every version of Uvicorn does so.
+        self._listening.close()
 
     def wait(self) -> None:
         """Wait until the server is closed, or for Ctrl-C."""
