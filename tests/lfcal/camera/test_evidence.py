@@ -9,7 +9,14 @@ def test_the_words_name_the_proofs(house):
     evidence = lfcal.calibrate(house.white).evidence
     assert "shape of a lens, and circles lie on" in evidence.describe()
     touching = replace(
-        evidence, shape=0.2, borders=0.9, parallax=0.8, inside=-3.0, between=-4.0, halves=0.01
+        evidence,
+        shape=0.2,
+        borders=0.9,
+        parallax=0.8,
+        inside=-3.0,
+        between=-4.0,
+        light=0.0,
+        halves=0.01,
     )
     assert "cells touch each other on straight lines" in touching.describe()
 

@@ -24,6 +24,15 @@ def test_lattices_of_random_cameras_are_found_at_the_first_try(seed):
     assert camera.source == ("white" if drawn.white else "scene")
 
 
+def test_half_a_cell_of_a_board_is_not_taken_for_an_array_without_gaps():
+    drawn = draw_camera(907)
+    try:
+        camera = lfcal.calibrate(drawn.image)
+    except lfcal.CalibrationError:
+        return
+    assert compare_with_centres(camera.lattice, drawn.centres).is_right or camera.confidence < 0.8
+
+
 @pytest.mark.parametrize("seed", [0, 4, 10, 17, 27])
 def test_pictures_that_are_no_flats_are_refused(seed):
     _, picture = draw_no_flat(seed)
