@@ -18,7 +18,7 @@ __all__ = ["Evidence", "white_probability"]
 
 # Fitted by `python -m benchmarks.lattices fit`: log odds without any evidence, and for each term.
 _CONSTANT = -21.2
-_WEIGHTS = {"proof": 6.6, "both_proofs": 8.4, "edges": 18.4, "tiles": -4.3}
+_WEIGHTS = {"proof": 6.6, "both_proofs": 8.4, "sound": 18.4, "unmatched": -4.3}
 # The same for a white image against a scene. Lenses unlike their neighbours have the weight that
 # tells a capture of an unfocused camera from its white image: simulated cameras leave it open.
 _WHITE_CONSTANT = -7.95
@@ -39,7 +39,7 @@ class Evidence:
     Parameters
     ----------
     repeats : float
-        Correlation of the average cells of two halves of the flat, -1..1.
+        Least correlation of the average cells of opposite thirds of the flat, -1..1.
     halves : float [pitch]
         RMS distance between the lattices of two halves of the flat.
     roundness : float
@@ -73,10 +73,19 @@ class Evidence:
     parallax : float
         Logarithm of how much less neighbours differ when they are shifted by the disparity than at
         any shift.
+    still : float
+        The same without a shift: whatever repeats with the lattice matches so, content as well as
+        rims.
+    continued : float
+        Logarithm of how much less the facing sides of neighbours differ than the same sides: one
+        picture goes on from cell to cell behind a mesh, not behind lenses.
+    classes : float
+        Share of the average cell in which two or three classes of rows or diagonals differ, as
+        lenses and gaps do in half or a third of the cell of an array.
     fit_halves : float or None [pitch]
         `halves` of the final fit, and how far that has moved the lattice; None before it.
     inside : float
-        Logarithm of the scatter of light inside typical microimages.
+        Logarithm of the scatter of light inside typical microimages; 0 if too few are lit to tell.
     detail : float
         Logarithm of that scatter in the microimages with most detail (95 %) over that in typical
         ones.
@@ -108,6 +117,9 @@ class Evidence:
     inverted: float
     explained: float
     parallax: float = 0.0
+    still: float = 0.0
+    continued: float = 0.0
+    classes: float = 0.0
     fit_halves: float | None = None
     inside: float = 0.0
     detail: float = 0.0
@@ -189,13 +201,21 @@ class Evidence:
             return "no lattice fits to the parts of the flat"
         if self.halves > _RIGHT:
             return f"the lattices of two halves of the flat differ by {self.halves:.2f} pitches"
-        if terms["edges"] < 0.5:
+        if self._edges() < 0.5:
             return "light and dark places have one shape, as in waves and on boards"
+        if self._is_one_lens() < 0.5:
+            return "its cells differ by turns: it has two or three points for each lens"
+        if self._is_mesh() > 0.5:
+            return "one picture goes on from cell to cell, as behind a mesh"
+        if self._is_everywhere() < 0.5:
+            return "what repeats is content without parallax, and changes across the flat"
         if self.circles_beside > max(self.circles, 0.3):
             return (
                 f"circles lie between its points (at {self.circles_beside:.0%} of the places there)"
             )
-        if terms["tiles"] > 0.5:
+        if terms["unmatched"] > 0.5 and self.inside == 0:
+            return "too few of its cells are lit to compare neighbours"
+        if terms["unmatched"] > 0.5:
             return "neighbours do not show the same, shifted, though they differ"
         shown = f"circles lie on {max(self.circles, 0.0):.0%} of its points, {self.shape:.0%} of the average cell have"
         return f"{shown} the shape of a lens, and hardly any neighbours show the same, shifted"
@@ -208,13 +228,14 @@ class Evidence:
         each other on straight lines, and neighbours match. None counts for cells without edges.
         """
         by_shape = self.by_shape()
-        by_content = _ramp(self._content_proof() * self._edges(), 0.5, 0.85)
-        differ = _ramp(self.between, -4.0, -2.5)
+        content = self._content_proof() * self._edges() * self._is_one_lens()
+        by_content = _ramp(content, 0.5, 0.85)
+        everywhere = self._is_everywhere()
         return {
-            "proof": max(by_shape, by_content, self._border_proof()),
-            "both_proofs": min(by_shape, by_content),
-            "edges": self._edges(),
-            "tiles": _ramp(self.circles, 0.0, 1.0) * differ * (1 - _ramp(self.parallax, 0.0, 0.5)),
+            "proof": max(by_shape, by_content, self._border_proof()) * everywhere,
+            "both_proofs": min(by_shape, by_content) * everywhere,
+            "sound": self._edges() * (1 - self._is_mesh()),
+            "unmatched": max(self._unmatched_tones(), self._unmatched_content()),
         }
 
     def by_shape(self) -> float:
@@ -228,11 +249,53 @@ class Evidence:
         shape *= 0.6 + 0.4 * _ramp(self.roundness, 0.5, 0.95)
         # Gaps may be bright beside a scene, but not in a white image.
         shape *= max(_ramp(self.light, 0.0, 0.05), scene)
-        return _ramp(shape * self._edges(), 0.1, 0.7)
+        return _ramp(shape * self._edges() * self._is_one_lens(), 0.1, 0.7)
 
     def _edges(self) -> float:
         """0 for waves and boards, whose light and dark places have one shape, else 1."""
         return _ramp(self.fine, 0.01, 0.06) * (1 - _ramp(-self.inverted, 0.93, 0.97))
+
+    def _unmatched_tones(self) -> float:
+        """How far cells with outlines differ in tone, as tiles do, and do not match, 0 to 1."""
+        differ = _ramp(self.between, -4.0, -2.5)
+        return _ramp(self.circles, 0.0, 1.0) * differ * (1 - _ramp(self.parallax, 0.0, 0.5))
+
+    def _unmatched_content(self) -> float:
+        """How far cells show detail that their neighbours do not, 0 to 1."""
+        textured = _ramp(self.inside + self.detail, -3.5, -2.7)
+        return (
+            textured
+            * self._is_angular_scene()
+            * (1 - _ramp(max(self.parallax, self.still), 0.2, 0.34))
+        )
+
+    def _is_everywhere(self) -> float:
+        """How far what repeats is that of the array, 0 to 1.
+
+        Content that repeats with next to no parallax has a lattice of its own, slightly larger or
+        smaller: it matches without a shift, and changes across the flat.
+        """
+        moved = self.parallax - self.still
+        content = _ramp(self.still, 0.2, 0.5) * (1 - _ramp(moved, 0.0, 0.15))
+        return 1 - content * (1 - _ramp(self.repeats, 0.78, 0.88))
+
+    def _is_one_lens(self) -> float:
+        """1 if all cells have one shape, 0 for half or a third of the cell of an array.
+
+        Three lens types differ by 0.07 at most, half a cell by 0.16 and more.
+        """
+        return 1 - _ramp(self.classes, 0.08, 0.15)
+
+    def _is_mesh(self) -> float:
+        """How far one picture goes on from cell to cell, 0 to 1."""
+        behind = _ramp(self.continued - max(self.parallax, self.still, 0.0), 0.1, 0.3)
+        return behind * self._is_angular_scene()
+
+    def _is_angular_scene(self) -> float:
+        """0 for white images and round cells, else 1: the round lenses of an unfocused camera may
+        show one picture that goes on, or each its own tone.
+        """
+        return (1 - self.white_probability) * (1 - _ramp(self.roundness, 0.8, 0.9))
 
     def _content_proof(self) -> float:
         """How far parallax proves lenses, 0 to 1: neighbours of a scene match, in cells that have
@@ -242,6 +305,8 @@ class Evidence:
         outlined = max(shape, _ramp(self.circles, 0.1, 0.4), _ramp(self.outline, 0.1, 0.6))
         symmetric = _ramp(self.roundness, 0.1, 0.5)
         match = _ramp(self.parallax, 0.3, 1.0) * (1 - _ramp(self.halves, 0.015, 0.05))
+        # Facing sides of lenses show places far from each other, those of half tiles the same tile.
+        match *= 1 - _ramp(self.continued, 0.4, 0.8) * self._is_angular_scene()
         return match * self._shows_scene() * outlined * (0.6 + 0.4 * symmetric)
 
     def _border_proof(self) -> float:
@@ -249,11 +314,11 @@ class Evidence:
 
         Tiles, meshes and boards have borders, too; what lies between those does not match (0.12 at
         most on pictures that are no flats; 0.32 and more on arrays without gaps). Letters on a
-        screen match now and then, but their cells differ in tone. Without gaps the middle of a
-        cell is as bright as its borders (within 0.033); in half a cell of an array it is not (0.15).
+        screen match now and then, but their cells differ in tone.
         """
         touching = _ramp(self.borders, 0.3, 0.6) * _ramp(self.parallax, 0.2, 0.4)
-        touching *= 1 - _ramp(abs(self.light), 0.05, 0.12)
+        # Without gaps there is little else in the average cell than content.
+        touching *= 1 - _ramp(self.classes, 0.15, 0.4)
         scene = _ramp(self.inside, -4.6, -3.7) * (1 - _ramp(self.between, -3.2, -2.6))
         return touching * scene * (1 - _ramp(self.halves, 0.02, 0.06))
 

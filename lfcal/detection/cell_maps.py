@@ -6,15 +6,17 @@ All maps have `BINS` x `BINS` places, by the fractional coordinates of the latti
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..lattice.cell import bin_offsets, cell_distances
 from ..runtime.arrays import Booleans, Floats
 from .features import FlatFeatures
-from .folding import BINS, CELL_TILES, TileFolds, fold_lit_tiles, fold_tiles
+from .folding import BINS, CELL_TILES, TileFolds, fold_lit_tiles, fold_tiles, measure_repeatability
 
-__all__ = ["CellMaps", "CellParts", "tile_side"]
+__all__ = ["CellMaps", "CellParts", "measure_classes", "tile_side"]
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,11 @@ class CellMaps:
         variance = np.maximum(first.mean() - mean**2, 0)
         return cls(basis, mean, variance, edge_mean, second.mean(), light.mean() ** 2, tiles)
 
+    @cached_property
+    def repeats(self) -> float:
+        """Least correlation of the average cells of opposite thirds of the flat, -1..1."""
+        return measure_repeatability(self.tiles)
+
     def explained(self) -> float:
         """Gain in log likelihood [nats per pixel] if each place of a cell has a mean and a variance
         of its own.
@@ -74,6 +81,42 @@ class CellMaps:
         whole = float(self.variance.mean() + self.brightness.var())
         # Places of no variance at all, as in saturated gaps, must not count without limit.
         return float(0.5 * (np.log(whole) - np.log(self.variance + 0.001 * whole).mean()))
+
+
+def measure_classes(features: FlatFeatures, basis: Floats) -> float:
+    """How much the average cells of two or three classes of rows or diagonals differ, 0..1.
+
+    Half or a third of the cell of an array shows lenses and gaps in turn. The share of the variance
+    of the average cell that lies between the classes is measured on two halves of the flat; lens
+    types differ in the sharpness of their rims, so that only the mean and the first harmonics of
+    a cell count.
+    """
+    pitch = float(np.sqrt(abs(np.linalg.det(basis))))
+    brightness = features.levelled(pitch)[0]
+    shares = []
+    for count in (2, 3):
+        side = tile_side(features, count * pitch)
+        fold = fold_tiles([brightness], count * basis, side, BINS, CELL_TILES)[0]
+        bins = BINS // count
+        halves = [half.reshape(count, bins, count, bins) for half in fold.half_means()]
+        cells = [np.fft.fft2(half.swapaxes(1, 2)) for half in halves]
+        down, along = np.indices((count, count))
+        for row in (down, along, down + along, down - along):
+            classes = [
+                np.array([cell[row % count == kind].mean(0) for kind in range(count)])
+                for cell in cells
+            ]
+            for one in classes:
+                one[:, 0, 0] -= one[:, 0, 0].mean()
+            whole = np.mean([_shared_power(one, one) for one in classes])
+            low = np.ix_(range(count), (-1, 0, 1), (-1, 0, 1))
+            differ = _shared_power(*((one - one.mean(0))[low] for one in classes))
+            shares.append(differ / max(float(whole), 1e-30))
+    return max(shares)
+
+
+def _shared_power(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> float:
+    return float((first * second.conj()).real.sum())
 
 
 def tile_side(features: FlatFeatures, pitch: float) -> int:

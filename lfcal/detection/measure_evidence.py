@@ -13,8 +13,8 @@ from ..lattice.lattice import Lattice
 from ..runtime.arrays import Floats, Singles
 from .borders import LineProfile
 from .cell_maps import CellMaps, CellParts
-from .folding import BINS, measure_repeatability
-from .neighbours import measure_parallax
+from .folding import BINS
+from .neighbours import measure_likeness
 from .tones import measure_tones
 
 __all__ = ["Marks", "add_parallax", "measure_evidence"]
@@ -31,6 +31,8 @@ _BAND = 0.08
 _LIT = 0.4
 #: Fewer marks tell nothing.
 _FEWEST_MARKS = 20
+#: Share of the points beside a lattice with circles, from which on these are the lenses.
+_RIMS_BESIDE = 0.3
 #: Shifts [cells] that a wrong lattice may have against the right one.
 _SHIFTS = ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3))
 
@@ -53,9 +55,12 @@ def measure_evidence(
     border = parts.border
     content = maps.variance[middle].mean() + 1e-3
     content_beside = maps.variance[border].mean() + 1e-3
-    own, beside = max(_count_marks(one, lattice) for one in marks)
+    counts = [_count_marks(one, lattice) for one in marks]
+    # Bright gaps have peaks of their own; only lenses have round rims.
+    rims_beside = counts[0][1] > max(counts[0][0], _RIMS_BESIDE)
+    own, beside = counts[0] if rims_beside else max(counts)
     return Evidence(
-        repeats=measure_repeatability(maps.tiles),
+        repeats=maps.repeats,
         halves=_UNKNOWN_HALVES,
         roundness=0.5 * (_roundness(maps.brightness, parts) + _roundness(maps.edges, parts)),
         light=float(
@@ -77,13 +82,13 @@ def measure_evidence(
 
 def add_parallax(evidence: Evidence, picture: Singles, lattice: Lattice) -> Evidence:
     """The evidence with parallax between neighbours on a picture (h, w), the root of the luminance."""
-    parallax = measure_parallax(picture, lattice)
+    likeness = measure_likeness(picture, lattice)
     tones = measure_tones(picture, lattice)
-    if parallax is None or tones is None:
+    if likeness is None or tones is None:
         return evidence
     return replace(
         evidence,
-        parallax=parallax,
+        **likeness._asdict(),
         inside=float(np.log(tones.inside + 1e-3)),
         detail=float(np.log(max(tones.detail, 1.0))),
         between=float(np.log(tones.between + 1e-3)),
@@ -103,11 +108,15 @@ def _roundness(cell: Floats, parts: CellParts) -> float:
 
 
 def _shape_share(maps: CellMaps, parts: CellParts, centre: Floats) -> float:
-    """Share of the average cell that is the sum of functions of the distances from the centre and
-    from the border.
+    """Share of the average cell that is the sum of functions of the distances from the centre, from
+    the border, and from the sides of a square, about which gaps may have different widths.
     """
+    places = (np.arange(BINS) + 0.5) / BINS
+    along, down = np.abs((places - centre[:, None] + 0.5) % 1 - 0.5)
+    lengths = np.hypot(*maps.basis.T)
+    square = np.maximum(along * lengths[0], down[:, None] * lengths[1])
     columns = []
-    for distance in (parts.distance.ravel(), parts.to_border.ravel()):
+    for distance in (parts.distance.ravel(), parts.to_border.ravel(), square.ravel()):
         place = (distance - distance.min()) / max(float(np.ptp(distance)), 1e-12) * (_NODES - 1)
         columns.append(np.clip(1 - np.abs(place[:, None] - np.arange(_NODES)), 0, None))
     design = np.hstack(columns)

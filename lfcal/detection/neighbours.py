@@ -4,9 +4,12 @@ meshes do.
 A lens is compared with its neighbours along the steps between them. Disparity is the same share of
 the step in all directions: a shift is judged in one direction after it was chosen in the others, so
 that nothing matches by chance. In an unfocused camera neighbours show the same without a shift.
+Behind a mesh one picture goes on from cell to cell: their facing sides show the same.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,20 +18,34 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
 from ..runtime.arrays import Floats, Singles
 
-__all__ = ["measure_parallax"]
+__all__ = ["Likeness", "measure_likeness"]
 
 #: Lenses compared, evenly spread over the flat.
 _LENSES = 180
 #: Samples along a line through a lens, and disparities tried, in steps between lenses.
 _SAMPLES = 33
 _RATIOS = np.linspace(-0.7, 0.7, 29)
+#: Difference that is noise: less than this tells nothing.
+_FLOOR = 1e-4
+#: Samples at the end of such a line that are the side of a lens.
+_SIDE = 6
 
 
-def measure_parallax(picture: Singles, lattice: Lattice) -> float | None:
+class Likeness(NamedTuple):
+    """Natural logarithms of how much less neighbours differ than they usually do.
+
+    Differences are taken over the contrast of what is compared: all are 0 for independent or blank
+    cells.
+    """
+
+    parallax: float  # at the right shift, against any shift
+    still: float  # without a shift, against any shift
+    continued: float  # facing sides, against the same sides
+
+
+def measure_likeness(picture: Singles, lattice: Lattice) -> Likeness | None:
     """How well neighbouring lenses match, on a picture (h, w), the square root of the luminance.
 
-    The natural logarithm of how much less two neighbours differ at the right shift than at any one,
-    each over the contrast of what is compared: 0 for independent or blank cells.
     Returns None if fewer than 24 lit lenses have neighbours on all sides.
     """
     steps = lattice.steps @ lattice.basis
@@ -44,13 +61,25 @@ def measure_parallax(picture: Singles, lattice: Lattice) -> float | None:
     spacing = float(along[1] - along[0])
     differences = []
     contrasts = []
+    same_sides = []
+    facing_sides = []
     for step in near:
         own, other = _sample_lines(picture, centres, step, along)
         shifts = np.rint(_RATIOS * np.hypot(*step) / spacing).astype(int)
         compared = [_compare(own, other, shift) for shift in shifts]
         differences.append([difference for difference, _ in compared])
         contrasts.append([contrast for _, contrast in compared])
-    return _log_gain(np.array(differences), np.array(contrasts))
+        first, last = (slice(None, _SIDE), slice(-_SIDE, None))
+        same_sides += [_differ(own[:, side], other[:, side]) for side in (first, last)]
+        facing_sides.append(_differ(own[:, last], other[:, first]))
+    parallax, still = _log_gains(np.array(differences), np.array(contrasts))
+    continued = np.log((np.mean(same_sides) + _FLOOR) / (np.mean(facing_sides) + _FLOOR))
+    return Likeness(parallax, still, float(continued))
+
+
+def _differ(first: Floats, second: Floats) -> float:
+    """Mean difference of the tones of two sides (n, m, 3) of lenses."""
+    return float(np.abs(first.mean(1) - second.mean(1)).mean())
 
 
 def _select_lit(picture: Singles, centres: Floats, radius: float) -> Floats:
@@ -101,9 +130,9 @@ def _compare(own: Floats, other: Floats, shift: int) -> tuple[Floats, Floats]:
     return difference, np.asarray(contrast)
 
 
-def _log_gain(differences: Floats, contrasts: Floats) -> float:
-    """Logarithm of the gain of the right shifts over all; arguments are (directions, shifts,
-    lenses).
+def _log_gains(differences: Floats, contrasts: Floats) -> tuple[float, float]:
+    """Logarithm of the gain of the right shifts over all, and of no shift; arguments are
+    (directions, shifts, lenses).
 
     The right shift in a direction is the best one of the other directions.
     """
@@ -118,5 +147,7 @@ def _log_gain(differences: Floats, contrasts: Floats) -> float:
         best = others.sum(0).argmin(0)
         found += float(differences[k, best, lenses].sum())
         within += float(contrasts[k, best, lenses].sum())
-    usual = float(differences.sum() / contrasts.sum())
-    return float(np.log((usual + 1e-3) / (found / within + 1e-3)))
+    still = len(_RATIOS) // 2
+    unmoved = float(differences[:, still].sum() / contrasts[:, still].sum())
+    usual = float(differences.sum() / contrasts.sum()) + 1e-3
+    return float(np.log(usual / (found / within + 1e-3))), float(np.log(usual / (unmoved + 1e-3)))

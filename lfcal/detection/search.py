@@ -21,7 +21,7 @@ from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
 from .borders import LineProfile, find_line_periods, fit_touching_cells, measure_borders
 from .cell_centre import find_round_centres
-from .cell_maps import CellMaps, CellParts, tile_side
+from .cell_maps import CellMaps, CellParts, measure_classes, tile_side
 from .features import FlatFeatures
 from .folding import BINS, fold_lit_tiles
 from .measure_evidence import Marks, add_parallax, measure_evidence
@@ -279,7 +279,9 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
     middle = (np.array(lattice.image_size) - 1) / 2
     radius = float(np.hypot(*basis.T).min() / 2)
     fitted = Lattice(_nearest_point(middle, fit.origin, basis), basis, lattice.image_size, radius)
-    evidence = replace(rough.evidence, halves=fit.half_difference / fitted.pitch)
+    classes = measure_classes(rough.features, basis)
+    halves = fit.half_difference / fitted.pitch
+    evidence = replace(rough.evidence, halves=halves, classes=classes)
     evidence = add_parallax(evidence, rough.features.picture, fitted)
     return [replace(rough, lattice=fitted, evidence=evidence)]
 
