@@ -339,10 +339,12 @@ class Evidence:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Evidence:
-        """Rebuild the record from `to_dict`."""
-        values: dict[str, Any] = {field.name: data[field.name] for field in fields(cls)}
+        """Rebuild the record from `to_dict`; figures that older files lack have their defaults."""
+        known: dict[str, Any] = {
+            field.name: data[field.name] for field in fields(cls) if field.name in data
+        }
         figures: dict[str, Any] = {
-            name: value if value is None else float(value) for name, value in values.items()
+            name: value if value is None else float(value) for name, value in known.items()
         }
         return cls(**figures)
 
