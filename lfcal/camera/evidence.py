@@ -318,7 +318,7 @@ class Evidence:
         """
         touching = _ramp(self.borders, 0.3, 0.6) * _ramp(self.parallax, 0.2, 0.4)
         # Without gaps there is little else in the average cell than content.
-        touching *= 1 - _ramp(self.classes, 0.15, 0.4)
+        touching *= 1 - _ramp(self.classes, 0.15, 0.3)
         scene = _ramp(self.inside, -4.6, -3.7) * (1 - _ramp(self.between, -3.2, -2.6))
         return touching * scene * (1 - _ramp(self.halves, 0.02, 0.06))
 
