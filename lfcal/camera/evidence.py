@@ -10,7 +10,7 @@ fit`).
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,65 @@ _CERTAIN_BY_SHAPE = 0.96
 _CERTAIN = 0.985
 # [pitch] error up to which a lattice is right.
 _RIGHT = 0.05
+# Certainty of a clause that is stated in words.
+_STATED = 0.5
+
+
+class _Ramp(NamedTuple):
+    """0 up to `low`, 1 from `high` on, linear between them."""
+
+    low: float
+    high: float
+
+    def __call__(self, value: float) -> float:
+        return float(np.clip((value - self.low) / (self.high - self.low), 0.0, 1.0))
+
+
+# The limits were chosen on random cameras (seeds 0 to 300), ray-traced scenes, pictures that are no
+# flats (seeds 0 to 130) and the shared captures; other seeds test them.
+# Average cell: shares of it, and [ln] light of its middle over that of its border.
+_FINE = _Ramp(0.01, 0.06)  # waves have 0.00, blurred arrays of microscopes 0.09
+_INVERTED = _Ramp(0.93, 0.97)  # boards and waves have 0.97 and more, arrays 0.88 at most
+_LENS_SHAPE = _Ramp(0.75, 0.97)
+_ROUGH_SHAPE = _Ramp(0.55, 0.8)
+_ROUND = _Ramp(0.5, 0.95)
+_HARDLY_ROUND = _Ramp(0.1, 0.5)
+_CIRCULAR = _Ramp(0.8, 0.9)  # discs have 0.9 and more, squares 0.75 at most
+_BRIGHT_MIDDLE = _Ramp(0.0, 0.05)
+_CONTENT_INSIDE = _Ramp(0.5, 2.0)  # [ln] variance from lens to lens in the middle over that in gaps
+_ALTERNATING = _Ramp(0.08, 0.15)  # lens types differ by 0.07 at most, half a cell by 0.16 and more
+_ALTERNATING_BORDERS = _Ramp(0.15, 0.3)  # content leaves up to 0.15 where there are no gaps
+_REPEATS = _Ramp(0.78, 0.88)  # gaps of real arrays 0.84 and more, content 0.77 at most
+# Marks found without the lattice: share of its points.
+_SOME_CIRCLES = _Ramp(0.02, 0.12)
+_MANY_CIRCLES = _Ramp(0.1, 0.4)
+_ALL_CIRCLES = _Ramp(0.0, 1.0)
+_CIRCLES_BESIDE = 0.3
+# [local deviations] steps on outlines, and contrast of the lines between cells that touch.
+_OUTLINE = _Ramp(0.1, 0.6)
+_BORDERS = _Ramp(0.3, 0.6)
+# [ln] scatter of light inside cells and from cell to cell.
+_TEXTURED = _Ramp(-4.6, -3.7)
+_DETAILED = _Ramp(-3.5, -2.7)
+_UNLIKE_TONES = _Ramp(-3.4, -2.4)
+_UNLIKE_TONES_BORDERS = _Ramp(-3.2, -2.6)
+_TILE_TONES = _Ramp(-4.0, -2.5)
+# [ln] gain of neighbours that are shifted against each other.
+_SOME_MATCH = _Ramp(0.2, 0.35)
+_MATCH = _Ramp(0.3, 1.0)
+_TILES_MATCH = _Ramp(0.0, 0.5)
+_STILL = _Ramp(0.2, 0.5)
+_MOVED = _Ramp(0.0, 0.15)
+_GOES_ON = _Ramp(0.1, 0.3)
+_SIDES_MATCH = _Ramp(0.4, 0.8)
+# [pitch] difference of the lattices of two halves of the flat.
+_HALVES = _Ramp(0.015, 0.05)
+_HALVES_BORDERS = _Ramp(0.02, 0.06)
+# Strengths of the proofs by shape and by content, as products of several shares.
+_SHAPE_PROOF = _Ramp(0.1, 0.7)
+_CONTENT_PROOF = _Ramp(0.5, 0.85)
+# Share of a proof that is left for cells that are not round.
+_NOT_ROUND = 0.6
 
 
 @dataclass(frozen=True)
@@ -185,12 +244,12 @@ class Evidence:
     def describe(self) -> str:
         """What proves the lattice, or, if nothing does, what speaks against it, in a clause."""
         proofs = []
-        if self.by_shape() > 0.5:
+        if self.by_shape() > _STATED:
             circles = f"circles lie on {max(self.circles, 0.0):.0%} of the lattice points"
             proofs.append(f"the average cell has the shape of a lens, and {circles}")
-        if self._content_proof() > 0.5:
+        if self._content_proof() > _STATED:
             proofs.append("neighbours show the same content, shifted")
-        if self._border_proof() > 0.5:
+        if self._border_proof() > _STATED:
             proofs.append("cells touch each other on straight lines")
         return "; ".join(proofs) or self.describe_doubt()
 
@@ -201,21 +260,21 @@ class Evidence:
             return "no lattice fits to the parts of the flat"
         if self.halves > _RIGHT:
             return f"the lattices of two halves of the flat differ by {self.halves:.2f} pitches"
-        if self._edges() < 0.5:
+        if self._edges() < _STATED:
             return "light and dark places have one shape, as in waves and on boards"
-        if self._is_one_lens() < 0.5:
+        if self._is_one_lens() < _STATED:
             return "its cells differ by turns: it has two or three points for each lens"
-        if self._is_mesh() > 0.5:
+        if self._is_mesh() > _STATED:
             return "one picture goes on from cell to cell, as behind a mesh"
-        if self._is_everywhere() < 0.5:
+        if self._is_everywhere() < _STATED:
             return "what repeats is content without parallax, and changes across the flat"
-        if self.circles_beside > max(self.circles, 0.3):
+        if self.circles_beside > max(self.circles, _CIRCLES_BESIDE):
             return (
                 f"circles lie between its points (at {self.circles_beside:.0%} of the places there)"
             )
-        if terms["unmatched"] > 0.5 and self.inside == 0:
+        if terms["unmatched"] > _STATED and self.inside == 0:
             return "too few of its cells are lit to compare neighbours"
-        if terms["unmatched"] > 0.5:
+        if terms["unmatched"] > _STATED:
             return "neighbours do not show the same, shifted, though they differ"
         shown = f"circles lie on {max(self.circles, 0.0):.0%} of its points, {self.shape:.0%} of the average cell have"
         return f"{shown} the shape of a lens, and hardly any neighbours show the same, shifted"
@@ -229,7 +288,7 @@ class Evidence:
         """
         by_shape = self.by_shape()
         content = self._content_proof() * self._edges() * self._is_one_lens()
-        by_content = _ramp(content, 0.5, 0.85)
+        by_content = _CONTENT_PROOF(content)
         everywhere = self._is_everywhere()
         return {
             "proof": max(by_shape, by_content, self._border_proof()) * everywhere,
@@ -243,30 +302,28 @@ class Evidence:
         change.
         """
         # What neighbours share is no noise.
-        scene = self._shows_scene() * _ramp(self.parallax, 0.2, 0.35)
-        windows = _ramp(self.content, 0.5, 2.0) * scene
-        shape = _ramp(self.shape, 0.75, 0.97) * max(_ramp(self.circles, 0.0, 1.0), windows)
-        shape *= 0.6 + 0.4 * _ramp(self.roundness, 0.5, 0.95)
+        scene = self._shows_scene() * _SOME_MATCH(self.parallax)
+        windows = _CONTENT_INSIDE(self.content) * scene
+        shape = _LENS_SHAPE(self.shape) * max(_ALL_CIRCLES(self.circles), windows)
+        shape *= _NOT_ROUND + (1 - _NOT_ROUND) * _ROUND(self.roundness)
         # Gaps may be bright beside a scene, but not in a white image.
-        shape *= max(_ramp(self.light, 0.0, 0.05), scene)
-        return _ramp(shape * self._edges() * self._is_one_lens(), 0.1, 0.7)
+        shape *= max(_BRIGHT_MIDDLE(self.light), scene)
+        return _SHAPE_PROOF(shape * self._edges() * self._is_one_lens())
 
     def _edges(self) -> float:
         """0 for waves and boards, whose light and dark places have one shape, else 1."""
-        return _ramp(self.fine, 0.01, 0.06) * (1 - _ramp(-self.inverted, 0.93, 0.97))
+        return _FINE(self.fine) * (1 - _INVERTED(-self.inverted))
 
     def _unmatched_tones(self) -> float:
         """How far cells with outlines differ in tone, as tiles do, and do not match, 0 to 1."""
-        differ = _ramp(self.between, -4.0, -2.5)
-        return _ramp(self.circles, 0.0, 1.0) * differ * (1 - _ramp(self.parallax, 0.0, 0.5))
+        differ = _TILE_TONES(self.between)
+        return _ALL_CIRCLES(self.circles) * differ * (1 - _TILES_MATCH(self.parallax))
 
     def _unmatched_content(self) -> float:
         """How far cells show detail that their neighbours do not, 0 to 1."""
-        textured = _ramp(self.inside + self.detail, -3.5, -2.7)
+        textured = _DETAILED(self.inside + self.detail)
         return (
-            textured
-            * self._is_angular_scene()
-            * (1 - _ramp(max(self.parallax, self.still), 0.2, 0.34))
+            textured * self._is_angular_scene() * (1 - _SOME_MATCH(max(self.parallax, self.still)))
         )
 
     def _is_everywhere(self) -> float:
@@ -276,38 +333,38 @@ class Evidence:
         smaller: it matches without a shift, and changes across the flat.
         """
         moved = self.parallax - self.still
-        content = _ramp(self.still, 0.2, 0.5) * (1 - _ramp(moved, 0.0, 0.15))
-        return 1 - content * (1 - _ramp(self.repeats, 0.78, 0.88))
+        content = _STILL(self.still) * (1 - _MOVED(moved))
+        return 1 - content * (1 - _REPEATS(self.repeats))
 
     def _is_one_lens(self) -> float:
         """1 if all cells have one shape, 0 for half or a third of the cell of an array.
 
         Three lens types differ by 0.07 at most, half a cell by 0.16 and more.
         """
-        return 1 - _ramp(self.classes, 0.08, 0.15)
+        return 1 - _ALTERNATING(self.classes)
 
     def _is_mesh(self) -> float:
         """How far one picture goes on from cell to cell, 0 to 1."""
-        behind = _ramp(self.continued - max(self.parallax, self.still, 0.0), 0.1, 0.3)
+        behind = _GOES_ON(self.continued - max(self.parallax, self.still, 0.0))
         return behind * self._is_angular_scene()
 
     def _is_angular_scene(self) -> float:
         """0 for white images and round cells, else 1: the round lenses of an unfocused camera may
         show one picture that goes on, or each its own tone.
         """
-        return (1 - self.white_probability) * (1 - _ramp(self.roundness, 0.8, 0.9))
+        return (1 - self.white_probability) * (1 - _CIRCULAR(self.roundness))
 
     def _content_proof(self) -> float:
         """How far parallax proves lenses, 0 to 1: neighbours of a scene match, in cells that have
         an outline.
         """
-        shape = _ramp(self.shape, 0.55, 0.8) * _ramp(self.circles, 0.02, 0.12)
-        outlined = max(shape, _ramp(self.circles, 0.1, 0.4), _ramp(self.outline, 0.1, 0.6))
-        symmetric = _ramp(self.roundness, 0.1, 0.5)
-        match = _ramp(self.parallax, 0.3, 1.0) * (1 - _ramp(self.halves, 0.015, 0.05))
+        shape = _ROUGH_SHAPE(self.shape) * _SOME_CIRCLES(self.circles)
+        outlined = max(shape, _MANY_CIRCLES(self.circles), _OUTLINE(self.outline))
+        symmetric = _HARDLY_ROUND(self.roundness)
+        match = _MATCH(self.parallax) * (1 - _HALVES(self.halves))
         # Facing sides of lenses show places far from each other, those of half tiles the same tile.
-        match *= 1 - _ramp(self.continued, 0.4, 0.8) * self._is_angular_scene()
-        return match * self._shows_scene() * outlined * (0.6 + 0.4 * symmetric)
+        match *= 1 - _SIDES_MATCH(self.continued) * self._is_angular_scene()
+        return match * self._shows_scene() * outlined * (_NOT_ROUND + (1 - _NOT_ROUND) * symmetric)
 
     def _border_proof(self) -> float:
         """How far straight borders prove lenses, 0 to 1: they touch, and their neighbours match.
@@ -316,16 +373,16 @@ class Evidence:
         most on pictures that are no flats; 0.32 and more on arrays without gaps). Letters on a
         screen match now and then, but their cells differ in tone.
         """
-        touching = _ramp(self.borders, 0.3, 0.6) * _ramp(self.parallax, 0.2, 0.4)
+        touching = _BORDERS(self.borders) * _SOME_MATCH(self.parallax)
         # Without gaps there is little else in the average cell than content.
-        touching *= 1 - _ramp(self.classes, 0.15, 0.3)
-        scene = _ramp(self.inside, -4.6, -3.7) * (1 - _ramp(self.between, -3.2, -2.6))
-        return touching * scene * (1 - _ramp(self.halves, 0.02, 0.06))
+        touching *= 1 - _ALTERNATING_BORDERS(self.classes)
+        scene = _TEXTURED(self.inside) * (1 - _UNLIKE_TONES_BORDERS(self.between))
+        return touching * scene * (1 - _HALVES_BORDERS(self.halves))
 
     def _shows_scene(self) -> float:
         """How far cells show a scene, 0 to 1: neighbours have about one tone, and more than noise."""
-        textured = _ramp(self.inside, -4.6, -3.7)
-        alike = 1 - _ramp(self.between, -3.4, -2.4)
+        textured = _TEXTURED(self.inside)
+        alike = 1 - _UNLIKE_TONES(self.between)
         return textured * alike
 
     def to_dict(self) -> dict[str, float]:
@@ -354,8 +411,3 @@ def white_probability(inside: float, detail: float, unlike: float) -> float:
     log_odds = _WHITE_CONSTANT + _WHITE_WEIGHTS["inside"] * inside
     log_odds += _WHITE_WEIGHTS["detail"] * detail + _WHITE_WEIGHTS["unlike"] * unlike
     return float(1 / (1 + np.exp(-log_odds)))
-
-
-def _ramp(value: float, low: float, high: float) -> float:
-    """0 below `low`, 1 above `high`, linear between them."""
-    return float(np.clip((value - low) / (high - low), 0.0, 1.0))
