@@ -14,6 +14,7 @@ from ..gain.gain_map import field_place, nearest_half
 from ..images.preprocessing import luminance
 from ..images.stack import measure_overexposure
 from ..lens_blur.microimages import LIGHT_FAULT, Field, MicroimageField
+from ..runtime.arrays import evenly
 from .alignment import Alignment
 from .result import Finding
 
@@ -34,6 +35,36 @@ _SURE = 2.0
 _APART = 4.0
 # [px] smaller defects are the sensor's own.
 _SPECK = 9
+# Error of the radii where microimages overlap [px]: up to 0.21 on simulated cameras.
+_OVERLAP_FAULT = 0.15
+# [radius] Twice the change of the radii per half diagonal that is too little to matter.
+_LEAST_TILT = 0.01
+# Correlations with the change of the radii at which pitches or rims confirm a tilt, and the change
+# of the rims over that of the radii.
+_SAME_WAY = 0.7
+_SAME_WAY_OF_RIMS = 0.8
+_RIM_SHARE = (0.15, 1.5)
+# [rim blur] Change of the rims over the field that is told.
+_LEAST_CHANGE = 0.1
+# [pitch], [radius] Gaps and cuts that are told, and errors of gaps that are small.
+_LEAST_GAP = 0.02
+_SURE_GAP = 0.05
+# [px] Error of the radius of the cutting disc, and of a cut that is not found.
+_CUT_FAULT = 0.1
+_NO_CUT_FAULT = 0.3
+# [radius] Radius in the corners below which stopping the lens down does not help.
+_LEAST_LEFT = 0.3
+# Rows of a flat that tell its brightness; share of clipped pixels, and level of bright ones.
+_ROWS = 1000
+_OVEREXPOSED = 0.02
+_WELL_EXPOSED = 0.8
+# [%] Difference of the light across the field that may be told as even.
+_EVEN = 15
+# Defects that are looked at one by one; share of defective pixels that is no dirt; least difference
+# of a speck from the same place in other lenses.
+_MOST_SPECKS = 200
+_MUCH_DIRT = 0.01
+_LEAST_SPECK = 0.1
 _WAYS = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")
 
 
@@ -101,8 +132,7 @@ def find_tilt(seen: Seen) -> Finding:
     bent = found.gradient
     bent_error = found.gradient_error
     if radius.value > nearest_half(lattice):
-        # Rims that are measured in the light of neighbours: up to 0.21 px on simulated cameras.
-        bent_error = float(np.hypot(bent_error, 0.15))
+        bent_error = float(np.hypot(bent_error, _OVERLAP_FAULT))
     per_number = number is None and np.isfinite(radius.slope_error)
     tilts = []
     if np.isfinite(radius.slope_error):
@@ -137,7 +167,7 @@ def find_tilt(seen: Seen) -> Finding:
     verdict = f"the sensor is farther from the array at the {_way(vector)} of the flat"
     if per_number:
         verdict += f": {4 * value:.2g} degrees if the main lens has f/4 (give its f-number)"
-    if 2 * np.hypot(*slope) < 0.01 * radius.value:
+    if 2 * np.hypot(*slope) < _LEAST_TILT * radius.value:
         return told(f"{verdict}, by too little to matter")
     if not _is_confirmed(slope, bent, bent_error, seen.field):
         return told(f"{verdict}; neither pitches nor rims confirm it, it may be the light")
@@ -153,11 +183,12 @@ def _is_confirmed(slope: Vector, bent: Vector, bent_error: float, field: Microim
         return float(one @ slope) / max(float(np.hypot(*one) * np.hypot(*slope)), 1e-12)
 
     if np.hypot(*bent) > 3 * bent_error:
-        return turned(bent) > 0.7
+        return turned(bent) > _SAME_WAY
     blur = np.mean([one.slope for one in field.blur], axis=0)
     error = float(np.mean([one.slope_error for one in field.blur]))
     share = float(np.hypot(*blur) / np.hypot(*(2 * slope)))
-    return bool(np.hypot(*blur) > 3 * error and abs(turned(blur)) > 0.8 and 0.15 < share < 1.5)
+    same_way = abs(turned(blur)) > _SAME_WAY_OF_RIMS
+    return bool(np.hypot(*blur) > 3 * error and same_way and _RIM_SHARE[0] < share < _RIM_SHARE[1])
 
 
 def _find_distance(seen: Seen) -> Finding:
@@ -204,7 +235,7 @@ def _find_distance(seen: Seen) -> Finding:
         away = seen.length(2 * seen.field.radius.value * seen.f_number * value / aperture)
         verdict += f"; the sensor is about {away} off their focal plane"
     slope = blurs[0].slope
-    if np.hypot(*slope) > max(_APART * blurs[0].slope_error, 0.1 * blurs[0].value):
+    if np.hypot(*slope) > max(_APART * blurs[0].slope_error, _LEAST_CHANGE * blurs[0].value):
         verdict += f"; sharper towards the {_way(-slope)}"
     return told(verdict)
 
@@ -227,8 +258,8 @@ def _find_apertures(seen: Seen) -> Finding:
     details = {"radii_px": seen.field.radii.mean(0).tolist(), "f_number_ratio": ratio, "lost": lost}
     told = partial(Finding, gap, error, "px", details=details)
     share = f"{abs(gap) / nearest:.1%} of their distance; {lost:.0%} of the sensor"
-    if abs(gap) <= max(_SURE * error, 0.02 * nearest):
-        sure = _SURE * error < 0.05 * nearest
+    if abs(gap) <= max(_SURE * error, _LEAST_GAP * nearest):
+        sure = _SURE * error < _SURE_GAP * nearest
         return told(
             "microimages touch: the apertures match"
             if sure
@@ -255,13 +286,13 @@ def _find_vignetting(seen: Seen) -> Finding:
     falls = "" if np.isnan(corner) else f"; the light falls by {corner:.0%} towards the corners"
     if not len(gain.cut):
         # Cuts by less are not looked for.
-        return Finding(0.0, 0.3, "px", f"no microimages are cut{falls}", details=details)
+        return Finding(0.0, _NO_CUT_FAULT, "px", f"no microimages are cut{falls}", details=details)
     shift = float(np.hypot(*gain.cut[:2]))
     growth = abs(float(gain.cut[2]))
     limit = float(gain.cut[3])
     depth = radius + shift + growth - limit
-    error = float(np.hypot(seen.field.radius.error, 0.1))
-    if depth <= max(_SURE * error, 0.02 * radius):
+    error = float(np.hypot(seen.field.radius.error, _CUT_FAULT))
+    if depth <= max(_SURE * error, _LEAST_GAP * radius):
         return Finding(
             max(depth, 0.0), error, "px", f"no microimages are cut by more{falls}", details=details
         )
@@ -269,7 +300,9 @@ def _find_vignetting(seen: Seen) -> Finding:
     verdict = f"microimages are cut from {begins:.0%} of the way to the corners on{falls}"
     most = limit - growth - shift
     advice = f"stop the main lens down to {radius / most:.2g} times its f-number, and all are whole"
-    return Finding(depth, error, "px", verdict, advice if most > 0.3 * radius else "", details)
+    return Finding(
+        depth, error, "px", verdict, advice if most > _LEAST_LEFT * radius else "", details
+    )
 
 
 def find_range(flats: list[NDArray[Any]], white_level: float | None = None) -> float | None:
@@ -302,18 +335,18 @@ def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
             f"{ranges}, nothing tells which: the brightest pixel is {brightest:g}; give "
             "--white-level",
         )
-    bright = float(np.percentile(flat[:: max(1, len(flat) // 1000)], 99)) / top
+    bright = float(np.percentile(flat[evenly(len(flat), _ROWS)], 99)) / top
     clipped = float((flat >= top).mean()) if brightest >= top else 0.0
     told = partial(
         Finding, 100 * bright, 0.0, "%", details={"clipped": clipped, "white_level": top}
     )
-    if clipped > 0.02:
+    if clipped > _OVEREXPOSED:
         return told(
             f"over-exposed: {clipped:.0%} of the pixels are at {top:g}",
             "expose less, by a half or more",
         )
     if bright < 0.25:
-        longer = f"expose up to {0.8 / max(bright, 1e-4):.2g} times longer"
+        longer = f"expose up to {_WELL_EXPOSED / max(bright, 1e-6):.2g} times longer"
         return told(f"under-exposed: bright pixels have {bright:.1%} of {top:g}", longer)
     return told(f"of {top:g}: well exposed")
 
@@ -346,7 +379,7 @@ def _find_evenness(seen: Seen) -> Finding:
     value = 100 * float(np.expm1(np.abs(level.slope) @ across))
     error = 100 * level.slope_error * float(np.hypot(*across))
     if value <= _SURE * error or value < 10:
-        sure = value + _SURE * error < 15
+        sure = value + _SURE * error < _EVEN
         return Finding(
             value,
             error,
@@ -403,7 +436,7 @@ def _find_dirt(seen: Seen) -> Finding:
     large = large[inside[tuple(home.T)]]
     specks = [
         k
-        for k in large[np.argsort(-area[large])][:200]
+        for k in large[np.argsort(-area[large])][:_MOST_SPECKS]
         if _is_seen(light, label, k, stats[k], seen.camera)
     ]
     count = len(specks) + len(dead)
@@ -415,7 +448,7 @@ def _find_dirt(seen: Seen) -> Finding:
         "places",
         details={"pixels": len(defects.pixels), "dead_lenses": len(dead)},
     )
-    if share > 0.01:
+    if share > _MUCH_DIRT:
         return told(
             f"{share:.1%} of the pixels are defective: much dirt, or an uneven white surface"
         )
@@ -453,7 +486,7 @@ def _is_seen(
         if min(x.min(), y.min()) >= 0 and x.max() < light.shape[1] and y.max() < light.shape[0]:
             levels.append(float(light[y, x].mean()))
     own = float(light[tuple(place.T[::-1])].mean())
-    return bool(levels) and abs(own / max(float(np.median(levels)), 1e-9) - 1) > 0.1
+    return bool(levels) and abs(own / max(float(np.median(levels)), 1e-9) - 1) > _LEAST_SPECK
 
 
 #: What takes a white image and a calibration made from it: what finds each, its unit, whether it

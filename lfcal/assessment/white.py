@@ -13,6 +13,7 @@ from ..camera.calibration import Calibration
 from ..images.stack import check_flats
 from ..lens_blur.microimages import measure_microimages
 from ..pipeline import SURE_CONFIDENCE, calibrate
+from ..runtime.arrays import evenly
 from ..runtime.errors import FlatError
 from .alignment import measure_alignment
 from .findings import FINDINGS, Seen, find_range, find_rotation, unmeasured
@@ -109,7 +110,7 @@ def assess(
             found[name] = find(Seen(flat, camera, alignment, field, f_number, distance, pixel, top))
     told: dict[str, Any] = {name: _without_advice(one, camera) for name, one in found.items()}
     shown_range = (0, max(top or float(flat.max()), 1e-9))
-    told["histogram"] = np.histogram(flat[:: max(1, len(flat) // 1000)], 256, shown_range)[0]
+    told["histogram"] = np.histogram(flat[evenly(len(flat), 1000)], 256, shown_range)[0]
     if shown is not None:
         from .scene import assess_scene
 

@@ -21,6 +21,22 @@ from ..runtime.arrays import Array, Integers, Singles
 
 __all__ = ["Residuals", "Sample", "clipping_luminance", "collect_residuals", "draw_sample"]
 
+# Pixels that remain of each lens where rows and columns are left out.
+_PIXELS_OF_LENS = 700
+# Lenses of a sample, at least.
+_FEWEST_LENSES = 200
+# Windows of the field each way, if six lenses fall into each.
+_WINDOWS = np.array([8, 6])
+# Luminance over the largest, from which on pixels of scenes count as clipped.
+_CLIPPED = 0.995
+# [radius] Disc in the middle that tells the light of a lens, on scenes and white images.
+_CORES = (0.6, 0.5)
+# Least light of a plane over that in the middle, and light through the cutting disc behind it.
+_LEAST_PLANE = 0.2
+_BEHIND = 0.02
+# Lenses of scenes with this squared contrast beside a plane have half the weight of even ones.
+_CONTRAST = 0.06**2
+
 
 class Sample(NamedTuple):
     """Pixels (p,) of lenses (n,)."""
@@ -64,27 +80,25 @@ class Sample(NamedTuple):
 def draw_sample(
     lattice: Lattice, picture: Singles | StackedCrops, pixels: float, scene: bool
 ) -> Sample:
-    """Sample of the lenses of a flat, or of crops of it, with about so many pixels, but 200 lenses
-    at least.
+    """Sample of the lenses of a flat, or of crops of it, with about so many pixels.
 
-    `picture` is the square root of the luminance. Of large lenses rows and columns are left out, so
-    that 700 pixels of each remain, of scenes 350, as their content differs little from row to row.
-    The field has 8 x 6 windows, or fewer, so that six lenses fall into each.
+    `picture` is the square root of the luminance. Of large lenses rows and columns are left out; of
+    scenes every other row, as their content differs little from row to row.
     """
     crops = StackedCrops.of(picture)
     cell = Cell.of(lattice)
     area = abs(float(np.linalg.det(lattice.basis)))
-    stride = max(1, int(math.sqrt(area / 700)))
+    stride = max(1, int(math.sqrt(area / _PIXELS_OF_LENS)))
     margin = cell.circumradius + 1
-    wanted = max(pixels * stride**2 / area, 200)
+    wanted = max(pixels * stride**2 / area, _FEWEST_LENSES)
     if crops.size == lattice.image_size:
         places = centres = sample_lenses(lattice, margin, wanted)[1]
     else:
         _, centres, crop = crops.lenses(lattice, margin)
         chosen = sample_mask(len(centres), wanted / max(len(centres), 1))
         centres, places = centres[chosen], (centres - crops.offsets[crop])[chosen]
-    shrink = min(1.0, math.sqrt(len(centres) / (6 * 8 * 6)))
-    shape = np.maximum(1, np.array([8, 6]) * shrink).astype(int)
+    shrink = min(1.0, math.sqrt(len(centres) / (6 * _WINDOWS.prod())))
+    shape = np.maximum(1, _WINDOWS * shrink).astype(int)
     column, row = np.minimum((centres + 0.5) / lattice.image_size * shape, shape - 1).astype(int).T
     window = np.unique(row * shape[0] + column, return_inverse=True)[1].ravel()
     # Other pixels are left out in each lens.
@@ -130,7 +144,7 @@ class Residuals(NamedTuple):
 
 def clipping_luminance(value: Array, scene: bool) -> float:
     """Luminance from which on pixels count as clipped; a white image can be as even as if it were."""
-    return 0.995 * float(value.max()) if scene else math.inf
+    return _CLIPPED * float(value.max()) if scene else math.inf
 
 
 def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array) -> Residuals:
@@ -139,14 +153,13 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
     Pixels whose residual is above the `largest` (k,) at their distance are left out.
     """
     light, stretched, through = sample.evaluate(gain)
-    level, slope, share = _fit_lens_lights(
-        sample, light, (0.6 if scene else 0.5) * gain.radius, scene
-    )
+    core = _CORES[0] if scene else _CORES[1]
+    level, slope, share = _fit_lens_lights(sample, light, core * gain.radius, scene)
     lens = sample.lens
-    plane = np.maximum(1 + slope[0, lens] * sample.x + slope[1, lens] * sample.y, 0.2)
+    plane = np.maximum(1 + slope[0, lens] * sample.x + slope[1, lens] * sample.y, _LEAST_PLANE)
     error = sample.value / level[lens] - light * plane
     weight = share[lens]
-    behind = (through < 0.02) & (weight > 0)
+    behind = (through < _BEHIND) & (weight > 0)
     stray = float(np.average(error[behind], weights=weight[behind])) if behind.any() else math.nan
     place = stretched / gain.step
     ring = np.minimum(place.astype(np.int64), len(gain.profile) - 2)
@@ -187,5 +200,5 @@ def _fit_lens_lights(
     )
     left = np.maximum(left, 0) / np.maximum(count, 1) / level**2
     # Lenses with little contrast beside a plane, relative to its light, show the rim best.
-    contrast = 0.06**2
-    return level, np.where(good, slope, 0), np.where(good, contrast / (contrast + left), 0)
+    share = np.where(good, _CONTRAST / (_CONTRAST + left), 0)
+    return level, np.where(good, slope, 0), share

@@ -19,7 +19,7 @@ import numpy as np
 from ..gain.gain_map import field_place
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.robust_fit import TUKEY_CUTOFF, biweight, robust_sigma
+from ..lattice.robust_fit import SIGNIFICANT, TUKEY_CUTOFF, biweight, robust_sigma
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.arrays import Floats, Integers
 from .disc_light import (
@@ -42,6 +42,20 @@ from .vignetting import CatEye
 __all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
 
 _STEPS = np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (0, 0)])
+# Step of numerical derivatives, in the units of the parameters.
+_STEP = 1e-3
+# Error of the blur that both edges share, which no model tells better.
+_MODEL_FAULT = 0.02
+# Pixels of the first two fits, and of the last one.
+_FIRST_PIXELS = (10_000, 20_000)
+_LAST_PIXELS = 150_000
+# [px] A distortion that is less in the corners moves centres by less than 0.01 px.
+_LEAST_BEND = 0.15
+# [standard errors] by which radii or shadings differ for sure.
+_SURE = 2.5
+# Errors of the model of the edges: of the radii over the blur, of the shadings over its square.
+_RADIUS_FAULT = 0.05
+_SHADING_FAULT = 0.3
 
 
 @dataclass(frozen=True)
@@ -150,7 +164,7 @@ class TwoDiscs:
         two per cent.
         """
         fault = (
-            0.02
+            _MODEL_FAULT
             * self.covariance[:, CORRELATION]
             / max(float(self.covariance[CORRELATION, CORRELATION]), 1e-12)
         )
@@ -188,14 +202,14 @@ class TwoDiscs:
         """
         names = self._names()
         moved = []
-        for step in 1e-3 * np.eye(COUNT):
+        for step in _STEP * np.eye(COUNT):
             other, here = (
                 _lattice_of(self.lattice, p) for p in (self.parameters + step, self.parameters)
             )
             change = [*(other.origin - here.origin), *(other.basis - here.basis).ravel()]
             if other.distortion and here.distortion and "k1" in names:
                 change.append(other.distortion.k1 - here.distortion.k1)
-            moved.append(np.array(change) / 1e-3)
+            moved.append(np.array(change) / _STEP)
         return np.array(moved).T
 
 
@@ -233,7 +247,7 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
     low, high = _bounds(lenses.radius)
     slope = lenses.slope.copy()
     try:
-        for number, held in ((10_000, [TAIL, CORRELATION]), (20_000, [])):
+        for number, held in zip(_FIRST_PIXELS, ([TAIL, CORRELATION], []), strict=True):
             spread = everything.copy()
             spread[held] = 0
             pixels = _choose_pixels(lenses, slope, lattice, number)
@@ -242,10 +256,11 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
             # with them.
             gains = lenses.gain[pixels.rows] * np.maximum(gain, 1e-3)
             slope[pixels.rows] = fit_gain_slope(lenses.centres[pixels.rows], gains, lattice)
-        if lattice.distortion is None and abs(p[BEND]) < max(0.15, 6 * errors[BEND]):
-            # It would move centres by less than 0.01 px, or by chance.
+        if lattice.distortion is None and abs(p[BEND]) < max(
+            _LEAST_BEND, SIGNIFICANT * errors[BEND]
+        ):
             p[BEND] = spread[BEND] = 0
-        pixels = _choose_pixels(lenses, slope, lattice, 150_000, p)
+        pixels = _choose_pixels(lenses, slope, lattice, _LAST_PIXELS, p)
         spread[(p <= low + 1e-6) | (p >= high - 1e-6)] = 0
         p, covariance, offsets, halves = _finish(pixels, p, expected, spread, low, high)
     except (np.linalg.LinAlgError, ValueError):
@@ -432,18 +447,17 @@ def choose_lens(discs: TwoDiscs) -> TwoDiscs:
     """The discs with that one first which is the lens, and the doubt about it.
 
     The lens is whole in the middle of the field, where the other disc must not show: it is the
-    smaller one. Shading is centred on the lens. Radii are compared if they differ beyond 2.5
+    smaller one. Shading is centred on the lens. Radii are compared if they differ beyond `_SURE`
     standard errors, else shadings; what is left of an error of the model of the edges grows with
     their blur.
     """
     blur = float(discs.blur.mean())
-    sure = 2.5
-    smaller = discs.difference(RADIUS, 0.05 * blur)
-    shaded = -discs.difference(SHADING, 0.3 * (blur / discs.scale) ** 2)
-    sign = smaller if abs(smaller) > sure else smaller + shaded
+    smaller = discs.difference(RADIUS, _RADIUS_FAULT * blur)
+    shaded = -discs.difference(SHADING, _SHADING_FAULT * (blur / discs.scale) ** 2)
+    sign = smaller if abs(smaller) > _SURE else smaller + shaded
     chosen = discs if sign >= 0 else discs.interchanged()
-    clash = abs(smaller) > sure and abs(shaded) > sure and smaller * shaded < 0
-    if abs(sign) > sure and not clash:
+    clash = min(abs(smaller), abs(shaded)) > _SURE and smaller * shaded < 0
+    if abs(sign) > _SURE and not clash:
         return chosen
     return replace(chosen, doubt=_state_doubt(chosen, clash))
 
@@ -456,8 +470,9 @@ def _state_doubt(discs: TwoDiscs, clash: bool) -> str:
         else "they are alike"
     )
     return (
-        f"microimages are the overlap of two discs of {discs.radius[0]:.2f} and {discs.radius[1]:.2f} px radius, and "
-        f"{why}: the first is taken for the lens; if the other is, centres lie up to {apart:.2f} px off in the corners "
-        "(a scale of the lattice, and a constant in the disparity); close the aperture of the main lens "
-        "for a white image without vignetting"
+        f"microimages are the overlap of two discs of {discs.radius[0]:.2f} and "
+        f"{discs.radius[1]:.2f} px radius, and {why}: the first is taken for the lens; if the "
+        f"other is, centres lie up to {apart:.2f} px off in the corners (a scale of the lattice, "
+        "and a constant in the disparity); close the aperture of the main lens for a white image "
+        "without vignetting"
     )
