@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
-from ..display.fit_check import check_camera, check_fit
+from ..display.camera_check import check_camera
+from ..display.fit_check import check_fit
 from ..images.preprocessing import sqrt_luminance
 from ..lens_types.classify import find_lens_types
 from ..lens_types.coarse_disparity import STEP

@@ -252,8 +252,9 @@ def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
 
 def _fit_shading(residuals: Residuals, gain: GainMap, rims: Booleans) -> Array:
     """New polynomials of the shading: least squares on the normal equations of all windows."""
-    light, through = _SHADED
-    inside = np.flatnonzero(~rims & (residuals.light > light) & (residuals.through > through))
+    inside = np.flatnonzero(
+        ~rims & (residuals.light > _SHADED[0]) & (residuals.through > _SHADED[1])
+    )
     sample, light, error, weight = (
         residuals.sample.select(inside),
         *(v[inside] for v in (residuals.light, residuals.error, residuals.weight)),

@@ -52,6 +52,10 @@ _WHOLE = 0.3
 _MODEL_ERROR = 0.003
 # Brightest pixel of an unlit lens of a scene over the mean of its darkest neighbour.
 _UNLIT = 0.05
+# [standard errors] Differences from the polynomial that are not shrunk, if they are larger than
+# those that harm no picture; the latter is also the least light of a lit lens.
+_OUTLIER = 5
+_FAINTEST = 0.01
 
 
 @dataclass(frozen=True)
@@ -258,10 +262,9 @@ def _shrink_lens_gain(
     kept = np.zeros_like(miss)
     if true > max(_MODEL_ERROR, 0.5 * noise) ** 2:
         kept = np.float32(true) / variance
-    kept[miss * miss > np.maximum(25 * variance, np.float32(1e-4))] = 1
-    return np.where(lit, np.maximum(1 + kept * miss, np.float32(0.01)), np.float32(0)).astype(
-        np.float32
-    )
+    kept[miss * miss > np.maximum(_OUTLIER**2 * variance, np.float32(_FAINTEST**2))] = 1
+    light = np.where(lit, np.maximum(1 + kept * miss, np.float32(_FAINTEST)), 0)
+    return light.astype(np.float32)
 
 
 def find_unlit_in_scene(picture: Singles, lattice: Lattice, gain: GainMap) -> Integers:

@@ -247,7 +247,7 @@ def _other_patterns(lattice: Lattice) -> Floats:
     """(v, 2) wave vectors [periods per lens], as fine as those of mosaics but far from them and
     from beats.
     """
-    drawn = (np.arange(1, 8 * _OTHERS)[:, None] * _SPREAD) % 1
+    drawn: Floats = np.outer(np.arange(1, 8 * _OTHERS), _SPREAD) % 1
     far = _apart(drawn[:, None] - np.vstack([_VECTORS, -_VECTORS])).max(-1).min(1) > _AWAY
     fine = _gain(drawn, lattice) > 1
     return drawn[far & fine & ~_beats(drawn, lattice)][:_OTHERS]

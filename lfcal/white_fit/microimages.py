@@ -42,6 +42,8 @@ _STIFFNESS = 0.3
 _INNER = 0.6
 # Side of the square in the middle, over the diameter of a microimage, that tells its light.
 _CORE = 0.4
+# Share of the median weight that a ring needs to have a harmonic.
+_FEW = 0.01
 # Lenses that are darker than this share of the bright ones are not lit.
 _DARK = 0.03
 # Pixels that a mean over all lenses is taken from, and fewer for a slope.
@@ -178,7 +180,7 @@ class Microimages:
         return replace(
             self,
             profile=profile,
-            harmonic=self.harmonic + turned / (own + 0.01 * np.median(weight) + 1e-30),
+            harmonic=self.harmonic + turned / (own + _FEW * np.median(weight) + 1e-30),
             ring_weight=1 / np.maximum(variance, floor),
         )
 
@@ -249,9 +251,11 @@ def cut_out(
             f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the "
             f"flat, at least {FEWEST_LENSES} are needed; give the whole sensor"
         )
-    indices, centres, gain, light, corners = (
-        v[bright] for v in (indices, centres, gain, light, corners + offset)
-    )
+    indices = indices[bright]
+    centres = centres[bright]
+    gain = gain[bright]
+    light = light[bright]
+    corners = (corners + offset)[bright]
     slope = fit_gain_slope(centres, gain, lattice)
     rings = int(cell.circumradius / _RING_STEP) + 3
     saturation = clipping_level(light) if known is None else known.saturation

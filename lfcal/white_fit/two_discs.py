@@ -42,6 +42,27 @@ from .vignetting import CatEye
 __all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
 
 _STEPS = np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (0, 0)])
+# Where the fit starts: growth and radii of both discs over the radius of whole microimages.
+_START_GROWTH = np.array([-0.15, 0.15])
+_START_RADIUS = np.array([1.02, 1.08])
+_START_SHADING = 0.02
+_START_CORRELATION = 0.3
+# Radii over that radius: standard deviation, and least one.
+_RADIUS_RANGE = 0.3
+# Standard deviations of the other parameters from the start.
+_DEVIATIONS = ((LOG_BLUR, 0.5), (SHADING, 0.3), (GAP, 0.1), (TAIL, 0.03), (CORRELATION, 0.5))
+# [px] Pixels of finite size blur every edge by this at least.
+_LEAST_BLUR = 0.2
+# Bounds. Uniform discs and squares have a tail of 0.05, normal blur 0, longer tails less.
+_TAILS = (-0.03, 0.06)
+_CORRELATIONS = (0, 0.98)
+# Logarithms of the blurs of both edges are alike to this; beyond the other one, more counts no further.
+_ALIKE = 0.01
+_DIFFERENT = 0.1
+# Share of the pixels away from the edges that is used.
+_BESIDE_EDGES = 0.1
+# Squared length of the last step [standard errors].
+_CONVERGED = 0.1
 # Step of numerical derivatives, in the units of the parameters.
 _STEP = 1e-3
 # Error of the blur that both edges share, which no model tells better.
@@ -277,27 +298,31 @@ def _start(lenses: Microimages) -> tuple[Floats, Floats]:
     radius = lenses.radius
     p = np.zeros(COUNT)
     spread = np.full(COUNT, np.inf)
-    p[GROWTH] = 0.15 * radius * np.array([-1, 1])
-    p[RADIUS] = radius * np.array([1.02, 1.08])
+    p[GROWTH] = _START_GROWTH * radius
+    p[RADIUS] = _START_RADIUS * radius
     slope = np.abs(lenses.rings.table[:, 1]).max()
-    p[LOG_BLUR] = math.log(max(lenses.core / max(slope * math.sqrt(2 * math.pi), 1e-9), 0.4))
-    p[SHADING] = 0.02
+    p[LOG_BLUR] = math.log(
+        max(lenses.core / max(slope * math.sqrt(2 * math.pi), 1e-9), 2 * _LEAST_BLUR)
+    )
+    p[SHADING] = _START_SHADING
     p[GAP] = min(max(float(lenses.profile.min() / max(lenses.profile[0], 1e-9)), 0.0), 0.5)
-    p[CORRELATION] = 0.3
-    spread[RADIUS], spread[LOG_BLUR], spread[SHADING], spread[GAP] = 0.3 * radius, 0.5, 0.3, 0.1
-    spread[TAIL], spread[CORRELATION] = 0.03, 0.5
+    p[CORRELATION] = _START_CORRELATION
+    spread[RADIUS] = _RADIUS_RANGE * radius
+    for place, deviation in _DEVIATIONS:
+        spread[place] = deviation
     return p, spread
 
 
 def _bounds(scale: float) -> tuple[Floats, Floats]:
-    """Least and largest parameters; pixels of finite size blur every edge by 0.2 px at least."""
+    """Least and largest parameters."""
     low = np.full(COUNT, -np.inf)
     high = np.full(COUNT, np.inf)
-    low[RADIUS], high[RADIUS] = 0.3 * scale, 2 * scale
-    low[LOG_BLUR], high[LOG_BLUR] = math.log(0.2), math.log(0.5 * scale)
-    # Uniform discs and squares have a tail of 0.05, normal blur 0, longer tails less.
-    low[TAIL], high[TAIL] = -0.03, 0.06
-    low[CORRELATION], high[CORRELATION] = 0, 0.98
+    low[RADIUS] = _RADIUS_RANGE * scale
+    high[RADIUS] = 2 * scale
+    low[LOG_BLUR] = math.log(_LEAST_BLUR)
+    high[LOG_BLUR] = math.log(0.5 * scale)
+    low[TAIL], high[TAIL] = _TAILS
+    low[CORRELATION], high[CORRELATION] = _CORRELATIONS
     return low, high
 
 
@@ -329,7 +354,9 @@ def _choose_pixels(
             )
             for k in (0, 1)
         ]
-        chance[np.min(np.abs(depth), axis=0) > 3 * math.exp(float(known[LOG_BLUR].max()))] = 0.1
+        chance[np.min(np.abs(depth), axis=0) > 3 * math.exp(float(known[LOG_BLUR].max()))] = (
+            _BESIDE_EDGES
+        )
     taken = rng.random(len(light)) < chance * (number / chance.sum())
     lens = lens[taken]
     place = place[taken]
@@ -346,14 +373,15 @@ def _choose_pixels(
 
 def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]:
     """Residuals of what is known before, and their negative derivatives: `spread`, and blurs of
-    both edges that are alike to a hundredth, or else differ (a tenth and more counts no further).
+    both edges that are alike (`_ALIKE`), or else differ.
     """
     differ = float(p[LOG_BLUR][1] - p[LOG_BLUR][0])
-    root = math.sqrt(1 + (differ / 0.1) ** 2)
+    root = math.sqrt(1 + (differ / _DIFFERENT) ** 2)
     alike = np.zeros(COUNT)
-    alike[LOG_BLUR] = np.array([-1, 1]) / (0.01 * root**3)
+    alike[LOG_BLUR] = np.array([-1, 1]) / (_ALIKE * root**3)
     stiff = np.diag(1 / np.where(spread > 0, spread, np.inf))
-    return np.append(stiff @ (expected - p), -differ / (0.01 * root)), np.vstack([stiff, alike])
+    miss = np.append(stiff @ (expected - p), -differ / (_ALIKE * root))
+    return miss, np.vstack([stiff, alike])
 
 
 def _minimise(
@@ -425,7 +453,7 @@ def _finish(
         normal = (rows.T @ table)[np.ix_(free, free)] + prior
         step = np.linalg.solve(normal, (rows.T @ residual)[free] + pull)
         p[free] = np.clip(p[free] + step, low[free], high[free])
-        if step @ normal @ step < 0.1:
+        if step @ normal @ step < _CONVERGED:
             break
     covariance = np.zeros((COUNT, COUNT))
     halves = np.zeros(COUNT)
