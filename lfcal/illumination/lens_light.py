@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
-from ..gain.gain_map import GainMap, count_terms, field_monomials
+from ..gain.gain_map import GainMap
 from ..gain.kernel import relative_light
+from ..gain.light_polynomial import fit_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
-from ..lattice.robust_fit import TUKEY_CUTOFF, biweight, robust_sigma
+from ..lattice.robust_fit import robust_sigma
 from ..runtime.arrays import Booleans, Floats, Integers, Singles, evenly
 from ..runtime.kernels import kernel
-from ..white_fit.microimages import LENSES_OF_POLYNOMIAL
 
 __all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]
 
@@ -203,7 +203,8 @@ def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: Gai
     if not lit[few].any():
         return LensLights(gain, 1.0, np.zeros(0, np.int64))
     whole = found.number > _WHOLE * np.median(found.number[few][seen[few]])
-    level = _fit_level(light, lit & whole, centres, lattice)
+    used = np.flatnonzero(lit & whole)
+    level = fit_light(light[used], centres[used], lattice)
     smooth = replace(gain, level=level).light(centres, lattice).astype(np.float32)
     # Far from all light a polynomial can be close to 0; squares of the ratio stay finite.
     np.maximum(smooth, np.float32(1e-9) * np.max(light), out=smooth)
@@ -222,28 +223,6 @@ def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: Gai
     return LensLights(
         replace(gain, level=level, lens_gain=own), brightest, np.flatnonzero(seen & ~lit)
     )
-
-
-def _fit_level(lights: Singles, use: Booleans, centres: Floats, lattice: Lattice) -> Floats:
-    """Robust polynomial through the logarithms of the lights of lenses, of the fourth degree if
-    there are enough.
-    """
-    rows = np.flatnonzero(use)
-    rows = rows[evenly(len(rows), LENSES_OF_POLYNOMIAL)]
-    log = np.log(np.maximum(lights[rows], 1e-12))
-    degree = next((d for d in (4, 2) if len(rows) >= 12 * count_terms(d)), 0)
-    table = field_monomials(centres[rows], lattice, count_terms(degree))
-    weight = np.ones(len(rows))
-    level: Floats = np.zeros(table.shape[1])
-    for _ in range(5):
-        weighted = weight[:, None] * table
-        level[:] = np.linalg.solve(
-            weighted.T @ table + 1e-9 * max(len(rows), 1) * np.eye(len(level)), weighted.T @ log
-        )
-        miss = np.abs(log - table @ level)
-        spread = robust_sigma(miss) + 1e-9 if len(rows) else 1.0
-        weight = biweight((miss / (TUKEY_CUTOFF * spread)) ** 2)
-    return level
 
 
 def _shrink_lens_gain(

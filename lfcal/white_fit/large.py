@@ -56,9 +56,14 @@ def window_reader(flat: Array, filtered: bool) -> ReadCrop:
     return read
 
 
-def sample_parts(read: ReadCrop, lattice: Lattice) -> tuple[StackedCrops, ReadCrop]:
-    """Parts of a flat, enough to calibrate on, and a reader of all of it; their mean is 1."""
-    parts = _sample_grid(read, lattice.image_size, _FIRST_SIDE, _PIXELS)
+def sample_parts(
+    read: ReadCrop, lattice: Lattice, side: int = _FIRST_SIDE, pixels: float = _PIXELS
+) -> tuple[StackedCrops, ReadCrop]:
+    """Parts of a flat, enough to calibrate on, and a reader of all of it; their mean is 1.
+
+    Parts are of this `side` [px] and have about so many `pixels` in all.
+    """
+    parts = _sample_grid(read, lattice.image_size, side, pixels)
     scale = np.float32(1 / max(float(parts.picture.mean(dtype=np.float64)), 1e-30))
     np.multiply(parts.picture, scale, out=parts.picture)
     return parts, lambda x, y, width, height: read(x, y, width, height) * scale

@@ -12,22 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ..gain.light_polynomial import fit_light_slope
 from ..images.stack import clipping_level
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, find_lit_lenses, sample_mask
 from ..lattice.robust_fit import SIGNIFICANT
-from ..runtime.arrays import Floats, Integers, Singles, evenly
+from ..runtime.arrays import Floats, Integers, Singles
 from ..runtime.errors import CalibrationError
 from .kernel import Rings, Sums, Windows, add_lenses
 
-__all__ = [
-    "FEWEST_LENSES",
-    "LENSES_OF_POLYNOMIAL",
-    "Microimages",
-    "cut_out",
-    "fit_gain_slope",
-]
+__all__ = ["FEWEST_LENSES", "Microimages", "cut_out"]
 
 FEWEST_LENSES = 12
 # [px] between rings of the profile: edges of discs are about 1 px wide.
@@ -49,8 +44,6 @@ _DARK = 0.03
 # Pixels that a mean over all lenses is taken from, and fewer for a slope.
 _PIXELS = 1e6
 _SLOPE_PIXELS = 2e5
-# Lenses that tell a polynomial of low degree over the field.
-LENSES_OF_POLYNOMIAL = 4000
 
 
 @dataclass(frozen=True)
@@ -156,7 +149,7 @@ class Microimages:
         explained = (sums.normal[:, :2, 2] * moved).sum(1)
         gain = (sums.right[:, 2] - explained) / np.maximum(sums.normal[:, 2, 2], 1e-30)
         lenses = replace(self, gain=self.gain * (1 + np.clip(gain, -0.5, 1))).learn_profile(sums)
-        lenses = replace(lenses, slope=fit_gain_slope(lenses.centres, lenses.gain, lattice))
+        lenses = replace(lenses, slope=fit_light_slope(lenses.gain, lenses.centres, lattice))
         return replace(lenses, shade=lenses.measure_shade(lattice))
 
     def learn_profile(self, sums: Sums) -> Microimages:
@@ -256,7 +249,7 @@ def cut_out(
     gain = gain[bright]
     light = light[bright]
     corners = (corners + offset)[bright]
-    slope = fit_gain_slope(centres, gain, lattice)
+    slope = fit_light_slope(gain, centres, lattice)
     rings = int(cell.circumradius / _RING_STEP) + 3
     saturation = clipping_level(light) if known is None else known.saturation
     lenses = Microimages(
@@ -304,38 +297,6 @@ def _mean_profile(lenses: Microimages) -> Floats:
     total, number = (np.bincount(ring, of, len(lenses.profile)) for of in (light, None))
     seen = np.flatnonzero(number)
     return np.interp(np.arange(len(number)), seen, total[seen] / number[seen])
-
-
-# Degree of the polynomial of the gain over the field.
-_DEGREE = 4
-
-
-def fit_gain_slope(centres: Floats, gain: Floats, lattice: Lattice) -> Floats:
-    """(n, 2) relative slope of the gain over the field [1/px], from a polynomial through the gains
-    (n,) of lenses.
-    """
-    scale = np.array(lattice.image_size) / 2
-    x, y = ((centres - scale) / scale).T
-    powers = [(a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a)]
-    xs, ys = (np.vander(v, _DEGREE + 1, increasing=True).T for v in (x, y))
-    few = evenly(len(gain), LENSES_OF_POLYNOMIAL)
-    log = np.log(np.maximum(gain[few], 1e-12))
-    table = np.column_stack([xs[a][few] * ys[b][few] for a, b in powers])
-    keep = np.ones(len(log), dtype=bool)
-    factors = np.zeros(len(powers))
-    for _ in range(3):
-        if keep.sum() < 3 * len(powers):
-            return np.zeros_like(centres)
-        factors = np.linalg.lstsq(table[keep], log[keep], rcond=None)[0]
-        miss = np.abs(log - table @ factors)
-        keep = miss < 5 * np.median(miss) + 1e-6
-    slope = np.zeros((2, len(gain)))
-    for (a, b), factor in zip(powers, factors.tolist(), strict=True):
-        if a:
-            slope[0] += a * factor * xs[a - 1] * ys[b]
-        if b:
-            slope[1] += b * factor * xs[a] * ys[b - 1]
-    return np.ascontiguousarray(slope.T / scale)
 
 
 def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice) -> Floats:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..gain.gain_map import field_place
+from ..gain.light_polynomial import fit_light_slope
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import SIGNIFICANT, TUKEY_CUTOFF, biweight, robust_sigma
@@ -36,7 +37,7 @@ from .disc_light import (
     TAIL,
     evaluate,
 )
-from .microimages import Microimages, fit_gain_slope
+from .microimages import Microimages
 from .vignetting import CatEye
 
 __all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
@@ -63,6 +64,8 @@ _DIFFERENT = 0.1
 _BESIDE_EDGES = 0.1
 # Squared length of the last step [standard errors].
 _CONVERGED = 0.1
+# Least gain of a lens over that without a cut.
+_LEAST_GAIN = 1e-3
 # Step of numerical derivatives, in the units of the parameters.
 _STEP = 1e-3
 # Error of the blur that both edges share, which no model tells better.
@@ -208,9 +211,8 @@ class TwoDiscs:
         for _ in range(2):
             pixels = _choose_pixels(lenses, slope, self.lattice, lenses.light.size)
             residual, _, gain = pixels.compare(self.parameters, np.ones(len(pixels.light)))
-            slope = fit_gain_slope(
-                lenses.centres, lenses.gain * np.maximum(gain, 1e-3), self.lattice
-            )
+            gains = lenses.gain * np.maximum(gain, _LEAST_GAIN)
+            slope = fit_light_slope(gains, lenses.centres, self.lattice)
         return residual * max(float(lenses.profile[0]), 1e-9)
 
     def _names(self) -> tuple[str, ...]:
@@ -275,8 +277,8 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
             p, gain, errors = _minimise(pixels, p, expected, spread, low, high)
             # The gains of cut microimages had been fitted without a cut, and the slope of the light
             # with them.
-            gains = lenses.gain[pixels.rows] * np.maximum(gain, 1e-3)
-            slope[pixels.rows] = fit_gain_slope(lenses.centres[pixels.rows], gains, lattice)
+            gains = lenses.gain[pixels.rows] * np.maximum(gain, _LEAST_GAIN)
+            slope[pixels.rows] = fit_light_slope(gains, lenses.centres[pixels.rows], lattice)
         if lattice.distortion is None and abs(p[BEND]) < max(
             _LEAST_BEND, SIGNIFICANT * errors[BEND]
         ):
