@@ -22,7 +22,7 @@ from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..runtime.arrays import Floats, Singles
-from .residuals import Sample, clipping_luminance, draw_sample
+from .residuals import CORES, Sample, clipping_luminance, draw_sample
 
 __all__ = ["FEW_PIXELS", "fit_scene_profile", "fit_type_profiles", "order_by_rims"]
 
@@ -32,8 +32,6 @@ FEW_PIXELS = 1e-3
 _PIXELS = 1e6
 # Level of a window over the mean, below which it is dark.
 _DARK = 0.02
-# [usable radius] Disc in the middle that tells the light of a lens, on scenes and white images.
-_CORES = (0.6, 0.5)
 # [px] Width over which profiles of types are smoothed.
 _SMOOTH = 1.25
 # Relative difference of the light of types that matters.
@@ -94,7 +92,7 @@ def fit_scene_profile(picture: Singles | StackedCrops, lattice: Lattice, gain: G
     """
     sample = draw_sample(lattice, picture, _PIXELS, True)
     types = np.zeros(len(sample.centres), np.int8)
-    light, weight, _ = _sum_windows(sample, gain, True, types, _CORES[0] * gain.radius)
+    light, weight, _ = _sum_windows(sample, gain, True, types, CORES[0] * gain.radius)
     if not len(light):
         return gain.profile
     rings = np.arange(len(gain.profile))

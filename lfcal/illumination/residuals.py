@@ -14,12 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..gain.gain_map import GainMap
+from ..images.stack import CLIPPED_LIGHT
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
 from ..runtime.arrays import Array, Integers, Singles
 
-__all__ = ["Residuals", "Sample", "clipping_luminance", "collect_residuals", "draw_sample"]
+__all__ = ["CORES", "Residuals", "Sample", "clipping_luminance", "collect_residuals", "draw_sample"]
 
 # Pixels that remain of each lens where rows and columns are left out.
 _PIXELS_OF_LENS = 700
@@ -27,10 +28,8 @@ _PIXELS_OF_LENS = 700
 _FEWEST_LENSES = 200
 # Windows of the field each way, if six lenses fall into each.
 _WINDOWS = np.array([8, 6])
-# Luminance over the largest, from which on pixels of scenes count as clipped.
-_CLIPPED = 0.995
-# [radius] Disc in the middle that tells the light of a lens, on scenes and white images.
-_CORES = (0.6, 0.5)
+#: [radius] Disc in the middle that tells the light of a lens, on scenes and white images.
+CORES = (0.6, 0.5)
 # Least light of a plane over that in the middle, and light through the cutting disc behind it.
 _LEAST_PLANE = 0.2
 _BEHIND = 0.02
@@ -144,7 +143,7 @@ class Residuals(NamedTuple):
 
 def clipping_luminance(value: Array, scene: bool) -> float:
     """Luminance from which on pixels count as clipped; a white image can be as even as if it were."""
-    return _CLIPPED * float(value.max()) if scene else math.inf
+    return CLIPPED_LIGHT * float(value.max()) if scene else math.inf
 
 
 def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array) -> Residuals:
@@ -153,7 +152,7 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
     Pixels whose residual is above the `largest` (k,) at their distance are left out.
     """
     light, stretched, through = sample.evaluate(gain)
-    core = _CORES[0] if scene else _CORES[1]
+    core = CORES[0] if scene else CORES[1]
     level, slope, share = _fit_lens_lights(sample, light, core * gain.radius, scene)
     lens = sample.lens
     plane = np.maximum(1 + slope[0, lens] * sample.x + slope[1, lens] * sample.y, _LEAST_PLANE)
