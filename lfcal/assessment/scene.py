@@ -13,7 +13,8 @@ from ..display.fit_check import check_fit
 from ..images.preprocessing import sqrt_luminance
 from ..lens_types.classify import find_lens_types
 from ..lens_types.coarse_disparity import STEP
-from .findings import find_exposure, unmeasured
+from .findings import unmeasured
+from .light_findings import find_exposure
 from .result import Finding
 
 __all__ = ["assess_scene"]

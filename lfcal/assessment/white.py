@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,10 +17,30 @@ from ..pipeline import SURE_CONFIDENCE, calibrate
 from ..runtime.arrays import evenly
 from ..runtime.errors import FlatError
 from .alignment import measure_alignment
-from .findings import FINDINGS, Seen, find_range, find_rotation, unmeasured
+from .findings import (
+    Seen,
+    find_apertures,
+    find_distance,
+    find_rotation,
+    find_tilt,
+    unmeasured,
+)
+from .light_findings import find_dirt, find_evenness, find_exposure, find_range, find_vignetting
 from .result import Assessment, Finding
 
 __all__ = ["assess"]
+
+# What takes a white image and a calibration made from it: what finds each, its unit, whether it
+# takes rims.
+_FINDINGS: dict[str, tuple[Callable[[Seen], Finding], str, bool]] = {
+    "tilt": (find_tilt, "degrees", True),
+    "distance": (find_distance, "px", True),
+    "apertures": (find_apertures, "px", True),
+    "vignetting": (find_vignetting, "px", True),
+    "exposure": (lambda seen: find_exposure(seen.flat, seen.top), "%", False),
+    "evenness": (find_evenness, "%", True),
+    "dirt": (find_dirt, "places", False),
+}
 
 
 def assess(
@@ -98,7 +119,7 @@ def assess(
     found = {"rotation": find_rotation(alignment, camera)}
     if camera.source == "white":
         field = measure_microimages(flat, camera)
-    for name, (find, unit, takes_rims) in FINDINGS.items():
+    for name, (find, unit, takes_rims) in _FINDINGS.items():
         if camera.source != "white":
             found[name] = unmeasured(
                 unit, "this takes a white image, and a calibration made from it"

@@ -125,15 +125,13 @@ def add_distortion(lattice: Lattice, general: bool = False) -> Lattice:
     return replace(lattice, distortion=bend)
 
 
-def converge(
-    lattice: Lattice, lenses: Microimages, orders: tuple[str, ...], passes: int = 10
-) -> Fit:
+def converge(lattice: Lattice, lenses: Microimages, orders: tuple[str, ...]) -> Fit:
     """Gauss-Newton passes until a step is shorter than `_CONVERGED`.
 
     Raises `CalibrationError` if the microimages show no edges, or keep to no lattice.
     """
     start = lattice.basis
-    for _ in range(passes):
+    for _ in range(10):
         sums = lenses.sums()
         step = _solve_step(lattice, lenses, sums, orders)
         lattice = _moved(lattice, step)
@@ -271,13 +269,13 @@ class WhiteFit:
     residuals: Residuals  # [px] of the single microimages that took part
 
 
-def fit_white(tones: Singles | StackedCrops, lattice: Lattice, pixels: float = _PIXELS) -> WhiteFit:
+def fit_white(tones: Singles | StackedCrops, lattice: Lattice) -> WhiteFit:
     """Fit a white image; CalibrationError if it has fewer than a dozen whole microimages, or they
     keep to no lattice.
 
     `tones` (h, w), or parts of such, is as made by `images.preprocessing.sqrt_luminance`; `lattice`
     the start, right to a fraction of the pitch over the whole flat, whose orders of distortion are
-    kept. Used are at most as many lenses, evenly spread, as have so many `pixels` in all.
+    kept. Used are at most as many lenses, evenly spread, as have `_PIXELS` in all.
     """
     tones = StackedCrops.of(tones)
     known = distortion_orders(lattice)
@@ -286,8 +284,8 @@ def fit_white(tones: Singles | StackedCrops, lattice: Lattice, pixels: float = _
     discs = _find_cut(tones, plain, fit)
     if discs is not None:
         return _summarise_discs(discs, plain.lenses)
-    if pixels > fit.lenses.pixels:
-        lenses = cut_out(tones, fit.lattice, pixels, 0, fit.lenses)
+    if fit.lenses.pixels < _PIXELS:
+        lenses = cut_out(tones, fit.lattice, _PIXELS, 0, fit.lenses)
         fit = _select_orders(converge(fit.lattice, lenses, fit.orders))
     residuals = Residuals(
         fit.lenses.indices.astype(np.int32), locate_lenses(fit).astype(np.float32)
