@@ -69,13 +69,18 @@ def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> 
     if "type" in table and len(np.unique(table["type"])) > 1:
         types = _find_types(index[known].astype(np.int64), table["type"][known])
         warnings = [
-            "the lens types of the table do not repeat on the lattice and are left out; calibrate on a flat"
+            "the lens types of the table do not repeat on the lattice and are left out; "
+            "calibrate on a flat"
             if types is None
-            else "a table does not say which lens type is focused at which depth; calibrate on a flat"
+            else (
+                "a table does not say which lens type is focused at which depth; calibrate on a "
+                "flat"
+            )
         ]
     if rms > _DOUBTFUL_RMS:
         warnings.append(
-            f"the centres lie {rms:.2f} px (RMS) off the lattice read from them; calibrate on a flat"
+            f"the centres lie {rms:.2f} px (RMS) off the lattice read from them; calibrate "
+            "on a flat"
         )
     return Calibration(
         lattice.with_radius(radius),
@@ -167,7 +172,8 @@ def _find_indices(centres: Array) -> Array:
     order, before = breadth_first_order(graph, middle, directed=False)
     if len(order) < max(4, _LEAST_LINKED * len(centres)):
         raise ValueError(
-            f"{len(centres) - len(order)} of {len(centres)} centres lie on no lattice with the others"
+            f"{len(centres) - len(order)} of {len(centres)} centres lie on no lattice with "
+            "the others"
         )
     found = np.full(centres.shape, np.nan)
     found[middle] = 0

@@ -93,11 +93,17 @@ def calibration_from_corners(
     # Published corners are good to a few pixels: those of real cameras leave 9 px of 70 px, and
     # lattices off by 0.6 %.
     if gap > pitch / 2 or np.abs(apart / pitch - 1).max() > _MOST_STRETCH:
-        found = f"microimages {apart.min():.4g} to {apart.max():.4g} px apart, and a gap of {gap:.4g} px"
+        found = (
+            f"microimages {apart.min():.4g} to {apart.max():.4g} px apart, and a gap of "
+            f"{gap:.4g} px"
+        )
         raise CameraFileError(
             f"the corner centres do not fit a diameter of {pitch:.4g} px: they give {found}"
         )
-    warning = "only the corner centres are published, good to a few pixels; calibrate on a flat for better"
+    warning = (
+        "only the corner centres are published, good to a few pixels; calibrate on a flat for "
+        "better"
+    )
     return Calibration(lattice, warnings=(warning,))
 
 

@@ -103,9 +103,13 @@ def _parse_raytrix(
             np.array([one.point("offset/x", "offset/y") for one in types]) @ to_pixels, lattice
         )
         warnings.append(
-            "the lens types of the file do not lie on its lattice and are left out; calibrate on a flat"
+            "the lens types of the file do not lie on its lattice and are left out; "
+            "calibrate on a flat"
             if found is None
-            else "the order of the lens types in such files is often wrong and was not taken over; calibrate on a flat"
+            else (
+                "the order of the lens types in such files is often wrong and was not taken "
+                "over; calibrate on a flat"
+            )
         )
     return Calibration(lattice, lens_types=found, warnings=tuple(warnings))
 

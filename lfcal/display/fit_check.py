@@ -28,8 +28,8 @@ from .flat_lattice import (
 
 __all__ = ["MOST_STRETCH", "FitCheck", "check_fit", "fit_offsets"]
 
-# Largest shift of a corner by scale or rotation [pitch]: 0.028 with right cameras on 11 captures, 0.039
-# with a wrong one.
+# Largest shift of a corner by scale or rotation [pitch]: 0.028 with right cameras on 11 captures,
+# 0.039 with a wrong one.
 MOST_STRETCH = 0.033
 # Largest difference of the lattices of two halves of the microimages [pitch].
 _HALVES = 0.05
@@ -105,7 +105,8 @@ def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     >>> from lfcal import Calibration, Lattice, check_fit
     >>> y, x = np.mgrid[:300, :400]
     >>> white = 20 + 200 * np.clip(9.5 - np.hypot(x % 20 - 10, y % 20 - 10), 0, 1)
-    >>> round(check_fit(Calibration(Lattice([11, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).max_offset)
+    >>> camera = Calibration(Lattice([11, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    >>> round(check_fit(camera, white).max_offset)
     1
     """
     reduced = prepare_flat(calibration, image)
@@ -137,7 +138,7 @@ def fit_offsets(
 
 
 def _measure(picture: Singles, given: Lattice, start: Lattice, positions: Floats) -> Floats:
-    """(3, 3, 2) offsets [px] of the lattice of a picture from the given one; NaN if not reliable."""
+    """(3, 3, 2) offsets [px] of the lattice of a picture from the given one; NaN if unsure."""
     from ..images.preprocessing import edge_strength, normalise_locally
     from ..scene_fit.fit import fit_scene
 

@@ -32,8 +32,8 @@ __all__ = [
     "reduce_flat",
 ]
 
-# Largest shift of a right camera over the whole flat [pitch]: 0.05 on 60 simulated flats. Beyond it,
-# errors are visible in pictures.
+# Largest shift of a right camera over the whole flat [pitch]: 0.05 on 60 simulated flats. Beyond
+# it, errors are visible in pictures.
 MOST_SHIFT = 0.06
 # Least probability of a lattice that a camera is compared with.
 _LIKELY = 0.5
@@ -82,7 +82,7 @@ def prepare_flat(calibration: Calibration, image: ArrayLike) -> ReducedFlat:
 
 
 def reduce_flat(flat: Array, factor: int) -> Singles:
-    """Root of the luminance (h, w) of a flat after averaging blocks of `factor` x `factor` pixels."""
+    """Root of the luminance (h, w) of a flat, averaged over `factor` x `factor` pixels."""
     from ..images.preprocessing import sqrt_luminance
 
     if factor > 1:

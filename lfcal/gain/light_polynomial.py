@@ -44,7 +44,7 @@ def fit_light(lights: NDArray[np.floating], centres: Floats, lattice: Lattice) -
 
 
 def fit_light_slope(lights: NDArray[np.floating], centres: Floats, lattice: Lattice) -> Floats:
-    """(n, 2) slope of the light of lenses over their light [1/px], from the polynomial through it."""
+    """(n, 2) relative slope of the light of lenses [1/px], from the polynomial through it."""
     level = fit_light(lights, centres, lattice)
     degree = next(d for d in (*_DEGREES, 0) if count_terms(d) == len(level))
     slopes = np.zeros((count_terms(max(degree - 1, 0)), 2))

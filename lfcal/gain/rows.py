@@ -85,7 +85,8 @@ class _RowTables(NamedTuple):
     light: Floats  # (b, a) of each lens
     lenses: Singles  # (b, a, s) their descriptions
     types: NDArray[np.int8]  # (b, a) 0 where they do not differ
-    starts: Integers  # (h, 2) column and row, here, of a lens near the first pixel of each row of the flat
+    # (h, 2) column and row, here, of a lens near the first pixel of each row of the flat
+    starts: Integers
     ahead: Integers  # (k, 2) steps, here, to the neighbours of a lens that may follow it in a row
 
 

@@ -64,7 +64,8 @@ class LensLights:
 
     gain: GainMap
     brightest: float  # luminance where the map is 1
-    unlit: Integers  # (m,) rows of `lattice.centres()`: lenses without light, or places without a microimage
+    # (m,) rows of `lattice.centres()`: lenses without light, or places without a microimage
+    unlit: Integers
 
 
 class _LensMeasurements(NamedTuple):

@@ -39,7 +39,8 @@ class Illumination:
 
     gain_map: GainMap
     vignetting: Vignetting  # of the average microimage
-    radius: float  # [px] where that falls below half, at most half the distance to the nearest microimage
+    # [px] where that falls below half, at most half the distance to the nearest microimage
+    radius: float
     defects: Defects
     warnings: tuple[str, ...]
     outlier_share: float = (

@@ -131,7 +131,9 @@ class Residuals(NamedTuple):
     plane: Array  # (q,) of the scene
     ring: Integers  # (q,) sample of the profile before the pixel
     part: Array  # (q,) how far it lies towards the next one
-    stray: float  # mean error outside the cutting disc, where there is stray light alone; NaN where there is no such place
+    # mean error outside the cutting disc, where there is stray light alone; NaN where there is no
+    # such place
+    stray: float
 
     def spread(self, values: Array, rings: int) -> Array:
         """(rings,) sums of values (q,) over the profile, shared out among the two samples about
@@ -142,7 +144,7 @@ class Residuals(NamedTuple):
 
 
 def clipping_luminance(value: Array, scene: bool) -> float:
-    """Luminance from which on pixels count as clipped; a white image can be as even as if it were."""
+    """Luminance from which on pixels of a scene count as clipped; infinite for white images."""
     return CLIPPED_LIGHT * float(value.max()) if scene else math.inf
 
 

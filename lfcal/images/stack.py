@@ -44,7 +44,7 @@ _CLIPPED_SHARE = 0.002
 
 
 def check_flats(image: Any) -> list[NDArray[Any]]:
-    """One or several flats, or their paths, as arrays; FlatError if they cannot be of one camera."""
+    """One or several flats, or their paths, as arrays; FlatError if they are of two cameras."""
     given: Any = _read_paths(image)
     several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
     if not several and np.ndim(given) != 4:

@@ -23,8 +23,8 @@ __all__ = ["find_rim_conflict", "find_type_conflict"]
 
 # Confidence of the types of a flat from which on they contradict those of a camera.
 _SURE = 0.9
-# Twice the logarithm of the likelihood ratio of the best order of rims and the given one, from which
-# on the given one is wrong: 24 right cameras had 13 at most.
+# Twice the logarithm of the likelihood ratio of the best order of rims and the given one, from
+# which on the given one is wrong: 24 right cameras had 13 at most.
 _WRONG = 20
 
 
@@ -77,7 +77,10 @@ def find_rim_conflict(types: LensTypes, gain: GainMap, radius: float) -> str | N
     falls = float((np.maximum.accumulate(rims) - rims).max())
     if max(falls, mixed) <= RIM_FAULT:
         return None
-    return "the lens types of the camera are in another order than the light at the rims of its microimages"
+    return (
+        "the lens types of the camera are in another order than the light at the rims of its "
+        "microimages"
+    )
 
 
 def _numbers(types: LensTypes, other: LensTypes) -> NDArray[np.int8]:

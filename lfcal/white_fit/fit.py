@@ -99,7 +99,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Fit:
-    """A lattice with the distortion `orders` that were fitted, its microimages, and the last step."""
+    """A lattice with the fitted distortion `orders`, its microimages, and the last step."""
 
     lattice: Lattice
     orders: tuple[str, ...]
@@ -243,7 +243,8 @@ _CENTROIDS = 0.2
 _SEARCH = 1e5, 150
 # Pixels, and fewest lenses, that two discs are fitted to.
 _DISCS = 8e5, 250
-# Pixels of the final fit, which makes centres of white images exact to a few thousandths of a pixel.
+# Pixels of the final fit, which makes centres of white images exact to a few thousandths of a
+# pixel.
 _PIXELS = 3.2e6
 # [px] A disc cuts microimages if it reaches into those in the corners by more than this.
 _LEAST_CUT = 0.3
@@ -313,7 +314,7 @@ def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
 
 
 def _try(fit: Fit, orders: tuple[str, ...]) -> Fit:
-    """The fit with these distortion `orders` if they explain the microimages better, else as it is."""
+    """The fit with these `orders` of distortion if they explain it better, else as it is."""
     if set(orders) <= set(fit.orders) or not explains_better(fit, orders):
         return fit
     try:

@@ -153,7 +153,7 @@ class Microimages:
         return replace(lenses, shade=lenses.measure_shade(lattice))
 
     def learn_profile(self, sums: Sums) -> Microimages:
-        """The microimages with profile, harmonic and weights of rings that fit the pixels better."""
+        """The microimages with profile, harmonic and ring weights that fit the pixels better."""
         weight, force, turned, own, squares, number = sums.band.sum(0).T
         # Rings that hardly a pixel fell into follow their neighbours. Where all lenses lie alike to
         # the pixels, only the smoothness of the profile determines where between two pixels an edge

@@ -57,7 +57,8 @@ _LEAST_BLUR = 0.2
 # Bounds. Uniform discs and squares have a tail of 0.05, normal blur 0, longer tails less.
 _TAILS = (-0.03, 0.06)
 _CORRELATIONS = (0, 0.98)
-# Logarithms of the blurs of both edges are alike to this; beyond the other one, more counts no further.
+# Logarithms of the blurs of both edges are alike to this; beyond the other one, more counts no
+# further.
 _ALIKE = 0.01
 _DIFFERENT = 0.1
 # Share of the pixels away from the edges that is used.

@@ -312,9 +312,9 @@ def find_moved(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Lenses whose depth may have changed, and those in doubt if one of their neighbours has.
 
-    An `estimated` lens (n,) keeps its depth if from `reference` to `match` its cost hardly rose, and its
-    minimum, together with those of two neighbours, hardly moved (`_RISE`, `_SHIFT`). Others are
-    estimated if they now carry texture or match.
+    An `estimated` lens (n,) keeps its depth if from `reference` to `match` its cost hardly rose,
+    and its minimum, together with those of two neighbours, hardly moved (`_RISE`, `_SHIFT`). Others
+    are estimated if they now carry texture or match.
     """
     shift = match.offset - reference.offset
     rise = match.cost - reference.cost
