@@ -217,7 +217,7 @@ def locate_board(
     Examples
     --------
     >>> camera = lfcal.load("camera.json")  # doctest: +SKIP
-    >>> board = lfcal.Board(9, 6, 7.0)
+    >>> board = lfcal.Board(9, 6, 7.0)  # doctest: +SKIP
     >>> flat = lfcal.read_flat("board.png")  # doctest: +SKIP
     >>> pose = lfcal.locate_board(flat, camera, board)  # doctest: +SKIP
     >>> pose.translation, pose.standard_errors[3:]  # doctest: +SKIP
