@@ -5,8 +5,9 @@ from .camera.calibration import Calibration
 from .camera.lens_types import LensBlur, LensTypes
 from .camera.optics import Optics
 from .camera_files.read_write import load
+from .display.camera_check import CameraCheck, check_camera
 from .display.compare import compare
-from .display.fit_check import CameraCheck, check_camera, check_fit
+from .display.fit_check import check_fit
 from .display.overlay import show
 from .images.read import count_pages, read_flat
 from .images.stream import FlatSource, open_flat, subtract_dark

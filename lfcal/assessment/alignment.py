@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 _WHITE_FAULT = 0.01
 # [pitch] the same error of a scene, whose contents shift the measured centres.
 _SCENE_FAULT = 0.02
+# Tiles each way, whose means are fitted.
+_TILES = 8
 # Quadratic displacements x^2, xy, y^2 in x, then in y, of a tilt to the right and down, and of a
 # radial distortion about a place to the right and below.
 _TILT = np.array(
@@ -70,7 +72,7 @@ def measure_alignment(camera: Calibration) -> Alignment:
         float(np.degrees(np.angle((both / np.abs(both)).sum()))) + period / 2
     ) % period - period / 2
     if rows == "vertical":
-        angle -= float(np.copysign(30.0, angle))
+        angle -= float(np.copysign(period / 2, angle))
     fault = (_WHITE_FAULT if white else _SCENE_FAULT * lattice.pitch) / (
         float(np.hypot(*lattice.image_size)) / 2
     )
@@ -98,12 +100,13 @@ def _fit_centres(camera: Calibration) -> tuple[Array, Array, Array, float] | Non
     table = np.column_stack(
         [np.ones(len(x)), indices, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3, centres]
     )
-    column, row = np.clip((centres / lattice.image_size * 8).astype(int), 0, 7).T
-    _, tile, count = np.unique(8 * row + column, return_inverse=True, return_counts=True)
+    column, row = np.clip((centres / lattice.image_size * _TILES).astype(int), 0, _TILES - 1).T
+    _, tile, count = np.unique(_TILES * row + column, return_inverse=True, return_counts=True)
     means = np.array([np.bincount(tile, values) / count for values in table.T]).T
     # Few tiles tell no third order.
-    design = means[:, : 10 if len(count) >= 20 else 6]
-    target = means[:, 10:]
+    terms = table.shape[1] - 2
+    design = means[:, : terms if len(count) >= 2 * terms else 6]
+    target = means[:, terms:]
     free = len(count) - design.shape[1]
     if free < 4:
         return None

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..camera.plotting import TYPE_COLOURS, draw_circles
 from ..gain.gain_map import nearest_half
+from ..runtime.arrays import evenly
 from ..runtime.output_file import check_output
 from ..runtime.page import to_svg, write_page
 
@@ -18,6 +19,17 @@ if TYPE_CHECKING:
     from .result import Assessment
 
 __all__ = ["write_assessment"]
+
+# [inch] Size of a drawing: the page shows two side by side, with text as large as its own.
+_SIZE = (4.4, 3.0)
+# Factors that an angle is enlarged by, and the largest one that is drawn [degrees].
+_ENLARGED = (1, 3, 10, 30)
+_STEEPEST = 30
+# Area of the mark of a tile [points^2], and marks of a drawing at most.
+_TILE = 150
+_MOST_MARKS = 4000
+# Range of an axis over that of its data.
+_MARGIN = 1.1
 
 
 def write_assessment(path: str | os.PathLike[str], found: Assessment, title: str) -> None:
@@ -38,7 +50,7 @@ def write_assessment(path: str | os.PathLike[str], found: Assessment, title: str
 def _draw(draw: Callable[[Any, Assessment], None], found: Assessment) -> str:
     from matplotlib.figure import Figure
 
-    figure = Figure((4.4, 3.0), layout="constrained")
+    figure = Figure(_SIZE, layout="constrained")
     draw(figure.subplots(), found)
     return to_svg(figure)
 
@@ -46,13 +58,13 @@ def _draw(draw: Callable[[Any, Assessment], None], found: Assessment) -> str:
 def _draw_rotation(axes: Any, found: Assessment) -> None:
     """Rows of the sensor (dashed) and of lenses, with their angle enlarged."""
     value = found.rotation.value
-    times = next((t for t in (1, 3, 10, 30) if abs(value) * t >= 3), 100)
-    angle = np.radians(np.clip(value * times, -30, 30))
-    along = np.linspace(-1, 1, 13)
+    times = next((t for t in _ENLARGED if abs(value) * t >= 3), 100)
+    angle = np.radians(np.clip(value * times, -_STEEPEST, _STEEPEST))
+    along = np.linspace(-1, 1, 12)
     for offset in (-0.5, 0.0, 0.5):
         x = along * np.cos(angle) - offset * np.sin(angle)
         y = along * np.sin(angle) + offset * np.cos(angle)
-        axes.axhline(offset, color="0.6", linestyle="--", linewidth=0.8)
+        axes.axhline(offset, color="gray", linestyle="--", linewidth=1)
         axes.plot(x, y, "o-", color=TYPE_COLOURS[0], markersize=6, markerfacecolor="none")
     axes.set(
         aspect="equal", xticks=[], yticks=[], ylim=(1, -1), title=f"rows of lenses, angle x {times}"
@@ -70,7 +82,7 @@ def _draw_tilt(axes: Any, found: Assessment) -> None:
         field.place * half + middle,
         field.radii.mean(1),
         "radius of the microimages [px]",
-        150,
+        _TILE,
     )
     if np.isfinite(slope).all():
         way = slope / max(float(np.hypot(*slope)), 1e-12) * half / 3
@@ -93,8 +105,8 @@ def _draw_blur(axes: Any, found: Assessment) -> None:
     """Measured discs of each lens type, and the line between them where the aperture is known."""
     blur = found.calibration.lens_blur
     assert blur is not None
-    reach = max(0.5, 1.1 * float(np.abs(blur.ratios).max()))
-    ratios = np.linspace(-reach, reach, 201)
+    reach = max(0.5, _MARGIN * float(np.abs(blur.ratios).max()))
+    ratios = np.linspace(-reach, reach, 100)
     discs, errors = blur.at(ratios)
     for kind, measured in enumerate(blur.discs):
         colour = TYPE_COLOURS[kind % len(TYPE_COLOURS)]
@@ -103,7 +115,7 @@ def _draw_blur(axes: Any, found: Assessment) -> None:
         if blur.tells_aperture:
             axes.plot(ratios, discs[kind], color=colour, linewidth=1)
             low = np.maximum(discs[kind] - errors[kind], 0)
-            axes.fill_between(ratios, low, discs[kind] + errors[kind], color=colour, alpha=0.2)
+            axes.fill_between(ratios, low, discs[kind] + errors[kind], color=colour, alpha=0.25)
     if len(blur.discs) > 1:
         axes.legend()
     axes.set(xlabel="s / D", xlim=(-reach, reach), ylim=(0, None), title="blur [px]")
@@ -112,9 +124,9 @@ def _draw_blur(axes: Any, found: Assessment) -> None:
 def _draw_apertures(axes: Any, found: Assessment) -> None:
     lattice = found.calibration.lattice
     radius = found.microimages.radius.value
-    index = np.stack(np.meshgrid(np.arange(-3, 4), np.arange(-3, 4)), -1).reshape(-1, 2)
+    index = np.stack(np.meshgrid(*[np.arange(-3, 4)] * 2), -1).reshape(-1, 2)
     draw_circles(axes, index @ lattice.basis, radius, TYPE_COLOURS[0])
-    reach = 1.7 * lattice.pitch
+    reach = 1.5 * _MARGIN * lattice.pitch
     axes.set(xlim=(-reach, reach), ylim=(reach, -reach), aspect="equal", xticks=[], yticks=[])
     axes.set_title(f"neighbours {2 * nearest_half(lattice):.2f} px apart, {2 * radius:.2f} px wide")
 
@@ -151,7 +163,7 @@ def _draw_evenness(axes: Any, found: Assessment) -> None:
 def _draw_dirt(axes: Any, found: Assessment) -> None:
     defects = found.calibration.defects
     axes.plot(
-        *defects.pixels[:: max(1, len(defects.pixels) // 5000)].T,
+        *defects.pixels[evenly(len(defects.pixels), _MOST_MARKS)].T,
         ".",
         color="firebrick",
         markersize=2,
@@ -168,7 +180,7 @@ def _draw_dirt(axes: Any, found: Assessment) -> None:
 def _map(
     axes: Any, found: Assessment, places: Any, values: Any, title: str, size: float = 6
 ) -> None:
-    every = slice(None, None, max(1, len(places) // 3000))
+    every = evenly(len(places), _MOST_MARKS)
     axes.figure.colorbar(
         axes.scatter(*places[every].T, c=values[every], s=size, cmap="viridis"), ax=axes
     )

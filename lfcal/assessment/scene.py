@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
-from ..display.fit_check import check_camera, check_fit
+from ..display.camera_check import check_camera
+from ..display.fit_check import check_fit
 from ..images.preprocessing import sqrt_luminance
 from ..lens_types.classify import find_lens_types
-from .findings import find_exposure, unmeasured
+from ..lens_types.coarse_disparity import STEP
+from .findings import unmeasured
+from .light_findings import find_exposure
 from .result import Finding
 
 __all__ = ["assess_scene"]
-
-# Spacing of the disparities that are tried [s / D].
-_STEP = 0.05
 
 
 def assess_scene(scene: NDArray[Any], camera: Calibration, top: float | None) -> dict[str, Finding]:
@@ -39,7 +39,7 @@ def assess_scene(scene: NDArray[Any], camera: Calibration, top: float | None) ->
             verdict = (
                 f"the lens types are sharpest at s = {' / '.join(f'{one:+.2f}' for one in focus)} D"
             )
-            found["focus"] = Finding(float(focus.mean()), _STEP, "s / D", verdict)
+            found["focus"] = Finding(float(focus.mean()), STEP, "s / D", verdict)
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,12 +14,33 @@ from ..camera.calibration import Calibration
 from ..images.stack import check_flats
 from ..lens_blur.microimages import measure_microimages
 from ..pipeline import SURE_CONFIDENCE, calibrate
+from ..runtime.arrays import evenly
 from ..runtime.errors import FlatError
 from .alignment import measure_alignment
-from .findings import FINDINGS, Seen, find_range, find_rotation, unmeasured
+from .findings import (
+    Seen,
+    find_apertures,
+    find_distance,
+    find_rotation,
+    find_tilt,
+    unmeasured,
+)
+from .light_findings import find_dirt, find_evenness, find_exposure, find_range, find_vignetting
 from .result import Assessment, Finding
 
 __all__ = ["assess"]
+
+# What takes a white image and a calibration made from it: what finds each, its unit, whether it
+# takes rims.
+_FINDINGS: dict[str, tuple[Callable[[Seen], Finding], str, bool]] = {
+    "tilt": (find_tilt, "degrees", True),
+    "distance": (find_distance, "px", True),
+    "apertures": (find_apertures, "px", True),
+    "vignetting": (find_vignetting, "px", True),
+    "exposure": (lambda seen: find_exposure(seen.flat, seen.top), "%", False),
+    "evenness": (find_evenness, "%", True),
+    "dirt": (find_dirt, "places", False),
+}
 
 
 def assess(
@@ -97,7 +119,7 @@ def assess(
     found = {"rotation": find_rotation(alignment, camera)}
     if camera.source == "white":
         field = measure_microimages(flat, camera)
-    for name, (find, unit, takes_rims) in FINDINGS.items():
+    for name, (find, unit, takes_rims) in _FINDINGS.items():
         if camera.source != "white":
             found[name] = unmeasured(
                 unit, "this takes a white image, and a calibration made from it"
@@ -109,7 +131,7 @@ def assess(
             found[name] = find(Seen(flat, camera, alignment, field, f_number, distance, pixel, top))
     told: dict[str, Any] = {name: _without_advice(one, camera) for name, one in found.items()}
     shown_range = (0, max(top or float(flat.max()), 1e-9))
-    told["histogram"] = np.histogram(flat[:: max(1, len(flat) // 1000)], 256, shown_range)[0]
+    told["histogram"] = np.histogram(flat[evenly(len(flat), 1000)], 256, shown_range)[0]
     if shown is not None:
         from .scene import assess_scene
 

@@ -94,7 +94,8 @@ class Board:
         name = f"DICT_{self.dictionary.upper()}"
         if not hasattr(cv2.aruco, name):
             raise BoardError(
-                f"OpenCV has no dictionary {self.dictionary!r} of markers; 4X4_50 or 5X5_1000 are usual"
+                f"OpenCV has no dictionary {self.dictionary!r} of markers; 4X4_50 or "
+                "5X5_1000 are usual"
             )
         markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
         return cv2.aruco.CharucoBoard(

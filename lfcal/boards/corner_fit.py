@@ -229,7 +229,7 @@ def fit_corners(
 
 
 def _normalised(equations: Array) -> tuple[Array, Array]:
-    """Matrices (n, 5, 5) of normal equations (n, 5, 6) with unit diagonals, and their units (n, 5)."""
+    """Matrices (n, 5, 5) of equations (n, 5, 6) with unit diagonals, and their units (n, 5)."""
     normal = equations[..., :_UNKNOWNS]
     scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-12))
     return normal / (scale[:, :, None] * scale[:, None, :]), scale

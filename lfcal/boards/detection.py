@@ -25,11 +25,12 @@ __all__ = ["DetectedBoard", "FocusSweep", "FocusedPicture", "detect", "other_siz
 # Candidates of the size of `s / D`. Nearer to 0 and beyond 0.75, neighbours share too little of the
 # scene. A step moves patches by half a pixel at D = 23 px.
 _RATIOS = np.arange(0.05, 0.75, 0.025)
-# Distances of the points at which candidates are compared, and of the pixels of the picture [pitch].
+# Distances of the points at which candidates are compared, and of the pixels of the picture
+# [pitch].
 _COARSE_STEP = 0.2
 _FINE_STEP = 0.075
-# Side of the windows over which variances are averaged [points]: 1.4 pitches, a lens and half of its
-# neighbours.
+# Side of the windows over which variances are averaged [points]: 1.4 pitches, a lens and half of
+# its neighbours.
 _WINDOW = (7, 7)
 # Least share of the points of a window that two lenses or more see.
 _LEAST_KNOWN = 0.3
@@ -59,7 +60,7 @@ class FocusSweep:
         self._fine = _Views(lattice, _FINE_STEP * lattice.pitch)
 
     def draw(self, flat: Array) -> FocusedPicture:
-        """Draw a grey flat (h, w), divided by its gain, with the patch sizes at which lenses agree."""
+        """Draw a grey flat (h, w) over its gain, with the patch sizes at which lenses agree."""
         best = np.full(self._coarse.shape, np.inf, np.float32)
         ratio = np.full(self._coarse.shape, -_RATIOS[-1], np.float32)
         for candidate in np.concatenate([-_RATIOS[::-1], _RATIOS]):

@@ -1,4 +1,4 @@
-"""A calibrated camera: lattice, light falloff and uncertainties, as a JSON file (docs/formats.md)."""
+"""A calibrated camera: lattice, light and uncertainties, as a JSON file (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class Calibration(Frozen):
         return replace(self, mosaic=mosaic, mosaic_guessed=guessed, warnings=tuple(warnings))
 
     def with_mosaic_of(self, flat: NDArray[Any]) -> Calibration:
-        """The camera with the colour filters that are found on a flat (h, w), unless it has some."""
+        """The camera with the colour filters found on a flat (h, w), unless it has some."""
         from ..images.mosaic import find_mosaic
 
         known = self.mosaic is not None and not self.mosaic_guessed
@@ -233,7 +233,7 @@ class Calibration(Frozen):
         return camera
 
     def gain(self) -> NDArray[np.float32]:
-        """(h, w) relative illumination of pixels, 1 at the brightest; NaN in gaps and unlit lenses."""
+        """(h, w) relative light of pixels, 1 at the brightest; NaN in gaps and unlit lenses."""
         return self.region_gain().at(0, 0, *self.image_size)
 
     def flatten(self, flat: ArrayLike) -> NDArray[Any]:
@@ -263,7 +263,7 @@ class Calibration(Frozen):
         return RegionGain(self._gain_map(), self.lattice)
 
     def usable_radius(self) -> NDArray[np.float64]:
-        """(n,) radius [px] at which each microimage has half its light, in the order of the centres.
+        """(n,) radius [px] at which microimages have half their light, in the order of the centres.
 
         It is at most half the distance to the nearest microimage. If mechanical vignetting cuts a
         microimage, it is the distance to the cut; for unlit lenses it is 0.

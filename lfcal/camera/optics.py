@@ -48,8 +48,8 @@ _VECTORS = {
     "tilt": 2,
     "microlens_focal_lengths": None,
 }
-# Step of the differences that propagate errors [standard errors of a parameter], and its largest size
-# for `s / D`.
+# Step of the differences that propagate errors [standard errors of a parameter], and its largest
+# size for `s / D`.
 _STEP = 0.1
 _MOST_STEP = 1e-3
 _M_PER_MM = 1e-3
@@ -193,7 +193,7 @@ class Optics(Frozen):
         return self._behind(where, values.ravel())[0].reshape(values.shape)  # type: ignore[no-any-return]
 
     def positions(self, points: Array, ratio: ArrayLike, middle: ArrayLike | None = None) -> Array:
-        """(n, 3) points [m] at scene coordinates (n, 2) [px]: x right, y down, z from the main lens.
+        """(n, 3) points [m] at scene coordinates (n, 2) [px]: x right, y down, z from the lens.
 
         `middle` (2,) [px] replaces the principal point if it is unknown.
         """
@@ -267,7 +267,7 @@ class Optics(Frozen):
 
     @classmethod
     def from_dict(cls, data: Any) -> Optics:
-        """Rebuild from `to_dict`; only the four lengths are needed. KeyError or ValueError if wrong."""
+        """Rebuild from `to_dict`; four lengths are needed. KeyError or ValueError if wrong."""
         if not isinstance(data, dict):
             raise ValueError(f"optics must be an object with {_WANTED}")
         names = [field.name for field in fields(cls)]

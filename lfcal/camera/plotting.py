@@ -57,7 +57,7 @@ def plot_gain(lattice: Lattice, gain: GainMap | None, defects: Defects, ax: Any)
 
 
 def plot_falloff(radius: float, vignetting: Vignetting | None, ax: Any) -> None:
-    """Draw the light in a microimage over the distance to its centre, and the usable radius [px]."""
+    """Draw the light in a microimage over the distance to its centre, and the usable radius."""
     ax.set(title="Light: not measured", xlabel=f"radius [px], R {radius:.1f}")
     ax.axvline(radius, color=TYPE_COLOURS[0])
     if vignetting is not None:

@@ -1,4 +1,4 @@
-"""Checks of the fields of a camera file: their types, their ranges, and whether they fit together."""
+"""Checks of the fields of a camera file: types, ranges, and whether they fit together."""
 
 from __future__ import annotations
 

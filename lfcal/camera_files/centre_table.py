@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
-from ..lattice.distortion import Distortion
+from ..lattice.distortion import GENERAL_TERMS, Distortion
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.robust_fit import fit_affine
 from ..runtime.errors import CameraFileError
@@ -28,6 +28,20 @@ __all__ = ["format_centre_table", "parse_centre_table"]
 _COLUMNS = ("x", "y", "radius", "type")
 _OTHER_NAMES = {"cx": "x", "cy": "y", "r": "radius", "d": "diameter", "kind": "type"}
 Array = NDArray[np.float64]
+
+# [pitch] Distance of the centres from a lattice, RMS, beyond which they are none; [px] beyond which
+# they are doubtful.
+_MOST_RMS = 0.1
+_DOUBTFUL_RMS = 0.2
+# Share of the centres that steps of the lattice must lead to.
+_LEAST_LINKED = 0.9
+# Centres, and [px] distance from a straight lattice, from which on a distortion is fitted; and the
+# distance that must be left of it.
+_FEWEST = 50
+_ROUNDING = 1e-3
+_LEAST_GAIN = 0.9
+# Share of the lenses whose types must repeat.
+_LEAST_REPEATING = 0.99
 
 
 def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> Calibration:
@@ -45,7 +59,7 @@ def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> 
         )
         known = np.isfinite(index).all(1)
         lattice, rms = _fit_lattice(index[known], centres[known], size)
-        if rms > 0.1 * lattice.pitch:
+        if rms > _MOST_RMS * lattice.pitch:
             raise ValueError(f"the centres lie {rms:.2f} px (RMS) off any lattice")
     except (ValueError, np.linalg.LinAlgError) as error:
         raise CameraFileError(f"cannot be read as a table of centres ({error})") from error
@@ -55,13 +69,18 @@ def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> 
     if "type" in table and len(np.unique(table["type"])) > 1:
         types = _find_types(index[known].astype(np.int64), table["type"][known])
         warnings = [
-            "the lens types of the table do not repeat on the lattice and are left out; calibrate on a flat"
+            "the lens types of the table do not repeat on the lattice and are left out; "
+            "calibrate on a flat"
             if types is None
-            else "a table does not say which lens type is focused at which depth; calibrate on a flat"
+            else (
+                "a table does not say which lens type is focused at which depth; calibrate on a "
+                "flat"
+            )
         ]
-    if rms > 0.2:
+    if rms > _DOUBTFUL_RMS:
         warnings.append(
-            f"the centres lie {rms:.2f} px (RMS) off the lattice read from them; calibrate on a flat"
+            f"the centres lie {rms:.2f} px (RMS) off the lattice read from them; calibrate "
+            "on a flat"
         )
     return Calibration(
         lattice.with_radius(radius),
@@ -130,7 +149,7 @@ def _find_indices(centres: Array) -> Array:
     from scipy.sparse.csgraph import breadth_first_order
     from scipy.spatial import cKDTree
 
-    near = cKDTree(centres).query(centres, min(7, len(centres)))[1][:, 1:]
+    near = cKDTree(centres).query(centres, min(1 + 6, len(centres)))[1][:, 1:]
     steps = centres[near] - centres[:, None]
     middle = int(np.linalg.norm(centres - np.median(centres, axis=0), axis=1).argmin())
     first, *others = steps[middle]
@@ -151,9 +170,10 @@ def _find_indices(centres: Array) -> Array:
     start = np.repeat(np.arange(len(centres)), near.shape[1]).reshape(near.shape)[good]
     graph = csr_matrix((np.ones(len(start)), (start, near[good])), (len(centres),) * 2)
     order, before = breadth_first_order(graph, middle, directed=False)
-    if len(order) < max(4, 0.9 * len(centres)):
+    if len(order) < max(4, _LEAST_LINKED * len(centres)):
         raise ValueError(
-            f"{len(centres) - len(order)} of {len(centres)} centres lie on no lattice with the others"
+            f"{len(centres) - len(order)} of {len(centres)} centres lie on no lattice with "
+            "the others"
         )
     found = np.full(centres.shape, np.nan)
     found[middle] = 0
@@ -174,17 +194,17 @@ def _fit_lattice(index: Array, centres: Array, size: tuple[int, int]) -> tuple[L
     straight, weight = fit_affine(design, centres, np.ones(len(index)))
     misfit = rms(design, straight, weight)
     bend = None
-    if len(index) > 50 and misfit > 1e-3:
+    if len(index) > _FEWEST and misfit > _ROUNDING:
         zero = Distortion.zero(size)
-        zero = replace(zero, general=np.zeros((2, 7)), middle=zero.centre)
+        zero = replace(zero, general=np.zeros((2, GENERAL_TERMS)), middle=zero.centre)
         bent: Any = straight
         for _ in range(3):
             columns = [
                 column for name, column in zero.derivatives(design @ bent[:3]) if name == "general"
             ]
-            model = np.column_stack([design, *(column[:, 0] for column in columns[:7])])
+            model = np.column_stack([design, *(column[:, 0] for column in columns[:GENERAL_TERMS])])
             bent, weight = fit_affine(model, centres, np.ones(len(index)))
-        if rms(model, bent, weight) < 0.9 * misfit:
+        if rms(model, bent, weight) < _LEAST_GAIN * misfit:
             misfit = rms(model, bent, weight)
             straight = bent[:3]
             bend = replace(zero, general=bent[3:].T)
@@ -197,13 +217,13 @@ def _fit_lattice(index: Array, centres: Array, size: tuple[int, int]) -> tuple[L
 def _find_types(index: NDArray[np.int64], kinds: Array) -> LensTypes | None:
     """Types as the smallest cell that repeats for 99 % of the lenses, None if there is none."""
     names, numbers = np.unique(kinds, return_inverse=True)
-    for side in range(2, 9):
+    for side in range(2, 8 + 1):
         place = index % side @ [side, 1] * len(names) + numbers.ravel()
         votes = np.bincount(place, minlength=side * side * len(names)).reshape(-1, len(names))
         if (
             4 * len(votes) <= len(index)
             and votes.sum(1).all()
-            and votes.max(1).sum() >= 0.99 * len(index)
+            and votes.max(1).sum() >= _LEAST_REPEATING * len(index)
         ):
             cell = votes.argmax(1).reshape(side, side)
             return LensTypes(cell) if len(np.unique(cell)) == len(names) else None

@@ -105,7 +105,10 @@ def load(
     except (OSError, UnicodeDecodeError) as error:
         problem = f"cannot be read as a camera file ({error})"
         if source.suffix.lower() in IMAGE_SUFFIXES and source.exists():
-            problem = "is an image, not a camera file; give a white image as --white, or make a camera file of it with "
+            problem = (
+                "is an image, not a camera file; give a white image as --white, or make a camera "
+                "file of it with "
+            )
             problem += "'lfcal calibrate'"
         raise CameraFileError(f"{source}: {problem}") from error
     lines = (line.strip() for line in text.splitlines())

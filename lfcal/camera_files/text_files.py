@@ -28,6 +28,10 @@ _CORNERS = ("LeftTop", "RightTop", "LeftBottom", "RightBottom")
 
 #: Of the numbers of any camera file.
 LARGEST = 1e9
+#: [pitch] Distance of the rows of a hexagonal lattice.
+ROW_SPACING = 0.75**0.5
+# Relative difference of the pitch from the one that the file states.
+_MOST_STRETCH = 0.1
 
 Vector = NDArray[np.float64]
 Mode = Literal["telescopic", "binocular"]
@@ -72,7 +76,7 @@ def calibration_from_corners(
     down = ((left_low - left_top) + (right_low - right_top)) / 2
     across = ((right_top - left_top) + (right_low - left_low)) / 2
     along, sideways = (down, across) if upright else (across, down)
-    rows = round(float(np.hypot(*sideways)) / (pitch * np.sqrt(0.75)))
+    rows = round(float(np.hypot(*sideways)) / (pitch * ROW_SPACING))
     steps = round(float(np.hypot(*along)) / pitch)
     if rows < 1 or steps < 1:
         raise CameraFileError("the corner centres are less than a pitch apart")
@@ -88,12 +92,18 @@ def calibration_from_corners(
     gap = float(np.hypot(*(right_top - left_top - right_low + left_low)))
     # Published corners are good to a few pixels: those of real cameras leave 9 px of 70 px, and
     # lattices off by 0.6 %.
-    if gap > pitch / 2 or np.abs(apart / pitch - 1).max() > 0.1:
-        found = f"microimages {apart.min():.4g} to {apart.max():.4g} px apart, and a gap of {gap:.4g} px"
+    if gap > pitch / 2 or np.abs(apart / pitch - 1).max() > _MOST_STRETCH:
+        found = (
+            f"microimages {apart.min():.4g} to {apart.max():.4g} px apart, and a gap of "
+            f"{gap:.4g} px"
+        )
         raise CameraFileError(
             f"the corner centres do not fit a diameter of {pitch:.4g} px: they give {found}"
         )
-    warning = "only the corner centres are published, good to a few pixels; calibrate on a flat for better"
+    warning = (
+        "only the corner centres are published, good to a few pixels; calibrate on a flat for "
+        "better"
+    )
     return Calibration(lattice, warnings=(warning,))
 
 
@@ -121,7 +131,7 @@ def parse_key_value(text: str, _image_size: tuple[int, int] | None) -> Calibrati
         1,
         -1,
     ]
-    basis = pitch * np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
+    basis = pitch * np.array([[1.0, 0.0], [0.5, ROW_SPACING]])
     warning = "the file gives no angle finer than upright or level rows"
     lattice = Lattice(origin, reduce_basis(basis[:, ::-1] if upright else basis), size, pitch / 2)
     return Calibration(lattice, warnings=(warning,))
@@ -218,7 +228,7 @@ def _near_type(
     nearest = 0 if mode == "telescopic" else 2
     x, y = middle[::-1] + 0.5 if upright else middle + 0.5
     pitch = lattice.pitch
-    row = lattice.pitch * np.sqrt(0.75)
+    row = lattice.pitch * ROW_SPACING
     start = x - pitch * int((x - pitch / 2) / pitch)
     if int((y - pitch / 2) / row) % 2:
         start += pitch / 2 if start <= pitch else -pitch / 2

@@ -21,6 +21,9 @@ from .text_files import PublishedNumbers, calibration_from_corners
 
 __all__ = ["format_xml", "parse_xml"]
 
+# [pitch^2] Area of a cell, below which its sides are parallel; [pitch] offset of lenses of types.
+_LEAST_AREA = 1e-3
+_MOST_OFF = 0.2
 _SAME_ANGLE = np.radians(1)  # files give six digits: angles further apart are not rounding
 
 
@@ -66,7 +69,7 @@ def _parse_raytrix(
     base = np.array(
         [numbers.point(f"{name}/x", f"{name}/y") for name in ("lens_base_x", "lens_base_y")]
     )
-    if abs(np.linalg.det(base)) < 1e-3:
+    if abs(np.linalg.det(base)) < _LEAST_AREA:
         raise CameraFileError("lens_base_x and lens_base_y do not span a lattice")
     warnings = []
     turned = float(np.arctan2(base[0, 1], base[0, 0]))
@@ -100,9 +103,13 @@ def _parse_raytrix(
             np.array([one.point("offset/x", "offset/y") for one in types]) @ to_pixels, lattice
         )
         warnings.append(
-            "the lens types of the file do not lie on its lattice and are left out; calibrate on a flat"
+            "the lens types of the file do not lie on its lattice and are left out; "
+            "calibrate on a flat"
             if found is None
-            else "the order of the lens types in such files is often wrong and was not taken over; calibrate on a flat"
+            else (
+                "the order of the lens types in such files is often wrong and was not taken "
+                "over; calibrate on a flat"
+            )
         )
     return Calibration(lattice, lens_types=found, warnings=tuple(warnings))
 
@@ -114,7 +121,7 @@ def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | Non
     index = offsets @ np.linalg.inv(lattice.basis)
     numbers = _type_numbers(np.rint(index).astype(int), lattice)
     three = len(offsets) == len(set(numbers.tolist())) == 3 and len(lattice.steps) == 6
-    if not three or np.abs(index - np.rint(index)).max() > 0.2:
+    if not three or np.abs(index - np.rint(index)).max() > _MOST_OFF:
         return None
     i, j = np.meshgrid(np.arange(3), np.arange(3), indexing="ij")
     return LensTypes(

@@ -352,7 +352,7 @@ def convert(report: cl.Report, given: Any) -> None:
     if camera == up and given.y_up is not None:
         raise click.UsageError("--y-up and --y-down are for tables of centres")
     if camera != up and given.y_up is None and pixels is not None:
-        from ..display.fit_check import choose_orientation
+        from ..display.camera_check import choose_orientation
 
         camera = choose_orientation(camera, up, pixels)
     elif camera != up:

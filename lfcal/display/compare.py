@@ -72,7 +72,8 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     Examples
     --------
     >>> from lfcal import Calibration, Lattice
-    >>> a, b = (Calibration(Lattice([x, 30], [[20, 0], [0, 20]], (200, 100), 9)) for x in (40, 60.5))
+    >>> basis = [[20, 0], [0, 20]]
+    >>> a, b = (Calibration(Lattice([x, 30], basis, (200, 100), 9)) for x in (40, 60.5))
     >>> round(compare(a, b).rms, 6)
     0.5
     """

@@ -203,7 +203,7 @@ def _draw_misfit(axes: Any, calibration: Calibration, fit: FitCheck) -> None:
 
 
 def _stretch_contrast(crop: Array) -> NDArray[np.uint8]:
-    """A crop of a flat as RGB (h, w, 3); its darkest and brightest per cent become black and white."""
+    """A crop of a flat as RGB (h, w, 3); its darkest per cent is black, its brightest white."""
     values = np.nan_to_num(crop.astype(np.float32)).reshape(*crop.shape[:2], -1)
     low, high = np.percentile(values, _BLACK_WHITE)
     scaled = np.clip((values - low) / max(high - low, 1e-6), 0, 1) ** (1 / _GAMMA)

@@ -29,6 +29,11 @@ __all__ = [
     "nearest_half",
 ]
 
+# Lenses that are sampled together, so that memory does not grow with the flat.
+_PART = 500
+# Relative light down to which rings lie before the middle of the rim.
+_BEFORE_RIM = 0.75
+
 
 @dataclass(frozen=True, eq=False)
 class GainMap(Frozen):
@@ -111,7 +116,7 @@ class GainMap(Frozen):
             raise ValueError(
                 "step and radius of a gain map must be positive numbers of px, stray_light finite"
             )
-        sizes = {count_terms(degree) for degree in range(9)}
+        sizes = {count_terms(degree) for degree in range(8 + 1)}
         tables = (len(self.level), self.shading.shape[1], self.rim.shape[1])
         if len(self.profile) < 2 or self.shading.shape[0] != 5 or not set(tables) <= sizes:
             raise ValueError("profile, level, shading or rim of a gain map is of a wrong shape")
@@ -181,7 +186,7 @@ class GainMap(Frozen):
         lenses = self.describe(lattice.centres(), lattice)
         least = np.full(len(lattice), limit)
         # In parts, so that memory does not grow with the flat.
-        for part in np.array_split(np.arange(len(lenses)), len(lenses) // 500 + 1):
+        for part in np.array_split(np.arange(len(lenses)), len(lenses) // _PART + 1):
             light = self.sample(lenses[part], int(limit / self.step) + 2)
             first = np.maximum((light < 0.5).argmax(2), 1)[..., None]
             before, after = (np.take_along_axis(light, first - k, 2)[..., 0] for k in (1, 0))
@@ -219,7 +224,7 @@ class GainMap(Frozen):
         """(t, k) `type_light` at those rings within `radius` [px] that lie before the middle of the
         rim.
         """
-        inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > 0.75)
+        inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > _BEFORE_RIM)
         return self.type_light[:, inside]
 
     def to_dict(self) -> dict[str, Any]:
@@ -364,7 +369,7 @@ def field_place(points: Floats, lattice: Lattice) -> Floats:
 
 def field_monomials(points: Floats, lattice: Lattice, terms: int) -> Floats:
     """(n, terms) `1, X, Y, X^2, X*Y, Y^2, ...` at flat positions (n, 2) [px]."""
-    degree = next(degree for degree in range(99) if count_terms(degree) >= terms)
+    degree = next(degree for degree in range(terms) if count_terms(degree) >= terms)
     xs, ys = (np.vander(v, degree + 1, increasing=True) for v in field_place(points, lattice).T)
     return np.column_stack(
         [xs[:, d - b] * ys[:, b] for d in range(degree + 1) for b in range(d + 1)]

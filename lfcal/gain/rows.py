@@ -21,6 +21,11 @@ from .kernel import flatten_rows, relative_light
 
 __all__ = ["RegionGain"]
 
+# Rows that are made even together, so that memory does not grow with the flat.
+_BAND = 512
+# [pitch] A distortion may turn a step to a lens ahead backwards by this.
+_BACKWARDS = 0.2
+
 
 class RegionGain:
     """Gain of rectangular regions of a flat; its tables are made once for all of them.
@@ -65,8 +70,8 @@ class RegionGain:
         unknown = np.empty(deep.shape[:2], np.bool_)
         highest = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 0.0
         # In bands of rows, so that memory does not grow with the flat.
-        for first in range(0, len(deep), 512):
-            rows = slice(first, first + 512)
+        for first in range(0, len(deep), _BAND):
+            rows = slice(first, first + _BAND)
             gain = self.at(left, top + first, deep.shape[1], len(deep[rows]))
             flatten_rows(deep[rows], gain, out[rows], highest)
             np.isnan(gain, out=unknown[rows])
@@ -80,7 +85,8 @@ class _RowTables(NamedTuple):
     light: Floats  # (b, a) of each lens
     lenses: Singles  # (b, a, s) their descriptions
     types: NDArray[np.int8]  # (b, a) 0 where they do not differ
-    starts: Integers  # (h, 2) column and row, here, of a lens near the first pixel of each row of the flat
+    # (h, 2) column and row, here, of a lens near the first pixel of each row of the flat
+    starts: Integers
     ahead: Integers  # (k, 2) steps, here, to the neighbours of a lens that may follow it in a row
 
 
@@ -114,8 +120,7 @@ def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
     # With the shorter diagonal: cells have at most six sides.
     cross = min(((1, 1), (1, -1)), key=lambda step: float(np.hypot(*(step @ lattice.basis))))
     sides = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), cross, (-cross[0], -cross[1])])
-    # A distortion may turn a step a little backwards.
-    ahead = sides[(sides @ lattice.basis)[:, 0] > -0.2 * lattice.pitch]
+    ahead = sides[(sides @ lattice.basis)[:, 0] > -_BACKWARDS * lattice.pitch]
     lenses = gain.describe(points, lattice).astype(np.float32).reshape(*light.shape, -1)
     return _RowTables(centres, light, lenses, types, np.ascontiguousarray(starts - low), ahead)
 

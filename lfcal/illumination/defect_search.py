@@ -14,8 +14,8 @@ import numpy as np
 from ..gain.gain_map import Defects
 from ..gain.rows import RegionGain
 from ..lattice.lattice import Lattice
-from ..lattice.robust_fit import MAD_TO_SIGMA
-from ..runtime.arrays import Booleans, Integers, Singles
+from ..lattice.robust_fit import MAD_TO_SIGMA, SIGNIFICANT
+from ..runtime.arrays import Booleans, Integers, Singles, evenly
 from .lens_light import LensLights
 
 __all__ = ["find_defects"]
@@ -24,8 +24,19 @@ __all__ = ["find_defects"]
 _TENTH_TO_SIGMA = 1 / 1.6449
 # Levels of light, at each of which the noise is measured.
 _LEVELS = 32
-# Standard deviations beyond what Gaussian noise reaches in a flat.
-_SIGNIFICANT = 6.0
+# [px] Sides of the squares over which residuals are averaged.
+_SQUARES = (3, 7)
+# Places that are compared at once, so that memory does not grow with the flat.
+_PART = 20_000
+# Pixels that the noise is measured on.
+_SAMPLE = 1_000_000
+# Residuals of half a per cent of the light harm no picture; lenses differ by three times as much.
+_HARMLESS = 0.005
+# Lenses that a place is compared in, every third one each way, as dust may cover neighbours.
+_COMPARED = 36
+_APART = 3
+# Ranks of their values: a tenth of them lies outside.
+_RANKS = (0.05, 0.5, 0.95)
 
 
 def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tuple[Defects, float]:
@@ -40,12 +51,12 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
     small, large = (
         np.float32(side)
         * np.asarray(cv2.blur(clipped, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
-        for side in (3, 7)
+        for side in _SQUARES
     )
     outside = np.zeros(picture.shape, np.bool_)
     bad = np.zeros(picture.shape, np.bool_)
     for values in (residual, small, large):
-        differs = np.abs(values) > _SIGNIFICANT
+        differs = np.abs(values) > SIGNIFICANT
         if values is large:
             # A large square that reaches over the rim of a speck does not make its middle part of
             # it.
@@ -59,8 +70,7 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
             rows = rows[beside]
             columns = columns[beside]
         places = np.column_stack([columns, rows])
-        # In parts, so that memory does not grow with the flat.
-        for part in np.array_split(places, len(places) // 20_000 + 1):
+        for part in np.array_split(places, len(places) // _PART + 1):
             x, y = part[_differs_from_lenses(values, part, lattice)].T
             bad[y, x] = True
     pixels = np.argwhere(bad)[:, ::-1].astype(np.int32)
@@ -86,9 +96,9 @@ def _compute_residuals(
     residual = np.subtract(picture, gain, out=gain)
     middle, mean = np.zeros((2, _LEVELS), np.float32)
     scale, even = np.ones((2, _LEVELS), np.float32)
-    every = max(1, residual.size // 1_000_000)
-    some = residual.ravel()[::every]
-    of = np.where(unlit, _LEVELS, level).ravel()[::every]
+    sample = evenly(residual.size, _SAMPLE)
+    some = residual.ravel()[sample]
+    of = np.where(unlit, _LEVELS, level).ravel()[sample]
     for k in range(_LEVELS):
         own = some[of == k]
         if len(own):
@@ -100,9 +110,8 @@ def _compute_residuals(
                     * (MAD_TO_SIGMA, _TENTH_TO_SIGMA)
                 )
             )
-            # Residuals of half a per cent of the light harm no picture, and lenses differ by three
-            # times as much; the root of dark pixels is steep.
-            least = 0.005 * brightest / np.sqrt((k + 0.5) / _LEVELS)
+            # The root of dark pixels is steep.
+            least = _HARMLESS * brightest / np.sqrt((k + 0.5) / _LEVELS)
             scale[k] = max(noise, least)
             even[k] = scale[k] / max(noise, 3 * least)
             # Noise of dark pixels is not symmetric.
@@ -124,24 +133,25 @@ def _differs_from_pixels(picture: Singles, rows: Integers, columns: Integers) ->
 
 
 def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) -> Booleans:
-    """Which `places` (n, 2) [px] have values that differ from those at the same place in 36 lenses
+    """Which `places` (n, 2) [px] have values that differ from those at the same place of lenses
     around.
-
-    Every third lens each way, as dust may cover some beside each other.
     """
     height, width = values.shape
-    steps = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-6, 7)), -1).reshape(-1, 2)
+    reach = np.arange(-6, 6 + 1)
+    steps = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
     order = np.argsort(np.linalg.norm(steps @ lattice.basis, axis=1), kind="stable")
     index = np.rint(lattice.to_index(places))
     offset = places - lattice.points(index)
-    beside = lattice.points(index[:, None] + 3 * steps[order[1:37]]) + offset[:, None]
+    beside = (
+        lattice.points(index[:, None] + _APART * steps[order[1 : 1 + _COMPARED]]) + offset[:, None]
+    )
     x, y = np.rint(beside).astype(np.int64).transpose(2, 0, 1)
     seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     others = np.where(seen, values[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], np.nan)
     # Unlit lenses tell nothing; NaN is sorted to the end.
     others.sort(axis=1)
     lit = np.isfinite(others).sum(1)
-    ranks = np.rint(np.maximum(lit - 1, 0)[:, None] * (0.05, 0.5, 0.95)).astype(np.int64)
+    ranks = np.rint(np.maximum(lit - 1, 0)[:, None] * _RANKS).astype(np.int64)
     low, middle, high = np.take_along_axis(others, ranks, axis=1).T
     own = values[places[:, 1], places[:, 0]]
     # Their scatter to the same side: types of lenses, rims.
@@ -152,4 +162,4 @@ def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) ->
     x, y = (places - offset).T
     off = (x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)
     beyond[off] = (own - middle)[off] / (2 * spread[off])
-    return (beyond > _SIGNIFICANT) & (2 * lit > seen.sum(1))
+    return (beyond > SIGNIFICANT) & (2 * lit > seen.sum(1))

@@ -27,10 +27,32 @@ from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.arrays import Array, Booleans, Floats, Singles
 from ..white_fit.vignetting import CatEye
-from .profiles import fit_scene_profile
+from .profiles import FEW_PIXELS, fit_scene_profile
 from .residuals import Residuals, collect_residuals, draw_sample
 
 __all__ = ["estimate_gain"]
+
+# Pixels of the sample.
+_PIXELS = 1.5e5
+# [px] between samples of the profile; a rim is about one pixel soft.
+_STEP = 0.25
+# Share of the pixels that a ring must have to tell its noise by itself.
+_FEW = 1e-4
+# Light of a rim falls by at least this over the radius; a term of the rim moves it by more [px].
+_LEAST = 0.02
+# Directions in which rims are summed, four for each period of the finest harmonic.
+_HARMONICS = 12
+_DIRECTIONS = 4 * _HARMONICS
+# Light through the cutting disc between which pixels lie on its edge.
+_EDGE = 0.001
+# [softness of its edge] largest step of the softness; other steps may be as long as that is wide.
+_SOFTENING = 0.3
+# [px] Least softness of the edge, and how much more of the radius is allowed.
+_SOFTEST = (0.2, 0.1)
+# [radius] Least radius of the cutting disc after a step.
+_SHRINKING = 0.3
+# Relative light, and light through the cutting disc, of pixels that show the shading.
+_SHADED = (0.7, 0.95)
 
 
 def estimate_gain(
@@ -41,12 +63,10 @@ def estimate_gain(
     `picture` (h, w), or crops of a white image, is the square root of the luminance; `cat_eye` the
     cutting disc if known.
     """
-    sample = draw_sample(lattice, picture, 1.5e5, scene)
-    # [px] between samples of the profile; a rim is about one pixel soft.
-    step = 0.25
-    rings = int(Cell.of(lattice).circumradius / step) + 3
+    sample = draw_sample(lattice, picture, _PIXELS, scene)
+    rings = int(Cell.of(lattice).circumradius / _STEP) + 3
     cut = () if cat_eye is None else (*cat_eye.shift, cat_eye.growth, cat_eye.radius, cat_eye.blur)
-    gain = GainMap.round(np.ones(rings), step, nearest_half(lattice), cut)
+    gain = GainMap.round(np.ones(rings), _STEP, nearest_half(lattice), cut)
     largest = np.full(rings, np.inf)
     # The profile alone has to be about right before the rest is fitted.
     for terms in (False, False, True, True):
@@ -71,7 +91,7 @@ def _estimate_noise(residuals: Residuals, rings: int) -> Array:
     """(k,) standard deviation of pixels over the distance to the centre."""
     square = np.bincount(residuals.ring, residuals.weight * residuals.error**2, rings)
     count = np.bincount(residuals.ring, residuals.weight, rings)
-    few = max(1e-4 * count.sum(), 1e-12)
+    few = max(_FEW * count.sum(), 1e-12)
     near = np.convolve(square, np.ones(5), "same") + few * square.sum() / max(count.sum(), 1e-12)
     return np.sqrt(np.maximum(near / (np.convolve(count, np.ones(5), "same") + few), 1e-12))
 
@@ -87,7 +107,7 @@ def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
     )
     # Rings with hardly any pixel are interpolated.
     at = np.arange(rings)
-    filled = pixels > 1e-3 * pixels.max()
+    filled = pixels > FEW_PIXELS * pixels.max()
     profile = np.interp(at, at[filled], found[filled]) if filled.any() else gain.profile
     stray = max(profile.min() if math.isnan(r.stray) else gain.stray_light + r.stray, 0.0)
     smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
@@ -96,10 +116,8 @@ def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
 
 
 def _fit_significant(blocks: list[Floats], target: Floats, weight: Floats) -> list[Floats]:
-    """Weighted least-squares factors of the columns of each block, zero for those that hardly move
-    the rim.
-
-    By 0.02 px RMS, and four standard errors.
+    """Weighted least-squares factors of the columns of each block, zero for those that move the rim
+    by less than `_LEAST` [px RMS], or four standard errors.
     """
     table = np.hstack(blocks)
     root = np.sqrt(weight)[:, None]
@@ -123,7 +141,7 @@ def _fit_significant(blocks: list[Floats], target: Floats, weight: Floats) -> li
                 float(weight @ (table[:, own] @ factors[own]) ** 2) / float(weight.sum())
             )
             ratio = factors[own] @ np.linalg.pinv(whole[own, own]) @ factors[own] / (last - first)
-            keep[own] &= size > 0.02 and ratio > 16
+            keep[own] &= size > _LEAST and ratio > 16
     return [factors[a:b] * keep[a:b] for a, b in pairwise(ends)]
 
 
@@ -133,7 +151,7 @@ def _select_rims(residuals: Residuals, gain: GainMap) -> tuple[Booleans, Array]:
     slope = np.gradient(gain.profile, gain.step)
     far = np.hypot(r.sample.x, r.sample.y) / gain.radius
     steep = (slope[r.ring] * (1 - r.part) + slope[r.ring + 1] * r.part) * r.through * r.plane * far
-    return np.abs(steep) > 0.02, steep
+    return np.abs(steep) > _LEAST, steep
 
 
 def _fit_rim(
@@ -146,8 +164,8 @@ def _fit_rim(
     whole field is in the profile. Of scenes, whose content leaks into them, none changes.
     """
     sample = residuals.sample  # squares and hexagons with their corners
-    directions = 48
-    harmonics = 12
+    directions = _DIRECTIONS
+    harmonics = _HARMONICS
     # Sums over the pixels of the rims in each direction of each window: how far they should move.
     bins = np.floor(
         np.arctan2(sample.y[rims], sample.x[rims]) / (2 * np.pi) * directions + 0.5
@@ -192,7 +210,7 @@ def _fit_rim(
 
 def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
     """One Gauss-Newton step of the cutting disc: shift (2), growth, radius and softness."""
-    edge = np.flatnonzero((residuals.through > 0.001) & (residuals.through < 0.999))
+    edge = np.flatnonzero(np.abs(residuals.through - 0.5) < 0.5 - _EDGE)
     sample, light, through, plane, error, weight = (
         residuals.sample.select(edge),
         *(
@@ -224,15 +242,19 @@ def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
     normal += 1e-6 * np.trace(normal) * np.eye(5) + 1e-12 * np.eye(5)
     radius, soft = cut[3:]
     # Steps beyond the range of the linear model are shortened.
-    most = np.array([1, 1, 1, 1, 0.3]) * soft
+    most = np.array([1, 1, 1, 1, _SOFTENING]) * soft
     cut = cut + np.clip(np.linalg.solve(normal, rows.T @ (weight * error)), -most, most)
-    cut[3], cut[4] = max(cut[3], 0.3 * radius), np.clip(cut[4], 0.2, 0.2 + 0.1 * radius)
+    least, more = _SOFTEST
+    cut[3] = max(cut[3], _SHRINKING * radius)
+    cut[4] = np.clip(cut[4], least, least + more * radius)
     return cut
 
 
 def _fit_shading(residuals: Residuals, gain: GainMap, rims: Booleans) -> Array:
     """New polynomials of the shading: least squares on the normal equations of all windows."""
-    inside = np.flatnonzero(~rims & (residuals.light > 0.7) & (residuals.through > 0.95))
+    inside = np.flatnonzero(
+        ~rims & (residuals.light > _SHADED[0]) & (residuals.through > _SHADED[1])
+    )
     sample, light, error, weight = (
         residuals.sample.select(inside),
         *(v[inside] for v in (residuals.light, residuals.error, residuals.weight)),

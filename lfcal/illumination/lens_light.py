@@ -15,16 +15,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
-from ..gain.gain_map import GainMap, count_terms, field_monomials
+from ..gain.gain_map import GainMap
 from ..gain.kernel import relative_light
+from ..gain.light_polynomial import fit_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
-from ..lattice.robust_fit import TUKEY_CUTOFF, biweight, robust_sigma
-from ..runtime.arrays import Booleans, Floats, Integers, Singles
+from ..lattice.robust_fit import robust_sigma
+from ..runtime.arrays import Booleans, Floats, Integers, Singles, evenly
 from ..runtime.kernels import kernel
 
 __all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]
+
+# Relative light from which on pixels tell that of a lens: rims depend more on its place.
+_FLAT_TOP = 0.8
+# Pixels of each lens that are measured, and fewer where there are many lenses.
+_PIXELS = 48
+_FEWER_PIXELS = 12
+_MANY_LENSES = 1e6
+# Rows that are read at once of a flat that is not in memory.
+_BAND = 128
+# Lenses that percentiles and medians are taken of.
+_SAMPLE = 20_000
+# Light over that of bright lenses (95 %) below which a lens is unlit, or may be lit by stray light.
+_DARK = 0.03
+_DIM = 0.25
+# Contrast of the shape of a microimage from which on pixels can correlate with it.
+_SHAPED = 0.1
+# Least correlation with that shape, over the typical one, of lit lenses; and of dim ones: beside
+# the lit lenses of Letters.white it is up to 0.62, of lenses under dust (w08) 0.67.
+_ALIKE = 0.4
+_DIM_ALIKE = 0.65
+# Share of the usual number of pixels that a lens must have to tell the polynomial.
+_WHOLE = 0.3
+# Scatter of lenses that may come from errors of the model.
+_MODEL_ERROR = 0.003
+# Brightest pixel of an unlit lens of a scene over the mean of its darkest neighbour.
+_UNLIT = 0.05
+# [standard errors] Differences from the polynomial that are not shrunk, if they are larger than
+# those that harm no picture; the latter is also the least light of a lit lens.
+_OUTLIER = 5
+_FAINTEST = 0.01
 
 
 @dataclass(frozen=True)
@@ -33,7 +64,8 @@ class LensLights:
 
     gain: GainMap
     brightest: float  # luminance where the map is 1
-    unlit: Integers  # (m,) rows of `lattice.centres()`: lenses without light, or places without a microimage
+    # (m,) rows of `lattice.centres()`: lenses without light, or places without a microimage
+    unlit: Integers
 
 
 class _LensMeasurements(NamedTuple):
@@ -93,8 +125,7 @@ def _measure_lenses(
                 shapes2 += s * s
                 product += s * v
                 light2 += v * v
-                # The rim depends more on the place of the lens than on its light.
-                if s > 0.8:
+                if s > _FLAT_TOP:
                     inside += 1
                     total += v / s
                     squares += (v / s) * (v / s)
@@ -120,12 +151,11 @@ def _measure_lenses(
 def _measure(
     picture: Singles | ReadCrop, lattice: Lattice, gain: GainMap, centres: Floats
 ) -> _LensMeasurements:
-    """Measure all lenses in about 48 pixels of each, or 12 where there are very many."""
+    """Measure some pixels of all lenses."""
     cell = Cell.of(lattice)
-    out = np.zeros((7, len(centres)), np.float32)
-    stride = max(
-        1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / (48 if len(centres) < 1e6 else 12)))
-    )
+    out = np.zeros((len(_LensMeasurements._fields), len(centres)), np.float32)
+    pixels = _PIXELS if len(centres) < _MANY_LENSES else _FEWER_PIXELS
+    stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / pixels)))
     lenses = gain.describe(centres, lattice)
     kinds = np.zeros(len(centres), np.int8)
     if gain.type_cell.size:
@@ -140,13 +170,14 @@ def _measure(
         measure(picture, 0, np.arange(len(centres)))
         return _LensMeasurements(*out)
     # Bands of rows, as the flat is not in memory.
-    (width, height), rows, reach = lattice.image_size, 128, cell.circumradius
-    band = np.clip(centres[:, 1] // rows, 0, (height - 1) // rows).astype(np.int64)
+    width, height = lattice.image_size
+    reach = cell.circumradius
+    band = np.clip(centres[:, 1] // _BAND, 0, (height - 1) // _BAND).astype(np.int64)
     order = np.argsort(band, kind="stable")
     ends = np.cumsum(np.bincount(band)).tolist()
     for number, (start, stop) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
-        top = max(0, math.floor(number * rows - reach) - 1)
-        bottom = min(height, math.ceil((number + 1) * rows + reach) + 1)
+        top = max(0, math.floor(number * _BAND - reach) - 1)
+        bottom = min(height, math.ceil((number + 1) * _BAND + reach) + 1)
         measure(picture(0, top, width, bottom - top), top, order[start:stop])
     return _LensMeasurements(*out)
 
@@ -160,27 +191,21 @@ def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: Gai
     found = _measure(picture, lattice, gain, centres)
     seen = found.number > 0
     light = found.light
-    few = slice(None, None, max(1, len(centres) // 20_000))
+    few = evenly(len(centres), _SAMPLE)
     top = float(np.percentile(light[few][seen[few]], 95)) if seen[few].any() else 1.0
-    lit = seen & (light > 0.03 * top)
+    lit = seen & (light > _DARK * top)
     # Stray light has not the shape of microimages.
-    shaped = found.contrast > 0.1
-    typical = (
-        float(np.median(found.correlation[few][(lit & shaped)[few]]))
-        if (lit & shaped)[few].any()
-        else 0.0
-    )
-    lit &= ~(shaped & (found.correlation < min(0.25, 0.4 * typical)))
-    # Beside the lit lenses of Letters.white it correlates up to 0.62, lenses under dust (w08) 0.67.
-    lit &= ~(shaped & (found.correlation < 0.65 * typical) & (light < 0.25 * top))
+    shaped = found.contrast > _SHAPED
+    typical = 0.0
+    if (lit & shaped)[few].any():
+        typical = float(np.median(found.correlation[few][(lit & shaped)[few]]))
+    lit &= ~(shaped & (found.correlation < min(0.25, _ALIKE * typical)))
+    lit &= ~(shaped & (found.correlation < _DIM_ALIKE * typical) & (light < _DIM * top))
     if not lit[few].any():
         return LensLights(gain, 1.0, np.zeros(0, np.int64))
-    level = _fit_level(
-        light,
-        lit & (found.number > 0.3 * np.median(found.number[few][seen[few]])),
-        centres,
-        lattice,
-    )
+    whole = found.number > _WHOLE * np.median(found.number[few][seen[few]])
+    used = np.flatnonzero(lit & whole)
+    level = fit_light(light[used], centres[used], lattice)
     smooth = replace(gain, level=level).light(centres, lattice).astype(np.float32)
     # Far from all light a polynomial can be close to 0; squares of the ratio stay finite.
     np.maximum(smooth, np.float32(1e-9) * np.max(light), out=smooth)
@@ -201,28 +226,6 @@ def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: Gai
     )
 
 
-def _fit_level(lights: Singles, use: Booleans, centres: Floats, lattice: Lattice) -> Floats:
-    """Robust polynomial through the logarithms of the lights of lenses, of the fourth degree if
-    there are enough.
-    """
-    rows = np.flatnonzero(use)
-    rows = rows[:: max(1, len(rows) // 4000)]
-    log = np.log(np.maximum(lights[rows], 1e-12))
-    degree = next((d for d in (4, 2) if len(rows) >= 12 * count_terms(d)), 0)
-    table = field_monomials(centres[rows], lattice, count_terms(degree))
-    weight = np.ones(len(rows))
-    level: Floats = np.zeros(table.shape[1])
-    for _ in range(5):
-        weighted = weight[:, None] * table
-        level[:] = np.linalg.solve(
-            weighted.T @ table + 1e-9 * max(len(rows), 1) * np.eye(len(level)), weighted.T @ log
-        )
-        miss = np.abs(log - table @ level)
-        spread = robust_sigma(miss) + 1e-9 if len(rows) else 1.0
-        weight = biweight((miss / (TUKEY_CUTOFF * spread)) ** 2)
-    return level
-
-
 def _shrink_lens_gain(
     ratio: NDArray[np.floating], error: NDArray[np.floating], lit: Booleans, few: slice
 ) -> Singles:
@@ -236,21 +239,17 @@ def _shrink_lens_gain(
     noise = float(np.median(error[few][lit[few]]))
     true = max(spread**2 - noise**2, 0.0)
     variance = np.float32(true) + error * error
-    # Lenses that scatter by 0.3 % may do so by errors of the model.
-    kept = (
-        np.float32(true) / variance if true > max(0.003, 0.5 * noise) ** 2 else np.zeros_like(miss)
-    )
-    kept[miss * miss > np.maximum(25 * variance, np.float32(1e-4))] = 1
-    return np.where(lit, np.maximum(1 + kept * miss, np.float32(0.01)), np.float32(0)).astype(
-        np.float32
-    )
+    kept = np.zeros_like(miss)
+    if true > max(_MODEL_ERROR, 0.5 * noise) ** 2:
+        kept = np.float32(true) / variance
+    kept[miss * miss > np.maximum(_OUTLIER**2 * variance, np.float32(_FAINTEST**2))] = 1
+    light = np.where(lit, np.maximum(1 + kept * miss, np.float32(_FAINTEST)), 0)
+    return light.astype(np.float32)
 
 
 def find_unlit_in_scene(picture: Singles, lattice: Lattice, gain: GainMap) -> Integers:
     """(m,) rows of the lenses of a scene capture that have no light while all their neighbours have
     some.
-
-    Their brightest pixel has less than a twentieth of the mean of the darkest neighbour.
     """
     found = _measure(picture, lattice, gain, lattice.centres())
     indices = lattice.indices()
@@ -258,4 +257,4 @@ def find_unlit_in_scene(picture: Singles, lattice: Lattice, gain: GainMap) -> In
     grid = np.full(indices.max(0) - low + 2, np.nan)
     grid[tuple((indices - low).T)] = found.mean
     beside = np.array([grid[tuple((indices - low + step).T)] for step in lattice.steps])
-    return np.flatnonzero(found.largest < 0.05 * np.min(beside, axis=0))
+    return np.flatnonzero(found.largest < _UNLIT * np.min(beside, axis=0))

@@ -13,7 +13,7 @@ from ..camera.lens_types import LensTypes
 from ..gain.gain_map import Defects, GainMap, Vignetting, nearest_half
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
-from ..runtime.arrays import Singles
+from ..runtime.arrays import Singles, evenly
 from ..runtime.errors import CalibrationError
 from ..white_fit.vignetting import CatEye
 from .defect_search import find_defects
@@ -27,6 +27,10 @@ __all__ = ["Illumination", "measure_illumination"]
 #: images have up to 0.027 (a binary mask), one with large specks of dust 0.05, a checkerboard seen
 #: through an array 0.12.
 MOST_OFF_GAIN = 0.03
+# [limit] Radius below which light is not taken for the rim.
+_INNER = 0.3
+# Lenses over which the vignetting is averaged.
+_LENSES = 64
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,8 @@ class Illumination:
 
     gain_map: GainMap
     vignetting: Vignetting  # of the average microimage
-    radius: float  # [px] where that falls below half, at most half the distance to the nearest microimage
+    # [px] where that falls below half, at most half the distance to the nearest microimage
+    radius: float
     defects: Defects
     warnings: tuple[str, ...]
     outlier_share: float = (
@@ -83,16 +88,16 @@ def measure_illumination(
         defects, share = find_defects(picture, lattice, lights)
         if share > MOST_OFF_GAIN:
             warnings = (
-                f"{share:.1%} of the pixels differ from the gain map, more than defects explain; check the white image "
-                "for structure or saturation",
+                f"{share:.1%} of the pixels differ from the gain map, more than defects explain; "
+                "check the white image for structure or saturation",
             )
     return Illumination(gain, vignetting, radius, defects, warnings, share, types)
 
 
 def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     """Vignetting of the average microimage, and its usable radius."""
-    every = max(1, len(lattice) // 64)
-    centres = np.ascontiguousarray(lattice.points(lattice.indices()[::every]))
+    some = lattice.indices()[evenly(len(lattice), _LENSES)]
+    centres = np.ascontiguousarray(lattice.points(some))
     limit = nearest_half(lattice)
     rings = int(limit / gain.step) + 2
     relative = gain.sample(gain.describe(centres, lattice), rings).mean((0, 1))
@@ -103,7 +108,7 @@ def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     radius = limit
     # In clipped flats only the rims of bright microimages are measured.
     dark = np.flatnonzero(
-        (relative < 0.5) & (radii > max(0.3 * limit, float(radii[relative.argmax()])))
+        (relative < 0.5) & (radii > max(_INNER * limit, float(radii[relative.argmax()])))
     )
     if len(dark):
         k = int(dark[0])

@@ -22,9 +22,20 @@ from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..runtime.arrays import Floats, Singles
-from .residuals import Sample, clipping_luminance, draw_sample
+from .residuals import CORES, Sample, clipping_luminance, draw_sample
 
-__all__ = ["fit_scene_profile", "fit_type_profiles", "order_by_rims"]
+__all__ = ["FEW_PIXELS", "fit_scene_profile", "fit_type_profiles", "order_by_rims"]
+
+#: Rings with a smaller share of the pixels of the fullest ring are interpolated.
+FEW_PIXELS = 1e-3
+# Pixels of the sample.
+_PIXELS = 1e6
+# Level of a window over the mean, below which it is dark.
+_DARK = 0.02
+# [px] Width over which profiles of types are smoothed.
+_SMOOTH = 1.25
+# Relative difference of the light of types that matters.
+_LEAST = 0.005
 
 
 def _sum_windows(
@@ -55,7 +66,7 @@ def _sum_windows(
     radii = np.arange(shape[2]) * gain.step
     number = weight[..., radii < core].sum(-1)
     level = light[..., radii < core].sum(-1) / np.maximum(number, 1e-12)
-    bright = (number > 0).all(1) & (level.min(1) > 0.02 * level.mean())
+    bright = (number > 0).all(1) & (level.min(1) > _DARK * level.mean())
     # A lens has few pixels in its middle: their mean would be noisier than those around it.
     for sums in (light, weight):
         sums[..., radii < 1.5] = sums[..., radii < 1.5].mean(-1, keepdims=True)
@@ -79,14 +90,14 @@ def fit_scene_profile(picture: Singles | StackedCrops, lattice: Lattice, gain: G
     `picture` (h, w) is the square root of the luminance; where it is too dark, the profile of
     `gain` is returned.
     """
-    sample = draw_sample(lattice, picture, 1e6, True)
+    sample = draw_sample(lattice, picture, _PIXELS, True)
     types = np.zeros(len(sample.centres), np.int8)
-    light, weight, _ = _sum_windows(sample, gain, True, types, 0.6 * gain.radius)
+    light, weight, _ = _sum_windows(sample, gain, True, types, CORES[0] * gain.radius)
     if not len(light):
         return gain.profile
     rings = np.arange(len(gain.profile))
     pixels = weight.sum((0, 1))
-    filled = pixels > 1e-3 * pixels.max()
+    filled = pixels > FEW_PIXELS * pixels.max()
     away = _shrunk_mean(light[:, 0] / np.maximum(weight[:, 0], 1e-12) - 1, weight[:, 0])
     profile = 1 + np.interp(rings, rings[filled], away[filled])
     smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
@@ -108,13 +119,12 @@ def fit_type_profiles(
     """
     if types is None or types.count == 1:
         return gain
-    sample = draw_sample(lattice, picture, 1e6, True)
+    sample = draw_sample(lattice, picture, _PIXELS, True)
     kinds = types.of(np.rint(lattice.to_index(sample.centres)).astype(np.int64))
     light, weight, level = _sum_windows(sample, gain, scene, kinds, 0.5 * lattice.radius)
     if level.shape[1] != types.count or len(level) < 4:
         return gain
-    # Over 1.25 px.
-    wide = 2 * (round(1.25 / gain.step) // 2) + 1
+    wide = 2 * (round(_SMOOTH / gain.step) // 2) + 1
     edge = ((0, 0), (0, 0), (wide // 2, wide // 2))
     light, weight = (
         sliding_window_view(np.pad(sums, edge, "edge"), wide, -1).mean(-1)
@@ -131,7 +141,7 @@ def fit_type_profiles(
         number = least[..., radii < 0.5 * lattice.radius].sum(-1)
         factor *= 1 + _shrunk_mean(level / level.mean(1, keepdims=True) - 1, number)[:, None]
     factor = np.clip(factor, 0.5, 2)
-    if np.abs(factor[:, radii < lattice.radius] - 1).max() < 0.005:
+    if np.abs(factor[:, radii < lattice.radius] - 1).max() < _LEAST:
         return gain
     return replace(gain, type_light=factor, type_cell=types.cell)
 
@@ -150,7 +160,7 @@ def order_by_rims(
     rims = gain.type_rims(radius)
     rims = rims[:, np.ptp(rims, axis=0).argmax()]
     order = np.argsort(rims)
-    if np.diff(rims[order]).min() < 0.005:
+    if np.diff(rims[order]).min() < _LEAST:
         return types, gain
     cell = np.argsort(order)[types.cell].astype(np.int8)
     ordered = LensTypes(

@@ -14,12 +14,27 @@ from typing import NamedTuple
 import numpy as np
 
 from ..gain.gain_map import GainMap
+from ..images.stack import CLIPPED_LIGHT
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
 from ..runtime.arrays import Array, Integers, Singles
 
-__all__ = ["Residuals", "Sample", "clipping_luminance", "collect_residuals", "draw_sample"]
+__all__ = ["CORES", "Residuals", "Sample", "clipping_luminance", "collect_residuals", "draw_sample"]
+
+# Pixels that remain of each lens where rows and columns are left out.
+_PIXELS_OF_LENS = 700
+# Lenses of a sample, at least.
+_FEWEST_LENSES = 200
+# Windows of the field each way, if six lenses fall into each.
+_WINDOWS = np.array([8, 6])
+#: [radius] Disc in the middle that tells the light of a lens, on scenes and white images.
+CORES = (0.6, 0.5)
+# Least light of a plane over that in the middle, and light through the cutting disc behind it.
+_LEAST_PLANE = 0.2
+_BEHIND = 0.02
+# Lenses of scenes with this squared contrast beside a plane have half the weight of even ones.
+_CONTRAST = 0.06**2
 
 
 class Sample(NamedTuple):
@@ -64,27 +79,25 @@ class Sample(NamedTuple):
 def draw_sample(
     lattice: Lattice, picture: Singles | StackedCrops, pixels: float, scene: bool
 ) -> Sample:
-    """Sample of the lenses of a flat, or of crops of it, with about so many pixels, but 200 lenses
-    at least.
+    """Sample of the lenses of a flat, or of crops of it, with about so many pixels.
 
-    `picture` is the square root of the luminance. Of large lenses rows and columns are left out, so
-    that 700 pixels of each remain, of scenes 350, as their content differs little from row to row.
-    The field has 8 x 6 windows, or fewer, so that six lenses fall into each.
+    `picture` is the square root of the luminance. Of large lenses rows and columns are left out; of
+    scenes every other row, as their content differs little from row to row.
     """
     crops = StackedCrops.of(picture)
     cell = Cell.of(lattice)
     area = abs(float(np.linalg.det(lattice.basis)))
-    stride = max(1, int(math.sqrt(area / 700)))
+    stride = max(1, int(math.sqrt(area / _PIXELS_OF_LENS)))
     margin = cell.circumradius + 1
-    wanted = max(pixels * stride**2 / area, 200)
+    wanted = max(pixels * stride**2 / area, _FEWEST_LENSES)
     if crops.size == lattice.image_size:
         places = centres = sample_lenses(lattice, margin, wanted)[1]
     else:
         _, centres, crop = crops.lenses(lattice, margin)
         chosen = sample_mask(len(centres), wanted / max(len(centres), 1))
         centres, places = centres[chosen], (centres - crops.offsets[crop])[chosen]
-    shrink = min(1.0, math.sqrt(len(centres) / (6 * 8 * 6)))
-    shape = np.maximum(1, np.array([8, 6]) * shrink).astype(int)
+    shrink = min(1.0, math.sqrt(len(centres) / (6 * _WINDOWS.prod())))
+    shape = np.maximum(1, _WINDOWS * shrink).astype(int)
     column, row = np.minimum((centres + 0.5) / lattice.image_size * shape, shape - 1).astype(int).T
     window = np.unique(row * shape[0] + column, return_inverse=True)[1].ravel()
     # Other pixels are left out in each lens.
@@ -118,7 +131,9 @@ class Residuals(NamedTuple):
     plane: Array  # (q,) of the scene
     ring: Integers  # (q,) sample of the profile before the pixel
     part: Array  # (q,) how far it lies towards the next one
-    stray: float  # mean error outside the cutting disc, where there is stray light alone; NaN where there is no such place
+    # mean error outside the cutting disc, where there is stray light alone; NaN where there is no
+    # such place
+    stray: float
 
     def spread(self, values: Array, rings: int) -> Array:
         """(rings,) sums of values (q,) over the profile, shared out among the two samples about
@@ -129,8 +144,8 @@ class Residuals(NamedTuple):
 
 
 def clipping_luminance(value: Array, scene: bool) -> float:
-    """Luminance from which on pixels count as clipped; a white image can be as even as if it were."""
-    return 0.995 * float(value.max()) if scene else math.inf
+    """Luminance from which on pixels of a scene count as clipped; infinite for white images."""
+    return CLIPPED_LIGHT * float(value.max()) if scene else math.inf
 
 
 def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array) -> Residuals:
@@ -139,14 +154,13 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
     Pixels whose residual is above the `largest` (k,) at their distance are left out.
     """
     light, stretched, through = sample.evaluate(gain)
-    level, slope, share = _fit_lens_lights(
-        sample, light, (0.6 if scene else 0.5) * gain.radius, scene
-    )
+    core = CORES[0] if scene else CORES[1]
+    level, slope, share = _fit_lens_lights(sample, light, core * gain.radius, scene)
     lens = sample.lens
-    plane = np.maximum(1 + slope[0, lens] * sample.x + slope[1, lens] * sample.y, 0.2)
+    plane = np.maximum(1 + slope[0, lens] * sample.x + slope[1, lens] * sample.y, _LEAST_PLANE)
     error = sample.value / level[lens] - light * plane
     weight = share[lens]
-    behind = (through < 0.02) & (weight > 0)
+    behind = (through < _BEHIND) & (weight > 0)
     stray = float(np.average(error[behind], weights=weight[behind])) if behind.any() else math.nan
     place = stretched / gain.step
     ring = np.minimum(place.astype(np.int64), len(gain.profile) - 2)
@@ -187,5 +201,5 @@ def _fit_lens_lights(
     )
     left = np.maximum(left, 0) / np.maximum(count, 1) / level**2
     # Lenses with little contrast beside a plane, relative to its light, show the rim best.
-    contrast = 0.06**2
-    return level, np.where(good, slope, 0), np.where(good, contrast / (contrast + left), 0)
+    share = np.where(good, _CONTRAST / (_CONTRAST + left), 0)
+    return level, np.where(good, slope, 0), share

@@ -27,12 +27,12 @@ __all__ = [
     "read_raw_photo",
 ]
 
-# Names of datasets with captures (plenoptomos, HCI Heidelberg, common ones), and with white and dark
-# images.
+# Names of datasets with captures (plenoptomos, HCI Heidelberg, common ones), and with white and
+# dark images.
 _CAPTURES = ("data/image", "LF", "lightfield", "light_field", "flat", "image", "raw", "data")
 _FURTHER = ("data/white", "data/dark", "white", "dark")
-# Codecs of Zarr 2 that decode numbers. Others rebuild Python objects; one of them, `pickle`, executes
-# code from the file, which Zarr before 3.1 allows.
+# Codecs of Zarr 2 that decode numbers. Others rebuild Python objects; one of them, `pickle`,
+# executes code from the file, which Zarr before 3.1 allows.
 _NUMERIC_CODECS = {
     "adler32",
     "astype",
@@ -56,8 +56,8 @@ _NUMERIC_CODECS = {
 }
 # Header of a Blosc block: bytes of its pixels, and of the block.
 _BLOSC_HEADER = struct.Struct("<4xI4xI")
-# Most bytes of an HDF5 dataset over those in the file: shuffled and deflated pictures have ten times
-# as many, blank ones a thousand times.
+# Most bytes of an HDF5 dataset over those in the file: shuffled and deflated pictures have ten
+# times as many, blank ones a thousand times.
 _MOST_DEFLATED = 1100
 _MOST_CHANNELS = 4
 
@@ -210,7 +210,7 @@ class ZarrFlat(NamedTuple):
         return (*shape[1:], shape[0]) if self.channels_first else shape
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
-        """Pixels as stored, channels last; FlatError if a chunk is missing (Zarr reads it black)."""
+        """Pixels as stored, channels last; FlatError if a chunk is missing."""
         channels = [slice(0, self.shape[2])] if len(self.shape) == 3 else []
         parts = [*channels, rows, columns] if self.channels_first else [rows, columns, *channels]
         self._check_chunks(parts)
@@ -228,7 +228,10 @@ class ZarrFlat(NamedTuple):
         for chunk in product(*numbers):
             name = metadata.encode_chunk_key((0,) * self.leading + chunk)
             if not (folder / name).is_file():
-                advice = "copy the array anew, or write empty chunks too (in Zarr: write_empty_chunks=True)"
+                advice = (
+                    "copy the array anew, or write empty chunks too (in Zarr: "
+                    "write_empty_chunks=True)"
+                )
                 raise FlatError(f"the chunk '{name}' is missing; {advice}")
             if blosc and not _is_whole_blosc(
                 folder / name, math.prod(sides) * self.array.dtype.itemsize
@@ -258,7 +261,7 @@ def is_zarr(path: Path) -> bool:
 
 
 def open_zarr(path: Path) -> ZarrFlat:
-    """The picture in a Zarr folder; in a group, the finest array (OME-Zarr), the only one, or `0`."""
+    """The picture in a Zarr folder; of a group the finest array (OME-Zarr), or the only one."""
     array: Any = import_reader("zarr", "zarr").open(str(path), mode="r")
     if not hasattr(array, "shape"):
         names = sorted(array.array_keys())

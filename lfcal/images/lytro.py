@@ -1,4 +1,4 @@
-"""Lytro files (`.lfp`, `.lfr`, calibration archives): sections of JSON and of data with SHA-1 names.
+"""Lytro files (`.lfp`, `.lfr`, calibration archives): JSON, and data with SHA-1 names.
 
 Pixels of the colour mosaic are packed: two of 12 bits in three bytes (F01), or four of 10 bits in
 five bytes, of which the last one holds the lowest bits of all four (Illum).

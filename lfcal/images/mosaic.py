@@ -25,8 +25,8 @@ _NEAR = 0.052
 _BESIDE = (0.09, 0.26)
 # Quantile of the blocks whose power counts: a quarter of a scene is coloured.
 _COLOURED = 0.75
-# Tails of the logarithm of red over blue [quantiles], and the least difference of their lengths that
-# tells red from blue.
+# Tails of the logarithm of red over blue [quantiles], and the least difference of their lengths
+# that tells red from blue.
 _TAILS = [0.02, 0.5, 0.98]
 _LONGER = 0.01
 

@@ -128,7 +128,7 @@ def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
 
 
 def decode_picture(data: bytes, name: str) -> NDArray[Any]:
-    """Pixels (h, w) or (h, w, c) of the bytes of a file in the format `name`, with all their bits."""
+    """Pixels (h, w) or (h, w, c) of the bytes of a file in the format `name`, with all bits."""
     image = _open_with_pillow(data, name)
     check_size(*image.size)
     if getattr(image, "n_frames", 1) > 1:

@@ -32,7 +32,7 @@ _CLIP = np.float32(3)
 
 
 def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
-    """(h, w) float32 luminance of raw values (h, w) or (h, w, 3); negative values (noise) become 0."""
+    """(h, w) float32 luminance of raw values (h, w) or (h, w, 3); negative ones become 0."""
     import cv2
 
     grey: Any
@@ -98,7 +98,7 @@ def _edge_strength(begin, end, padded, out):
 
 
 def edge_strength(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(h, w) float32 square root of the gradient magnitude (Sobel) of a picture of 2 x 2 px or more."""
+    """(h, w) float32 square root of the gradient (Sobel) of a picture of 2 x 2 px or more."""
     out = np.empty_like(picture)
     _edge_strength(_mirrored(picture, 1), out)
     return out
@@ -163,7 +163,7 @@ def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np
 def interpolate_linear(
     picture: NDArray[np.float32], positions: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(...,) bilinear interpolation of a picture (h, w) at positions (..., 2) [px]; nearest outside."""
+    """(...,) bilinear interpolation of a picture at positions (..., 2) [px]; nearest outside."""
     low = np.clip(np.floor(positions), 0, np.array(picture.shape[::-1]) - 2).astype(np.intp)
     x, y = np.moveaxis(low, -1, 0)
     right, down = np.moveaxis(np.clip(positions - low, 0, 1), -1, 0)

@@ -117,7 +117,8 @@ def count_pages(
     >>> from tempfile import TemporaryDirectory
     >>> import lfcal, numpy, tifffile
     >>> with TemporaryDirectory() as folder:
-    ...     tifffile.imwrite(f"{folder}/frames.tif", numpy.zeros((5, 20, 30), numpy.uint8), photometric="minisblack")
+    ...     frames = numpy.zeros((5, 20, 30), numpy.uint8)
+    ...     tifffile.imwrite(f"{folder}/frames.tif", frames, photometric="minisblack")
     ...     lfcal.count_pages(f"{folder}/frames.tif")
     5
     """

@@ -18,6 +18,7 @@ from .preprocessing import is_mask
 from .read import read_flat
 
 __all__ = [
+    "CLIPPED_LIGHT",
     "average_scenes",
     "check_flats",
     "clipping_level",
@@ -38,12 +39,12 @@ _LEAST_SHARE = 0.05
 # Pixels from which exposures are estimated.
 _SAMPLE = 200_000
 # Pixels of the largest light are clipped if more than a share of 0.002 has 0.995 of it.
-_CLIPPED_LIGHT = 0.995
+CLIPPED_LIGHT = 0.995
 _CLIPPED_SHARE = 0.002
 
 
 def check_flats(image: Any) -> list[NDArray[Any]]:
-    """One or several flats, or their paths, as arrays; FlatError if they cannot be of one camera."""
+    """One or several flats, or their paths, as arrays; FlatError if they are of two cameras."""
     given: Any = _read_paths(image)
     several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
     if not several and np.ndim(given) != 4:
@@ -170,5 +171,5 @@ def average_scenes(lights: Sequence[Light]) -> Light:
 
 def clipping_level(light: Light) -> float:
     """Least light of clipped pixels in an array of any shape, infinite if none are clipped."""
-    top = _CLIPPED_LIGHT * float(light.max())
+    top = CLIPPED_LIGHT * float(light.max())
     return top if float((light >= top).mean()) > _CLIPPED_SHARE else float("inf")

@@ -187,6 +187,7 @@ def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
     whole = flat.dtype.kind == "u"
     if (dark.dtype.kind == "u") != whole or (whole and dark.dtype.itemsize > flat.dtype.itemsize):
         raise FlatError(
-            f"dark frame is {dark.dtype}, the flat {flat.dtype}; give both as the sensor stores them"
+            f"dark frame is {dark.dtype}, the flat {flat.dtype}; give both as the sensor "
+            "stores them"
         )
     return np.asarray(flat - (np.minimum(dark, flat) if whole else dark), flat.dtype)

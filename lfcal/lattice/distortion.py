@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike
 
 from ..runtime.arrays import Floats, Frozen
 
-__all__ = ["Distortion"]
+__all__ = ["GENERAL_TERMS", "Distortion"]
 
 # Beyond this share of the distance to the middle neighbouring lenses change places.
 _LARGEST = 0.3
 # Powers of x and y of the general part, second and third order: fixed by the file format.
 _POWERS = tuple((order - q, q) for order in (2, 3) for q in range(order + 1))
+#: Terms of the general part in x, and as many in y.
+GENERAL_TERMS = len(_POWERS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from .distortion import Distortion
 
 __all__ = [
     "MAD_TO_SIGMA",
+    "SIGNIFICANT",
     "TUKEY_CUTOFF",
     "LatticeFit",
     "biweight",
@@ -29,6 +30,8 @@ __all__ = [
 
 #: Residuals beyond this [standard deviations] have no weight; normal ones keep 95 % efficiency.
 TUKEY_CUTOFF = 4.685
+#: Standard errors from which on an effect is significant: chance reaches 5.5 in the pixels of a flat.
+SIGNIFICANT = 6
 #: Standard deviation of normal values over their median absolute deviation.
 MAD_TO_SIGMA = 1.4826
 # Median of the squared length of a standard normal vector in the plane: 2 ln 2.

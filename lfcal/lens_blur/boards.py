@@ -25,6 +25,15 @@ _Array = NDArray[np.float64]
 _FAULT = 0.1
 #: Depths at which the camera file holds discs.
 _DEPTHS = 7
+#: [px] Places at which edges are tabulated, and discs.
+_PLACE_STEP = 0.01
+_WIDEST = 12
+_DISC_STEP = 0.25
+#: [px] Gaussians that may blur an edge most alike.
+_WIDTHS = (0.1, 6)
+#: [px] Least disc that all depths share, and what is added to discs for weights.
+_LEAST_COMMON = 0.1
+_LEAST_DISC = 0.3
 
 
 class Edges(NamedTuple):
@@ -42,10 +51,10 @@ def _tabulate_widths() -> tuple[_Array, _Array]:
     from scipy.optimize import minimize_scalar
     from scipy.special import erf
 
-    step = 0.01
-    place = step * np.arange(-1200, 1201)
+    count = round(_WIDEST / _PLACE_STEP)
+    place = _PLACE_STEP * np.arange(-count, count + 1)
     pixel = (np.abs(place) < 0.5) / np.sum(np.abs(place) < 0.5)
-    discs = np.arange(0, 12.1, 0.25)
+    discs = np.arange(0, _WIDEST + _DISC_STEP / 2, _DISC_STEP)
     widths = []
     for disc in discs:
         chord = np.sqrt(np.maximum((disc / 2) ** 2 - place**2, 0)) + (place == 0) * 1e-9
@@ -54,7 +63,7 @@ def _tabulate_widths() -> tuple[_Array, _Array]:
         def miss(width: float, edge: _Array = edge) -> float:
             return float(((erf(place / (np.sqrt(2) * width)) - edge) ** 2).sum())
 
-        widths.append(minimize_scalar(miss, bounds=(0.1, 6), method="bounded").x)
+        widths.append(minimize_scalar(miss, bounds=_WIDTHS, method="bounded").x)
     return discs, np.array(widths)
 
 
@@ -75,7 +84,7 @@ def fit_discs(edges: Edges, count: int, pitch: float, rims: LensBlur | None) -> 
     kinds = edges.kind
     ratios = edges.ratio
     spread = np.interp(edges.width + edges.spread, widths, discs) - seen
-    faults = np.hypot(_FAULT / np.minimum(seen + 0.1, 1.0), spread)
+    faults = np.hypot(_FAULT / np.minimum(seen + _FAULT, 1.0), spread)
     if rims is not None and not rims.tells_aperture and len(rims.focus) == count:
         rim, errors = rims.at([0.0])
         kinds = np.append(kinds, np.arange(count))
@@ -121,11 +130,11 @@ def _fit_parabolas(edges: Edges, discs: _Array, count: int) -> _Array | None:
         return None
     table = np.column_stack([edges.ratio**2, own * edges.ratio[:, None], own])
     # Errors of squares grow with the disc.
-    weight = 1 / (discs + 0.3)
+    weight = 1 / (discs + _LEAST_DISC)
     p, *rest = np.linalg.lstsq(table * weight[:, None], discs**2 * weight, rcond=None)[0]
     if p <= 0:
         return None
     focus = -np.array(rest[:count]) / (2 * p)
     floor = np.array(rest[count:]) - p * focus**2
-    common = np.sqrt(np.maximum(floor.mean(), 0.01))
+    common = np.sqrt(np.maximum(floor.mean(), _LEAST_COMMON**2))
     return np.array([np.sqrt(p), *focus, common])

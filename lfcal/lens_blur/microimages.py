@@ -22,6 +22,7 @@ from ..images.preprocessing import luminance
 from ..lattice.cell import Cell
 from ..lattice.lens_subset import select_whole_lenses
 from ..lattice.robust_fit import MAD_TO_SIGMA
+from ..runtime.arrays import evenly
 
 __all__ = ["LIGHT_FAULT", "Field", "MicroimageField", "measure_microimages"]
 
@@ -37,6 +38,39 @@ _SIDES_FAULT = 0.15
 _BLUR_SHARE = 0.04
 _BLUR_FAULT = 0.25
 LIGHT_FAULT = 0.002  # of the logarithm of the light
+# Start of the fit: radius over half the distance to the neighbours; blur [px], light, shading and
+# stray light.
+_START_RADIUS = 0.93
+_START = (1.5, 1.0, 0.0, 0.02)
+# Least and largest radius [pitch]; blur from [px] to [pitch], light, shading, stray light.
+_RADII = (0.1, 0.8)
+_LOW = (0.05, 0.3, -1.0, -0.1)
+_MOST_BLUR = 0.5
+_HIGH = (1.7, 1.0, 0.9)
+# Standard deviations of shading and stray light about the start, and of a pixel of a tile: they
+# matter only where the pixels do not tell these.
+_SPREADS = np.array([0.3, 0.2])
+_PIXEL_ERROR = 0.002
+# Light beyond which misfits count less.
+_MISFIT = 0.03
+# Misfits over those of round discs below which sides are straight, and beyond which there are none.
+_STRAIGHT = 0.8
+_MOST_MISFIT = 0.15
+# [radius] Shading grows no further beyond this.
+_SHADED = 1.2
+# Share of the blur by the squares that places of mean pixels leave.
+_SQUARES = 0.65
+# Lenses of a tile for each type; tiles each way of arrays of several types; pixels of a tile.
+_LENSES_OF_TILE = 30
+_MOST_TILES = 4
+_PIXELS_OF_TILE = 6e4
+# Light over the median, of tiles and of lenses, below which they are dark.
+_DARK_TILE = 0.1
+_DARK_LENS = 0.3
+# [cell] Pixels up to a little beyond the border are averaged.
+_BORDER = 0.52
+# Squares across half a microimage, and across one of several types.
+_ACROSS = (20, 14)
 
 
 class Field(NamedTuple):
@@ -130,17 +164,19 @@ def measure_microimages(
     starts = []
     for encoded in (True, False) if unknown else (bool(camera.encoded),):
         if tiles := _average_tiles(flat, camera, encoded, model.count, most):
-            usual = model.start(0.93 * nearest_half(camera.lattice))
+            usual = model.start(_START_RADIUS * nearest_half(camera.lattice))
             round_one, straight = (
                 (m, *m.fit(tiles[0], usual), tiles) for m in (model, replace(model, straight=True))
             )
-            starts.append(straight if straight[2] < 0.8 * round_one[2] else round_one)
+            starts.append(straight if straight[2] < _STRAIGHT * round_one[2] else round_one)
     least = min((miss for _, _, miss, _ in starts), default=1.0)
     # Two of 11 simulated cameras have less than 1.5; where a disc cuts, both may explain what the
     # other does.
     starts = [start for start in starts if len(model.cut) or start[2] <= 2 * least]
     t = model.count
-    if least > 0.15 or any((start[t : 2 * t] > start[:t]).any() for _, start, _, _ in starts):
+    if least > _MOST_MISFIT or any(
+        (start[t : 2 * t] > start[:t]).any() for _, start, _, _ in starts
+    ):
         # No discs, or spots that are all blur.
         return None
     first, *others = (_fit_tiles(chosen, tiles, start) for chosen, start, _, tiles in starts)
@@ -191,16 +227,14 @@ class _Model:
 
     def start(self, *values: float) -> Array:
         """Parameters from a radius and, unless they are the usual ones, all other values."""
-        return np.repeat(
-            (*values, *(1.5, 1.0, 0.0, 0.02)[len(values) - 1 :]), [self.count] * 3 + [1, 1]
-        )
+        return np.repeat((*values, *_START[len(values) - 1 :]), [self.count] * 3 + [1, 1])
 
     def light(self, tile: _Tile, p: Array) -> Array:
         """(m,) light at the squares of the mean microimages of a tile."""
         t = self.count
         total = np.full(len(tile.kind), p[-1])
         # Of the blur by the squares, places of mean pixels leave two thirds.
-        width = float(np.sqrt(1 + 0.65 * tile.side**2))
+        width = float(np.sqrt(1 + _SQUARES * tile.side**2))
         for number, step in enumerate(self.steps):
             kind = self.kinds[tile.kind, number]
             radius = p[:t][kind]
@@ -218,7 +252,7 @@ class _Model:
                 inside = self.cut[3] - np.hypot(*(away - self.cut[:2] - self.cut[2] * tile.place).T)
                 seen = seen * _blurred_edge(inside, 2 * self.cut[4], width)
             total += (
-                p[2 * t : 3 * t][kind] * (1 + p[-2] * np.minimum(far / radius, 1.2) ** 2) * seen
+                p[2 * t : 3 * t][kind] * (1 + p[-2] * np.minimum(far / radius, _SHADED) ** 2) * seen
             )
         return total
 
@@ -227,14 +261,14 @@ class _Model:
         from scipy.optimize import least_squares
 
         root = np.sqrt(tile.weight / tile.weight.mean())
-        low = self.start(0.1 * self.pitch, 0.05, 0.3, -1.0, -0.1)
-        high = self.start(0.8 * self.pitch, 0.5 * self.pitch, 1.7, 1.0, 0.9)
-        # Shading and stray light that the pixels do not tell stay about 0 and 0.02.
-        stiff = 0.002 * np.sqrt(len(root)) / np.array([0.3, 0.2])
+        low = self.start(_RADII[0] * self.pitch, *_LOW)
+        high = self.start(_RADII[1] * self.pitch, _MOST_BLUR * self.pitch, *_HIGH)
+        # Shading and stray light that the pixels do not tell stay as at the start.
+        stiff = _PIXEL_ERROR * np.sqrt(len(root)) / _SPREADS
 
         def miss(p: Array) -> Array:
             return np.append(
-                root * (self.light(tile, p) - tile.light), stiff * (p[-2:] - [0, 0.02])
+                root * (self.light(tile, p) - tile.light), stiff * (p[-2:] - _START[-2:])
             )
 
         found = least_squares(
@@ -242,7 +276,7 @@ class _Model:
             np.clip(start, low, high),
             bounds=(low, high),
             loss="soft_l1",
-            f_scale=0.03,
+            f_scale=_MISFIT,
             ftol=1e-4,
             xtol=1e-4,
             max_nfev=25,
@@ -292,17 +326,16 @@ def _average_tiles(
     kinds = (
         np.zeros(len(indices), np.int64) if types is None else types.of(indices).astype(np.int64)
     )
-    number = int(
-        np.clip(np.sqrt(len(indices) / (30 * count)), 1, most if count == 1 else min(most, 4))
-    )
+    if count > 1:
+        most = min(most, _MOST_TILES)
+    number = int(np.clip(np.sqrt(len(indices) / (_LENSES_OF_TILE * count)), 1, most))
     which = (centres / lattice.image_size * number).astype(int)
     tiles = []
     for at in sorted(
         product(range(number), repeat=2), key=lambda at: np.hypot(*(2 * np.array(at) - number + 1))
     ):
         own = np.flatnonzero((which == at).all(1))
-        # As many lenses as have 60,000 pixels.
-        own = own[:: max(1, int(len(own) * abs(np.linalg.det(lattice.basis)) / 6e4))]
+        own = own[evenly(len(own), _PIXELS_OF_TILE / abs(np.linalg.det(lattice.basis)))]
         tile = (
             _average(flat, camera, cell, encoded, centres[own], kinds[own])
             if len(own) >= 4 * count
@@ -311,7 +344,7 @@ def _average_tiles(
         if tile is not None and len(np.unique(tile.kind)) == count:
             tiles.append(tile)
     typical = float(np.median([tile.level for tile in tiles])) if tiles else 0.0
-    return [tile for tile in tiles if tile.level > 0.1 * typical]
+    return [tile for tile in tiles if tile.level > _DARK_TILE * typical]
 
 
 def _average(
@@ -343,15 +376,16 @@ def _average(
     core = (value * middle).sum((1, 2)) / middle.sum((1, 2))
     typical = float(np.median(core))
     # Neither dead lenses nor those behind dust.
-    keep = core > 0.3 * typical
+    keep = core > _DARK_LENS * typical
     if typical <= 0 or keep.sum() < 4:
         return None
     value = value[keep] / core[keep, None, None]
     offset = offset[keep]
     kinds = kinds[keep]
-    inside = (offset @ cell.normals.T <= 0.52).all(-1)
-    # Squares of half a pixel to one, forty across, or thirty where there are several types.
-    side = float(np.clip(cell.circumradius / (14 if kinds.any() else 20), 0.5, 1.0))
+    inside = (offset @ cell.normals.T <= _BORDER).all(-1)
+    # Squares of half a pixel to one, fewer where there are several types.
+    across = _ACROSS[1] if kinds.any() else _ACROSS[0]
+    side = float(np.clip(cell.circumradius / across, 0.5, 1.0))
     across = int(2 * reach / side) + 3
     square = np.floor((offset + reach) / side).astype(np.int64) + 1
     key = ((kinds[:, None, None] * across + square[..., 1]) * across + square[..., 0])[inside]

@@ -33,6 +33,30 @@ from .lens_sample import (
 MIN_RADIUS = 5.0
 # With all neighbours on the flat.
 _FEWEST_LENSES = 100
+# Other patterns that noise is measured on, and how many there must be.
+_OTHERS = 64
+_FEWEST_OTHERS = 24
+# Noise reaches twelve times its mean power by exp(-12); the strongest other pattern is detail.
+_NOISE = 12
+_DETAIL = 3
+# Power of the gradients over that of a mosaic from which on the scene itself repeats.
+_REPEATING = 0.3
+# Correlation of a pattern in two halves of the sample.
+_SAME = 0.7
+# Least differences between types: of the light beyond rims, before them and in the middle, and of
+# the logarithm of sharpness; where lattice and pixels beat, of both that beats change.
+_OUTER_LIGHT = 0.012
+_INNER_LOSS = 0.015
+_LEVEL = 0.004
+_SHARPNESS = 0.04
+_WITH_BEATS = 0.07
+# [periods per lens] Distance of other patterns from those of mosaics; distance of beats at most.
+_AWAY = 0.05
+_BEAT = 0.08
+# Periods by which pattern and pixels get out of step over the flat.
+_CYCLES = 1.2
+# One over the plastic number and its square: their multiples are evenly spread over the square.
+_SPREAD = (0.7548776662466927, 0.5698402909980532)
 
 __all__ = ["MIN_RADIUS", "find_lens_types", "is_in_step"]
 
@@ -57,7 +81,7 @@ def find_lens_types(
     property of the lens too.
     """
     others = _other_patterns(lattice)
-    if lattice.radius < MIN_RADIUS or len(others) < 24:
+    if lattice.radius < MIN_RADIUS or len(others) < _FEWEST_OTHERS:
         return None
     crops = StackedCrops.of(picture)
     sample = sample_lenses(lattice, crops)
@@ -137,8 +161,8 @@ def _strengths(
             total = power[chosen].sum(0)
             here = float(total[mosaic])
             elsewhere = float(total[count:].max())
-            # Noise reaches twelve times its mean power by exp(-12); detail of scenes is no noise.
-            if here > max(12, 3 * elsewhere) and scene[mosaic] < 0.3 * here:
+            strong = here > max(_NOISE, _DETAIL * elsewhere)
+            if strong and scene[mosaic] < _REPEATING * here:
                 ratios.append(here / elsewhere)
         # Detail of a scene makes pairs more easily than threes: they must show in two features.
         if len(ratios) >= (2 if _MOSAICS[mosaic][0] == 2 and not white else 1):
@@ -156,21 +180,18 @@ def _list_features(
     # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side
     # can be used; on white images it can in any case, where it shows radii that differ, and no
     # scene.
+    everywhere = np.ones(len(beats))
+    outer_light = _differences(sample, features.outer_light)
+    inner_loss = _differences(sample, features.inner_loss)
     found = [
-        _Feature(_differences(sample, features.outer_light), np.where(beats, 0.07, 0.012), sound),
-        _Feature(
-            _differences(sample, features.inner_loss),
-            np.full(len(beats), 0.015),
-            (beats | white) & sound,
-        ),
+        _Feature(outer_light, np.where(beats, _WITH_BEATS, _OUTER_LIGHT), sound),
+        _Feature(inner_loss, _INNER_LOSS * everywhere, (beats | white) & sound),
     ]
     if white:
-        return [
-            *found,
-            _Feature(_differences(sample, features.level), np.full(len(beats), 0.004), sound),
-        ]
+        level = _differences(sample, features.level)
+        return [*found, _Feature(level, _LEVEL * everywhere, sound)]
     sharpness = _differences(sample, features.sharpness)
-    least = np.where(beats, 0.07, 0.04)
+    least = np.where(beats, _WITH_BEATS, _SHARPNESS)
     found.append(_Feature(sharpness, least, sound))
     spread = np.nanstd(disparity) if np.isfinite(disparity).sum() >= _FEWEST_LENSES else 0.0
     if spread > MIN_SPREAD:
@@ -189,7 +210,7 @@ def _repeats(values: Floats, wave: NDArray[np.complex128], least: float) -> bool
     second = complex(values[~half] @ wave[~half])
     # Twice the amplitude of a wave is about the spread of the types.
     strong = 2 * abs(first + second) >= least * int((values != 0).sum())
-    return strong and (first * second.conjugate()).real > 0.7 * abs(first) * abs(second)
+    return strong and (first * second.conjugate()).real > _SAME * abs(first) * abs(second)
 
 
 def _differences(sample: LensSample, feature: Floats) -> Floats:
@@ -226,14 +247,15 @@ def _other_patterns(lattice: Lattice) -> Floats:
     """(v, 2) wave vectors [periods per lens], as fine as those of mosaics but far from them and
     from beats.
     """
-    # Multiples of powers of the plastic number are evenly spread over the square.
-    drawn = (np.arange(1, 500)[:, None] * [0.7548776662466927, 0.5698402909980532]) % 1
-    far = _apart(drawn[:, None] - np.vstack([_VECTORS, -_VECTORS])).max(-1).min(1) > 0.05
+    drawn: Floats = np.outer(np.arange(1, 8 * _OTHERS), _SPREAD) % 1
+    far = _apart(drawn[:, None] - np.vstack([_VECTORS, -_VECTORS])).max(-1).min(1) > _AWAY
     fine = _gain(drawn, lattice) > 1
-    return drawn[far & fine & ~_beats(drawn, lattice)][:64]
+    return drawn[far & fine & ~_beats(drawn, lattice)][:_OTHERS]
 
 
-def _beats(vectors: Floats, lattice: Lattice, step: float = 1.0, cycles: float = 1.2) -> Booleans:
+def _beats(
+    vectors: Floats, lattice: Lattice, step: float = 1.0, cycles: float = _CYCLES
+) -> Booleans:
     """(v,) whether a pattern (v, 2) is a beat of the lattice with the pixels.
 
     `step` is 1 period per pixel, or 1/2 for a 2 x 2 colour mosaic; `cycles` is how many times
@@ -241,7 +263,7 @@ def _beats(vectors: Floats, lattice: Lattice, step: float = 1.0, cycles: float =
     """
     m, n = np.mgrid[-2:3, -2:3].reshape(2, -1) * step
     grid = np.column_stack([m, n])[(m != 0) | (n != 0)]
-    limit = min(0.08, cycles / (min(lattice.image_size) / lattice.pitch))
+    limit = min(_BEAT, cycles / (min(lattice.image_size) / lattice.pitch))
     near = _apart(vectors[:, None] - grid @ lattice.basis.T).max(-1) < limit
     return near.any(1)
 

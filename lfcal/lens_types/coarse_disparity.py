@@ -17,7 +17,18 @@ from ..runtime.arrays import Floats, Singles
 from ..runtime.kernels import FAST, kernel
 from .lens_sample import LensSample, sample_lenses
 
-__all__ = ["estimate_coarse_disparity", "find_scene_mode"]
+__all__ = ["STEP", "estimate_coarse_disparity", "find_scene_mode"]
+
+#: Spacing of the disparities that are tried [s / D].
+STEP = 0.05
+# [s / D] Beyond this, neighbours have too little in common.
+_REACH = 0.6
+# [usable radius] Pixels that are compared.
+_RADIUS = 0.88
+# Difference of the correlations of two disparities below which neither is sure.
+_AMBIGUOUS = 0.04
+# Share of lenses in the other mode: 1 to 9 % in scenes that are in one.
+_OTHER_MODE = 0.2
 
 
 @kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres), fastmath=FAST)
@@ -75,15 +86,14 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
 
 
 def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:
-    """(n,) `s / D` of the inner lenses of a sample in steps of 0.05; NaN where the maximum is low,
-    ambiguous or an end.
+    """(n,) `s / D` of the inner lenses of a sample, in steps of `STEP`.
 
-    `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`.
+    NaN where the highest correlation is low, ambiguous, or that of the first or last step. `picture`
+    (h, w) is as made by `images.preprocessing.sqrt_luminance`.
     """
     lattice = sample.lattice
-    radius = 0.88 * lattice.radius
-    # Beyond 0.6 neighbours have too little in common.
-    ratios = np.linspace(-0.6, 0.6, 25)
+    radius = _RADIUS * lattice.radius
+    ratios = np.linspace(-_REACH, _REACH, 2 * round(_REACH / STEP) + 1)
     steps = (lattice.steps @ lattice.basis)[: len(lattice.steps) // 2]
     # Every other lens is enough, as sums are over 3 x 3 lenses.
     chosen = sample.whole & (sample.index.sum(-1) % 2 == 0)
@@ -103,7 +113,7 @@ def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:
     apart = np.abs(np.arange(len(ratios)) - best[..., None]) > 2
     second = np.where(apart, correlation, -1.0).max(-1)
     inside = (best > 0) & (best < len(ratios) - 1)
-    known = (highest > 0.5) & (highest - second > 0.04) & inside
+    known = (highest > 0.5) & (highest - second > _AMBIGUOUS) & inside
     return np.where(known, ratios[best], np.nan)[:, 1:-1, 1:-1].ravel()
 
 
@@ -116,7 +126,6 @@ def find_scene_mode(flat: NDArray, lattice: Lattice) -> Literal["telescopic", "b
     ratio = estimate_coarse_disparity(sqrt_luminance(flat), sample_lenses(lattice))
     known = ratio[np.isfinite(ratio) & (ratio != 0)]
     telescopic = float((known > 0).mean()) if len(known) else 0.5
-    # Of a scene in one mode, 1 to 9 % of the lenses show the other.
-    if len(known) < 100 or min(telescopic, 1 - telescopic) > 0.2:
+    if len(known) < 100 or min(telescopic, 1 - telescopic) > _OTHER_MODE:
         return None
     return "telescopic" if telescopic > 0.5 else "binocular"

@@ -17,8 +17,22 @@ _FEWEST_LENSES = 40
 FLATTENED = 0.95
 # Spread of `s / D` from which on a scene has depth.
 MIN_SPREAD = 0.02
+#: Relative differences of the light at rims may come from how pixels fall.
+RIM_FAULT = 0.015
+# Standard errors between types whose order is right (wrong once in 10,000 cases), and between those
+# of which three foci confirm it, as happens by chance in one of six cases.
+_APART = 4
+_APART_CONFIRMED = 3.5
+# Light missing before a soft edge over that beyond it: 0.3 to 1 for real rims.
+_LEAST_LOSS = 0.1
+# Shares of the lenses within whose depths types must change places, and within which foci lie.
+_MIDDLE = (0.1, 0.5, 0.9)
+_ALL = (0.02, 0.98)
+# [s / D] Range of depths about the place where two types are alike, and its largest error.
+_NEAR = 0.12
+_MOST_ERROR = 0.03
 
-__all__ = ["FLATTENED", "MIN_SPREAD", "FocusOrder", "TypeMeans", "find_focus_order"]
+__all__ = ["FLATTENED", "MIN_SPREAD", "RIM_FAULT", "FocusOrder", "TypeMeans", "find_focus_order"]
 
 
 class FocusOrder(NamedTuple):
@@ -128,15 +142,14 @@ def _rim_softness(outer_light: Floats, inner_loss: Floats, types: TypeMeans) -> 
     before = types.fit_means(inner_loss)
     if beyond is None or before is None:
         return None
-    # Four standard errors apart an order is wrong once in 10,000; 1.5 % of the light may be due to
-    # how pixels fall.
-    if np.diff(np.sort(beyond[0])).min() <= 4 * beyond[1] or np.ptp(beyond[0]) < 0.015:
+    apart = np.diff(np.sort(beyond[0])).min()
+    if apart <= _APART * beyond[1] or np.ptp(beyond[0]) < RIM_FAULT:
         return None
     soft = beyond[0] - beyond[0].mean()
-    # Light beyond a soft edge is missing before it (0.3 to 1 for real rims); a brighter neighbour
-    # adds light beyond the rim too, but takes none.
+    # Light beyond a soft edge is missing before it; a brighter neighbour adds light beyond the rim
+    # too, but takes none.
     loss = float(before[0] @ soft) / float(soft @ soft)
-    return soft if loss + 2 * before[1] / float(np.linalg.norm(soft)) > 0.1 else None
+    return soft if loss + 2 * before[1] / float(np.linalg.norm(soft)) > _LEAST_LOSS else None
 
 
 def _order_over_depth(
@@ -162,12 +175,12 @@ def _order_over_depth(
     if (np.diff(focus[np.argsort(slope)]) < 0).any():
         focus[:] = np.nan
     seen = bool(np.isfinite(focus).all())
-    # Three foci confirm the order, which happens by chance in one of six cases.
-    if np.diff(np.sort(slope)).min() <= (3.5 if seen else 4) * error:
+    apart = _APART_CONFIRMED if seen else _APART
+    if np.diff(np.sort(slope)).min() <= apart * error:
         return None
     # Types change places at the mean of the foci; lines are bent by lenses far from all foci.
     middle = float(focus.mean()) if seen else -float(height @ slope) / float(slope @ slope)
-    low, median, high = np.quantile(disparity[known], (0.1, 0.5, 0.9))
+    low, median, high = np.quantile(disparity[known], _MIDDLE)
     # Far from all foci differences fade and slopes reverse: types must change places within the
     # range of the scene.
     if not low < middle < high or np.sign(middle) != np.sign(median):
@@ -181,27 +194,26 @@ def _find_foci(sharpness: Floats, disparity: Floats, types: TypeMeans) -> Floats
     Two types are equally sharp half-way between their foci, whatever the law by which sharpness
     falls with defocus.
     """
-    near = 0.12
     sums = np.zeros(3)
     unknown = np.full(len(types.unmixing), np.nan)
     if len(unknown) != 3:
         return unknown
-    low, high = np.nanquantile(disparity, (0.02, 0.98))
+    low, high = np.nanquantile(disparity, _ALL)
     for pair, other in (((0, 1), 2), ((1, 2), 0), ((2, 0), 1)):
         meet = float(np.nanmedian(disparity))
         error = np.inf
         for _ in range(5):
             fit = types.fit_lines(
-                sharpness, np.where(np.abs(disparity - meet) < near, disparity - meet, np.nan)
+                sharpness, np.where(np.abs(disparity - meet) < _NEAR, disparity - meet, np.nan)
             )
             if fit is None:
                 return unknown
             height, slope = fit[0][pair[0]] - fit[0][pair[1]]
             if slope == 0:
                 return unknown
-            meet += float(np.clip(-height / slope, -near / 2, near / 2))
+            meet += float(np.clip(-height / slope, -_NEAR / 2, _NEAR / 2))
             error = float(fit[1][0] / abs(slope))
-        if not (low < meet < high and error < 0.03):
+        if not (low < meet < high and error < _MOST_ERROR):
             return unknown
         sums[[*pair, other]] += meet, meet, -meet
     return sums

@@ -24,6 +24,23 @@ __all__ = ["LensFeatures", "LensSample", "measure_lens_features", "outlier_limit
 _SIDE = 12
 # [radius] to which light is summed, over the distance to the centre.
 _REACH = 1.12
+# Blocks of lenses.
+_BLOCKS = 48
+# Rings of light up to that.
+_RINGS = 40
+# [radius] Disc in which sharpness is measured, and zones just beyond and before the rim, in which
+# the light of soft and hard rims differs.
+_INNER = 0.7
+_BEYOND = (1.03, _REACH)
+_BEFORE = (0.75, 0.95)
+_RIM = (0.8, 0.97)
+_CORE = (0.5, 0.75)
+# Finest details of a microlens over its diameter.
+_DETAILS = 28
+# Light over the median below which sharpness shows noise.
+_DARK = 0.03
+# Smallest squared contrast of a picture of 8 bits and mean 1.
+_NOISE = 1 / 65536
 
 
 @dataclass(frozen=True)
@@ -77,7 +94,7 @@ def outlier_limit(values: Floats) -> float:
 
 
 def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSample:
-    """48 blocks of 12 x 12 lenses, evenly spread over the flat or its crops; all lenses of a small
+    """Blocks of 12 x 12 lenses, evenly spread over the flat or its crops; all lenses of a small
     flat.
     """
     reach = _REACH * lattice.radius
@@ -86,7 +103,7 @@ def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSa
             np.zeros((0, 0), np.float32), np.zeros((1, 2), np.int64), lattice.image_size
         )
     indices, _, crop = crops.lenses(lattice, 0)
-    each = -(-48 // len(crops))
+    each = -(-_BLOCKS // len(crops))
     blocks = []
     home = []
     for number in np.unique(crop):
@@ -155,23 +172,19 @@ def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
     centres = sample.place.reshape(-1, 2)[chosen]
-    rings = 40
     energy = np.zeros(len(chosen))
     gradient = np.zeros((2, len(chosen)))
-    light, count = np.zeros((2, len(chosen), rings))
-    # The finest detail of a microlens.
-    lag = max(1, round(radius / 14))
+    light, count = np.zeros((2, len(chosen), _RINGS))
+    lag = max(1, round(2 * radius / _DETAILS))
     _accumulate(
-        picture, centres, _REACH * radius, 0.7 * radius, lag, energy, gradient, light, count
+        picture, centres, _REACH * radius, _INNER * radius, lag, energy, gradient, light, count
     )
-    # Smallest squared contrast of an 8-bit picture of mean 1.
-    noise = (1 / 256) ** 2
 
     def zone(low: float, high: float) -> slice:
-        return slice(round(low / _REACH * rings), round(high / _REACH * rings))
+        return slice(round(low / _REACH * _RINGS), round(high / _REACH * _RINGS))
 
     def mean(own: slice) -> Floats:
-        return light[:, own].sum(1) / np.maximum(count[:, own].sum(1), 1) + noise
+        return light[:, own].sum(1) / np.maximum(count[:, own].sum(1), 1) + _NOISE
 
     def ratio(own: slice, other: slice) -> tuple[Floats, float]:
         """Light in a zone over that in another, less that of the mean profile, and its mean over
@@ -185,16 +198,15 @@ def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
         return (relative - expected).sum(1) / np.maximum(pixels.sum(1), 1), share
 
     level = mean(zone(0, 0.5))
-    # Darker lenses show noise.
-    lit = level > 0.03 * np.median(level) if len(level) else np.zeros(0, bool)
+    lit = level > _DARK * np.median(level) if len(level) else np.zeros(0, bool)
     chosen = chosen[lit]
     level = level[lit]
     energy = energy[lit]
     gradient = gradient[:, lit]
     light = light[lit]
     count = count[lit]
-    outer, rim_ratio = ratio(zone(1.03, _REACH), zone(0.75, 0.95))
-    inner, _ = ratio(zone(0.8, 0.97), zone(0.5, 0.75))
+    outer, rim_ratio = ratio(zone(*_BEYOND), zone(*_BEFORE))
+    inner, _ = ratio(zone(*_RIM), zone(*_CORE))
 
     def spread(values: Floats) -> Floats:
         full = np.full((*values.shape[:-1], sample.whole.size), np.nan)
@@ -202,7 +214,7 @@ def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
         return full.reshape(values.shape[:-1] + sample.whole.shape)
 
     return LensFeatures(
-        sharpness=spread(np.log(energy + noise)),
+        sharpness=spread(np.log(energy + _NOISE)),
         outer_light=spread(outer),
         inner_loss=spread(-inner),
         level=spread(np.log(level) / 2),

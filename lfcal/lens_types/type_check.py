@@ -16,10 +16,16 @@ from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Singles
 from .classify import MIN_RADIUS, find_lens_types, is_in_step
-from .focus_order import FLATTENED, TypeMeans
+from .focus_order import FLATTENED, RIM_FAULT, TypeMeans
 from .lens_sample import measure_lens_features, sample_lenses
 
 __all__ = ["find_rim_conflict", "find_type_conflict"]
+
+# Confidence of the types of a flat from which on they contradict those of a camera.
+_SURE = 0.9
+# Twice the logarithm of the likelihood ratio of the best order of rims and the given one, from
+# which on the given one is wrong: 24 right cameras had 13 at most.
+_WRONG = 20
 
 
 def find_type_conflict(
@@ -44,7 +50,7 @@ def find_type_conflict(
         pairs = np.unique(
             np.stack([_numbers(found, types).ravel(), _numbers(types, found).ravel()]), axis=1
         )
-        if found.confidence > 0.9 and pairs.shape[1] != found.count:
+        if found.confidence > _SURE and pairs.shape[1] != found.count:
             return "the lens types of the camera lie at other lenses than on the flat"
     large = lattice.radius >= MIN_RADIUS
     if (
@@ -69,9 +75,12 @@ def find_rim_conflict(types: LensTypes, gain: GainMap, radius: float) -> str | N
     rims = np.array([light[own == kind].mean() for kind in range(types.count)])
     mixed = max(float(np.ptp(light[own == kind])) for kind in range(types.count))
     falls = float((np.maximum.accumulate(rims) - rims).max())
-    if max(falls, mixed) <= 0.015:
+    if max(falls, mixed) <= RIM_FAULT:
         return None
-    return "the lens types of the camera are in another order than the light at the rims of its microimages"
+    return (
+        "the lens types of the camera are in another order than the light at the rims of its "
+        "microimages"
+    )
 
 
 def _numbers(types: LensTypes, other: LensTypes) -> NDArray[np.int8]:
@@ -91,10 +100,9 @@ def _is_refuted(picture: Singles, lattice: Lattice, types: LensTypes, rims_known
     if features.rim_ratio < FLATTENED and not rims_known:
         softness = means.fit_means(sample.subtract_neighbours(rim))
         if softness is not None:
-            # Twice the logarithm of the likelihood ratio of the best order and the given one;
-            # softness is expected to fall by equal steps. 24 right cameras had 13 at most.
+            # Softness is expected to fall by equal steps.
             given = max(float(softness[0][0] - softness[0][2]), 0.0)
-            if float(np.ptp(softness[0])) ** 2 - given**2 > 20 * max(softness[1], 1e-12) ** 2:
+            if float(np.ptp(softness[0])) ** 2 - given**2 > _WRONG * max(softness[1], 1e-12) ** 2:
                 return True
     sharpness = means.fit_means(sample.subtract_neighbours(features.sharpness))
     if sharpness is None:

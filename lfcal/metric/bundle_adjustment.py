@@ -92,7 +92,7 @@ class Observations(Frozen):
 
 @dataclass(frozen=True)
 class Poses:
-    """Rotations (m, 3, 3) and translations (m, 3) [mm] from the middle of the board to the camera."""
+    """Rotations (m, 3, 3) and translations (m, 3) [mm] from the board's middle to the camera."""
 
     rotation: Array
     translation: Array
@@ -251,7 +251,7 @@ class _Problem:
         return normal[np.ix_(self.chosen, self.chosen)], right[self.chosen]
 
     def solve(self, values: Array, weight: Array, scale: float | None) -> Array:
-        """The values that minimise the weighted squared residuals, or their Cauchy loss of `scale`."""
+        """The values of least weighted squared residuals, or of least Cauchy loss of `scale`."""
         from scipy.optimize import minimize
 
         # In these units, a step of any unknown changes the residuals equally.
@@ -336,7 +336,7 @@ def pose_unknowns(m: int, count: int) -> Integers:
 
 
 def eliminate(normal: Array, right: Array, kept: Integers, gone: Integers) -> tuple[Array, Array]:
-    """Normal equations of the unknowns `kept` after the others are eliminated (Schur complement)."""
+    """Normal equations of the unknowns `kept`; the others are eliminated (Schur complement)."""
     taken = normal[np.ix_(kept, gone)] @ inverse(normal[np.ix_(gone, gone)])
     left = normal[np.ix_(kept, kept)] - taken @ normal[np.ix_(gone, kept)]
     return left, right[kept] - taken @ right[gone]

@@ -51,8 +51,8 @@ _LEAST_FLATS = 3
 _MOST_OUTLIERS = 0.4
 # Residuals over the noise of the pixels above which the model is doubted.
 _MOST_NOISE = 6
-# Poses are alike if their tilts differ by less than this [degrees], and their distances by less than
-# this factor.
+# Poses are alike if their tilts differ by less than this [degrees], and their distances by less
+# than this factor.
 _SAME_TILT = 4
 _SAME_DISTANCE = 1.05
 # Fewest corners that a flat must show in single microimages.
@@ -111,7 +111,9 @@ def calibrate_metric(
     >>> shoot = lfrender.data.board(size=(420, 340), pitch=28.3, poses=4, samples=8)
     >>> camera = lfcal.calibrate(shoot.white, kind="white")
     >>> board = lfcal.Board(9, 6, shoot.square)
-    >>> found = lfcal.calibrate_metric(shoot.flats, camera, board, pixel=shoot.camera.pixel)  # doctest: +SKIP
+    >>> found = lfcal.calibrate_metric(  # doctest: +SKIP
+    ...     shoot.flats, camera, board, pixel=shoot.camera.pixel
+    ... )
     >>> found.calibration.optics is found.optics  # doctest: +SKIP
     True
     """
@@ -136,7 +138,8 @@ def calibrate_metric(
     if pixel is None:
         pixel = DEFAULT_PIXEL
         warnings.append(
-            f"the size of a pixel is not given: {pixel * 1000:.3g} um is assumed; F, L and b scale with it"
+            f"the size of a pixel is not given: {pixel * 1000:.3g} um is assumed; F, L and b "
+            "scale with it"
         )
     if not 0 < check_number(pixel, "pixel") < 1:
         raise ValueError(f"pixel must be a positive number of mm below 1, got {pixel!r}")
@@ -172,7 +175,8 @@ def _fit(
     lost = [found[m].name for m in np.flatnonzero(outliers > _MOST_OUTLIERS)]
     if lost:
         raise BoardError(
-            f"{', '.join(lost)}: the board does not fit the camera of the other flats; were focus, zoom or camera "
+            f"{', '.join(lost)}: the board does not fit the camera of the other flats; were "
+            "focus, zoom or camera "
             "changed, or is it another board? Leave these flats out"
         )
     return fitted, observations
@@ -213,7 +217,9 @@ def locate_board(
     Examples
     --------
     >>> camera = lfcal.load("camera.json")  # doctest: +SKIP
-    >>> pose = lfcal.locate_board(lfcal.read_flat("board.png"), camera, lfcal.Board(9, 6, 7.0))  # doctest: +SKIP
+    >>> board = lfcal.Board(9, 6, 7.0)  # doctest: +SKIP
+    >>> flat = lfcal.read_flat("board.png")  # doctest: +SKIP
+    >>> pose = lfcal.locate_board(flat, camera, board)  # doctest: +SKIP
     >>> pose.translation, pose.standard_errors[3:]  # doctest: +SKIP
     """
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
@@ -259,7 +265,8 @@ def _checked(flat: ArrayLike, name: str, calibration: Calibration) -> Array:
     if pixels.ndim not in (2, 3) or pixels.shape[:2] != (height, width):
         size = " x ".join(str(n) for n in pixels.shape[1::-1])
         raise FlatError(
-            f"{name} is {size} px, the camera is for {width} x {height} px; give flats of one camera"
+            f"{name} is {size} px, the camera is for {width} x {height} px; give flats of "
+            "one camera"
         )
     return pixels
 
@@ -332,7 +339,8 @@ def _check_seen(observations: Observations, flats: Sequence[BoardFlat]) -> None:
     blind = [flats[m].name for m in np.flatnonzero(counts < _LEAST_CORNERS).tolist()]
     if blind:
         raise BoardError(
-            f"{', '.join(blind)}: no corners are seen in single microimages; they are blurred there, "
+            f"{', '.join(blind)}: no corners are seen in single microimages; they are "
+            "blurred there, "
             "or squares are wider than microimages: use a board of smaller squares, or move it"
         )
 

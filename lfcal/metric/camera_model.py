@@ -41,8 +41,8 @@ __all__ = [
 #: Order of the parameters that are fitted. The first three replace F, L and b, which a fit can
 #: hardly separate: focal_px = (L + b) / pixel, and D / s = at_infinity + per_depth / Z.
 INTERNAL = ("focal_px", "at_infinity", "per_depth", *OPTICS_PARAMETERS[3:])
-#: Displacements [mm] of the points of a board at `x, y` of -1..1, from its middle to the ends of its
-#: longer side: away from the camera by `x^2, x y, y^2`; in its plane by `(x, -y)` and `(y, x)`.
+#: Displacements [mm] of the points of a board at `x, y` of -1..1, from its middle to the ends of
+#: its longer side: away from the camera by `x^2, x y, y^2`; in its plane by `(x, -y)` and `(y, x)`.
 SHAPE = ("bend_xx", "bend_xy", "bend_yy", "stretch", "shear")
 
 
@@ -113,7 +113,7 @@ def project_derivatives(
 
 
 def shape_derivatives(board: Array) -> Array:
-    """(k, 3, 5) displacements of the points (k, 3) [mm] of a board, about its middle, by `SHAPE`."""
+    """(k, 3, 5) displacements of the points (k, 3) [mm] of a board by `SHAPE`."""
     x, y = board[:, :2].T / max(float(np.abs(board[:, :2]).max()), 1e-12)
     zero = np.zeros_like(x)
     across = [zero, zero, zero, x, y]

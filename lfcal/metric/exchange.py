@@ -101,7 +101,7 @@ def write_pinhole(path: str | os.PathLike[str], calibration: Calibration) -> Non
 
 
 def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> None:
-    """Write the camera as an `intrinsics.js` of libpleno, and the poses as `NAME-poses.js` beside it.
+    """Write an `intrinsics.js` of libpleno, and the poses as `NAME-poses.js` beside it.
 
     Numbers are written as strings, as libpleno does. Poses are those of the camera in the frame of
     the board. `distortions` leads from the ideal image point [mm] to the real one, and
@@ -192,7 +192,7 @@ def read_libpleno(path: str | os.PathLike[str]) -> Optics:
 
 
 def _distortion_mm(coefficients: Array, far: float) -> dict[str, Any]:
-    """Coefficients `k1, k2, k3, p1, p2` for lengths [mm] in an image plane at a distance `far` [mm].
+    """Coefficients `k1, k2, k3, p1, p2` for lengths [mm] in an image plane at `far` [mm].
 
     The frame is turned by 180 degrees.
     """

@@ -1,4 +1,4 @@
-"""Corners of a board in the microimages of a flat: predicted by a camera, measured on the pixels."""
+"""Corners of a board in the microimages of a flat: predicted, then measured on pixels."""
 
 from __future__ import annotations
 

@@ -46,10 +46,11 @@ class BoardPose(Frozen):
     Examples
     --------
     >>> import lfcal, numpy as np
-    >>> pose = lfcal.BoardPose("one", np.eye(3), np.array([0.0, 0.0, 800.0]), np.eye(6) / 100, 0.02, 900)
+    >>> position = np.array([0.0, 0.0, 800.0])
+    >>> pose = lfcal.BoardPose("one", np.eye(3), position, np.eye(6) / 100, 0.02, 900)
     >>> pose.standard_errors[3:].tolist()  # of the translation [mm]
     [0.1, 0.1, 0.1]
-    >>> pose.place(np.array([[7.0, 0.0, 0.0]])).tolist()  # of a corner of the board, before the main lens [mm]
+    >>> pose.place(np.array([[7.0, 0.0, 0.0]])).tolist()  # [mm] from the main lens
     [[7.0, 0.0, 800.0]]
     """
 
@@ -133,7 +134,10 @@ class MetricCalibration(Frozen):
     board_shape: Array = field(default_factory=lambda: np.zeros(len(SHAPE)))
 
     def __repr__(self) -> str:
-        return f"MetricCalibration({len(self.poses)} poses, {len(self.residual)} corners, {self.rms:.3f} px RMS)"
+        return (
+            f"MetricCalibration({len(self.poses)} poses, {len(self.residual)} corners, "
+            f"{self.rms:.3f} px RMS)"
+        )
 
     def _repr_html_(self) -> str:
         optics = self.optics

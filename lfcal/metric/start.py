@@ -31,7 +31,7 @@ _RATIO_ERROR = 0.02
 def planar_poses(
     scene: Array, board: Array, focal: float, principal: Array
 ) -> list[tuple[Array, Array]]:
-    """At most two poses of a board (k, 3) [mm] that a pinhole sees at scene coordinates (k, 2) [px]."""
+    """Up to two poses of a board (k, 3) [mm] that a pinhole sees at (k, 2) [px] of the scene."""
     matrix = np.array([[focal, 0, principal[0]], [0, focal, principal[1]], [0, 0, 1.0]])
     points = np.ascontiguousarray(board), np.ascontiguousarray(scene)
     try:

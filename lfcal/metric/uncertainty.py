@@ -19,8 +19,8 @@ from .camera_model import INTERNAL, from_internal, to_internal
 
 __all__ = ["describe_degeneracies", "internal_camera", "optics_of", "pose_factor", "rim_covariance"]
 
-# Error of corners at the rim of a microimage [px], outwards or inwards: 0.002 to 0.005 on ray-traced
-# boards of others.
+# Error of corners at the rim of a microimage [px], outwards or inwards: 0.002 to 0.005 on
+# ray-traced boards of others.
 _RIM_ERROR = 0.003
 # Correlation above which two parameters hardly separate.
 _CORRELATED = 0.98
@@ -55,7 +55,7 @@ def pose_factor(found: Adjusted) -> float:
 def rim_covariance(
     found: Adjusted, pixel: float, observations: Observations, radius: float
 ) -> Array:
-    """Covariance of all unknowns caused by systematic errors of corners near the rim of microimages.
+    """Covariance of all unknowns by systematic errors of corners near the rims.
 
     Corners at the `radius` [px] lie too far out, or in, by an error that all poses share and by
     another one that the corners of each pose share, because blur and light differ. Errors nearer to

@@ -22,12 +22,13 @@ from ..runtime.arrays import Array
 
 __all__ = ["suggest_poses"]
 
+# Places of the board: side of the field, half-way from its middle.
 _PLACES = {
-    "in the middle": (0.5, 0.5),
-    "at the top left": (0.25, 0.25),
-    "at the top right": (0.75, 0.25),
-    "at the bottom left": (0.25, 0.75),
-    "at the bottom right": (0.75, 0.75),
+    "in the middle": (0, 0),
+    "at the top left": (-1, -1),
+    "at the top right": (1, -1),
+    "at the bottom left": (-1, 1),
+    "at the bottom right": (1, 1),
 }
 _WAYS = {
     "left edge nearer": (0, -1),
@@ -35,6 +36,14 @@ _WAYS = {
     "top edge nearer": (1, 0),
     "bottom edge nearer": (-1, 0),
 }
+
+# Distances beyond those of the calibration, as factors.
+_BEYOND = 1.1
+# [degrees] Tilt of the boards.
+_TILT = 30
+# [usable radius] Corners are found so far from the centre of a lens; boards show more of them.
+_SEEN = 0.7
+_FEWEST_CORNERS = 20
 
 
 def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float, str, str]]:
@@ -48,9 +57,8 @@ def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float,
     distances = [pose.translation[2] for pose in found.poses]
     depths = np.geomspace(min(distances), max(distances), 5)
     ratio = np.tile(1 / (camera[1] + camera[2] / depths), len(_PLACES))
-    points = np.repeat(
-        np.array(list(_PLACES.values())) * found.calibration.image_size, len(depths), axis=0
-    )
+    places = _on_flat(np.array(list(_PLACES.values())), found)
+    points = np.repeat(places, len(depths), axis=0)
 
     def spread(information: Array) -> float:
         covariance = np.zeros_like(change)
@@ -59,7 +67,7 @@ def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float,
         return float(np.nanmean((errors / np.tile(depths, len(_PLACES))) ** 2))
 
     candidates = {}
-    for distance in np.geomspace(0.9 * min(distances), 1.1 * max(distances), 3):
+    for distance in np.geomspace(min(distances) / _BEYOND, _BEYOND * max(distances), 3):
         for where, how in product(_PLACES, _WAYS):
             brought = _information(found, camera, float(distance), _PLACES[where], _WAYS[how])
             if brought is not None:
@@ -73,6 +81,11 @@ def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float,
     return chosen
 
 
+def _on_flat(place: Array, found: MetricCalibration) -> Array:
+    """Positions [px] of places (..., 2) of the field."""
+    return np.asarray((0.5 + 0.25 * place) * found.calibration.image_size)
+
+
 def _information(
     found: MetricCalibration,
     camera: Array,
@@ -84,8 +97,8 @@ def _information(
     board = found.board
     lattice = found.calibration.lattice
     points = board.points - board.middle
-    slope = (np.array(place) * lattice.image_size - camera[3:5]) / camera[0]
-    turn = cv2.Rodrigues(np.deg2rad(30) * np.array([*way, 0.0]))[0]
+    slope = (_on_flat(np.array(place), found) - camera[3:5]) / camera[0]
+    turn = cv2.Rodrigues(np.deg2rad(_TILT) * np.array([*way, 0.0]))[0]
     pose = Poses(turn[None], np.array([[*slope * distance, distance]]))
     seen = pose.of_board(points, np.zeros(len(points), int))
     scene = camera[3:5] + camera[0] * seen[:, :2] / seen[:, 2:]
@@ -94,8 +107,8 @@ def _information(
     ratio = np.abs(camera[1] + camera[2] / seen[:, 2])
     centres = lattice.centres()
     away = np.linalg.norm(scene[:, None] - centres, axis=2)
-    corner, lens = np.nonzero(away < 0.7 * lattice.radius * ratio[:, None])
-    if len(corner) < 20:
+    corner, lens = np.nonzero(away < _SEEN * lattice.radius * ratio[:, None])
+    if len(corner) < _FEWEST_CORNERS:
         return None
     none = np.zeros((len(corner), 2))
     noise = np.full(len(corner), found.noise * np.sqrt(found.widening))

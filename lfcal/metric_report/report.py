@@ -19,6 +19,9 @@ from .next_pose import suggest_poses
 __all__ = ["write_metric_report"]
 
 _Rows = Sequence[tuple[str, ...]]
+# [inch] Width of figures, and place of the key of arrows over the axes.
+_WIDTH = 8
+_KEY = (0.9, 1.03)
 
 
 def write_metric_report(
@@ -120,7 +123,7 @@ def _draw_poses(found: MetricCalibration) -> str:
     """Boards seen from above and from the side."""
     from matplotlib.figure import Figure
 
-    figure = Figure((9, 5), layout="constrained")
+    figure = Figure((_WIDTH, 5), layout="constrained")
     points = found.board.points.reshape(found.board.rows, found.board.columns, 3)
     rim = points[[0, 0, -1, -1, 0], [0, -1, -1, 0, 0]]
     for axis, (axes, name) in enumerate(
@@ -131,7 +134,7 @@ def _draw_poses(found: MetricCalibration) -> str:
             outline = pose.place(rim) / 1000
             (line,) = axes.plot(outline[:, 2], outline[:, axis], gid=f"pose-{number}-{axis}")
             axes.fill(outline[:, 2], outline[:, axis], alpha=0.25, color=line.get_color())
-            axes.annotate(pose.name, outline[0, [2, axis]], fontsize=7)
+            axes.annotate(pose.name, outline[0, [2, axis]], fontsize="x-small")
         axes.set(title=f"from {name}", ylabel="x [m]" if axis == 0 else "y [m]")
     axes.invert_yaxis()
     axes.set_xlabel("distance from the camera [m]")
@@ -151,7 +154,7 @@ def _draw_field(found: MetricCalibration) -> str:
         axis=1,
     )
     kept = count >= 5
-    figure = Figure((7, 7 * height / width), layout="constrained")
+    figure = Figure((_WIDTH, _WIDTH * height / width), layout="constrained")
     axes = figure.subplots()
     # The title keeps room for the key.
     axes.set(
@@ -167,5 +170,5 @@ def _draw_field(found: MetricCalibration) -> str:
     )
     if kept.any():
         largest = float(np.hypot(*means[kept].T).max())
-        axes.quiverkey(arrows, 0.9, 1.03, largest, f"{largest:.2g} px", labelpos="W")
+        axes.quiverkey(arrows, *_KEY, largest, f"{largest:.2g} px", labelpos="W")
     return to_svg(figure)

@@ -104,6 +104,11 @@ def white_of(pixels: NDArray, white: float | None = None) -> float:
     return min(white or largest, largest)
 
 
+def evenly(count: int, most: float) -> slice:
+    """Every k-th of `count` items, so that about `most` of them are left."""
+    return slice(None, None, max(1, int(count // most)))
+
+
 def exposure_gain(
     pixels: NDArray, white: float | None = None, exposure: Exposure = "auto"
 ) -> float:

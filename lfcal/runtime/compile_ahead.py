@@ -133,7 +133,7 @@ def _installation() -> str:
 
 
 def _record() -> Path:
-    """The file that tells for which installation the kernels were compiled, where Numba's cache is."""
+    """The file beside Numba's cache that names the installation that compiled the kernels."""
     from platformdirs import user_cache_path
 
     given = os.environ.get("NUMBA_CACHE_DIR")

@@ -34,12 +34,12 @@ def open_regular(path: str | os.PathLike[str]) -> int:
     return descriptor
 
 
-def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
+def read_text(path: str | os.PathLike[str]) -> str:
     """The text of a file in UTF-8, with or without a byte order mark; OSError if it has more than
-    `largest` bytes.
+    `LARGEST_TEXT` bytes.
     """
     with open(open_regular(path), encoding="utf-8-sig") as stream:
         size = os.fstat(stream.fileno()).st_size
-        if size > largest:
+        if size > LARGEST_TEXT:
             raise OSError(f"has {size / 1e6:,.0f} MB, more than any such file")
         return stream.read()

@@ -108,7 +108,10 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
     if target.exists() and not target.is_dir():
         raise OutputError(f"{target}: is a file; give a folder")
     if not target.exists() and re.fullmatch(r"\.[A-Za-z]\w{1,5}", target.suffix):
-        problem = f"unknown output format '{target.suffix}'; for a folder leave out the ending, or make it first"
+        problem = (
+            f"unknown output format '{target.suffix}'; for a folder leave out the ending, or "
+            "make it first"
+        )
         raise OutputError(f"{target}: {problem}")
     return target
 

@@ -39,7 +39,7 @@ def to_svg(figure: Any) -> str:
 def html_card(
     title: str, figures: Mapping[str, str], plot: Callable[[Any], Any], warnings: Sequence[str] = ()
 ) -> str:
-    """HTML of what `plot` draws on Matplotlib axes, beside a table of figures, with warnings below."""
+    """HTML of what `plot` draws, beside a table of figures, with warnings below."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4, 3), dpi=110, layout="tight")

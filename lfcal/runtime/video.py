@@ -17,7 +17,7 @@ __all__ = ["convert_frame", "import_av", "parse_pixel_format", "rgb_pixels"]
 
 
 def import_av(path: str | os.PathLike[str]) -> Any:
-    """The package `av`; FlatError with the name of the file that needs it if it is not installed."""
+    """The package `av`; FlatError with the name of the file if it is not installed."""
     try:
         import av
     except ImportError as error:
@@ -61,7 +61,8 @@ def parse_pixel_format(text: str) -> tuple[str, str, int]:
     )
     if not found:
         raise ValueError(
-            f"a pixel format is yuv420p, yuv422p, yuv444p or gray, with 10 or 12 for bits, got {text!r}"
+            "a pixel format is yuv420p, yuv422p, yuv444p or gray, with 10 or 12 for bits, "
+            f"got {text!r}"
         )
     subsampling = found[1] or "400"
     bits = int(found[2] or found[3] or 8)

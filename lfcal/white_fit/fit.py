@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..lattice.distortion import Distortion
+from ..lattice.distortion import GENERAL_TERMS, Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from ..lattice.robust_fit import TUKEY_CUTOFF, field_rms, robust_sigma, tukey_weights
+from ..lattice.robust_fit import SIGNIFICANT, TUKEY_CUTOFF, field_rms, robust_sigma, tukey_weights
 from ..lattice.standard_errors import LatticeErrors, Residuals
 from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
@@ -35,6 +35,14 @@ __all__ = ["WhiteFit", "fit_white", "refine_on_parts"]
 # means of second and first derivative is 0.76 / 0.91, a little more as pixels of several lenses
 # have one variance.
 _STEP_SCALE = 0.86
+# [standard errors of a centre] A fit has converged if its step is shorter.
+_CONVERGED = 0.3
+# Change of the basis, relative to its start, beyond which the fit has lost the lattice.
+_LARGEST_CHANGE = 0.05
+# [px] Movements of the centres, and narrowings of microimages, that matter to no picture.
+_NEGLIGIBLE = 0.01
+# [residual RMS] Microimages farther from the lattice are located by themselves.
+_FAR = 2.5
 _NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat or a white image"
 
 
@@ -91,7 +99,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Fit:
-    """A lattice with the distortion `orders` that were fitted, its microimages, and the last step."""
+    """A lattice with the fitted distortion `orders`, its microimages, and the last step."""
 
     lattice: Lattice
     orders: tuple[str, ...]
@@ -110,44 +118,44 @@ def add_distortion(lattice: Lattice, general: bool = False) -> Lattice:
     bend = lattice.distortion or Distortion.zero(lattice.image_size)
     if general and bend.general is None:
         bend = replace(
-            bend, general=np.zeros((2, 7)), middle=(np.array(lattice.image_size) - 1) / 2
+            bend,
+            general=np.zeros((2, GENERAL_TERMS)),
+            middle=(np.array(lattice.image_size) - 1) / 2,
         )
     return replace(lattice, distortion=bend)
 
 
-def converge(
-    lattice: Lattice, lenses: Microimages, orders: tuple[str, ...], passes: int = 10
-) -> Fit:
-    """Gauss-Newton passes until a step is shorter than 0.3 standard errors of the centres.
+def converge(lattice: Lattice, lenses: Microimages, orders: tuple[str, ...]) -> Fit:
+    """Gauss-Newton passes until a step is shorter than `_CONVERGED`.
 
     Raises `CalibrationError` if the microimages show no edges, or keep to no lattice.
     """
     start = lattice.basis
-    for _ in range(passes):
+    for _ in range(10):
         sums = lenses.sums()
         step = _solve_step(lattice, lenses, sums, orders)
         lattice = _moved(lattice, step)
-        if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < 0.05:
+        if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _LARGEST_CHANGE:
             raise CalibrationError(_NO_LATTICE)
         lenses = lenses.at(lattice).learn(sums, step.jacobian @ step.change, lattice)
-        if step.shift_rms < 0.3 * step.uncertainty:
+        if step.shift_rms < _CONVERGED * step.uncertainty:
             break
     return Fit(lattice, orders, lenses, step)
 
 
-def explains_better(fit: Fit, orders: tuple[str, ...], least_shift: float = 0.01) -> bool:
+def explains_better(fit: Fit, orders: tuple[str, ...]) -> bool:
     """Whether the parameters `orders` instead of its own would explain a converged fit
     significantly better.
 
-    Its last step is solved again with them: they count from six standard errors on, if they move
-    centres by `least_shift` [px, RMS].
+    Its last step is solved again with them: they count if they are significant, and move centres by
+    more than `_NEGLIGIBLE` [px, RMS].
     """
     lattice = add_distortion(fit.lattice, "general" in orders)
     names, jacobian = lattice.derivatives(fit.lenses.indices, orders)
     change, covariance, _ = _solve(jacobian, fit.step.normal, fit.step.right, fit.step.weight)
     new = np.array([name in orders and name not in fit.orders for name in names])
     size = change[new] @ np.linalg.pinv(covariance[np.ix_(new, new)]) @ change[new] / new.sum()
-    return bool(size > 36 and field_rms(jacobian, change) > least_shift)
+    return bool(size > SIGNIFICANT**2 and field_rms(jacobian, change) > _NEGLIGIBLE)
 
 
 def _moved(lattice: Lattice, step: Step) -> Lattice:
@@ -186,7 +194,7 @@ def locate_lenses(fit: Fit) -> Floats:
     show.
     """
     offsets = fit.step.offsets
-    far = np.flatnonzero(np.hypot(*offsets.T) > 2.5 * fit.step.residual_rms)
+    far = np.flatnonzero(np.hypot(*offsets.T) > _FAR * fit.step.residual_rms)
     if len(far):
         # Pixels on their edges are outliers of the common fit: here the weights are so low that
         # each one counts.
@@ -233,6 +241,17 @@ def _solve(
 _CENTROIDS = 0.2
 # Pixels, and fewest lenses, that a cut and a distortion are looked for with.
 _SEARCH = 1e5, 150
+# Pixels, and fewest lenses, that two discs are fitted to.
+_DISCS = 8e5, 250
+# Pixels of the final fit, which makes centres of white images exact to a few thousandths of a
+# pixel.
+_PIXELS = 3.2e6
+# [px] A disc cuts microimages if it reaches into those in the corners by more than this.
+_LEAST_CUT = 0.3
+# Robust squared residuals with two discs over those without, up to which the discs are believed.
+_MOST_COST = 0.995
+# [px] Standard error of the centres, from which on they are doubtful.
+_MOST_ERROR = 0.03
 
 
 @dataclass(frozen=True)
@@ -251,13 +270,13 @@ class WhiteFit:
     residuals: Residuals  # [px] of the single microimages that took part
 
 
-def fit_white(tones: Singles | StackedCrops, lattice: Lattice, pixels: float = 3.2e6) -> WhiteFit:
+def fit_white(tones: Singles | StackedCrops, lattice: Lattice) -> WhiteFit:
     """Fit a white image; CalibrationError if it has fewer than a dozen whole microimages, or they
     keep to no lattice.
 
     `tones` (h, w), or parts of such, is as made by `images.preprocessing.sqrt_luminance`; `lattice`
     the start, right to a fraction of the pitch over the whole flat, whose orders of distortion are
-    kept. Used are at most as many lenses, evenly spread, as have so many `pixels` in all.
+    kept. Used are at most as many lenses, evenly spread, as have `_PIXELS` in all.
     """
     tones = StackedCrops.of(tones)
     known = distortion_orders(lattice)
@@ -266,8 +285,8 @@ def fit_white(tones: Singles | StackedCrops, lattice: Lattice, pixels: float = 3
     discs = _find_cut(tones, plain, fit)
     if discs is not None:
         return _summarise_discs(discs, plain.lenses)
-    if pixels > fit.lenses.pixels:
-        lenses = cut_out(tones, fit.lattice, pixels, 0, fit.lenses)
+    if fit.lenses.pixels < _PIXELS:
+        lenses = cut_out(tones, fit.lattice, _PIXELS, 0, fit.lenses)
         fit = _select_orders(converge(fit.lattice, lenses, fit.orders))
     residuals = Residuals(
         fit.lenses.indices.astype(np.int32), locate_lenses(fit).astype(np.float32)
@@ -295,7 +314,7 @@ def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
 
 
 def _try(fit: Fit, orders: tuple[str, ...]) -> Fit:
-    """The fit with these distortion `orders` if they explain the microimages better, else as it is."""
+    """The fit with these `orders` of distortion if they explain it better, else as it is."""
     if set(orders) <= set(fit.orders) or not explains_better(fit, orders):
         return fit
     try:
@@ -316,9 +335,9 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
     """
     narrowing, error = measure_narrowing(bent.lenses, bent.lattice)
     # A cut by one pixel narrows microimages by 0.2 px.
-    if narrowing < max(0.01, 6 * error):
+    if narrowing < max(_NEGLIGIBLE, SIGNIFICANT * error):
         return None
-    discs = fit_two_discs(cut_out(tones, plain.lattice, 8e5, 250, plain.lenses), plain.lattice)
+    discs = fit_two_discs(cut_out(tones, plain.lattice, *_DISCS, plain.lenses), plain.lattice)
     if discs is None:
         return None
     discs = choose_lens(discs)
@@ -326,7 +345,9 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
     beside = measure_centroid_offset(plain.lenses, discs.lens_lattice())
     astray = beside > max(_CENTROIDS, measure_centroid_offset(plain.lenses, plain.lattice))
     # A disc that stays outside the microimages cuts nothing.
-    return None if astray or discs.depth < 0.3 or not _explains_more(discs, plain, bent) else discs
+    if astray or discs.depth < _LEAST_CUT or not _explains_more(discs, plain, bent):
+        return None
+    return discs
 
 
 def _explains_more(discs: TwoDiscs, plain: Fit, bent: Fit) -> bool:
@@ -339,19 +360,17 @@ def _explains_more(discs: TwoDiscs, plain: Fit, bent: Fit) -> bool:
     for fit in (plain, bent):
         residual, inside, _ = compare_pixels(fit.lenses)
         cost.append(float(np.minimum(residual[inside] ** 2, most).mean()))
-    return cost[0] < 0.995 * min(cost[1:])
+    return cost[0] < _MOST_COST * min(cost[1:])
 
 
 def _find_doubt(lenses: Microimages, lattice: Lattice) -> str | None:
     offset = measure_centroid_offset(lenses, lattice)
+    if not offset > _CENTROIDS:
+        return None
     return (
-        None
-        if not offset > _CENTROIDS
-        else (
-            f"plain centroids of the microimages in the middle lie {offset:.2f} px beside the lattice, which follows their "
-            "edges: the light in them is uneven or reaches into the gaps; if the circles lie off the microimages ('lfcal "
-            "show'), light the white image evenly"
-        )
+        f"plain centroids of the microimages in the middle lie {offset:.2f} px beside the lattice, "
+        "which follows their edges: the light in them is uneven or reaches into the gaps; if the "
+        "circles lie off the microimages ('lfcal show'), light the white image evenly"
     )
 
 
@@ -360,11 +379,11 @@ def _summarise_discs(discs: TwoDiscs, lenses: Microimages) -> WhiteFit:
     errors = discs.errors()
     doubt = discs.doubt
     error = float(np.sqrt((errors.of_centres(lattice) ** 2).mean()))
-    if error > 0.03 and doubt is None:
+    if error > _MOST_ERROR and doubt is None:
         doubt = (
-            f"microimages are the overlap of two discs with soft edges ({discs.blur[0]:.2f} px): their "
-            f"centres are known to {error:.2f} px only; close the aperture of the main lens for a white image without "
-            "vignetting"
+            f"microimages are the overlap of two discs with soft edges ({discs.blur[0]:.2f} px): "
+            f"their centres are known to {error:.2f} px only; close the aperture of the main lens "
+            "for a white image without vignetting"
         )
     doubt = doubt or _find_doubt(lenses, lattice)
     distance = np.hypot(*discs.offsets.T)

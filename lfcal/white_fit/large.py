@@ -9,6 +9,7 @@ lens.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -24,6 +25,20 @@ from .fit import refine_on_parts
 
 #: Least probability of a lattice in a piece.
 _LIKELY = 0.8
+#: [px] Least side of the piece that a lattice is searched for in, and of those it is extended on.
+_FIRST_SIDE = 768
+_PIECE_SIDE = 256
+#: [pitch] Least side of pieces.
+_PIECE_PITCHES = 14
+#: Pixels of the parts that a large flat is calibrated on.
+_PIXELS = 1.6e7
+#: Parts in which the light is compared with that of white images.
+_EVEN_PARTS = 9
+#: Distance of pieces from the middle over that of the pieces before. A cubic that moves centres by
+#: hardly 0.01 px up to the last pieces moves them by 0.16 px so far out.
+_FARTHER = 2.5
+#: Places of the pieces that a lattice is searched for in, as shares of the flat: the middle first.
+_PLACES = (0.5, 0.2, 0.8)
 
 __all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_parts", "window_reader"]
 
@@ -42,12 +57,11 @@ def window_reader(flat: Array, filtered: bool) -> ReadCrop:
 
 
 def sample_parts(
-    read: ReadCrop, lattice: Lattice, side: int = 768, pixels: float = 1.6e7
+    read: ReadCrop, lattice: Lattice, side: int = _FIRST_SIDE, pixels: float = _PIXELS
 ) -> tuple[StackedCrops, ReadCrop]:
-    """Parts of a flat, enough to calibrate on, and a reader of all of it, both scaled to a mean of
-    1 over the parts.
+    """Parts of a flat, enough to calibrate on, and a reader of all of it; their mean is 1.
 
-    They are of this `side` [px] and have about so many `pixels` in all.
+    Parts are of this `side` [px] and have about so many `pixels` in all.
     """
     parts = _sample_grid(read, lattice.image_size, side, pixels)
     scale = np.float32(1 / max(float(parts.picture.mean(dtype=np.float64)), 1e-30))
@@ -88,8 +102,8 @@ def find_white_lattice(
     size: tuple[int, int],
     sure: bool,
     tries: int,
-    first_side: int = 768,
-    piece_side: int = 256,
+    first_side: int = _FIRST_SIDE,
+    piece_side: int = _PIECE_SIDE,
 ) -> Candidate | None:
     """First lattice of a white image, with its distortion; None if the flat is no white image, or
     no lattice is found.
@@ -104,7 +118,7 @@ def find_white_lattice(
         return None
     start, corner, first_side = found
     lattice = start.lattice
-    side = max(int(14 * lattice.pitch), piece_side)
+    side = max(int(_PIECE_PITCHES * lattice.pitch), piece_side)
     pieces: list[tuple[int, int]] = []
     middle = np.array(corner) + first_side / 2
     distance = float(first_side)
@@ -117,9 +131,7 @@ def find_white_lattice(
                 apart = all(max(abs(x - u), abs(y - v)) >= side for u, v in pieces)
                 if apart and max(abs(x - corner[0]), abs(y - corner[1])) >= max(side, first_side):
                     pieces.append((x, y))
-        # A cubic that moves centres by hardly 0.01 px up to the last pieces moves them by 0.16 px
-        # so far out.
-        distance *= 2.5
+        distance *= _FARTHER
         if len(pieces) == known:
             break
         try:
@@ -138,8 +150,9 @@ def _find_in_piece(
     """Lattice of the first piece that shows one, in px of the flat; corner and side of the piece
     [px].
     """
-    places = [(x, y) for x in (0.5, 0.2, 0.8) for y in (0.5, 0.2, 0.8)]
-    for place in sorted(places, key=lambda p: abs(p[0] - 0.5) + abs(p[1] - 0.5))[:tries]:
+    for place in sorted(
+        product(_PLACES, repeat=2), key=lambda p: abs(p[0] - 0.5) + abs(p[1] - 0.5)
+    )[:tries]:
         x, y = (
             int(share * (length - side)) // 2 * 2 for share, length in zip(place, size, strict=True)
         )
@@ -167,8 +180,8 @@ def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice, piece_side
     """Whether microimages are evenly lit all over the field, in parts of whole lenses and their
     neighbours.
     """
-    side = max(int(12 * lattice.pitch), piece_side)
-    parts = _sample_grid(read, size, side, 9 * side**2)
+    side = max(int(_PIECE_PITCHES * lattice.pitch), piece_side)
+    parts = _sample_grid(read, size, side, _EVEN_PARTS * side**2)
     even = []
     for number, corner in enumerate(parts.corners):
         own = Lattice(lattice.origin - corner, lattice.basis, parts.size, lattice.radius)

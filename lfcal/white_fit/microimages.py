@@ -12,15 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ..gain.light_polynomial import fit_light_slope
 from ..images.stack import clipping_level
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, find_lit_lenses, sample_mask
+from ..lattice.robust_fit import SIGNIFICANT
 from ..runtime.arrays import Floats, Integers, Singles
 from ..runtime.errors import CalibrationError
 from .kernel import Rings, Sums, Windows, add_lenses
 
-__all__ = ["FEWEST_LENSES", "Microimages", "cut_out", "fit_gain_slope"]
+__all__ = ["FEWEST_LENSES", "Microimages", "cut_out"]
 
 FEWEST_LENSES = 12
 # [px] between rings of the profile: edges of discs are about 1 px wide.
@@ -28,6 +30,20 @@ _RING_STEP = 0.125
 # Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on
 # that of the threads.
 _CHUNKS = 64
+# Stiffness of the profile over the median weight of a ring. It decides only where all lenses lie
+# alike to the pixels.
+_STIFFNESS = 0.3
+# [inradius] Disc in which the slope of the light is measured: edges are far, and cuts are rare.
+_INNER = 0.6
+# Side of the square in the middle, over the diameter of a microimage, that tells its light.
+_CORE = 0.4
+# Share of the median weight that a ring needs to have a harmonic.
+_FEW = 0.01
+# Lenses that are darker than this share of the bright ones are not lit.
+_DARK = 0.03
+# Pixels that a mean over all lenses is taken from, and fewer for a slope.
+_PIXELS = 1e6
+_SLOPE_PIXELS = 2e5
 
 
 @dataclass(frozen=True)
@@ -42,7 +58,7 @@ class Microimages:
     centres: Floats  # (n, 2) [px]
     gain: Floats  # (n,) light of each lens over that of the profile
     slope: Floats  # (n, 2) [1/px] relative change of the gain within the microimage
-    shade: Floats  # (n, 2) [1/px] the same of its own light alone, without that of neighbours
+    shade: Floats  # (n, 2) [1/px] slope of the gain without the light of the neighbours
     cell: Cell
     profile: Floats  # (r,) light at radii `0, step, 2*step...`
     harmonic: Floats  # (r,) amplitude of `cos(4 * direction)`
@@ -133,17 +149,17 @@ class Microimages:
         explained = (sums.normal[:, :2, 2] * moved).sum(1)
         gain = (sums.right[:, 2] - explained) / np.maximum(sums.normal[:, 2, 2], 1e-30)
         lenses = replace(self, gain=self.gain * (1 + np.clip(gain, -0.5, 1))).learn_profile(sums)
-        lenses = replace(lenses, slope=fit_gain_slope(lenses.centres, lenses.gain, lattice))
+        lenses = replace(lenses, slope=fit_light_slope(lenses.gain, lenses.centres, lattice))
         return replace(lenses, shade=lenses.measure_shade(lattice))
 
     def learn_profile(self, sums: Sums) -> Microimages:
-        """The microimages with profile, harmonic and weights of rings that fit the pixels better."""
+        """The microimages with profile, harmonic and ring weights that fit the pixels better."""
         weight, force, turned, own, squares, number = sums.band.sum(0).T
         # Rings that hardly a pixel fell into follow their neighbours. Where all lenses lie alike to
         # the pixels, only the smoothness of the profile determines where between two pixels an edge
         # is.
         bend = np.diff(np.eye(len(weight)), 2, axis=0)
-        stiff = 0.3 * float(np.median(weight[weight > 0])) * bend.T @ bend
+        stiff = _STIFFNESS * float(np.median(weight[weight > 0])) * bend.T @ bend
         settled = np.diag(weight + 1e-9 * weight.max())
         profile = self.profile + np.linalg.solve(settled + stiff, force - stiff @ self.profile)
         # Gains and profile share one scale.
@@ -157,7 +173,7 @@ class Microimages:
         return replace(
             self,
             profile=profile,
-            harmonic=self.harmonic + turned / (own + 0.01 * np.median(weight) + 1e-30),
+            harmonic=self.harmonic + turned / (own + _FEW * np.median(weight) + 1e-30),
             ring_weight=1 / np.maximum(variance, floor),
         )
 
@@ -167,10 +183,9 @@ class Microimages:
         """
         if np.isfinite(self.saturation):
             return np.zeros_like(self.slope)
-        some = self.thin(2e5)
+        some = self.thin(_SLOPE_PIXELS)
         x, y = some.places()
-        # Edges are far, and cuts are rare in so small a disc.
-        inside = np.hypot(x, y) < 0.6 * self.cell.inradius
+        inside = np.hypot(x, y) < _INNER * self.cell.inradius
         model = (
             np.interp(np.hypot(x, y), np.arange(len(self.profile)) * _RING_STEP, self.profile)
             * inside
@@ -199,10 +214,11 @@ def cut_out(
     Profile and weights are those of `known` lenses, or the mean profile.
     """
     cell = Cell.of(lattice)
-    dark = 0.03
     margin = cell.circumradius + 2
     indices, centres, crop = tones.lenses(lattice, margin)
-    lit = find_lit_lenses(tones.picture, lattice, indices, centres - tones.offsets[crop], dark**0.5)
+    lit = find_lit_lenses(
+        tones.picture, lattice, indices, centres - tones.offsets[crop], _DARK**0.5
+    )
     share = max(pixels / abs(np.linalg.det(lattice.basis)), fewest) / max(int(lit.sum()), 1)
     chosen = np.flatnonzero(lit)[sample_mask(int(lit.sum()), share)]
     indices = indices[chosen]
@@ -214,22 +230,26 @@ def cut_out(
     light = windows[place[:, 1], place[:, 0]] ** 2
     corners = place - half
     middle = light.shape[1] // 2
-    core = max(1, int(0.4 * cell.inradius))
+    core = max(1, int(_CORE * cell.inradius))
     gain = (
         light[:, middle - core : middle + core + 1, middle - core : middle + core + 1]
         .mean((1, 2))
         .astype(float)
     )
-    bright = gain > dark * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
+    bright = np.zeros(0, dtype=bool)
+    if len(gain):
+        bright = gain > _DARK * np.quantile(gain, 0.95)
     if bright.sum() < FEWEST_LENSES:
         raise CalibrationError(
-            f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
-            f"at least {FEWEST_LENSES} are needed; give the whole sensor"
+            f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the "
+            f"flat, at least {FEWEST_LENSES} are needed; give the whole sensor"
         )
-    indices, centres, gain, light, corners = (
-        v[bright] for v in (indices, centres, gain, light, corners + offset)
-    )
-    slope = fit_gain_slope(centres, gain, lattice)
+    indices = indices[bright]
+    centres = centres[bright]
+    gain = gain[bright]
+    light = light[bright]
+    corners = (corners + offset)[bright]
+    slope = fit_light_slope(gain, centres, lattice)
     rings = int(cell.circumradius / _RING_STEP) + 3
     saturation = clipping_level(light) if known is None else known.saturation
     lenses = Microimages(
@@ -267,7 +287,7 @@ def cut_out(
 
 def _mean_profile(lenses: Microimages) -> Floats:
     """(r,) mean radial profile of the lenses."""
-    some = lenses.thin(1e6)
+    some = lenses.thin(_PIXELS)
     x, y = some.places()
     inside = np.ones(some.light.shape, dtype=bool)
     for across, down in some.cell.normals:
@@ -277,39 +297,6 @@ def _mean_profile(lenses: Microimages) -> Floats:
     total, number = (np.bincount(ring, of, len(lenses.profile)) for of in (light, None))
     seen = np.flatnonzero(number)
     return np.interp(np.arange(len(number)), seen, total[seen] / number[seen])
-
-
-# Degree of the polynomial of the gain over the field.
-_DEGREE = 4
-
-
-def fit_gain_slope(centres: Floats, gain: Floats, lattice: Lattice) -> Floats:
-    """(n, 2) relative slope of the gain over the field [1/px], from a polynomial through the gains
-    (n,) of lenses.
-    """
-    scale = np.array(lattice.image_size) / 2
-    x, y = ((centres - scale) / scale).T
-    powers = [(a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a)]
-    xs, ys = (np.vander(v, _DEGREE + 1, increasing=True).T for v in (x, y))
-    # Some thousand lenses tell all factors.
-    few = slice(None, None, max(1, len(gain) // 4000))
-    log = np.log(np.maximum(gain[few], 1e-12))
-    table = np.column_stack([xs[a][few] * ys[b][few] for a, b in powers])
-    keep = np.ones(len(log), dtype=bool)
-    factors = np.zeros(len(powers))
-    for _ in range(3):
-        if keep.sum() < 3 * len(powers):
-            return np.zeros_like(centres)
-        factors = np.linalg.lstsq(table[keep], log[keep], rcond=None)[0]
-        miss = np.abs(log - table @ factors)
-        keep = miss < 5 * np.median(miss) + 1e-6
-    slope = np.zeros((2, len(gain)))
-    for (a, b), factor in zip(powers, factors.tolist(), strict=True):
-        if a:
-            slope[0] += a * factor * xs[a - 1] * ys[b]
-        if b:
-            slope[1] += b * factor * xs[a] * ys[b - 1]
-    return np.ascontiguousarray(slope.T / scale)
 
 
 def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice) -> Floats:
@@ -335,8 +322,7 @@ def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice
         miss = np.abs(slopes - table @ found) * root
         keep = (weight[:, None] > 0) & (miss < 4 * np.median(miss[weight > 0]) + 1e-12)
     variance = float((miss[keep] ** 2).mean())
-    # Six standard errors.
-    if found @ normal @ found < 36 * variance:
+    if found @ normal @ found < SIGNIFICANT**2 * variance:
         return np.zeros((3, 2))
     middle = (np.array(lattice.image_size) - 1) / 2
     return np.vstack([found[:2] - found[2] * middle, found[2] * np.eye(2)])

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from ..gain.gain_map import field_place
+from ..gain.light_polynomial import fit_light_slope
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.robust_fit import TUKEY_CUTOFF, biweight, robust_sigma
+from ..lattice.robust_fit import SIGNIFICANT, TUKEY_CUTOFF, biweight, robust_sigma
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.arrays import Floats, Integers
 from .disc_light import (
@@ -36,12 +37,50 @@ from .disc_light import (
     TAIL,
     evaluate,
 )
-from .microimages import Microimages, fit_gain_slope
+from .microimages import Microimages
 from .vignetting import CatEye
 
 __all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
 
 _STEPS = np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (0, 0)])
+# Where the fit starts: growth and radii of both discs over the radius of whole microimages.
+_START_GROWTH = np.array([-0.15, 0.15])
+_START_RADIUS = np.array([1.02, 1.08])
+_START_SHADING = 0.02
+_START_CORRELATION = 0.3
+# Radii over that radius: standard deviation, and least one.
+_RADIUS_RANGE = 0.3
+# Standard deviations of the other parameters from the start.
+_DEVIATIONS = ((LOG_BLUR, 0.5), (SHADING, 0.3), (GAP, 0.1), (TAIL, 0.03), (CORRELATION, 0.5))
+# [px] Pixels of finite size blur every edge by this at least.
+_LEAST_BLUR = 0.2
+# Bounds. Uniform discs and squares have a tail of 0.05, normal blur 0, longer tails less.
+_TAILS = (-0.03, 0.06)
+_CORRELATIONS = (0, 0.98)
+# Logarithms of the blurs of both edges are alike to this; beyond the other one, more counts no
+# further.
+_ALIKE = 0.01
+_DIFFERENT = 0.1
+# Share of the pixels away from the edges that is used.
+_BESIDE_EDGES = 0.1
+# Squared length of the last step [standard errors].
+_CONVERGED = 0.1
+# Least gain of a lens over that without a cut.
+_LEAST_GAIN = 1e-3
+# Step of numerical derivatives, in the units of the parameters.
+_STEP = 1e-3
+# Error of the blur that both edges share, which no model tells better.
+_MODEL_FAULT = 0.02
+# Pixels of the first two fits, and of the last one.
+_FIRST_PIXELS = (10_000, 20_000)
+_LAST_PIXELS = 150_000
+# [px] A distortion that is less in the corners moves centres by less than 0.01 px.
+_LEAST_BEND = 0.15
+# [standard errors] by which radii or shadings differ for sure.
+_SURE = 2.5
+# Errors of the model of the edges: of the radii over the blur, of the shadings over its square.
+_RADIUS_FAULT = 0.05
+_SHADING_FAULT = 0.3
 
 
 @dataclass(frozen=True)
@@ -150,7 +189,7 @@ class TwoDiscs:
         two per cent.
         """
         fault = (
-            0.02
+            _MODEL_FAULT
             * self.covariance[:, CORRELATION]
             / max(float(self.covariance[CORRELATION, CORRELATION]), 1e-12)
         )
@@ -173,9 +212,8 @@ class TwoDiscs:
         for _ in range(2):
             pixels = _choose_pixels(lenses, slope, self.lattice, lenses.light.size)
             residual, _, gain = pixels.compare(self.parameters, np.ones(len(pixels.light)))
-            slope = fit_gain_slope(
-                lenses.centres, lenses.gain * np.maximum(gain, 1e-3), self.lattice
-            )
+            gains = lenses.gain * np.maximum(gain, _LEAST_GAIN)
+            slope = fit_light_slope(gains, lenses.centres, self.lattice)
         return residual * max(float(lenses.profile[0]), 1e-9)
 
     def _names(self) -> tuple[str, ...]:
@@ -188,14 +226,14 @@ class TwoDiscs:
         """
         names = self._names()
         moved = []
-        for step in 1e-3 * np.eye(COUNT):
+        for step in _STEP * np.eye(COUNT):
             other, here = (
                 _lattice_of(self.lattice, p) for p in (self.parameters + step, self.parameters)
             )
             change = [*(other.origin - here.origin), *(other.basis - here.basis).ravel()]
             if other.distortion and here.distortion and "k1" in names:
                 change.append(other.distortion.k1 - here.distortion.k1)
-            moved.append(np.array(change) / 1e-3)
+            moved.append(np.array(change) / _STEP)
         return np.array(moved).T
 
 
@@ -233,19 +271,20 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
     low, high = _bounds(lenses.radius)
     slope = lenses.slope.copy()
     try:
-        for number, held in ((10_000, [TAIL, CORRELATION]), (20_000, [])):
+        for number, held in zip(_FIRST_PIXELS, ([TAIL, CORRELATION], []), strict=True):
             spread = everything.copy()
             spread[held] = 0
             pixels = _choose_pixels(lenses, slope, lattice, number)
             p, gain, errors = _minimise(pixels, p, expected, spread, low, high)
             # The gains of cut microimages had been fitted without a cut, and the slope of the light
             # with them.
-            gains = lenses.gain[pixels.rows] * np.maximum(gain, 1e-3)
-            slope[pixels.rows] = fit_gain_slope(lenses.centres[pixels.rows], gains, lattice)
-        if lattice.distortion is None and abs(p[BEND]) < max(0.15, 6 * errors[BEND]):
-            # It would move centres by less than 0.01 px, or by chance.
+            gains = lenses.gain[pixels.rows] * np.maximum(gain, _LEAST_GAIN)
+            slope[pixels.rows] = fit_light_slope(gains, lenses.centres[pixels.rows], lattice)
+        if lattice.distortion is None and abs(p[BEND]) < max(
+            _LEAST_BEND, SIGNIFICANT * errors[BEND]
+        ):
             p[BEND] = spread[BEND] = 0
-        pixels = _choose_pixels(lenses, slope, lattice, 150_000, p)
+        pixels = _choose_pixels(lenses, slope, lattice, _LAST_PIXELS, p)
         spread[(p <= low + 1e-6) | (p >= high - 1e-6)] = 0
         p, covariance, offsets, halves = _finish(pixels, p, expected, spread, low, high)
     except (np.linalg.LinAlgError, ValueError):
@@ -262,27 +301,31 @@ def _start(lenses: Microimages) -> tuple[Floats, Floats]:
     radius = lenses.radius
     p = np.zeros(COUNT)
     spread = np.full(COUNT, np.inf)
-    p[GROWTH] = 0.15 * radius * np.array([-1, 1])
-    p[RADIUS] = radius * np.array([1.02, 1.08])
+    p[GROWTH] = _START_GROWTH * radius
+    p[RADIUS] = _START_RADIUS * radius
     slope = np.abs(lenses.rings.table[:, 1]).max()
-    p[LOG_BLUR] = math.log(max(lenses.core / max(slope * math.sqrt(2 * math.pi), 1e-9), 0.4))
-    p[SHADING] = 0.02
+    p[LOG_BLUR] = math.log(
+        max(lenses.core / max(slope * math.sqrt(2 * math.pi), 1e-9), 2 * _LEAST_BLUR)
+    )
+    p[SHADING] = _START_SHADING
     p[GAP] = min(max(float(lenses.profile.min() / max(lenses.profile[0], 1e-9)), 0.0), 0.5)
-    p[CORRELATION] = 0.3
-    spread[RADIUS], spread[LOG_BLUR], spread[SHADING], spread[GAP] = 0.3 * radius, 0.5, 0.3, 0.1
-    spread[TAIL], spread[CORRELATION] = 0.03, 0.5
+    p[CORRELATION] = _START_CORRELATION
+    spread[RADIUS] = _RADIUS_RANGE * radius
+    for place, deviation in _DEVIATIONS:
+        spread[place] = deviation
     return p, spread
 
 
 def _bounds(scale: float) -> tuple[Floats, Floats]:
-    """Least and largest parameters; pixels of finite size blur every edge by 0.2 px at least."""
+    """Least and largest parameters."""
     low = np.full(COUNT, -np.inf)
     high = np.full(COUNT, np.inf)
-    low[RADIUS], high[RADIUS] = 0.3 * scale, 2 * scale
-    low[LOG_BLUR], high[LOG_BLUR] = math.log(0.2), math.log(0.5 * scale)
-    # Uniform discs and squares have a tail of 0.05, normal blur 0, longer tails less.
-    low[TAIL], high[TAIL] = -0.03, 0.06
-    low[CORRELATION], high[CORRELATION] = 0, 0.98
+    low[RADIUS] = _RADIUS_RANGE * scale
+    high[RADIUS] = 2 * scale
+    low[LOG_BLUR] = math.log(_LEAST_BLUR)
+    high[LOG_BLUR] = math.log(0.5 * scale)
+    low[TAIL], high[TAIL] = _TAILS
+    low[CORRELATION], high[CORRELATION] = _CORRELATIONS
     return low, high
 
 
@@ -314,7 +357,9 @@ def _choose_pixels(
             )
             for k in (0, 1)
         ]
-        chance[np.min(np.abs(depth), axis=0) > 3 * math.exp(float(known[LOG_BLUR].max()))] = 0.1
+        chance[np.min(np.abs(depth), axis=0) > 3 * math.exp(float(known[LOG_BLUR].max()))] = (
+            _BESIDE_EDGES
+        )
     taken = rng.random(len(light)) < chance * (number / chance.sum())
     lens = lens[taken]
     place = place[taken]
@@ -331,14 +376,15 @@ def _choose_pixels(
 
 def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]:
     """Residuals of what is known before, and their negative derivatives: `spread`, and blurs of
-    both edges that are alike to a hundredth, or else differ (a tenth and more counts no further).
+    both edges that are alike (`_ALIKE`), or else differ.
     """
     differ = float(p[LOG_BLUR][1] - p[LOG_BLUR][0])
-    root = math.sqrt(1 + (differ / 0.1) ** 2)
+    root = math.sqrt(1 + (differ / _DIFFERENT) ** 2)
     alike = np.zeros(COUNT)
-    alike[LOG_BLUR] = np.array([-1, 1]) / (0.01 * root**3)
+    alike[LOG_BLUR] = np.array([-1, 1]) / (_ALIKE * root**3)
     stiff = np.diag(1 / np.where(spread > 0, spread, np.inf))
-    return np.append(stiff @ (expected - p), -differ / (0.01 * root)), np.vstack([stiff, alike])
+    miss = np.append(stiff @ (expected - p), -differ / (_ALIKE * root))
+    return miss, np.vstack([stiff, alike])
 
 
 def _minimise(
@@ -410,7 +456,7 @@ def _finish(
         normal = (rows.T @ table)[np.ix_(free, free)] + prior
         step = np.linalg.solve(normal, (rows.T @ residual)[free] + pull)
         p[free] = np.clip(p[free] + step, low[free], high[free])
-        if step @ normal @ step < 0.1:
+        if step @ normal @ step < _CONVERGED:
             break
     covariance = np.zeros((COUNT, COUNT))
     halves = np.zeros(COUNT)
@@ -432,18 +478,17 @@ def choose_lens(discs: TwoDiscs) -> TwoDiscs:
     """The discs with that one first which is the lens, and the doubt about it.
 
     The lens is whole in the middle of the field, where the other disc must not show: it is the
-    smaller one. Shading is centred on the lens. Radii are compared if they differ beyond 2.5
+    smaller one. Shading is centred on the lens. Radii are compared if they differ beyond `_SURE`
     standard errors, else shadings; what is left of an error of the model of the edges grows with
     their blur.
     """
     blur = float(discs.blur.mean())
-    sure = 2.5
-    smaller = discs.difference(RADIUS, 0.05 * blur)
-    shaded = -discs.difference(SHADING, 0.3 * (blur / discs.scale) ** 2)
-    sign = smaller if abs(smaller) > sure else smaller + shaded
+    smaller = discs.difference(RADIUS, _RADIUS_FAULT * blur)
+    shaded = -discs.difference(SHADING, _SHADING_FAULT * (blur / discs.scale) ** 2)
+    sign = smaller if abs(smaller) > _SURE else smaller + shaded
     chosen = discs if sign >= 0 else discs.interchanged()
-    clash = abs(smaller) > sure and abs(shaded) > sure and smaller * shaded < 0
-    if abs(sign) > sure and not clash:
+    clash = min(abs(smaller), abs(shaded)) > _SURE and smaller * shaded < 0
+    if abs(sign) > _SURE and not clash:
         return chosen
     return replace(chosen, doubt=_state_doubt(chosen, clash))
 
@@ -456,8 +501,9 @@ def _state_doubt(discs: TwoDiscs, clash: bool) -> str:
         else "they are alike"
     )
     return (
-        f"microimages are the overlap of two discs of {discs.radius[0]:.2f} and {discs.radius[1]:.2f} px radius, and "
-        f"{why}: the first is taken for the lens; if the other is, centres lie up to {apart:.2f} px off in the corners "
-        "(a scale of the lattice, and a constant in the disparity); close the aperture of the main lens "
-        "for a white image without vignetting"
+        f"microimages are the overlap of two discs of {discs.radius[0]:.2f} and "
+        f"{discs.radius[1]:.2f} px radius, and {why}: the first is taken for the lens; if the "
+        f"other is, centres lie up to {apart:.2f} px off in the corners (a scale of the lattice, "
+        "and a constant in the disparity); close the aperture of the main lens for a white image "
+        "without vignetting"
     )

@@ -13,10 +13,17 @@ import numpy as np
 
 from ..gain.gain_map import field_place
 from ..lattice.lattice import Lattice
-from ..runtime.arrays import Booleans, Floats
+from ..lattice.robust_fit import SIGNIFICANT
+from ..runtime.arrays import Booleans, Floats, evenly
 from .microimages import Microimages
 
 __all__ = ["CatEye", "compare_pixels", "measure_centroid_offset", "measure_narrowing"]
+
+# Pixels, and lenses, that narrowing and centroids are measured on.
+_PIXELS = 1e6
+_LENSES = 300
+# Slope of the profile, over the steepest one, from which on pixels tell where an edge is.
+_STEEP = 0.1
 
 
 @dataclass(frozen=True)
@@ -71,13 +78,12 @@ def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, flo
     with the field: neither a lattice nor its distortion, neither blur nor the shape of pixels give
     whole discs any.
     """
-    few = lenses.thin(1e6)
+    few = lenses.thin(_PIXELS)
     x, y = few.places()
     far = np.maximum(np.hypot(x, y), 1e-6)
     residual, inside, (slope, weight) = compare_pixels(few)
-    # Six standard deviations.
-    used = inside & (far < few.cell.inradius) & (residual**2 * weight < 36)
-    used &= np.abs(slope) > 0.1 * np.abs(few.rings.table[:, 1]).max()
+    used = inside & (far < few.cell.inradius) & (residual**2 * weight < SIGNIFICANT**2)
+    used &= np.abs(slope) > _STEEP * np.abs(few.rings.table[:, 1]).max()
     field = field_place(few.centres, lattice)
     reach = np.maximum(np.hypot(*field.T), 1e-6)[:, None, None]
     along = (field[:, 0, None, None] * x + field[:, 1, None, None] * y) / (reach * far)
@@ -97,7 +103,7 @@ def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
     moved = lenses.at(lattice)
     field = field_place(moved.centres, lattice)
     near = np.flatnonzero(np.hypot(*field.T) < 0.25)
-    near = near[:: max(1, len(near) // 300)]
+    near = near[evenly(len(near), _LENSES)]
     if len(near) < 12:
         return 0.0
     x, y = moved.places()

@@ -1,5 +1,4 @@
-"""Depth of the next frame: only lenses that show something else at another depth are estimated
-again.
+"""Depth of the next frame: only lenses whose pixels or depth have changed are estimated again.
 
 A lens keeps its depth if its pixels, and those of its neighbours, differ from the previous frame by
 no more than noise, or if it still matches its neighbours at the depth it had.
@@ -36,6 +35,23 @@ from .surface.scene_grid import grid_shape
 from .validity.textureless import find_textureless
 
 __all__ = ["changed_since", "find_changed_lenses", "find_moved", "update_depth"]
+
+# Groups of lenses of like brightness, and share of the quietest of each that tells its noise.
+_GROUPS = 8
+_QUIETEST = 0.1
+# Change of a pixel that nobody sees, as by video coding [white].
+_INVISIBLE = 2 / 255
+# Share of the variance of a lens that motion by a quarter of a pixel exceeds.
+_UNSEEN = 0.007
+# [bytes] Largest grey flat that is kept for the next frame.
+_MOST_BYTES = 32 << 20
+# A lens has moved if its cost rises by more than this, or its minimum by more than this [px], or
+# four standard errors of a difference.
+_RISE = 0.15
+_SHIFT = 0.1
+_ERRORS = 4 * 2**0.5
+# Lenses beside one that moved are in doubt from this part of both limits on.
+_DOUBTFUL = 0.25
 
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda before, now, centres, *_: len(centres))
@@ -87,19 +103,18 @@ def find_changed_lenses(
     # Noise grows with brightness: that of the tenth of lenses with the least, in eight groups, and
     # in those beside.
     noise = np.minimum(2 * statistics.roughness**2, pixel)
-    edges = np.quantile(statistics.mean, np.arange(1, 8) / 8)
+    edges = np.quantile(statistics.mean, np.arange(1, _GROUPS) / _GROUPS)
     group = np.searchsorted(edges, statistics.mean)
     least = 2 * now.rounding**2
-    level = [np.quantile(noise[group == k], 0.1) if (group == k).any() else least for k in range(8)]
+    level = np.full(_GROUPS, least, noise.dtype)
+    for k in np.unique(group):
+        level[k] = np.quantile(noise[group == k], _QUIETEST)
     level = np.maximum(np.pad(level, 1, "edge"), least)
     allowed = np.maximum(np.maximum(level[:-2], level[2:]), level[1:-1])[group]
-    # A pixel changes by 2 / 255 in video coding, which is invisible; motion by a quarter of a pixel
-    # changes more than 0.7 % of the variance.
-    invisible = (2 / 255) ** 2
-    unseen = 0.007 * statistics.contrast**2
+    unseen = _UNSEEN * statistics.contrast**2
     area = side * side
-    most = np.maximum(allowed * _limit(count * area), np.maximum(invisible, unseen))
-    most_block = np.maximum(allowed * _limit(count), np.maximum(invisible, area * unseen))
+    most = np.maximum(allowed * _limit(count * area), np.maximum(_INVISIBLE**2, unseen))
+    most_block = np.maximum(allowed * _limit(count), np.maximum(_INVISIBLE**2, area * unseen))
     return np.asarray((pixel > most) | (block > most_block))
 
 
@@ -235,7 +250,7 @@ def _remember(
     """The depth map; its grey flat of up to 32 MB, with the strips cut out of it, is kept for the
     next one.
     """
-    if gray.image.nbytes <= 1 << 25:
+    if gray.image.nbytes <= _MOST_BYTES:
         _latest_frame(calibration)[:] = [(weakref.ref(depth), gray, statistics)]
     return depth
 
@@ -297,27 +312,24 @@ def find_moved(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Lenses whose depth may have changed, and those in doubt if one of their neighbours has.
 
-    An `estimated` lens (n,) keeps its depth if from `reference` to `match` its cost rose by at most
-    0.15 and its minimum did not move, together with two neighbours, by more than max(0.1 px, 4
-    sigma). Beside one that moved, a quarter of that is doubtful. Others are estimated if they now
-    carry texture or match.
+    An `estimated` lens (n,) keeps its depth if from `reference` to `match` its cost hardly rose,
+    and its minimum, together with those of two neighbours, hardly moved (`_RISE`, `_SHIFT`). Others
+    are estimated if they now carry texture or match.
     """
     shift = match.offset - reference.offset
     rise = match.cost - reference.cost
-    moved = estimated & (rise > 0.15)
+    moved = estimated & (rise > _RISE)
     moved |= (reason == 0) & reference.textured & ~match.textured
-    moved |= (reason != 0) & match.textured & (rise < -0.15)
+    moved |= (reason != 0) & match.textured & (rise < -_RISE)
     moved |= (reason == 1) & match.clear & ~reference.clear
-    # Away from a minimum the cost has no bend that would tell its error.
-    limit = np.maximum(
-        np.float32(0.1), np.float32(4 * 2**0.5) * np.minimum(reference.error, match.error)
-    )
+    # Away from a minimum the cost has no curvature, so that no error can be derived.
+    error = np.minimum(reference.error, match.error)
+    limit = np.maximum(np.float32(_SHIFT), np.float32(_ERRORS) * error)
     for side in (-1, 1):
-        # Of fewer than three beside each other it is noise.
+        # A shift of fewer than three neighbours is noise.
         moved |= count_connected(estimated & (side * shift > limit), neighbours) >= 2
-    return np.asarray(moved), np.asarray(
-        ~estimated | (4 * rise > 0.15) | (4 * np.abs(shift) > limit)
-    )
+    doubtful = ~estimated | (rise > _DOUBTFUL * _RISE) | (np.abs(shift) > _DOUBTFUL * limit)
+    return np.asarray(moved), np.asarray(doubtful)
 
 
 def changed_since(

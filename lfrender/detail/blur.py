@@ -40,6 +40,8 @@ _KNOWN = 0.5
 #: [px^2] What interpolation averages, which `prefilter_flat` does not undo at high frequencies;
 #: discs hide it.
 READING = 0.35
+# Area of the square that blurs as a disc does, over the square of its diameter.
+_OF_DISCS = 0.7
 
 
 def choose_blur(calibration: Calibration, depth: DepthMap) -> LensBlur | None:
@@ -107,7 +109,7 @@ def squares_to_average(
     pitch = calibration.lattice.pitch
     discs = likely_discs(calibration, blur, ratios)
     shares = type_shares(calibration.lens_types, ratios, len(discs))
-    averaged = np.maximum(0.7 * (shares * discs**2).sum(0), READING)
+    averaged = np.maximum(_OF_DISCS * (shares * discs**2).sum(0), READING)
     left = np.maximum((ratios * pitch / scale) ** 2 - 1, 1e-9)
     return np.asarray(np.maximum(left - averaged, 0) * (1 + averaged / (3 * left)))
 

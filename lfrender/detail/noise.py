@@ -1,7 +1,7 @@
-"""The noise of a flat's pixels, in light: what neighbours differ by where a flat is smoothest.
+"""The noise of a flat's pixels, in light, estimated from the smoothest microimages.
 
-Second differences along both axes leave noise alone where light changes evenly (J. Immerkaer 1996);
-of many microimages those that have the least show the least of the scene.
+Second differences along both axes contain noise alone where light changes evenly (J. Immerkaer
+1996). The microimages with the smallest ones show the least of the scene.
 """
 
 from __future__ import annotations
@@ -12,11 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
+from lfcal.runtime.arrays import evenly
 
 from ..flat.gray_flat import grey_light, trusted_radius
 
-__all__ = ["Look", "measure_noise"]
+__all__ = ["DARKEST", "Look", "measure_noise"]
 
+#: Light [white] below which the variance of noise falls no further.
+DARKEST = 0.01
+# Share of the quietest microimages that shows the noise.
+_QUIETEST = 0.1
 #: Pixels (h, w, C) of the part `left, top, right, bottom` of a flat.
 Look = Callable[[tuple[int, int, int, int]], NDArray]
 
@@ -32,7 +37,7 @@ def measure_noise(look: Look, calibration: Calibration) -> float:
     half = int(np.clip(trusted_radius(calibration) / np.sqrt(2), 2, 5))
     centres = np.rint(lattice.centres()).astype(int)
     inside = ((centres >= half) & (centres < np.array(lattice.image_size) - half)).all(1)
-    some = centres[inside][:: max(1, int(inside.sum()) // 100)]
+    some = centres[inside][evenly(int(inside.sum()), 100)]
     if not len(some):
         return 0.0
     boxes = np.stack(
@@ -41,5 +46,5 @@ def measure_noise(look: Look, calibration: Calibration) -> float:
     grey = grey_light(boxes, calibration)
     rough = np.diff(np.diff(grey, 2, 1), 2, 2)
     # The sum of the squared weights of both second differences.
-    variance = (rough**2).mean((1, 2)) / 6**2 / np.maximum(grey.mean((1, 2)), 0.01)
-    return float(np.sqrt(np.quantile(variance, 0.1)))
+    variance = (rough**2).mean((1, 2)) / 6**2 / np.maximum(grey.mean((1, 2)), DARKEST)
+    return float(np.sqrt(np.quantile(variance, _QUIETEST)))

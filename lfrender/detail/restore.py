@@ -19,6 +19,7 @@ from lfcal.runtime.kernels import kernel
 from ..data.rendering import Part, PictureGrid
 from ..data.surface import Surface
 from .filters import SMOOTHING, DetailFilters
+from .noise import DARKEST
 
 __all__ = ["HALO", "Places", "choose_filters", "find_places", "restore_detail"]
 
@@ -29,6 +30,8 @@ HALO = sum((*SMOOTHING, *_AVERAGING))
 #: [px of the picture] Nothing is restored so near to depth edges. Houses and clutter gain 0.51 dB
 #: with 2, 0.60 with 1, 0.58 with 0.5, 0.21 with 0 (nine random scenes at 0.3 pitches a pixel).
 _BESIDE_EDGES = 1
+# [pitch] Step of the patch size that counts as an edge.
+_EDGE = 0.04
 # Rows that are restored together.
 _STRIP = 128
 
@@ -64,7 +67,7 @@ class _Lookup(NamedTuple):
 def choose_filters(
     filters: DetailFilters, surface: Surface, grid: PictureGrid
 ) -> NDArray[np.uint16]:
-    """Index (r, c) of the filter of each value of the surface; none beside edges of 0.04 D."""
+    """Index (r, c) of the filter of each value of the surface; none beside its edges."""
     import cv2
 
     sizes = surface.patch_size
@@ -74,7 +77,7 @@ def choose_filters(
     level = np.abs(sizes) * np.float32(filters.per_ratio / grid.pitch)
     kinds = (np.minimum(level, np.float32(each - 1)) + np.float32(0.5)).astype(np.uint16)
     kinds[sizes > 0] += np.uint16(each)
-    kinds[cv2.dilate(sizes, around) - cv2.erode(sizes, around) > 0.04 * grid.pitch] = filters.count
+    kinds[cv2.dilate(sizes, around) - cv2.erode(sizes, around) > _EDGE * grid.pitch] = filters.count
     return kinds
 
 
@@ -133,7 +136,7 @@ def restore_detail(
         np.float32(filters.weakest),
         np.float32(filters.per_octave),
         np.float32(overshoot),
-        np.float32(0.01),
+        np.float32(DARKEST),
         np.float32(1 / white),
         encoded,
         np.float32(half),

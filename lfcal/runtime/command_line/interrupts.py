@@ -18,11 +18,11 @@ from types import FrameType
 
 from ..output_file import discard_unfinished
 
-__all__ = ["GRACE", "end_by_interrupt", "handle_interrupts", "leave_if_interrupted"]
+__all__ = ["GRACE", "INTERRUPTED", "end_by_interrupt", "handle_interrupts", "leave_if_interrupted"]
 
 #: Seconds that a command has after Ctrl-C to clean up; a second Ctrl-C ends it at once.
 GRACE = 3.0
-_CODE = 130  # 128 and the number of the signal, as shells say it
+INTERRUPTED = 130  # 128 and the number of the signal, as shells say it
 
 _interrupted = False
 
@@ -56,11 +56,11 @@ def leave_if_interrupted(code: int) -> None:
 def _interrupt(number: int, frame: FrameType | None) -> None:
     global _interrupted
     if _interrupted:
-        _leave(_CODE)
+        _leave(INTERRUPTED)
     _interrupted = True
     # A timer of the system, as a thread could not be started where a lock of `threading` is held.
     if hasattr(signal, "setitimer"):
-        signal.signal(signal.SIGALRM, lambda *_: _leave(_CODE))
+        signal.signal(signal.SIGALRM, lambda *_: _leave(INTERRUPTED))
         signal.setitimer(signal.ITIMER_REAL, GRACE)
     # Where the main thread is in a long kernel it handles no signal.
     with contextlib.suppress(OSError, ValueError):

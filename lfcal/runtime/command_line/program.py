@@ -16,7 +16,7 @@ import click
 import cloup
 
 from ..errors import LightFieldError
-from .interrupts import handle_interrupts, leave_if_interrupted
+from .interrupts import INTERRUPTED, handle_interrupts, leave_if_interrupted
 from .parameters import INPUTS
 from .report import Report, echo
 
@@ -50,7 +50,7 @@ class Program(cloup.Group):
             raise
         except Exception:
             # Libraries turn an interrupt while they are imported into errors of their own.
-            leave_if_interrupted(130)
+            leave_if_interrupted(INTERRUPTED)
             raise
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
@@ -69,7 +69,7 @@ class Program(cloup.Group):
             sys.exit(2)
         except (KeyboardInterrupt, click.Abort):
             click.echo("interrupted", err=True)
-            sys.exit(130)
+            sys.exit(INTERRUPTED)
         except BrokenPipeError:
             # The reader of our output has ended. Python would report it again at exit.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

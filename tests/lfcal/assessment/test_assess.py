@@ -15,7 +15,8 @@ from click.testing import CliRunner
 import lfcal
 from data_synth import Camera, tracing
 from lfcal.assessment.alignment import measure_alignment
-from lfcal.assessment.findings import Seen, find_exposure, find_range, find_tilt
+from lfcal.assessment.findings import Seen, find_tilt
+from lfcal.assessment.light_findings import find_exposure, find_range
 from lfcal.cli.main import main
 
 

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import lfcal
 from lfcal.camera_files.read_write import convert
 from lfcal.cli.main import main
-from lfcal.display.fit_check import choose_orientation
+from lfcal.display.camera_check import choose_orientation
 from lfcal.lattice.distortion import Distortion
 
 HEXAGON = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
