@@ -20,6 +20,7 @@ from ..lattice.cell import nearest_offsets
 from ..lattice.lattice import Lattice, describe_orientation
 from ..runtime.arrays import Array, Floats, Frozen, Singles
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, CameraFileError, FlatError, check_type
+from ..runtime.page import html_table
 from .compare import REGIONS, nine_places
 
 if TYPE_CHECKING:
@@ -112,6 +113,13 @@ class FitCheck(Frozen):
             f"the lattice is off by up to {self.max_offset:.1f} px in the {where}, which pictures "
             "show: calibrate on this flat"
         )
+
+    def _repr_html_(self) -> str:
+        offsets = self.offset.reshape(-1, 2).tolist()
+        figures = {
+            place: f"{x:+.2f}, {y:+.2f} px" for place, (x, y) in zip(REGIONS, offsets, strict=True)
+        }
+        return html_table("Offsets of the microimages (x, y)", figures, [self.verdict])
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from lfcal import Calibration, OutputError
 from lfcal.runtime.errors import check_type
+from lfcal.runtime.progress import Progress, show_progress
 
 from ..output.formats import check_format
 from ..output.picture import default_exposure
@@ -51,6 +52,7 @@ def render_frames(
     *,
     overwrite: bool = False,
     announce: Callable[[Plan], None] | None = None,
+    progress: Progress = None,
     client: Any = None,
     threads: int | None = None,
     **given: Any,
@@ -77,6 +79,9 @@ def render_frames(
         Remove what is in the folder for these frames, and render them again.
     announce : callable, optional
         Called once with a `Plan`, before the first picture is written.
+    progress : bool or callable, optional
+        True shows a bar; a function is called with the numbers of finished and of all frames, None
+        where that is not known.
     client, threads
         As in `analyze_large`. Workers of a cluster read image files and write pictures: inputs and
         `folder` must have the same path for all of them.
@@ -116,7 +121,7 @@ def render_frames(
     target = RunFolder(place, options, known.names, overwrite)
     run = Run(target, options, calibration, known)
     workers = Workers(client, threads, _GROUPS_AT_ONCE)
-    results = _render(run, frames, known.names, overwrite, announce, workers)
+    results = _render(run, frames, known.names, overwrite, announce, workers, progress)
     if not target.makes_depth_film:
         yield from results
         return
@@ -141,6 +146,7 @@ def _render(
     overwrite: bool,
     announce: Callable[[Plan], None] | None,
     workers: Workers,
+    progress: Progress,
 ) -> Results:
     kept = 0 if overwrite else sum(not run.folder.is_missing(name) for name in names)
     groups = run.groups(frames, overwrite)
@@ -151,9 +157,11 @@ def _render(
         colours = None if run.state is None else run.state.colours
         announce(Plan(len(names), kept, run.size, colours))
     done: list[str] = []
-    for results in workers.map(render_group, run, chain([first], groups)):
-        for result in results:
+    groups_done = workers.map(render_group, run, chain([first], groups))
+    with show_progress(progress, "frames") as step:
+        for result in chain.from_iterable(groups_done):
             done.append(result.name)
+            step(len(done), len(names) or None)
             yield result
     if run.folder.views is not None:
         run.folder.views.finish(done)
@@ -167,6 +175,7 @@ def render_film(
     *,
     overwrite: bool = False,
     announce: Callable[[Plan], None] | None = None,
+    progress: Progress = None,
     client: Any = None,
     threads: int | None = None,
     **given: Any,
@@ -214,7 +223,7 @@ def render_film(
     folder = checkpoint.folder
     run: dict[str, Any] = {"announce": announce, "client": client, "threads": threads}
     results = film_results(
-        render_frames(frames, folder, calibration, options, **run),
+        render_frames(frames, folder, calibration, options, progress=progress, **run),
         output,
         folder,
         Fraction(options.rate or frames.rate or _DEFAULT_RATE),
