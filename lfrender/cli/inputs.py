@@ -165,7 +165,9 @@ class CaptureInput:
         elif self.white is None and self.recording is not None:
             known = self.recording.camera
         if known is not None:
-            calibration = known if self.mosaic is None else known.with_mosaic(self.mosaic)
+            calibration = known
+            if self.mosaic is not None:
+                calibration = known.with_mosaic(self.mosaic)
         elif self.white is not None:
             calibration = self._calibrate_white(self.white, pixels)
         else:
@@ -197,10 +199,9 @@ class CaptureInput:
                 f"{path}: white image and flat must be of one size, they have {own} and {other} px"
             )
         white = self._subtract_dark(white)
+        mosaic = self.mosaic if white.ndim == 2 else None
         with name_file_in_errors(path):
-            calibration = calibrate(
-                white, kind="white", mosaic=self.mosaic if white.ndim == 2 else None
-            )
+            calibration = calibrate(white, kind="white", mosaic=mosaic)
         # Scenes show more of which filters are red.
         return calibration.with_mosaic_of(pixels)
 

@@ -50,12 +50,9 @@ def render_in_tiles(
                     raw = calibration.mosaic is not None and len(source.shape) == 2
                     depth = capture.read_depth(None if raw else source)
                 else:
-                    pixels = [
-                        *file_identity(capture.flat),
-                        capture.page,
-                        *file_identity(capture.dark),
-                    ]
-                    key = fingerprint(pixels, calibration.to_dict(), capture.preset)
+                    files = [file_identity(capture.flat), file_identity(capture.dark)]
+                    settings = [capture.page, capture.chosen_preset]
+                    key = fingerprint(files, settings, calibration.to_dict())
                     checkpoint = Checkpoint(output)
                     file = checkpoint.folder / "depth.npz"
                     if not (checkpoint.find("depth", key) and file.exists()):
@@ -66,27 +63,22 @@ def render_in_tiles(
                     # Always from the file: later results do not depend on whether a run was
                     # interrupted.
                     depth = DepthMap.load(file)
-        settings = figures.rendering_settings(depth, given.patch_size, given.detail)
-        with report.stage("render"), report.progress("tiles") as progress, option_errors():
-            chosen = LargeOptions(settings=settings, tile=given.tile, **options)
+        about = figures.rendering_settings(depth, given.patch_size, given.detail)
+        chosen = LargeOptions(settings=about, tile=given.tile, **options)
+        with report.stage("render"), report.progress("tiles") as step, option_errors():
             made = render_large(
-                source, output, calibration, depth, chosen, progress=progress, **cluster
+                source, output, calibration, depth, chosen, progress=step, **cluster
             )
-    kept = f", {made.kept} of them kept from an earlier run" if made.kept else ""
     width, height = made.size
-    found = {
-        "picture": str(output),
-        "size": made.size,
-        "scale": made.scale,
-        "valid": made.valid,
-        "affine": made.affine,
-        "tiles": made.tiles,
-        "tiles_kept": made.kept,
-    }
+    tiles = f"{made.tiles} tiles"
+    if made.kept:
+        tiles += f", {made.kept} of them kept from an earlier run"
+    found = {name: getattr(made, name) for name in ("size", "scale", "valid", "affine", "tiles")}
+    found |= {"picture": str(output), "tiles_kept": made.kept}
     report.finish(
         found | figures.capture_figures(calibration, depth),
         *capture.sentences(calibration, depth),
-        f"{output}: {width} x {height} px in {made.tiles} tiles{kept}, in {report.took}.",
+        f"{output}: {width} x {height} px in {tiles}, in {report.took}.",
     )
 
 
@@ -114,12 +106,6 @@ def _analyze(
 ) -> DepthMap:
     from .. import analyze_large
 
-    with capture.report.progress("tiles") as progress:
-        return analyze_large(
-            source,
-            calibration,
-            capture.preset or "balanced",
-            skip=skip,
-            progress=progress,
-            **cluster,
-        )
+    preset = capture.chosen_preset
+    with capture.report.progress("tiles") as step:
+        return analyze_large(source, calibration, preset, skip=skip, progress=step, **cluster)

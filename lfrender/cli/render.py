@@ -81,10 +81,9 @@ def render(capture: CaptureInput, given: Any) -> None:
     _, stated = capture.write(given, [picture], [settings], **stored)
     what = "a pixel per microlens" if traditional else "sharp at every depth"
     if patch_size is not None:
-        what = (
-            f"of one patch size, {patch_size:g} "
-            f"px{', mixed from all lenses' if given.blend else ''}"
-        )
+        what = f"of one patch size, {patch_size:g} px"
+    if given.blend:
+        what += ", mixed from all lenses"
     capture.report.finish(
         {
             "picture": str(output),
@@ -139,5 +138,5 @@ def _find_depth(
     from ..rendering.render import expand_roi
 
     with option_errors():
-        needed = None if capture.roi is None else expand_roi(capture.roi, calibration)
+        needed = capture.roi and expand_roi(capture.roi, calibration)
     return capture.analyze(pixels, calibration, roi=needed, edges=edges)

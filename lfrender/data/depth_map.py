@@ -32,6 +32,7 @@ __all__ = [
     "BINOCULAR",
     "DEPTH_ADVICE",
     "MODES",
+    "MOST",
     "REASONS",
     "TELESCOPIC",
     "UNRESOLVED",
@@ -98,6 +99,14 @@ REASONS = (
 )
 #: Where a depth map comes from, for `check_type`.
 DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
+#: Percentiles between which the values of a scale lie: errors of single lenses do not widen it.
+MOST = (1, 99)
+# Patch sizes of more lenses than this share keep the resolution of the flat.
+_FULL_RESOLUTION = 0.98
+# Grey of unresolved places in plots, as in the maps of `lfrender.output.depth_picture`.
+_GREY = np.full(3, 150 / 255)
+# Least patch size whose magnification is shown [pitches].
+_LEAST_PATCH = 1e-3
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
 # Least ratio between the ends of a scale of magnifications.
@@ -330,8 +339,7 @@ class DepthMap(Frozen):
         drawn = show_on_axes(
             ax, shown, first, last, "Magnification", interpolation="nearest", **look
         )
-        # Grey as in the maps of `lfrender.output.depth_picture`.
-        drawn.axes.set_facecolor(np.full(3, 150 / 255))
+        drawn.axes.set_facecolor(_GREY)
         label = "magnification M (grey: unresolved)"
         bar = drawn.figure.colorbar(drawn, ax=drawn.axes, label=label)
         ticks = np.geomspace(low, high, 5)
@@ -344,7 +352,8 @@ class DepthMap(Frozen):
 
         98 % of the values lie in the range.
         """
-        whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), 1e-3 * self.pitch)
+        least = _LEAST_PATCH * self.pitch
+        whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), least)
         low, high = magnification_range(whole)
         return np.clip(whole, low, high), low, high
 
@@ -461,7 +470,7 @@ def _check_unpacked_size(stream: Any) -> None:
 
 def magnification_range(magnification: Array) -> tuple[float, float]:
     """Ends of a scale that holds 98 % of these magnifications, at least a fifth wide."""
-    low, high = np.percentile(magnification, (1, 99))
+    low, high = np.percentile(magnification, MOST)
     return float(low), float(max(high, _NARROWEST_SCALE * low))
 
 
@@ -493,6 +502,6 @@ def default_scale(depth: DepthMap) -> float:
     sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
     if not sizes.size:
         return 1.0
-    spacing = depth.pitch / float(np.quantile(sizes.astype(float), 0.98))
+    spacing = depth.pitch / float(np.quantile(sizes.astype(float), _FULL_RESOLUTION))
     rounded = 2.0 ** (round(_SPACINGS_PER_OCTAVE * np.log2(spacing)) / _SPACINGS_PER_OCTAVE)
     return max(1.0, depth.pitch / rounded)

@@ -6,6 +6,8 @@ slow browser gets fewer pictures and does not delay others.
 
 from __future__ import annotations
 
+from http import HTTPStatus
+
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
@@ -45,21 +47,23 @@ class LiveServer(WebServer):
         values = request.query_params
         kind = values.get("kind")
         if kind not in KINDS:
-            return JSONResponse({"message": f"kind is one of {', '.join(KINDS)}"}, 404)
+            message = f"kind is one of {', '.join(KINDS)}"
+            return JSONResponse({"message": message}, HTTPStatus.NOT_FOUND)
         try:
             after = int(values.get("after", 0))
             place = float(values.get("x", 0.5)), float(values.get("y", 0.5))
             if not all(0 <= share <= 1 for share in place):
                 raise ValueError("x and y are shares of width and height")
         except ValueError as error:
-            return JSONResponse({"message": str(error)}, 400)
+            return JSONResponse({"message": str(error)}, HTTPStatus.BAD_REQUEST)
         try:
             found = self._session.picture(kind, after, place)
         # An error of one picture, such as a place without depth, is shown, and the page goes on.
         except Exception as error:
-            return JSONResponse({"message": " ".join(str(error).split())}, 500)
+            message = " ".join(str(error).split())
+            return JSONResponse({"message": message}, HTTPStatus.INTERNAL_SERVER_ERROR)
         if found is None:
-            return Response(status_code=204)
+            return Response(status_code=HTTPStatus.NO_CONTENT)
         view, data = found
         return Response(data, media_type="image/jpeg", headers={"X-Frame": str(view.shot.number)})
 
@@ -67,5 +71,5 @@ class LiveServer(WebServer):
         try:
             self._session.command(request.url.path[1:])
         except LightFieldError as error:
-            return JSONResponse({"message": str(error)}, 500)
+            return JSONResponse({"message": str(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
         return JSONResponse(self._session.status())

@@ -26,10 +26,10 @@ from .run import FrameResult, Run, render_group
 from .run_folder import RunFolder, load_camera
 from .workers import Workers
 
-__all__ = ["Plan", "render_film", "render_frames"]
+__all__ = ["DEFAULT_RATE", "Plan", "render_film", "render_frames"]
 
-# Frames per second of films whose frames have no rate.
-_DEFAULT_RATE = 25
+#: Frames per second of films whose frames have no rate.
+DEFAULT_RATE = 25
 # Groups that this process renders at once: one computes in steps of one thread while the other
 # uses all cores.
 _GROUPS_AT_ONCE = 2
@@ -126,7 +126,7 @@ def render_frames(
         yield from results
         return
     depth_of = target.depth_path_of
-    rate = Fraction(options.rate or known.rate or _DEFAULT_RATE)
+    rate = Fraction(options.rate or known.rate or DEFAULT_RATE)
     yield from film_results(
         results, maps, target.hidden, rate, lambda result: depth_of(result.name), rendering="depth"
     )
@@ -148,12 +148,12 @@ def _render(
     workers: Workers,
     progress: Progress,
 ) -> Results:
-    kept = 0 if overwrite else sum(not run.folder.is_missing(name) for name in names)
     groups = run.groups(frames, overwrite)
     first = next(groups)
     if overwrite:
         run.folder.remove(names)
     if announce is not None:
+        kept = sum(not run.folder.is_missing(name) for name in names)
         colours = None if run.state is None else run.state.colours
         announce(Plan(len(names), kept, run.size, colours))
     done: list[str] = []
@@ -211,7 +211,7 @@ def render_film(
     if options.exposure is None:
         options = replace(options, exposure=default_exposure(output))
     checkpoint = Checkpoint(output)
-    camera = None if calibration is None else calibration.to_dict()
+    camera = calibration and calibration.to_dict()
     files = [file_identity(file) for file in (*frames.files, frames.dark)]
     drawn = (options.preset, options.scale, options.exposure)
     key = fingerprint(files, str(frames.chosen), camera, *drawn)
@@ -226,7 +226,7 @@ def render_film(
         render_frames(frames, folder, calibration, options, progress=progress, **run),
         output,
         folder,
-        Fraction(options.rate or frames.rate or _DEFAULT_RATE),
+        Fraction(options.rate or frames.rate or DEFAULT_RATE),
         lambda result: result.path,
         cache(lambda: load_camera(folder).white_level),
         rendering="all in focus",

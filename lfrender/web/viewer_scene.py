@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, LightFieldError
 from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 
-from ..data.depth_map import DepthMap, check_depth, default_scale
+from ..data.depth_map import MOST, DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
 from ..detail.blur import READING, choose_blur, likely_discs
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
@@ -33,6 +33,18 @@ __all__ = ["viewer_scene"]
 # Codes of the patch sizes of flat pixels, of 16 bits: 0 is unknown, the last one infinitely far,
 # the others -D to D.
 _CODES = 65535
+# Layers of textures that every WebGL 2 has; each has 2048 x 2048 pixels.
+_LAYERS = 256
+# Lenses whose depths differ by less than this are one thing in focus [pitches].
+_SAME_DEPTH = 0.03
+# Smallest patch that the slider of depth reaches [pitches].
+_LEAST_PATCH = 0.04
+# Room beyond the depths of the lenses at both ends of the slider, and the least range of depths
+# [pitches] that it is a share of.
+_ROOM = 0.15
+_LEAST_RANGE = 0.2
+# Weight of a lens without confidence, so that a flat without any has a middle.
+_LEAST_WEIGHT = 1e-3
 
 
 def viewer_scene(
@@ -56,11 +68,10 @@ def viewer_scene(
     check_depth(depth, calibration)
     height, width = pixels.shape[:2]
     side, places = _tiles((width, height), tile)
-    # Every WebGL 2 has textures of 2048 pixels and 256 layers.
-    if len(places) > 256:
+    if len(places) > _LAYERS:
         raise LightFieldError(
-            f"a flat of {width} x {height} px needs {len(places)} textures, browsers take 256; "
-            "view a part of it, or a smaller copy"
+            f"a flat of {width} x {height} px needs {len(places)} textures, browsers take "
+            f"{_LAYERS}; view a part of it, or a smaller copy"
         )
     edge = edge_step(calibration.lattice.pitch)
     (gains, *_), step = correction_tables(calibration)
@@ -100,9 +111,9 @@ def viewer_scene(
     points = (
         np.column_stack([u.ravel(), v.ravel()]).astype(np.float64) * surface.spacing + surface.first
     )
-    known = np.where(
-        depth.filled, 0, np.rint(1 + 254 * np.clip(np.nan_to_num(depth.confidence), 0, 1))
-    )
+    # 0 is filled in, others from 1.
+    sure = np.rint(1 + (255 - 1) * np.clip(np.nan_to_num(depth.confidence), 0, 1))
+    known = np.where(depth.filled, 0, sure)
     yield (
         "confidence.u8",
         known.astype(np.uint8)[nearest_lens(calibration.lattice, points)].tobytes(),
@@ -231,8 +242,8 @@ def _blur_line(calibration: Calibration, depth: DepthMap) -> dict[str, Any]:
 def _planes(depth: DepthMap) -> tuple[list[float], float]:
     """Ends of the slider of depth, and the patch size that the page opens with.
 
-    In focus is the largest thing with texture: the depth at which most lenses lie within 0.03
-    pitches, each as much as it is sure. Depths are `s` of telescopic and `s + 2 D` of binocular
+    In focus is the largest thing with texture: the depth at which most lenses lie, weighted by their
+    confidence. Depths are `s` of telescopic and `s + 2 D` of binocular
     lenses, which grows toward the camera.
     """
     resolved = np.isfinite(depth.patch_size)
@@ -240,17 +251,15 @@ def _planes(depth: DepthMap) -> tuple[list[float], float]:
     known = depth.filled_patch_size[resolved].astype(float)
     pitch = depth.pitch
     near = np.where(known > 0, known, known + 2 * pitch)
-    low, high = np.quantile(near, (0.01, 0.99), method="nearest")
+    low, high = np.percentile(near, MOST, method="nearest")
     order = np.argsort(near)
     near = near[order]
-    sure = np.concatenate(
-        [[0.0], np.cumsum(np.maximum(np.nan_to_num(depth.confidence[resolved][order]), 1e-3))]
-    )
-    inside = [np.searchsorted(near, near + side * 0.03 * pitch) for side in (-1, 1)]
-    middle = float(near[np.argmax(sure[inside[1]] - sure[inside[0]])])
-    # Room at both sides; but no patches smaller than 0.04 pitches.
-    more = 0.15 * max(high - low, 0.2 * pitch)
-    least = 0.04 * pitch
+    weights = np.maximum(np.nan_to_num(depth.confidence[resolved][order]), _LEAST_WEIGHT)
+    summed = np.concatenate([[0.0], np.cumsum(weights)])
+    first, last = (np.searchsorted(near, near + side * _SAME_DEPTH * pitch) for side in (-1, 1))
+    middle = float(near[np.argmax(summed[last] - summed[first])])
+    more = _ROOM * max(high - low, _LEAST_RANGE * pitch)
+    least = _LEAST_PATCH * pitch
     limits = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]
     middle = min(max(middle, limits[0]), limits[1])
     return limits, middle if middle < pitch else middle - 2 * pitch
