@@ -63,12 +63,12 @@ def test_a_plane_in_focus_is_that_of_the_renderer(page, captured, plane, apertur
 
 def test_everything_in_focus_and_tiles_are_those_of_the_renderer(page, captured):
     flat, camera, depth = captured
-    # At depth edges of coarse pictures a few pixels differ by up to 10 levels.
+    # At depth edges of coarse pictures a few pixels differ by up to 13 levels.
     for scale, least in ((None, 0.9995), (4.0, 0.99)):
         picture = lfrender.render(flat, camera, depth, scale=scale, detail="off")
         difference = off(page, picture, mode="sharp")
         assert np.mean(difference <= 2) > least
-        assert difference.max() <= 12
+        assert difference.max() <= 15
     page.execute_script("lightField.set({ mode: 'tiles' })")
     wait_for(page, "lightField.renderer.textures.plainTiles")
     crisp = lfrender.render(flat, camera, patch_size=FAR)
