@@ -77,10 +77,12 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     optics = given.optics and Optics.load(given.optics)
     pixels = None
     if roi is None and not whole and (on_cluster or (not edges and is_large(capture.flat))):
-        from .large import analyze_in_tiles
-
-        with connect_cluster(given, report) as cluster:
-            depth, calibration = analyze_in_tiles(capture, not given.exhaustive, cluster)
+        with connect_cluster(given, report) as cluster, capture.open_parts() as source:
+            calibration = capture.calibrate_parts(source)
+            with report.stage("analyze"):
+                depth = capture.analyze_parts(
+                    source, calibration, cluster, skip=not given.exhaustive
+                )
     else:
         pixels, calibration = capture.calibrate(capture.read())
         with option_errors():

@@ -35,6 +35,8 @@ _CAPTURE = {
     "Depth analysis": ("preset",),
     "Reading FLAT": ("roi", "mosaic", "page", "size", "pixel_format"),
 }
+# Arguments of functions whose options have their names.
+_ARGUMENTS = ("aperture", "depth_range", "frames", "na", "patch_size", "roi", "scale", "start")
 _FIELDS = [name for names in _CAPTURE.values() for name in names]
 
 
@@ -141,9 +143,8 @@ def option_errors() -> Iterator[None]:
         raise
     except ValueError as error:
         argument, space, rest = str(error).partition(" ")
-        names = {"patch_size": "--patch-size", "position": "--at"}
-        names |= {
-            name: f"--{name}" for name in ("aperture", "roi", "scale", "frames", "start", "na")
-        }
-        names["depth_range"] = "--depth-range"
-        raise click.UsageError(f"{names.get(argument, argument)}{space}{rest}") from error
+        if argument == "position":
+            argument = "--at"
+        elif argument in _ARGUMENTS:
+            argument = f"--{argument.replace('_', '-')}"
+        raise click.UsageError(f"{argument}{space}{rest}") from error

@@ -78,9 +78,9 @@ class Grabber:
             # Drivers raise errors of any kind when a camera is pulled out.
             except Exception as error:
                 text = " ".join(str(error).split()) or type(error).__name__
-                self.message = (
-                    text if isinstance(error, LightFieldError) else f"the camera fails: {text}"
-                )
+                if not isinstance(error, LightFieldError):
+                    text = f"the camera fails: {text}"
+                self.message = text
                 self._stopped.wait(_AGAIN)
                 self._frames = self._open()
         self._frames.close()  # type: ignore[attr-defined]

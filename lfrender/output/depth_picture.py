@@ -18,6 +18,8 @@ from ..runtime.types import Size
 
 __all__ = ["MODE_COLOURS", "colour_scale", "depth_picture", "lens_maps", "magnification_limits"]
 
+# Ends of the scale of a depth map without depth.
+_LIMITS_OF_NONE = (1.0, 10.0)
 #: Colours of the modes, which colour-blind eyes can tell apart too.
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 
@@ -41,7 +43,9 @@ def depth_picture(
 def magnification_limits(magnification: Array) -> tuple[float, float]:
     """Ends of a scale of M that holds 98 % of the lenses with a finite one."""
     known = magnification[np.isfinite(magnification)]
-    return magnification_range(known) if known.size else (1.0, 10.0)
+    if not known.size:
+        return _LIMITS_OF_NONE
+    return magnification_range(known)
 
 
 def colour_scale(name: Literal["turbo", "viridis"]) -> NDArray[np.uint8]:

@@ -26,6 +26,8 @@ MESH_SUFFIXES = (".glb", ".ply")
 _POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
 )
+# Largest virtual depth [pitches]: it has a pole where the patch size is 0.
+_FARTHEST = 50
 # What coordinates are, not in metres and in metres.
 _AXES = (
     "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s",
@@ -156,8 +158,7 @@ def _places(
     scene = _scene(dense)
     size = dense.patch_size.astype(np.float64)
     pitch = depth.pitch
-    # Virtual depth has a pole at s = 0.
-    size[~dense.resolved | (np.abs(size) * 50 < pitch)] = np.nan
+    size[~dense.resolved | (np.abs(size) * _FARTHEST < pitch)] = np.nan
     if optics is None:
         return dense, np.dstack([scene / pitch, pitch / size]), False
     middle = (np.array(depth.image_size) - 1) / 2

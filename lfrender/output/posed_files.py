@@ -31,6 +31,11 @@ from .raw_video import check_raw_format, frame_bytes, yuv_frame
 __all__ = ["POSE_FORMATS", "check_posed_folder", "write_posed_views"]
 
 _VIEW_FILES = r"view_\d{3,}\..+"
+# Share of the pixels whose depth, mostly wrong, lies beyond the range of disparities; and by how
+# much of itself the range is widened, so that its ends are not rounded away.
+_RARE = 1e-3
+# Colour differences of no colour, of 16 bits.
+_GREY = 0x8000
 # Names of the masks, as each program looks for them.
 _MASK_NAMES = {"nerfstudio": "{}.png", "colmap": "{}.png.png"}
 
@@ -127,14 +132,12 @@ def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
         (float(view.depth[view.known].max()) for view in views if view.known.any()), default=1.0
     )
     # Millimetres where 16 bits hold that.
-    step = max(1e-3, largest / 65000)
+    step = max(1e-3, largest / 65535)
     exact = ".tif" if find_spec("OpenEXR") is None else ".exr"
     for name, picture, depth, _, known, _ in views:
-        shown = (
-            picture.image
-            if picture.image.dtype.kind == "u"
-            else to_eight_bits(picture.image, picture.white)
-        )
+        shown = picture.image
+        if shown.dtype.kind != "u":
+            shown = to_eight_bits(shown, picture.white)
         write_picture(images / f"{name}.png", shown)
         write_picture(masks / mask.format(name), picture.valid.astype(np.uint8) * np.uint8(255))
         whole = np.rint(np.minimum(np.where(known, depth / step, 0), 65535)).astype(np.uint16)
@@ -297,12 +300,14 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     for number, (_, picture, depth, camera, known, centre) in enumerate(views):
         texture = yuv_frame(picture.image, "yuv420p10", picture.white)
         width, height, (x, y, z) = texture.width, texture.height, camera.position.tolist()
-        near, far = np.quantile(depth[known], (0, 0.999)).tolist() if known.any() else (1.0, 2.0)
-        near = 0.999 * near
-        far = 1.001 * far
+        near, far = (1.0, 2.0)
+        if known.any():
+            near, far = np.quantile(depth[known], (0, 1 - _RARE)).tolist()
+        near *= 1 - _RARE
+        far *= 1 + _RARE
         disparity = (1 / np.where(known, depth, far) - 1 / far) / (1 / near - 1 / far)
         whole = np.rint(np.clip(disparity, 0, 1) * 65535).astype("<u2")[:height, :width]
-        grey = np.full(width * height // 2, 0x8000, "<u2")
+        grey = np.full(width * height // 2, _GREY, "<u2")
         planes = {
             "texture": (10, frame_bytes(texture)),
             "depth": (16, whole.tobytes() + grey.tobytes()),

@@ -242,9 +242,9 @@ def _blur_line(calibration: Calibration, depth: DepthMap) -> dict[str, Any]:
 def _planes(depth: DepthMap) -> tuple[list[float], float]:
     """Ends of the slider of depth, and the patch size that the page opens with.
 
-    In focus is the largest thing with texture: the depth at which most lenses lie, weighted by their
-    confidence. Depths are `s` of telescopic and `s + 2 D` of binocular
-    lenses, which grows toward the camera.
+    In focus is the largest thing with texture: the depth at which most lenses lie, weighted by
+    their confidence. Depths are `s` of telescopic and `s + 2 D` of binocular lenses, which grows
+    toward the camera.
     """
     resolved = np.isfinite(depth.patch_size)
     resolved = resolved if resolved.any() else np.ones(len(depth), bool)
