@@ -65,3 +65,19 @@ def house_files(house, tmp_path_factory):
     folder = tmp_path_factory.mktemp("house")
     house.save(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def house_camera(house):
+    """The camera calibrated from that capture."""
+    import lfcal
+
+    return lfcal.calibrate(house.flat)
+
+
+@pytest.fixture(scope="session")
+def house_white_camera(house):
+    """The camera calibrated from its white image."""
+    import lfcal
+
+    return lfcal.calibrate(house.white)

@@ -84,13 +84,6 @@ def test_any_pixel_type_gives_the_same_lattice(whites):
         )
 
 
-def test_scene_alone_places_centres_of_a_simulated_camera(house, whites):
-    camera = lfcal.calibrate(house.flat, kind="scene")
-    true = house.camera.lattice
-    assert camera.source == "scene"
-    assert whites.rms(whites.centre_errors(camera.lattice, true.origin, true.basis)) < 0.2
-
-
 def test_a_scene_that_is_lit_in_a_corner_is_doubted(house):
     dark = house.flat.copy()
     dark[dark.shape[0] // 3 :], dark[:, dark.shape[1] // 2 :] = 0, 0

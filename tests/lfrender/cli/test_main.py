@@ -441,7 +441,8 @@ def test_help_imports_nothing_heavy(program, words):
     code = (
         f"import sys\nfrom {program}.cli.main import main\n"
         f"try: main({words.split()})\nexcept SystemExit as end: assert end.code == 0\n"
-        "print([m for m in ('numpy', 'numba', 'scipy', 'cv2', 'PIL', 'tifffile', 'rich') if m in sys.modules])"
+        "heavy = {'numpy', 'numba', 'scipy', 'cv2', 'PIL', 'tifffile', 'rich'}\n"
+        "print([m for m in heavy if m in sys.modules])"
     )
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True

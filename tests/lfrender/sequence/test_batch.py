@@ -100,10 +100,10 @@ def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole,
 
 
 def test_a_run_uses_the_camera_as_its_file_has_it_so_that_a_continued_one_has_the_same(
-    house, sequence, tmp_path
+    house_white_camera, sequence, tmp_path
 ):
     frames = lfrender.open_frames([sequence[0]], frames="2:4")
-    camera = lfcal.calibrate(house.white, kind="white")
+    camera = house_white_camera
     options = FrameOptions(preset="fast", scale=4.0)
     folder = RunFolder(tmp_path, options, frames.names, overwrite=False)
     run = Run(folder, options, camera, frames)

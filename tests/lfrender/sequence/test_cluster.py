@@ -81,7 +81,7 @@ def flat(house, tmp_path):
 
 
 def killing(client, when):
-    """A progress function that kills a worker at step `when`, and the numbers it was called with."""
+    """A progress function that kills a worker at step `when`, and the numbers it got."""
     calls = []
 
     def progress(done, count):
