@@ -68,7 +68,7 @@ def capture_figures(
         figures["warnings"].append(problem)
     import numpy as np
 
-    from ..data.depth_map import MODES, REASONS
+    from ..data.depth_map import MODES, REASONS, finite
     from ..rendering.traditional import find_depth_problem
 
     if problem := find_depth_problem(depth):
@@ -89,7 +89,6 @@ def capture_figures(
     if optics is not None:
         camera = calibration if optics is calibration.optics else optics
         known = depth.distance(camera)
-        errors = depth.distance_error(camera)
         known = known[~np.isnan(known)]
         low = middle = high = float("nan")
         if known.size:
@@ -97,7 +96,7 @@ def capture_figures(
         figures |= {
             "distance_median": middle,
             "distance_range": [low, high],
-            "distance_error": _median(errors[np.isfinite(errors)]),
+            "distance_error": _median(finite(depth.distance_error(camera))),
         }
     return figures
 

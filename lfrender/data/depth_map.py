@@ -20,6 +20,7 @@ from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import html_card
 
+from ..runtime.messages import one_line
 from ..runtime.types import AnyPath, Size
 from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes
@@ -40,6 +41,7 @@ __all__ = [
     "DepthMap",
     "check_depth",
     "default_scale",
+    "finite",
     "is_same_flat",
     "magnification_range",
     "sample_flat",
@@ -365,7 +367,7 @@ class DepthMap(Frozen):
 
     def _repr_html_(self) -> str:
         figures = {}
-        known = self.magnification[np.isfinite(self.magnification)]
+        known = finite(self.magnification)
         if known.size:
             ends = f"{known.min():.2f} to {known.max():.2f}"
             figures["magnification"] = f"{ends}, median {np.median(known):.2f}"
@@ -425,8 +427,8 @@ class DepthMap(Frozen):
             ) from error
         # Damaged bytes can raise nearly any error in the readers of ZIP files and array headers.
         except Exception as error:
-            text = " ".join(str(error).split())[:200] or type(error).__name__
-            raise DepthFileError(f"{path}: not a whole depth file ({text}); {remedy}") from error
+            problem = f"not a whole depth file ({one_line(error)})"
+            raise DepthFileError(f"{path}: {problem}; {remedy}") from error
 
 
 def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
@@ -468,6 +470,11 @@ def _check_unpacked_size(stream: Any) -> None:
         raise ValueError(f"its {size / 1e6:.1f} MB would unpack to {unpacked / 1e6:,.0f} MB")
 
 
+def finite(values: Array) -> Array:
+    """The values that are known and not at infinity."""
+    return values[np.isfinite(values)]
+
+
 def magnification_range(magnification: Array) -> tuple[float, float]:
     """Ends of a scale that holds 98 % of these magnifications, at least a fifth wide."""
     low, high = np.percentile(magnification, MOST)
@@ -499,7 +506,7 @@ def default_scale(depth: DepthMap) -> float:
     True
     """
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
-    sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
+    sizes = np.abs(finite(depth.patch_size))
     if not sizes.size:
         return 1.0
     spacing = depth.pitch / float(np.quantile(sizes.astype(float), _FULL_RESOLUTION))

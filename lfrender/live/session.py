@@ -31,6 +31,7 @@ from ..rendering.refocus import refocus
 from ..rendering.render import render
 from ..rendering.traditional import find_depth_problem, traditional
 from ..runtime.choices import Preset
+from ..runtime.messages import one_line
 from .grabber import Grabber
 from .recording import Recorder
 from .sources import Shot
@@ -305,10 +306,8 @@ class Session:
                 self.message = self._analyze(view)
             # An error of one frame, such as its size, is shown, and the next frame is tried.
             except Exception as error:
-                self.message, view.camera = (
-                    " ".join(str(error).split()) or type(error).__name__,
-                    None,
-                )
+                self.message = one_line(error)
+                view.camera = None
             with self._published:
                 self.view = view
                 self._published.notify_all()

@@ -21,7 +21,7 @@ from lfcal.runtime.arrays import Array, Booleans, Floats, Singles, to_eight_bits
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthMap
-from ..data.rendering import Rendering
+from ..data.rendering import Rendering, scene_points
 from ..runtime.choices import PoseFormat
 from ..runtime.types import AnyPath
 from .picture import write_picture
@@ -112,8 +112,7 @@ def write_posed_views(
     affine = drawn[0][0].affine
     shape = drawn[0][1].shape
     rig = view_rig(calibration, depth, offsets, affine, shape[::-1], still, optics)
-    v, u = np.indices(shape)
-    places = np.stack([u, v, np.ones_like(u)], -1) @ affine.T
+    places = scene_points(shape, affine)
     for number, ((picture, sizes), offset) in enumerate(zip(drawn, offsets, strict=True)):
         distance = rig.depth(number, sizes, places + np.array(offset) * (depth.pitch / still))
         known = picture.valid & np.isfinite(distance) & (distance > 0)
@@ -160,15 +159,15 @@ def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
     for name, _, _, camera, _, centre in views:
         x, y, z = camera.position.tolist()
-        files = {"file_path": "images", "depth_file_path": "depth", "mask_path": "masks"}
-        lens = dict(
-            zip(names, (*camera.focal, *centre, *camera.size, *camera.distortion), strict=True)
-        )
-        pose = [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]]
+        lens = (*camera.focal, *centre, *camera.size, *camera.distortion)
         frames.append(
-            {kind: f"{place}/{name}.png" for kind, place in files.items()}
-            | lens
-            | {"transform_matrix": pose}
+            {
+                "file_path": f"images/{name}.png",
+                "depth_file_path": f"depth/{name}.png",
+                "mask_path": f"masks/{name}.png",
+                **dict(zip(names, lens, strict=True)),
+                "transform_matrix": [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]],
+            }
         )
     model = {
         "camera_model": "OPENCV",
@@ -318,15 +317,17 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
             with atomic_write(path) as temporary:
                 temporary.write_bytes(data)
         cameras.append(
-            {"Name": f"v{number:02d}", "Position": [z, -x, -y], "Rotation": [0.0, 0.0, 0.0]}
-            | {
+            {
+                "Name": f"v{number:02d}",
+                "Position": [z, -x, -y],
+                "Rotation": [0.0, 0.0, 0.0],
                 "Depthmap": 1,
                 "Background": 0,
                 "Depth_range": [near, far],
                 "Resolution": [width, height],
-            }
-            | {"Projection": "Perspective", "Focal": list(camera.focal), "Principle_point": centre}
-            | {
+                "Projection": "Perspective",
+                "Focal": camera.focal,
+                "Principle_point": centre,
                 "BitDepthColor": 10,
                 "BitDepthDepth": 16,
                 "ColorSpace": "YUV420",
@@ -334,15 +335,15 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
             }
         )
     refuse_leftovers(folder, r"v\d{2,}_(texture|depth)_.+\.yuv", written)
-    about = {"Converted_by": "lfrender", "Unit": rig.unit}
     model = {
         "Version": "2.0",
         "Content_name": folder.name,
         "Fps": 1,
         "Frames_number": 1,
-        "Informative": about,
+        "Informative": {"Converted_by": "lfrender", "Unit": rig.unit},
+        "cameras": cameras,
     }
-    _write_text(folder / "cameras.json", json.dumps(model | {"cameras": cameras}, indent=1))
+    _write_text(folder / "cameras.json", json.dumps(model, indent=1))
 
 
 #: Writers by the name of the program.

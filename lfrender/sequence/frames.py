@@ -21,6 +21,7 @@ from lfcal.runtime.errors import check_type
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS
 from lfcal.runtime.video import import_av, rgb_pixels
 
+from ..runtime.messages import one_line
 from ..runtime.types import AnyPath, Size
 
 __all__ = ["Frame", "Frames", "is_video", "open_frames"]
@@ -343,7 +344,7 @@ def _video_frames(path: Path, chosen: range) -> Iterator[Frame]:
     except Exception as error:
         message = str(error)
         if not isinstance(error, FlatError):
-            reason = _one_line(error)
+            reason = one_line(error)
             message = f"{path}: cannot be read as a video from frame {number} on ({reason})"
         yield Frame(_frame_name(path, number), partial(_give, message))
 
@@ -387,21 +388,17 @@ def _decode(container: Any) -> Iterator[Any]:
 
 def _pixels_or_message(name: str, picture: Any) -> Array | str:
     if isinstance(picture, Exception):
-        return f"{name}: {_one_line(picture)}"
+        return f"{name}: {one_line(picture)}"
     # Decoders fill in what is missing; such a flat must not be rendered.
     if picture.is_corrupt:
         return f"{name} is damaged"
     try:
         return rgb_pixels(picture)
     except Exception as error:
-        return f"{name}: {_one_line(error)}"
+        return f"{name}: {one_line(error)}"
 
 
 def _give(found: Array | str) -> Array:
     if isinstance(found, str):
         raise FlatError(found)
     return found
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

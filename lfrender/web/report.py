@@ -15,7 +15,7 @@ from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import to_svg
 
-from ..data.depth_map import BINOCULAR, MODES, REASONS, TELESCOPIC, DepthMap
+from ..data.depth_map import BINOCULAR, MODES, REASONS, TELESCOPIC, DepthMap, finite
 from ..data.rendering import PictureGrid
 from ..output.depth_picture import MODE_COLOURS, lens_maps, magnification_limits
 from .calibration_figure import calibration_panels, flat_part
@@ -99,11 +99,10 @@ def write_report(
     room = _ROOM - sum(map(len, [*charts.values(), further, panels, crop["url"]]))
     urls, size = data_urls(shown, room, calibration.white_level, gain)
     names = {"all_in_focus": "all in focus", "traditional": "traditional"}
-    names |= {name: f"one patch size, {name}" for name in pictures.fixed} | {
-        name: name for name in compare or {}
-    }
+    names |= {name: f"one patch size, {name}" for name in pictures.fixed}
+    names |= {name: name for name in compare or {}}
     height, width = pictures.sharp.image.shape[:2]
-    known = depth.magnification[np.isfinite(depth.magnification)]
+    known = finite(depth.magnification)
     limits = magnification_limits(depth.magnification)
     reasons = {
         REASONS[code]: float(np.mean(depth.reason == code))
@@ -200,7 +199,7 @@ def _figures(
     seconds: Mapping[str, float],
 ) -> dict[str, str]:
     """Names and figures of the cards at the top."""
-    known = depth.magnification[np.isfinite(depth.magnification)]
+    known = finite(depth.magnification)
     figures = {
         "lenses with a depth": f"{np.mean(~depth.filled):.1%}",
         "telescopic": f"{np.mean(depth.mode == 1):.1%}",
@@ -210,10 +209,8 @@ def _figures(
         "pixels per microlens pitch": f"{pictures.sharp.scale:.1f}",
     }
     if calibration.optics is not None:
-        away = depth.distance(calibration)
-        errors = depth.distance_error(calibration)
-        seen = away[np.isfinite(away)]
-        sure = errors[np.isfinite(errors)]
+        seen = finite(depth.distance(calibration))
+        sure = finite(depth.distance_error(calibration))
         if seen.size and sure.size:
             figures["distance, median"] = (
                 f"{np.median(seen):.3g} m, each to {np.median(sure):.2g} m"

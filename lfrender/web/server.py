@@ -11,7 +11,13 @@ import secrets
 import socket
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from http import HTTPStatus
+from http.client import (
+    BAD_REQUEST,
+    FORBIDDEN,
+    INTERNAL_SERVER_ERROR,
+    NOT_FOUND,
+    REQUEST_ENTITY_TOO_LARGE,
+)
 from itertools import chain
 from threading import Thread
 from typing import Any
@@ -25,6 +31,8 @@ from uvicorn import Config, Server
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from lfcal import LightFieldError
+
+from ..runtime.messages import one_line
 
 __all__ = ["LARGEST_HEAD", "MOST_CONNECTIONS", "QUIET", "ServerError", "WebServer", "page_routes"]
 
@@ -62,7 +70,7 @@ def page_routes(files: Any) -> dict[tuple[str, str], Answer]:
         path = request.path_params["path"] or "index.html"
         content = files.get(path)
         if content is None:
-            return PlainTextResponse("not found", HTTPStatus.NOT_FOUND)
+            return PlainTextResponse("not found", NOT_FOUND)
         kind = "javascript" if path.endswith(".js") else "html"
         return Response(content, media_type=f"text/{kind}")
 
@@ -148,7 +156,7 @@ class WebServer:
             query.get("token", "").encode(), self.token.encode()
         ):
             return (
-                HTTPStatus.FORBIDDEN,
+                FORBIDDEN,
                 "open the address with its token, as 'lfrender live' prints it",
             )
         # Against DNS rebinding: a page of another host could let its name point to this machine.
@@ -156,15 +164,15 @@ class WebServer:
             f"{name}:{self.port}" for name in (self.host, "localhost", f"[{self.host}]")
         }:
             return (
-                HTTPStatus.FORBIDDEN,
+                FORBIDDEN,
                 "only requests to this machine by its own name are answered",
             )
         if headers.get("origin", f"http://{host}") != f"http://{host}":
-            return HTTPStatus.FORBIDDEN, "pages of other sites are not answered"
+            return FORBIDDEN, "pages of other sites are not answered"
         if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
-            return HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "requests have no body"
+            return REQUEST_ENTITY_TOO_LARGE, "requests have no body"
         if method == "POST" and OWN_PAGE not in headers:
-            return HTTPStatus.FORBIDDEN, f"commands have the header {OWN_PAGE}"
+            return FORBIDDEN, f"commands have the header {OWN_PAGE}"
         return None
 
 
@@ -186,7 +194,7 @@ class _Guard:
         )
         # Uvicorn limits requests that arrive in parts.
         if len(str(request.url)) + sum(map(len, chain(*scope["headers"]))) > LARGEST_HEAD:
-            refused = HTTPStatus.BAD_REQUEST, "the request is too long"
+            refused = BAD_REQUEST, "the request is too long"
         app = self._app
         if refused is not None:
             status, text = refused
@@ -246,8 +254,7 @@ async def _in_thread(answer: Answer, request: Request) -> Response:
             response = answer(request)
         # The page shows the error, and the server goes on.
         except Exception as error:
-            text = " ".join(str(error).split()) or type(error).__name__
-            response = PlainTextResponse(text, HTTPStatus.INTERNAL_SERVER_ERROR)
+            response = PlainTextResponse(one_line(error), INTERNAL_SERVER_ERROR)
         with suppress(RuntimeError):  # the server was closed
             loop.call_soon_threadsafe(finish, response)
 

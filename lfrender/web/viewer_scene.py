@@ -102,8 +102,8 @@ def viewer_scene(
         "traditional.png",
         encode_picture(to_eight_bits(plain.image, white, gain), ".png", compression),
     )
-    scene["traditional"] = {"first": plain.affine[:, 2].tolist(), "shape": plain.image.shape[:2]}
-    columns, rows = (int(n) + 1 for n in list(places)[-1].split("-"))
+    scene["traditional"] = {"first": plain.affine[:, 2], "shape": plain.image.shape[:2]}
+    columns, rows = (len(set(ends)) for ends in zip(*places.values(), strict=True))
     scene["tiles"] = {"side": side, "columns": columns, "rows": rows, "occlusion": with_occlusion}
     surface = depth.surface
     yield "surface.f32", np.ascontiguousarray(surface.patch_size, "<f4").tobytes()
@@ -124,7 +124,7 @@ def viewer_scene(
         at = calibration.optics.positions(points, ratio, (np.array(depth.image_size) - 1) / 2)
         at = np.where(np.isfinite(at).all(1, keepdims=True), at, np.nan)
         yield "positions.f32", at.astype("<f4").tobytes()
-    yield "scene.json", json.dumps(scene).encode()
+    yield "scene.json", json.dumps(scene, default=lambda values: values.tolist()).encode()
 
 
 def _tiles(size: tuple[int, int], largest: int) -> tuple[int, dict[str, tuple[int, int]]]:
@@ -190,29 +190,29 @@ def _tables(
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
     ends, middle = _planes(depth)
     moved = {
-        "shape": list(displacements.shape[:2]),
-        "low": low.tolist(),
+        "shape": displacements.shape[:2],
+        "low": low,
         "values": _base64(displacements, np.float32),
     }
     return {
         "pitch": lattice.pitch,
         "radius": lattice.radius,
-        "origin": lattice.origin.tolist(),
-        "basis": lattice.basis.tolist(),
-        "inverse": np.linalg.inv(lattice.basis).tolist(),
+        "origin": lattice.origin,
+        "basis": lattice.basis,
+        "inverse": np.linalg.inv(lattice.basis),
         "offsets": _base64(offsets, np.float32),
         "displacements": moved,
         "types": {
             "side": len(cell),
-            "cell": cell.ravel().tolist(),
+            "cell": cell.ravel(),
             "shares": _base64(shares, np.float32),
         },
         "surface": {
-            "shape": list(surface.patch_size.shape),
-            "first": list(surface.first),
+            "shape": surface.patch_size.shape,
+            "first": surface.first,
             "spacing": surface.spacing,
             "edge": edge,
-            "virtual": [float(virtual.min()), float(virtual.max())],
+            "virtual": [virtual.min(), virtual.max()],
         },
         "blur": _blur_line(calibration, depth),
         "scale": default_scale(depth),
@@ -221,7 +221,7 @@ def _tables(
         "plane": middle,
         "reach": {"sharp": REACH, "aside": VIEW_REACH, "wide": REFOCUS_REACH},
         "overlay": {
-            "limits": list(magnification_limits(depth.magnification)),
+            "limits": magnification_limits(depth.magnification),
             "ramp": _base64(colour_scale("turbo"), np.uint8),
         },
     }
@@ -232,10 +232,10 @@ def _blur_line(calibration: Calibration, depth: DepthMap) -> dict[str, Any]:
     known = choose_blur(calibration, depth)
     pitch = calibration.lattice.pitch
     if known is not None and known.tells_aperture:
-        line = [known.aperture / pitch, -known.aperture * float(known.focus.mean())]
+        line = [known.aperture / pitch, -known.aperture * known.focus.mean()]
     else:
         at_zero, at_half = likely_discs(calibration, None, np.array([0.0, 0.5])).mean(0)
-        line = [float(at_half - at_zero) / (0.5 * pitch), float(at_zero)]
+        line = [(at_half - at_zero) / (0.5 * pitch), at_zero]
     return {"line": line, "reading": READING}
 
 
@@ -247,7 +247,7 @@ def _planes(depth: DepthMap) -> tuple[list[float], float]:
     toward the camera.
     """
     resolved = np.isfinite(depth.patch_size)
-    resolved = resolved if resolved.any() else np.ones(len(depth), bool)
+    resolved |= not resolved.any()
     known = depth.filled_patch_size[resolved].astype(float)
     pitch = depth.pitch
     near = np.where(known > 0, known, known + 2 * pitch)
@@ -257,12 +257,12 @@ def _planes(depth: DepthMap) -> tuple[list[float], float]:
     weights = np.maximum(np.nan_to_num(depth.confidence[resolved][order]), _LEAST_WEIGHT)
     summed = np.concatenate([[0.0], np.cumsum(weights)])
     first, last = (np.searchsorted(near, near + side * _SAME_DEPTH * pitch) for side in (-1, 1))
-    middle = float(near[np.argmax(summed[last] - summed[first])])
+    middle = near[np.argmax(summed[last] - summed[first])]
     more = _ROOM * max(high - low, _LEAST_RANGE * pitch)
     least = _LEAST_PATCH * pitch
-    limits = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]
-    middle = min(max(middle, limits[0]), limits[1])
-    return limits, middle if middle < pitch else middle - 2 * pitch
+    limits = np.clip([low - more, high + more], least, 2 * pitch - least)
+    middle = float(np.clip(middle, *limits))
+    return limits.tolist(), middle if middle < pitch else middle - 2 * pitch
 
 
 def _base64(values: ArrayLike, dtype: Any) -> str:
