@@ -1,6 +1,7 @@
 """Ray tracing: from sensor points through a microlens and the main lens to the nearest surface.
 
-Rays and the table of surfaces are those of `intersection`. Camera vector of the kernels (mm and px):
+Rays and the table of surfaces are those of `intersection`. Camera vector of the kernels, in mm and
+px:
 
     0 pixel  1, 2 principal point  3 focal length  4 dL  5 b  6 main aperture radius  7 microlens
     radius 8, 9 origin  10..13 basis  14..17 inverse basis  18 spread  19 cos^4  20, 21 stop

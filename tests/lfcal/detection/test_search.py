@@ -78,7 +78,7 @@ def test_a_bare_array_under_a_microscope_is_refused(shared):
 
 @pytest.mark.parametrize("seed", [929, pytest.param(907, marks=pytest.mark.nightly)])
 def test_content_and_parts_of_cells_are_not_sure_to_be_an_array(seed):
-    """Half a cell of a board, and an object with little parallax, which repeats at its own pitch."""
+    """Half a cell of a board, and an object with little parallax that repeats at its pitch."""
     drawn = draw_camera(seed)
     try:
         camera = lfcal.calibrate(drawn.image)
