@@ -108,7 +108,7 @@ def drawn(truth: WhiteImage, channels: int) -> NDArray[Any]:
 
 
 def error_of_some(camera: lfcal.Calibration, truth: WhiteImage) -> float:
-    """RMS distance [px] of evenly spread centres from the true ones; infinite for a wrong lattice."""
+    """RMS distance [px] of evenly spread centres from the true ones; inf for a wrong lattice."""
     found = camera.lattice.centres()
     found = found[:: max(1, len(found) // _SOME)]
     if abs(abs(np.linalg.det(camera.lattice.basis)) / abs(np.linalg.det(truth.basis)) - 1) > 0.05:
@@ -138,9 +138,11 @@ def _measure(
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
         2**30 if sys.platform == "darwin" else 2**20
     )
-    kind = f"{shape[:3]} {pitch} px, {'RGB' if channels == '3' else 'grey'} {bits} bit{' cut' if truth.strength else ''}"
+    colour = {"3": "RGB"}.get(channels, "grey")
+    kind = f"{shape[:3]} {pitch} px, {colour} {bits} bit{' cut' * bool(truth.strength)}"
     print(
-        f"{megapixels:>4s} {kind:28s} {wall:7.2f} {spent:7.2f} {peak:8.2f} {image.nbytes / 2**30:8.2f} "
+        f"{megapixels:>4s} {kind:28s} {wall:7.2f} {spent:7.2f} {peak:8.2f} "
+        f"{image.nbytes / 2**30:8.2f} "
         f"{error_of_some(camera, truth):9.5f} {camera.source}",
         flush=True,
     )
@@ -152,7 +154,8 @@ def main(arguments: list[str]) -> None:
         _measure(*arguments[1:])
         return
     print(
-        f"{'Mpx':>4s} {'image':28s} {'wall s':>7s} {'CPU s':>7s} {'peak GiB':>8s} {'flat GiB':>8s} {'error px':>9s}",
+        f"{'Mpx':>4s} {'image':28s} {'wall s':>7s} {'CPU s':>7s} {'peak GiB':>8s} "
+        f"{'flat GiB':>8s} {'error px':>9s}",
         flush=True,
     )
     for case in _GIGA if "--giga" in arguments else _CASES:

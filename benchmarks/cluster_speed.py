@@ -118,10 +118,12 @@ def main(arguments: list[str] | None = None) -> None:
         )
         height, width = flats[0].shape[:2]
         print(
-            f"{given.count} frames of {width} x {height} px, preset {given.preset}, one thread a worker"
+            f"{given.count} frames of {width} x {height} px, preset {given.preset}, "
+            "one thread a worker"
         )
         print(
-            f"{'workers':>8s} {'started s':>10s} {'CPU s':>7s} {'warm s':>8s} {'CPU s':>7s} {'ms a frame':>11s}"
+            f"{'workers':>8s} {'started s':>10s} {'CPU s':>7s} {'warm s':>8s} {'CPU s':>7s} "
+            f"{'ms a frame':>11s}"
         )
         times = {}
         for workers in (1, given.workers):
@@ -129,13 +131,15 @@ def main(arguments: list[str] | None = None) -> None:
             (first, first_cpu), (second, second_cpu) = times[workers]
             each = 1e3 * second / given.count
             print(
-                f"{workers:8d} {first:10.2f} {first_cpu:7.2f} {second:8.2f} {second_cpu:7.2f} {each:11.1f}",
+                f"{workers:8d} {first:10.2f} {first_cpu:7.2f} {second:8.2f} {second_cpu:7.2f} "
+                f"{each:11.1f}",
                 flush=True,
             )
         ratios = np.array(times[1]) / times[given.workers]
         for name, (wall, cpu) in zip(("just started", "warm"), ratios, strict=True):
             print(
-                f"{given.workers} workers, {name}: {wall:.2f} times as fast as one, by CPU time {cpu:.2f} times"
+                f"{given.workers} workers, {name}: {wall:.2f} times as fast as one, "
+                f"by CPU time {cpu:.2f} times"
             )
         for path in sorted((folder / "b0").glob("*.tif")):
             for workers in times:

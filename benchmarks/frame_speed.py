@@ -59,7 +59,8 @@ def _remap(flat: NDArray[Any]) -> Callable[[], Any]:
 def _frame_rows(frames: list[NDArray[Any]], camera: lfcal.Calibration) -> None:
     flat = frames[0]
     print(
-        f"{flat.shape[1]} x {flat.shape[0]}, pitch {camera.lattice.pitch:.1f} px, {len(camera.lattice)} lenses"
+        f"{flat.shape[1]} x {flat.shape[0]}, pitch {camera.lattice.pitch:.1f} px, "
+        f"{len(camera.lattice)} lenses"
     )
     all_threads = numba.get_num_threads()
     presets: tuple[Preset, ...] = "fast", "balanced"
@@ -79,8 +80,10 @@ def _frame_rows(frames: list[NDArray[Any]], camera: lfcal.Calibration) -> None:
             analysis, drawing, remap, copy = _medians(analysed, drawn, _remap(flat), flat.copy)
             walls.append(analysis + drawing)
             print(
-                f"  {preset:9} {threads} threads: analyze {analysis:6.1f} + render {drawing:6.1f} = {walls[-1]:6.1f} ms"
-                f"  ({walls[-1] / remap:.1f} x remap of {remap:.1f} ms, {walls[-1] / copy:.0f} x copy of {copy:.1f} ms)"
+                f"  {preset:9} {threads} threads: analyze {analysis:6.1f} + "
+                f"render {drawing:6.1f} = {walls[-1]:6.1f} ms  "
+                f"({walls[-1] / remap:.1f} x remap of {remap:.1f} ms, "
+                f"{walls[-1] / copy:.0f} x copy of {copy:.1f} ms)"
             )
         print(f"  {preset:9} all threads {walls[0] / walls[-1]:.2f} times as fast as one")
         if len(frames) > 1:
@@ -122,9 +125,11 @@ def _next_row(
     (analysis, drawing), whole = np.median(times, 0), np.sum(times, 1)
     still, steady, same, apart = 100 * np.mean(told, 0)
     print(
-        f"  {preset:9} next frame: analyze {analysis:.1f} + render {drawing:.1f} ms, median {np.median(whole):.1f},"
-        f" mean {whole.mean():.1f} ms of {len(whole)}, {still:.0f} % of the lenses still, {steady:.0f} % steady,"
-        f" {same:.0f} % of the pixels kept; {apart:.1f} % of the lenses more than {_APART} D from the depth of frames"
+        f"  {preset:9} next frame: analyze {analysis:.1f} + render {drawing:.1f} ms, "
+        f"median {np.median(whole):.1f}, mean {whole.mean():.1f} ms of {len(whole)}, "
+        f"{still:.0f} % of the lenses still, {steady:.0f} % steady, "
+        f"{same:.0f} % of the pixels kept; "
+        f"{apart:.1f} % of the lenses more than {_APART} D from the depth of frames"
         " on their own"
     )
 
@@ -159,7 +164,8 @@ def _fixed_rows() -> None:
             times.append(_patch_times(part, camera, share * d))
         (whole, resize), (quarter, _) = times
         print(
-            f"  s = {share:+.2f} D of {width * height / 1e6:.0f} megapixels: {whole:.0f} ms, {whole / resize:.2f} x"
+            f"  s = {share:+.2f} D of {width * height / 1e6:.0f} megapixels: {whole:.0f} ms, "
+            f"{whole / resize:.2f} x"
             f" resize of {resize:.0f} ms; a quarter of the area {whole / quarter:.2f} times as fast"
         )
 

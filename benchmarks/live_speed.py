@@ -78,7 +78,8 @@ def _measure(
     memory = int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
     middle, most = np.quantile(latencies, [0.5, 0.95])
     rate = len(latencies) / seconds
-    return f"{rate:5.1f} a second, {middle:5.0f} ms ({most:.0f} ms), {cores:.1f} cores, {memory:.0f} MB"
+    speed = f"{rate:5.1f} a second, {middle:5.0f} ms ({most:.0f} ms)"
+    return f"{speed}, {cores:.1f} cores, {memory:.0f} MB"
 
 
 def main() -> None:

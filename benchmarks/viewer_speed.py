@@ -43,7 +43,8 @@ globalThis.drawing = lightField.renderer.main;
 """
 _FRAMES = """
 const [change, size, spacing] = arguments, v = lightField, { aside, ...rest } = change;
-const settings = { ...v.settings, ...rest, q: [(aside ?? 0) * v.scene.radius, 0], background: [0, 0, 0] };
+const q = [(aside ?? 0) * v.scene.radius, 0];
+const settings = { ...v.settings, ...rest, q, background: [0, 0, 0] };
 const first = v.scene.size.map((n, k) => (n - 1) / 2 - ((size[k] - 1) / 2) * spacing);
 v.renderer.main = counting;
 const counts = v.pixels(...size, first, spacing, settings);
@@ -94,7 +95,8 @@ def main(arguments: list[str]) -> None:
         try:
             browser.get(page.as_uri())
             browser.execute_async_script(
-                "const done = arguments[0], look = () => window.lightField ? done() : setTimeout(look, 50); look()"
+                "const done = arguments[0];"
+                "const look = () => window.lightField ? done() : setTimeout(look, 50); look()"
             )
             browser.execute_async_script(
                 "lightField.renderer.loadPlain(() => {}).then(arguments[0])"

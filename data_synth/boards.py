@@ -145,6 +145,7 @@ def shoot_board(
     if camera.mosaic or camera.stray:
         raise ValueError("boards are photographed without mosaic and stray light")
     from . import tracing
+    from .intersection import pack
 
     rng = np.random.default_rng(seed)
     span = np.linspace(*ratios, poses)
@@ -163,7 +164,7 @@ def shoot_board(
         origin = turn @ (np.array([-2.0, -2.0, 0.0]) * square) + shift
         across = turn[:, 0] * (_COLUMNS + 3) * square
         down = turn[:, 1] * (_ROWS + 3) * square
-        table, texels = tracing.pack(Scene("board", (Patch(origin, across, down, texture),)))
+        table, texels = pack(Scene("board", (Patch(origin, across, down, texture),)))
         wall = (_WALL,) * 3
         light = tracing.sensor(table, texels, wall, camera, samples, seed + 2 * number)[..., 0]
         flats.append(develop(light, noise=noise, bits=8, gamma=gamma, rng=rng))
@@ -209,7 +210,8 @@ def _pose(
         if ((flat > margin) & (flat < size - margin)).all():
             return turn, middle
     raise ValueError(
-        "the board does not fit into the field of the camera; give flats of more pixels or a larger |s / D|"
+        "the board does not fit into the field of the camera; give flats of more pixels or a "
+        "larger |s / D|"
     )
 
 

@@ -151,7 +151,8 @@ class Camera:
                 raise ValueError(f"{name} must lie between {low} and 1, got {getattr(self, name)}")
         if len(self.type_apertures) not in (1, len(focal)) or len(self.filters) != 3:
             raise ValueError(
-                "type_apertures takes one number, or one for each of microlens_focal_lengths, filters three"
+                "type_apertures takes one number, or one for each of microlens_focal_lengths, "
+                "filters three"
             )
         if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
             raise ValueError(f"mosaic must be RGGB, BGGR, GRBG or GBRG, got {self.mosaic!r}")
@@ -179,7 +180,8 @@ class Camera:
         # tracer does not try.
         if self.microimage_radius > self._shortest_step:
             raise ValueError(
-                "aperture is too wide: microimages overlap by more than half; make the aperture smaller"
+                "aperture is too wide: microimages overlap by more than half; make the aperture "
+                "smaller"
             )
 
     @classmethod
@@ -361,8 +363,9 @@ class Camera:
                 1 / (self.mla_distance - self.focal_length) - 1 / self.mla_distance
             )
             raise ValueError(
-                f"no object is seen at s/D = {ratio}; telescopic places need s/D > {limit / self.spread:.3f}, "
-                f"binocular ones s/D < {-self.sensor_distance / self.mla_distance / self.spread:.3f}"
+                f"no object is seen at s/D = {ratio}; telescopic places need "
+                f"s/D > {limit / self.spread:.3f}, binocular ones "
+                f"s/D < {-self.sensor_distance / self.mla_distance / self.spread:.3f}"
             )
         return depth
 

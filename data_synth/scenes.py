@@ -72,10 +72,11 @@ def plane(camera: Camera, *, ratio: float = -0.3, seed: int = 0) -> Scene:
 
 
 def slope(camera: Camera, *, left: float = -0.55, right: float = -0.14, seed: int = 0) -> Scene:
-    """One slanted plane whose `s / D` runs from `left` to `right` over the flat, both of one sign."""
+    """One slanted plane, whose `s / D` runs from `left` to `right`, both of one sign."""
     if left * right <= 0:
         raise ValueError(
-            f"left and right must have the same sign (the focal plane lies between), got {left}, {right}"
+            "left and right must have the same sign (the focal plane lies between), "
+            f"got {left}, {right}"
         )
     width = camera.width
     height = camera.height

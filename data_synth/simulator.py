@@ -91,8 +91,9 @@ def simulate(
     ):
         raise ValueError(f"noise must be (full_well > 0, read >= 0) in electrons, got {noise}")
     from . import tracing
+    from .intersection import pack
 
-    table, texels = tracing.pack(scene)
+    table, texels = pack(scene)
     flat = tracing.sensor(table, texels, scene.background, camera, samples, seed)[..., :3]
     flat = _add_stray_light(flat, camera) * np.array(camera.filters, np.float32)
     # Rays of its own: a white image that shared the flat's sampling errors would cancel them.
@@ -178,6 +179,7 @@ def true_view(
     (35, 50, 3)
     """
     from . import tracing
+    from .intersection import pack
 
     # From the sensor at c + q through the lens at c, whichever lens that is.
     place = -np.asarray(offset, float) * camera.pixel * camera.mla_distance / camera.sensor_distance
@@ -186,7 +188,7 @@ def true_view(
     for surface in scene.surfaces:
         name = "corner" if isinstance(surface, Patch) else "centre"
         moved.append(replace(surface, **{name: getattr(surface, name) + np.array([*place, 0.0])}))
-    table, texels = tracing.pack(Scene(scene.name, tuple(moved), scene.background))
+    table, texels = pack(Scene(scene.name, tuple(moved), scene.background))
     shift = place * (1 - camera.mla_distance / camera.focal_length) * camera.spread / camera.pixel
     grid = np.array(affine, float) - np.column_stack([np.zeros((2, 2)), shift])
     light = tracing.pinhole(table, texels, scene.background, camera, grid, size, samples, seed)[

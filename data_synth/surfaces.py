@@ -125,7 +125,8 @@ class Scene:
     --------
     >>> import numpy as np
     >>> from data_synth import Patch, Scene
-    >>> wall = Patch((-100, -100, 1000), (200, 0, 0), (0, 200, 0), np.full((4, 4, 3), 0.5, np.float32))
+    >>> grey = np.full((4, 4, 3), 0.5, np.float32)
+    >>> wall = Patch((-100, -100, 1000), (200, 0, 0), (0, 200, 0), grey)
     >>> Scene("wall", (wall,)).name
     'wall'
     """

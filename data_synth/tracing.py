@@ -1,8 +1,7 @@
 """Ray tracing: from sensor points through a microlens and the main lens to the nearest surface.
 
-A ray in object space is `P(z) = -(A + S * z)`: it leaves the main lens at `A` [mm] with slope `S`,
-and the minus is the half turn of object space that keeps pictures upright. Camera vector of the
-kernels (mm and px):
+Rays and the table of surfaces are those of `intersection`. Camera vector of the kernels, in mm and
+px:
 
     0 pixel  1, 2 principal point  3 focal length  4 dL  5 b  6 main aperture radius  7 microlens
     radius 8, 9 origin  10..13 basis  14..17 inverse basis  18 spread  19 cos^4  20, 21 stop
@@ -10,10 +9,6 @@ kernels (mm and px):
     centre [px]  23 whether bent: distortion or tilt 24 k1  25, 26 slope of the optical axis in the
     frame of the array  27..35 axes of the array, row by row 36 whether the main aperture is square
     37, 38 direction of its sides 39, 40 growth of b over the sensor, to the right and down
-
-Rows of the surface table: 0 kind, 1..3 corner or centre, 4..6 normal (4: radius of a sphere), 7..9
-and 10..12 duals of the edges, 13 texture offset, 14, 15 its width and height, 16 whether alpha
-cuts, 17..22 bounds.
 """
 
 from __future__ import annotations
@@ -30,45 +25,12 @@ from numpy.typing import NDArray
 from lfcal.runtime.kernels import kernel
 
 from .camera import Camera
-from .surfaces import Patch, Scene
+from .intersection import add_light, choose, hit
 
-__all__ = ["nearest", "pack", "pinhole", "sensor"]
+__all__ = ["nearest", "pinhole", "sensor"]
 
-_PATCH = 0.0
-_SPHERE = 1.0
-_COLUMNS = 23
-
-
-def pack(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Surface table, nearest first, and one array of all texels (n, 4) float32; shared textures are
-    stored once.
-    """
-    table = np.zeros((len(scene.surfaces), _COLUMNS))
-    texels: list[NDArray[np.float32]] = [np.zeros((1, 4), np.float32)]
-    placed: dict[int, int] = {}
-    used = 1
-    for row, surface in zip(
-        table, sorted(scene.surfaces, key=lambda s: s.bounds[0, 2]), strict=True
-    ):
-        texture = surface.texture
-        height, width, channels = texture.shape
-        if id(texture) not in placed:
-            placed[id(texture)] = used
-            block = np.ones((height * width, 4), np.float32)
-            block[:, :channels] = texture.reshape(-1, channels)
-            texels.append(block)
-            used += len(block)
-        row[13:17] = placed[id(texture)], width, height, channels == 4
-        row[17:23] = surface.bounds.ravel()
-        if isinstance(surface, Patch):
-            normal = np.cross(surface.across, surface.down)
-            area = normal @ normal
-            row[0], row[1:4], row[4:7] = _PATCH, surface.corner, normal
-            row[7:10] = np.cross(surface.down, normal) / area
-            row[10:13] = np.cross(normal, surface.across) / area
-        else:
-            row[0], row[1:4], row[4] = _SPHERE, surface.centre, surface.radius
-    return table, np.concatenate(texels)
+# Half the diagonal of a pixel [px], rounded up.
+_HALF_DIAGONAL = 0.71
 
 
 def _camera_vector(camera: Camera) -> NDArray[np.float64]:
@@ -230,140 +192,6 @@ def _wrapped(value):
 
 
 @njit(error_model="numpy")
-def _corner(row, u, v):
-    """Where to interpolate a texture: first texel, steps to the next ones, and shares of those.
-
-    Texel centres lie at (k + 0.5) / size; beyond the outermost ones their value is repeated.
-    """
-    width = int(row[14])
-    height = int(row[15])
-    x = min(max(u * width - 0.5, 0.0), width - 1.0)
-    y = min(max(v * height - 0.5, 0.0), height - 1.0)
-    i = min(int(x), max(width - 2, 0))
-    j = min(int(y), max(height - 2, 0))
-    right = min(1, width - 1)
-    below = min(1, height - 1) * width
-    return int(row[13]) + j * width + i, right, below, x - i, y - j
-
-
-@njit(error_model="numpy")
-def _opaque(texels, row, u, v):
-    """Whether the cut-out texture has something at `(u, v)`."""
-    p, right, below, fx, fy = _corner(row, u, v)
-    upper = texels[p, 3] * (1 - fx) + texels[p + right, 3] * fx
-    lower = texels[p + below, 3] * (1 - fx) + texels[p + below + right, 3] * fx
-    return upper * (1 - fy) + lower * fy >= 0.5
-
-
-@njit(error_model="numpy")
-def _meet_patch(row, ox, oy, dx, dy):
-    """Depth and texture coordinates where the ray meets the patch; depth inf where it does not."""
-    along = row[4] * dx + row[5] * dy + row[6]
-    z = (row[4] * (row[1] - ox) + row[5] * (row[2] - oy) + row[6] * row[3]) / along
-    if not 0.0 < z < np.inf:
-        return np.inf, 0.0, 0.0
-    px = ox + dx * z - row[1]
-    py = oy + dy * z - row[2]
-    pz = z - row[3]
-    u = row[7] * px + row[8] * py + row[9] * pz
-    v = row[10] * px + row[11] * py + row[12] * pz
-    if u < 0.0 or u > 1.0 or v < 0.0 or v > 1.0:
-        return np.inf, 0.0, 0.0
-    return z, u, v
-
-
-@njit(error_model="numpy")
-def _meet_sphere(row, ox, oy, dx, dy):
-    """Depth and texture coordinates where the ray first meets the sphere; depth inf where it does
-    not.
-    """
-    cx = ox - row[1]
-    cy = oy - row[2]
-    radius = row[4]
-    a = dx * dx + dy * dy + 1.0
-    half = cx * dx + cy * dy - row[3]
-    root = half * half - a * (cx * cx + cy * cy + row[3] * row[3] - radius * radius)
-    if root < 0.0:
-        return np.inf, 0.0, 0.0
-    z = (-half - math.sqrt(root)) / a
-    if z <= 0.0:
-        return np.inf, 0.0, 0.0
-    nx = (cx + dx * z) / radius
-    ny = (cy + dy * z) / radius
-    nz = (z - row[3]) / radius
-    return (
-        z,
-        math.atan2(nx, -nz) / (2 * math.pi) + 0.5,
-        math.asin(min(max(ny, -1.0), 1.0)) / math.pi + 0.5,
-    )
-
-
-@njit(error_model="numpy")
-def _hit(table, texels, chosen, count, ax, ay, sx, sy):
-    """Nearest of the `chosen` surfaces (nearest bounds first): table row or -1, depth, texture
-    coordinates.
-    """
-    best = -1
-    depth = np.inf
-    best_u = 0.0
-    best_v = 0.0
-    for k in range(count):
-        row = table[chosen[k]]
-        if row[19] > depth:
-            break
-        if row[0] == _PATCH:
-            z, u, v = _meet_patch(row, -ax, -ay, -sx, -sy)
-        else:
-            z, u, v = _meet_sphere(row, -ax, -ay, -sx, -sy)
-        if z < depth and (row[16] == 0.0 or _opaque(texels, row, u, v)):
-            best = chosen[k]
-            depth = z
-            best_u = u
-            best_v = v
-    return best, depth, best_u, best_v
-
-
-@njit(error_model="numpy")
-def _choose(chosen, table, ax, ay, sx, sy, start_spread, slope_spread):
-    """List the surfaces that a bundle around the ray can meet: starts and slopes differ by the
-    spreads at most.
-    """
-    count = 0
-    for k in range(len(table)):
-        row = table[k]
-        near = row[19]
-        far = row[22]
-        x0 = -(ax + sx * near)
-        x1 = -(ax + sx * far)
-        y0 = -(ay + sy * near)
-        y1 = -(ay + sy * far)
-        room = start_spread + slope_spread * far
-        across = max(x0, x1) + room >= row[17] and min(x0, x1) - room <= row[20]
-        if across and max(y0, y1) + room >= row[18] and min(y0, y1) - room <= row[21]:
-            chosen[count] = k
-            count += 1
-    return count
-
-
-@njit(error_model="numpy")
-def _add(total, table, texels, background, found, u, v, weight):
-    """Add the radiance at a hit to `total`, its weight to the fourth channel."""
-    total[3] += weight
-    if found < 0:
-        for c in range(3):
-            total[c] += weight * background[c]
-        return
-    p, right, below, fx, fy = _corner(table[found], u, v)
-    a = weight * (1 - fx) * (1 - fy)
-    b = weight * fx * (1 - fy)
-    c = weight * (1 - fx) * fy
-    d = weight * fx * fy
-    for k in range(3):
-        total[k] += a * texels[p, k] + b * texels[p + right, k]
-        total[k] += c * texels[p + below, k] + d * texels[p + below + right, k]
-
-
-@njit(error_model="numpy")
 def _bent(cam, x, y, slope_x, slope_y):
     """Start and slope in object space of a ray that leaves the array at `(x, y)` [mm] with a slope
     in its frame.
@@ -387,7 +215,7 @@ def _bent(cam, x, y, slope_x, slope_y):
 
 @njit(error_model="numpy")
 def _passes(cam, ax, ay, half):
-    """Whether a ray through `(ax, ay)` of the main lens passes its aperture of half width `half`."""
+    """Whether a ray through `(ax, ay)` of the main lens passes its aperture of this half width."""
     if cam[36] == 0:
         return ax * ax + ay * ay <= half * half
     return max(abs(ax * cam[37] + ay * cam[38]), abs(ay * cam[37] - ax * cam[38])) <= half
@@ -397,7 +225,7 @@ def _passes(cam, ax, ay, half):
 def _through_lens(
     total, x, y, cam, cx, cy, power, half, table, texels, background, points, shift, chosen
 ):
-    """Add the light that reaches pixel `(x, y)` through one microlens with centre `(cx, cy)` [mm]."""
+    """Add the light that reaches pixel `(x, y)` through a microlens at `(cx, cy)` [mm]."""
     pixel = cam[0]
     focal = cam[3]
     dl = cam[4]
@@ -428,7 +256,7 @@ def _through_lens(
         _, _, ox, oy, mx, my = _bent(cam, cx, cy, (cx - px) / b, (cy - py) / b)
         start_spread = 2 * start_spread
         slope_spread = 2 * slope_spread
-    count = _choose(chosen, table, ox, oy, mx, my, start_spread, slope_spread)
+    count = choose(chosen, table, ox, oy, mx, my, start_spread, slope_spread)
     cosine = lens * math.cos(2 * math.pi * shift[2])
     sine = lens * math.sin(2 * math.pi * shift[2])
     per_b = 1 / b
@@ -450,8 +278,8 @@ def _through_lens(
         if cam[23] > 0:
             ax, ay, ox, oy, sx, sy = _bent(cam, cx + rx, cy + ry, sx, sy)
             if _passes(cam, ax, ay, half):
-                found, _, u, v = _hit(table, texels, chosen, count, ox, oy, sx, sy)
-                _add(total, table, texels, background, found, u, v, share)
+                found, _, u, v = hit(table, texels, chosen, count, ox, oy, sx, sy)
+                add_light(total, table, texels, background, found, u, v, share)
             continue
         ax = cx + rx + sx * dl
         ay = cy + ry + sy * dl
@@ -463,8 +291,8 @@ def _through_lens(
         qy = ay + sy * cam[20]
         if cam[21] > 0 and qx * qx + qy * qy > cam[21] * cam[21]:
             continue
-        found, _, u, v = _hit(table, texels, chosen, count, ax, ay, sx, sy)
-        _add(total, table, texels, background, found, u, v, share)
+        found, _, u, v = hit(table, texels, chosen, count, ax, ay, sx, sy)
+        add_light(total, table, texels, background, found, u, v, share)
 
 
 @kernel(error_model="numpy")
@@ -473,7 +301,7 @@ def _sensor_rows(picture, first, last, cam, lenses, table, texels, background, p
     chosen = np.empty(len(table), np.int64)
     shift = np.empty(3)
     total = np.empty(4)
-    reach = cam[22] + 0.71
+    reach = cam[22] + _HALF_DIAGONAL
     for y in range(first, last):
         for x in range(picture.shape[1]):
             total[:] = 0.0
@@ -520,7 +348,7 @@ def _pinhole_rows(picture, first, last, cam, table, texels, background, affine, 
     total = np.empty(4)
     scale = cam[0] / (cam[18] * cam[4])
     room = (
-        0.71
+        _HALF_DIAGONAL
         * scale
         * max(abs(affine[0, 0]) + abs(affine[1, 0]), abs(affine[0, 1]) + abs(affine[1, 1]))
     )
@@ -537,10 +365,10 @@ def _pinhole_rows(picture, first, last, cam, table, texels, background, affine, 
                 sx = -(affine[0, 0] * u + affine[0, 1] * v + affine[0, 2] - cam[1]) * scale
                 sy = -(affine[1, 0] * u + affine[1, 1] * v + affine[1, 2] - cam[2]) * scale
                 if k < 0:
-                    count = _choose(chosen, table, 0.0, 0.0, sx, sy, 0.0, room)
+                    count = choose(chosen, table, 0.0, 0.0, sx, sy, 0.0, room)
                     continue
-                found, _, tu, tv = _hit(table, texels, chosen, count, 0.0, 0.0, sx, sy)
-                _add(total, table, texels, background, found, tu, tv, 1.0 / len(points))
+                found, _, tu, tv = hit(table, texels, chosen, count, 0.0, 0.0, sx, sy)
+                add_light(total, table, texels, background, found, tu, tv, 1.0 / len(points))
             for k in range(4):
                 picture[y, x, k] = total[k]
 
@@ -554,7 +382,7 @@ def _nearest_rows(depth, first, last, start, slope, table, texels):
         ay = start[n, 1]
         sx = slope[n, 0]
         sy = slope[n, 1]
-        count = _choose(chosen, table, ax, ay, sx, sy, 0.0, 0.0)
-        found, z, _, _ = _hit(table, texels, chosen, count, ax, ay, sx, sy)
+        count = choose(chosen, table, ax, ay, sx, sy, 0.0, 0.0)
+        found, z, _, _ = hit(table, texels, chosen, count, ax, ay, sx, sy)
         if found >= 0:
             depth[n] = z

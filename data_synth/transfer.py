@@ -1,4 +1,4 @@
-"""From radiance to stored numbers: exposure, photon and read noise, transfer curve, quantisation."""
+"""From radiance to stored numbers: exposure, noise, transfer curve, quantisation."""
 
 from __future__ import annotations
 

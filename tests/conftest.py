@@ -55,7 +55,7 @@ def house():
     """A small simulated capture with both modes, and its truth."""
     from data_synth import SCENES, Camera, simulate
 
-    camera = Camera.design(size=(520, 400), pitch=20.3, lattice="hex", rotation=1.3)
+    camera = Camera.design(size=(420, 330), pitch=20.3, lattice="hex", rotation=1.3)
     return simulate(SCENES["house"](camera), camera, samples=16, seed=4)
 
 
@@ -65,3 +65,19 @@ def house_files(house, tmp_path_factory):
     folder = tmp_path_factory.mktemp("house")
     house.save(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def house_camera(house):
+    """The camera calibrated from that capture."""
+    import lfcal
+
+    return lfcal.calibrate(house.flat)
+
+
+@pytest.fixture(scope="session")
+def house_white_camera(house):
+    """The camera calibrated from its white image."""
+    import lfcal
+
+    return lfcal.calibrate(house.white)

@@ -120,12 +120,23 @@ def mask(text):
     return re.sub(r"\d[\d,.]*(?=\D)", "N", text)
 
 
+@pytest.fixture(scope="session")
+def printed_capture(tmp_path_factory):
+    """The folder of a capture that is large enough for the sentences on the pages."""
+    from data_synth import SCENES, Camera, simulate
+
+    camera = Camera.design(size=(520, 400), pitch=20.3, lattice="hex", rotation=1.3)
+    folder = tmp_path_factory.mktemp("printed")
+    simulate(SCENES["house"](camera), camera, samples=16, seed=4).save(folder)
+    return folder
+
+
 @pytest.fixture
-def folder(house_files, tmp_path, monkeypatch):
+def folder(printed_capture, tmp_path, monkeypatch):
     """A folder with a small capture, as `lfsynth house -o capture` makes it."""
     (tmp_path / "capture").mkdir()
     for name in ("flat.png", "white.png"):
-        shutil.copy(house_files / name, tmp_path / "capture")
+        shutil.copy(printed_capture / name, tmp_path / "capture")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

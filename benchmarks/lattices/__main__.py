@@ -1,9 +1,9 @@
 """`python -m benchmarks.lattices cameras|rays|no-flats|fit FIRST LAST`, or `forms|crops FLAT...`.
 
-- `cameras`, `rays`: flats of random cameras of all kinds (drawn by formula, or ray-traced): right, wrong and refused
-  lattices, and how often results of each stated confidence are right.
+- `cameras`, `rays`: flats of random cameras of all kinds (by formula, or ray-traced): right, wrong
+  and refused lattices, and how often results of each stated confidence are right.
 - `no-flats`: pictures that are no flats: refused, doubted and sure ones.
-- `forms`: each flat turned, mirrored, darker, noisy, with gamma, compressed; `crops`: parts of each flat.
+- `forms`: each flat turned, mirrored, darker, noisy, with gamma, compressed; `crops`: its parts.
 - `fit`: the weights of `lfcal.camera.evidence`, fitted to even seeds and tried on odd ones.
 """
 
@@ -86,7 +86,7 @@ def _forms(paths: list[str]) -> Iterator[_Item]:
 
 
 def _crops(paths: list[str]) -> Iterator[_Item]:
-    """Crops of about 14 to 30 lenses each way, with the centres that are found on the whole flat."""
+    """Crops of about 14 to 30 lenses each way, with the centres found on the whole flat."""
     rng = np.random.default_rng(0)
     for path in paths:
         flat = lfcal.read_flat(path)
@@ -130,7 +130,8 @@ def _judge(items: Iterator[_Item]) -> None:
     sure = [right for confidence, right in stated if confidence >= _SURE]
     rights = sum(right for _, right in stated)
     print(
-        f"{len(stated) + refused} flats: {rights} right (to {RIGHT} pitches), {len(stated) - rights} wrong, {refused} "
+        f"{len(stated) + refused} flats: {rights} right (to {RIGHT} pitches), "
+        f"{len(stated) - rights} wrong, {refused} "
         f"refused; of {len(sure)} sure ones {sum(sure)} right"
     )
     for low in np.arange(0.5, 1.0, 0.1):

@@ -1,4 +1,4 @@
-"""Whether a lattice is right: its points are the true centres, none is missing and none too many."""
+"""Whether a lattice is right: its points are the true centres, no more and no fewer."""
 
 from __future__ import annotations
 

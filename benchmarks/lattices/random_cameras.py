@@ -231,7 +231,7 @@ def _draw_content(
     delta: NDArray[np.float64],
     pitch: float,
 ) -> tuple[NDArray[np.float64], str]:
-    """What the pixels (h, w) at `delta` from lens centres (h, w, 2) show, and how it is described."""
+    """What pixels (h, w) at `delta` from lens centres (h, w, 2) show, and its description."""
     if content in ("white", "spots"):
         return 1 - rng.uniform(0, 0.1) * (delta**2).sum(-1) / (pitch / 2) ** 2, ""
     ratio = float(rng.uniform(0.15, 0.55) * rng.choice([-1, 1]))

@@ -62,7 +62,11 @@ def describe_optics(optics: Optics) -> dict[str, Any]:
     for name, value, error in zip(
         OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True
     ):
-        unit = "_mm" if name in lengths else "_px" if name.startswith("principal") else ""
+        unit = ""
+        if name in lengths:
+            unit = "_mm"
+        elif name.startswith("principal"):
+            unit = "_px"
         if error > 0 or name in lengths[:3]:
             figures[name + unit] = float(f"{value:.8g}")
         if error > 0:

@@ -138,10 +138,10 @@ def calibrate(report: cl.Report, given: Any) -> None:
             frame = read_flat(given.dark)
             with cl.name_file_in_errors(given.dark):
                 flats = [subtract_dark(flat, frame) for flat in flats]
-    with (
-        report.stage("calibrate"),
-        cl.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."),
-    ):
+    named = str(images[0])
+    if len(images) > 1:
+        named += " ..."
+    with report.stage("calibrate"), cl.name_file_in_errors(named):
         camera = run(
             flats if len(flats) > 1 else flats[0],
             given.kind,
@@ -149,7 +149,8 @@ def calibrate(report: cl.Report, given: Any) -> None:
             given.pitch,
             given.rotation,
         )
-        camera = camera if given.linear is None else replace(camera, encoded=not given.linear)
+        if given.linear is not None:
+            camera = replace(camera, encoded=not given.linear)
     _write(report, camera, output, *summarise(camera), f"{output} in {report.took}.")
 
 
@@ -355,13 +356,10 @@ def convert(report: cl.Report, given: Any) -> None:
         from ..display.camera_check import choose_orientation
 
         camera = choose_orientation(camera, up, pixels)
-    elif camera != up:
-        told = (
-            "; y was taken to point down: --image shows whether it does"
-            if given.y_up is None
-            else ""
-        )
-        camera = up if given.y_up else camera
+    elif camera != up and given.y_up is None:
+        told = "; y was taken to point down: --image shows whether it does"
+    elif given.y_up:
+        camera = up
     if mode is None and pixels is not None and output.suffix.lower() == ".cfg":
         from ..lens_types.coarse_disparity import find_scene_mode
 
@@ -385,9 +383,9 @@ def _read_image(given: Any) -> NDArray[Any]:
 
 
 def _read_size(given: Any) -> tuple[int, int] | None:
-    size: tuple[int, int] | None = (
-        given.size if given.image is None else _read_image(given).shape[1::-1]
-    )
+    size: tuple[int, int] | None = given.size
+    if given.image is not None:
+        size = _read_image(given).shape[1::-1]
     return size
 
 

@@ -15,6 +15,7 @@ from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Floats, Frozen, Singles, evenly
 from ..runtime.errors import CalibrationError
+from ..runtime.page import html_table
 from .compare import REGIONS, nine_places
 from .flat_lattice import (
     LENSES,
@@ -91,6 +92,13 @@ class FitCheck(Frozen):
             f"the lattice is off by up to {self.max_offset:.1f} px in the {where}, which pictures "
             "show: calibrate on this flat"
         )
+
+    def _repr_html_(self) -> str:
+        offsets = self.offset.reshape(-1, 2).tolist()
+        figures = {
+            place: f"{x:+.2f}, {y:+.2f} px" for place, (x, y) in zip(REGIONS, offsets, strict=True)
+        }
+        return html_table("Offsets of the microimages (x, y)", figures, [self.verdict])
 
 
 def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:

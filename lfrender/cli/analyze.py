@@ -26,6 +26,8 @@ _FORMS = {
     "ply": (".ply", ".pcd"),
     "mesh": (".glb", ".ply"),
 }
+# A mode of a smaller share of the lenses is left out of sentences: these are mostly errors.
+_FEW = 0.01
 
 
 @capture_command(
@@ -72,13 +74,15 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     at_most_one("--edges", edges or None, "--roi", roi, "--workers or --scheduler", on_cluster)
     if given.unfilled and "dense" not in forms:
         raise click.UsageError("--unfilled is for --dense")
-    optics = None if given.optics is None else Optics.load(given.optics)
+    optics = given.optics and Optics.load(given.optics)
     pixels = None
     if roi is None and not whole and (on_cluster or (not edges and is_large(capture.flat))):
-        from .large import analyze_in_tiles
-
-        with connect_cluster(given, report) as cluster:
-            depth, calibration = analyze_in_tiles(capture, not given.exhaustive, cluster)
+        with connect_cluster(given, report) as cluster, capture.open_parts() as source:
+            calibration = capture.calibrate_parts(source)
+            with report.stage("analyze"):
+                depth = capture.analyze_parts(
+                    source, calibration, cluster, skip=not given.exhaustive
+                )
     else:
         pixels, calibration = capture.calibrate(capture.read())
         with option_errors():
@@ -99,11 +103,10 @@ def analyze(capture: CaptureInput, given: Any) -> None:
             from ..data.dense_depth import dense_depth, dense_distance, write_dense
 
             grid = dense_depth(depth, fill=not given.unfilled)
-            write_dense(
-                forms["dense"],
-                grid,
-                dense_distance(grid, optics) if given.metres and optics else None,
-            )
+            distance = None
+            if given.metres and optics is not None:
+                distance = dense_distance(grid, optics)
+            write_dense(forms["dense"], grid, distance)
         if "picture" in forms:
             from ..output.depth_picture import depth_picture, magnification_limits
             from ..output.picture import write_picture
@@ -140,7 +143,13 @@ def analyze(capture: CaptureInput, given: Any) -> None:
 
 def _near_and_far(depth: DepthMap) -> str:
     """Which colours are near: M falls toward the camera where telescopic, else it grows."""
-    ends = {1: "blue is near, red is far", -1: "red is near, blue is far"}
-    shown = [mode for mode in ends if (depth.mode == mode).mean() > 0.01]
-    names = {1: " where telescopic", -1: " where binocular"}
-    return ", ".join(ends[mode] + (names[mode] if len(shown) > 1 else "") for mode in shown)
+    from ..data.depth_map import BINOCULAR, TELESCOPIC
+
+    ends = {
+        TELESCOPIC: ("blue is near, red is far", " where telescopic"),
+        BINOCULAR: ("red is near, blue is far", " where binocular"),
+    }
+    shown = [told for mode, told in ends.items() if (depth.mode == mode).mean() > _FEW]
+    if len(shown) == 1:
+        return shown[0][0]
+    return ", ".join(map("".join, shown))

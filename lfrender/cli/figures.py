@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lfcal import Calibration, Optics
+    from lfcal.runtime.arrays import Array
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
@@ -27,20 +28,22 @@ __all__ = [
 # Below this pitch [px] most lenses of a scene of several depths were left unresolved (HCI antinous,
 # 9 px: 76 %).
 _FEW_PIXELS = 12
+# Ends and middle of the range that holds nine tenths of the lenses, as quantiles.
+_NINE_TENTHS = (0.05, 0.5, 0.95)
+# Shares below this are 0.0 % with the digits that are printed, and are left out.
+_SMALLEST_SHARE = 0.0005
 
 
 def rendering_settings(
     depth: DepthMap | None, patch_size: float | None, detail: str | None = None
 ) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
-    settings: dict[str, Any]
+    if depth is None and patch_size is None:
+        return {"rendering": "traditional"}
+    settings: dict[str, Any] = {"rendering": "one patch size", "patch_size": patch_size}
     if depth is not None:
-        settings = {"rendering": "all in focus", "preset": depth.preset, "detail": detail}
-    elif patch_size is not None:
-        settings = {"rendering": "one patch size", "patch_size": patch_size, "detail": detail}
-    else:
-        settings = {"rendering": "traditional"}
-    return {name: value for name, value in settings.items() if value is not None}
+        settings = {"rendering": "all in focus", "preset": depth.preset}
+    return settings if detail is None else {**settings, "detail": detail}
 
 
 def capture_figures(
@@ -65,7 +68,7 @@ def capture_figures(
         figures["warnings"].append(problem)
     import numpy as np
 
-    from ..data.depth_map import MODES, REASONS
+    from ..data.depth_map import MODES, REASONS, finite
     from ..rendering.traditional import find_depth_problem
 
     if problem := find_depth_problem(depth):
@@ -77,7 +80,7 @@ def capture_figures(
     figures |= {
         "lenses_analysed": int(analysed.sum()),
         "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items() if len(mode)},
-        "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan"),
+        "patch_size_median": _median(sizes),
         "unresolved": {
             REASONS[code]: float(np.mean(reason == code)) for code in np.unique(reason[mode == 0])
         },
@@ -86,20 +89,23 @@ def capture_figures(
     if optics is not None:
         camera = calibration if optics is calibration.optics else optics
         known = depth.distance(camera)
-        errors = depth.distance_error(camera)
         known = known[~np.isnan(known)]
-        errors = errors[np.isfinite(errors)]
-        ends = (
-            np.quantile(known, (0.05, 0.5, 0.95), method="nearest")
-            if known.size
-            else [float("nan")] * 3
-        )
+        low = middle = high = float("nan")
+        if known.size:
+            low, middle, high = np.quantile(known, _NINE_TENTHS, method="nearest").tolist()
         figures |= {
-            "distance_median": float(ends[1]),
-            "distance_range": [float(ends[0]), float(ends[2])],
+            "distance_median": middle,
+            "distance_range": [low, high],
+            "distance_error": _median(finite(depth.distance_error(camera))),
         }
-        figures["distance_error"] = float(np.median(errors)) if errors.size else float("nan")
     return figures
+
+
+def _median(values: Array) -> float:
+    """The median, NaN of no values."""
+    import numpy as np
+
+    return float(np.median(values)) if values.size else float("nan")
 
 
 def few_pixels_problem(pitch: float) -> str | None:
@@ -128,11 +134,9 @@ def picture_figures(picture: Rendering) -> dict[str, Any]:
 def percent(share: float) -> str:
     """A share in percent, with a digit behind the point only where it would be 0 or 100 without."""
     rounded = f"{100 * share:.0f}"
-    return (
-        f"{100 * share:.1f} %"
-        if rounded in ("0", "100") and share not in (0.0, 1.0)
-        else f"{rounded} %"
-    )
+    if rounded in ("0", "100") and share not in (0.0, 1.0):
+        rounded = f"{100 * share:.1f}"
+    return f"{rounded} %"
 
 
 def capture_sentences(
@@ -151,13 +155,14 @@ def capture_sentences(
     figures = capture_figures(calibration, depth, optics)
     count = figures["lenses_analysed"]
     lenses = f"{count:,} lenses in this part" if count < len(depth) else "lenses"
-    shares = ", ".join(
-        f"{percent(share)} {name}" for name, share in figures["modes"].items() if share >= 0.0005
-    )
-    # The reasons of a quarter of the unresolved lenses or more.
-    share = figures["modes"].get("unresolved", 0.0)
-    why = " or ".join(name for name, part in figures["unresolved"].items() if part >= 0.25 * share)
-    sentences.append(f"Of the {lenses} {shares}{f' ({why})' if share >= 0.0005 else ''}.")
+    told = {n: share for n, share in figures["modes"].items() if share >= _SMALLEST_SHARE}
+    shares = ", ".join(f"{percent(share)} {name}" for name, share in told.items())
+    if "unresolved" in told:
+        # The reasons of a quarter of the unresolved lenses or more.
+        least = told["unresolved"] / 4
+        reasons = figures["unresolved"].items()
+        shares += f" ({' or '.join(name for name, part in reasons if part >= least)})"
+    sentences.append(f"Of the {lenses} {shares}.")
     if optics is not None and figures["distance_median"] == figures["distance_median"]:
         near, far = figures["distance_range"]
         sentences.append(
@@ -174,8 +179,8 @@ class PictureFinish:
     def __init__(self, given: Any, path: Path) -> None:
         from ..output.picture import Brightness, default_exposure
 
-        exposure = default_exposure(path) if given.exposure is None else given.exposure
-        self._brightness = Brightness(exposure)
+        chosen = given.exposure is not None
+        self._brightness = Brightness(given.exposure if chosen else default_exposure(path))
         self._path = path
         self._reduce = given.eight_bits or path.suffix.lower() == ".gif"
         self._reduced: list[str] = []
@@ -219,6 +224,8 @@ class PictureFinish:
 def picture_sentence(path: Any, picture: Rendering, what: str, took: str) -> str:
     """A sentence about a picture file: name, size, content, seconds."""
     height, width = picture.image.shape[:2]
+    sentence = f"{path}: {width} x {height} px, {what}, in {took}"
     unseen = 1 - float(picture.valid.mean())
-    hole = f"; {percent(unseen)} of it seen by no lens" if unseen > 0.001 else ""
-    return f"{path}: {width} x {height} px, {what}, in {took}{hole}."
+    if unseen > _SMALLEST_SHARE:
+        sentence += f"; {percent(unseen)} of it seen by no lens"
+    return f"{sentence}."

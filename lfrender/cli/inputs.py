@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -33,6 +33,8 @@ __all__ = ["MOVING", "CaptureInput", "is_large", "is_published"]
 #: Suffixes of files that hold nothing but moving pictures.
 MOVING = (".gif", ".mkv", ".mov", ".mp4")
 
+# [px] Side of the middle of a flat that is not in memory on which its camera is checked.
+_CHECKED = 3000
 # [bytes] Larger flats are drawn in tiles: smaller ones are faster as a whole.
 _LARGE = 1e8
 
@@ -90,11 +92,31 @@ class CaptureInput:
 
         return self._subtract_dark(read_flat(self.flat, self.page, **self.raw_layout([self.flat])))
 
-    def open(self) -> FlatSource:
+    @contextmanager
+    def open_parts(self) -> Iterator[FlatSource]:
         """The flat, less the dark frame, to be read in parts."""
         from lfcal import open_flat
 
-        return open_flat(self.flat, self.page, self.dark)
+        with self.report.stage("read"):
+            opened = open_flat(self.flat, self.page, self.dark)
+        with opened as source:
+            yield source
+
+    def calibrate_parts(self, source: FlatSource) -> Calibration:
+        """The camera of the file, or calibrated on all pixels of a flat that is read in parts."""
+        with self.report.stage("calibrate"):
+            known = self.camera is not None and not is_published(self.camera)
+            return self.find_camera(source if known else self.read_pixels())
+
+    def analyze_parts(
+        self, source: FlatSource, calibration: Calibration, cluster: dict[str, Any], **options: Any
+    ) -> DepthMap:
+        """The depth of a flat that is read in parts; `options` as for `lfrender.analyze_large`."""
+        from .. import analyze_large
+
+        with self.report.progress("tiles") as step:
+            options |= {"progress": step, **cluster}
+            return analyze_large(source, calibration, self.chosen_preset, **options)
 
     def open_frames(self, inputs: tuple[Path, ...], **chosen: Any) -> Frames:
         """The frames of a sequence, less the dark frame; `chosen` as for `lfrender.open_frames`."""
@@ -165,7 +187,9 @@ class CaptureInput:
         elif self.white is None and self.recording is not None:
             known = self.recording.camera
         if known is not None:
-            calibration = known if self.mosaic is None else known.with_mosaic(self.mosaic)
+            calibration = known
+            if self.mosaic is not None:
+                calibration = known.with_mosaic(self.mosaic)
         elif self.white is not None:
             calibration = self._calibrate_white(self.white, pixels)
         else:
@@ -197,10 +221,9 @@ class CaptureInput:
                 f"{path}: white image and flat must be of one size, they have {own} and {other} px"
             )
         white = self._subtract_dark(white)
+        mosaic = self.mosaic if white.ndim == 2 else None
         with name_file_in_errors(path):
-            calibration = calibrate(
-                white, kind="white", mosaic=self.mosaic if white.ndim == 2 else None
-            )
+            calibration = calibrate(white, kind="white", mosaic=mosaic)
         # Scenes show more of which filters are red.
         return calibration.with_mosaic_of(pixels)
 
@@ -322,8 +345,8 @@ def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
     else:
         # The middle of a flat that is not in memory; even, so that a colour filter mosaic keeps its
         # phase.
-        low = np.maximum(size - 3000, 0) // 4 * 2
-        high = np.minimum(low + 3000, size)
+        low = np.maximum(size - _CHECKED, 0) // 4 * 2
+        high = np.minimum(low + _CHECKED, size)
         part = pixels.read(*low.tolist(), *high.tolist())
         shown = replace(
             calibration, lattice=crop_lattice(calibration.lattice, low, high), gain_map=None

@@ -69,15 +69,14 @@ def live(report: cl.Report, given: Any) -> None:
         given.preset or "fast",
         given.output,
         given=known,
-        exposure="auto" if given.exposure is None else given.exposure,
+        exposure=given.exposure,
     )
     with closing(session), LiveServer(session, source, given.host, given.port) as server:
         with report.stage("calibrate"):
             session.start(strict=bool(given.camera or given.white))
-        figures = {
-            "page": server.url,
-            "warnings": list(session.camera.warnings) if session.camera else [],
-        }
+        figures: dict[str, Any] = {"page": server.url, "warnings": []}
+        if session.camera is not None:
+            figures["warnings"] += session.camera.warnings
         report.finish(figures, f"{session.about}.", f"{server.url} until Ctrl-C.")
         if not given.no_browser:
             click.launch(server.url)
@@ -90,8 +89,8 @@ def find_camera(capture: CaptureInput, shot: Shot) -> Calibration:
     if capture.mosaic is None and shot.mosaic is not None:
         capture = replace(capture, mosaic=cast("Mosaic", shot.mosaic))
     camera = capture.find_camera(shot.pixels)
-    return replace(
-        camera,
-        white_level=shot.white if camera.white_level is None else camera.white_level,
-        encoded=shot.encoded if camera.encoded is None else camera.encoded,
-    )
+    if camera.white_level is None:
+        camera = replace(camera, white_level=shot.white)
+    if camera.encoded is None:
+        camera = replace(camera, encoded=shot.encoded)
+    return camera

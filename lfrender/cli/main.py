@@ -32,15 +32,14 @@ def warm(report: cl.Report, given: Any) -> None:
     """
     failed = report.compile_kernels(given.processes)
     seconds = report.compile_seconds
-    more = f"; {failed} could not be compiled" if failed else ""
-    done = (
-        "All kernels were compiled already."
-        if failed is None
-        else f"Kernels compiled in {seconds:.0f} s{more}."
-    )
+    done = f"Kernels compiled in {seconds:.0f} s"
+    if failed is None:
+        done = "All kernels were compiled already"
+    elif failed:
+        done += f"; {failed} could not be compiled"
     report.finish(
         {"compiled": failed is not None, "kernels_failed": failed or 0, "compile_seconds": seconds},
-        done,
+        f"{done}.",
     )
 
 

@@ -87,12 +87,13 @@ def _find_flats(inputs: Iterable[Path]) -> list[Path]:
     """The named flats and those in folders, sorted by the numbers in their names."""
     from ..sequence.frames import open_frames
 
-    folders = {path for path in inputs if path.is_dir() and path.suffix.lower() != ".zarr"}
-    return [
-        flat
-        for path in inputs
-        for flat in (open_frames([path]).files if path in folders else [path])
-    ]
+    flats: list[Path] = []
+    for path in inputs:
+        if path.is_dir() and path.suffix.lower() != ".zarr":
+            flats += open_frames([path]).files
+        else:
+            flats.append(path)
+    return flats
 
 
 def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
@@ -108,7 +109,8 @@ def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
         except (LightFieldError, OSError) as error:
             cl.echo(error, err=True)
             raise
-        found[:] = [calibration] if capture.camera is None else []
+        if capture.camera is None:
+            found[:] = [calibration]
         for text in figures.capture_figures(calibration, depth)["warnings"]:
             cl.echo(f"warning: {one.flat}: {text}", err=True)
         return pixels, calibration, depth

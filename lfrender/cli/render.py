@@ -11,9 +11,11 @@ from .inputs import CaptureInput, is_large
 from .options import at_most_one, capture_command, connect_cluster, option_errors
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
-    from lfcal import Calibration
+    from lfcal import Calibration, FlatSource
 
     from ..data.depth_map import DepthMap
 
@@ -49,10 +51,8 @@ def render(capture: CaptureInput, given: Any) -> None:
     }
     stored = {"alpha": given.alpha, "compress": given.compress}
     if in_tiles:
-        from .large import render_in_tiles
-
         with connect_cluster(given, capture.report) as cluster:
-            render_in_tiles(capture, given, cluster, **stored, **drawing)
+            _render_in_tiles(capture, given, cluster, **stored, **drawing)
         return
     from ..output.formats import check_format
 
@@ -81,10 +81,9 @@ def render(capture: CaptureInput, given: Any) -> None:
     _, stated = capture.write(given, [picture], [settings], **stored)
     what = "a pixel per microlens" if traditional else "sharp at every depth"
     if patch_size is not None:
-        what = (
-            f"of one patch size, {patch_size:g} "
-            f"px{', mixed from all lenses' if given.blend else ''}"
-        )
+        what = f"of one patch size, {patch_size:g} px"
+    if given.blend:
+        what += ", mixed from all lenses"
     capture.report.finish(
         {
             "picture": str(output),
@@ -95,6 +94,69 @@ def render(capture: CaptureInput, given: Any) -> None:
         figures.picture_sentence(output, picture, what, capture.report.took),
         *stated,
     )
+
+
+def _render_in_tiles(
+    capture: CaptureInput, given: Any, cluster: dict[str, Any], **options: Any
+) -> None:
+    """Calibrate, analyse and render in tiles; what is finished is kept until the end."""
+    from .. import render_large
+    from ..large.render import LargeOptions, check_large_picture
+
+    report = capture.report
+    output = given.output
+    depth = None
+    with capture.open_parts() as source:
+        check_large_picture(output, source.dtype, given.alpha, capture.files)
+        calibration = capture.calibrate_parts(source)
+        if given.patch_size is None:
+            with report.stage("analyze"):
+                depth = _find_depth_in_tiles(capture, source, calibration, output, cluster)
+        about = figures.rendering_settings(depth, given.patch_size, given.detail)
+        chosen = LargeOptions(settings=about, tile=given.tile, **options)
+        with report.stage("render"), report.progress("tiles") as step, option_errors():
+            made = render_large(
+                source, output, calibration, depth, chosen, progress=step, **cluster
+            )
+    width, height = made.size
+    tiles = f"{made.tiles} tiles"
+    if made.kept:
+        tiles += f", {made.kept} of them kept from an earlier run"
+    found = {name: getattr(made, name) for name in ("size", "scale", "valid", "affine", "tiles")}
+    found |= {"picture": str(output), "tiles_kept": made.kept}
+    report.finish(
+        found | figures.capture_figures(calibration, depth),
+        *capture.sentences(calibration, depth),
+        f"{output}: {width} x {height} px in {tiles}, in {report.took}.",
+    )
+
+
+def _find_depth_in_tiles(
+    capture: CaptureInput,
+    source: FlatSource,
+    calibration: Calibration,
+    output: Path,
+    cluster: dict[str, Any],
+) -> DepthMap:
+    """The depth of the file, or of the flat; kept beside the output until that is complete."""
+    from ..data.depth_map import DepthMap
+    from ..output.resume import Checkpoint, file_identity, fingerprint
+
+    if capture.depth_file is not None:
+        raw = calibration.mosaic is not None and len(source.shape) == 2
+        return capture.read_depth(None if raw else source)
+    files = [file_identity(capture.flat), file_identity(capture.dark)]
+    settings = [capture.page, capture.chosen_preset]
+    key = fingerprint(files, settings, calibration.to_dict())
+    checkpoint = Checkpoint(output)
+    file = checkpoint.folder / "depth.npz"
+    if not (checkpoint.find("depth", key) and file.exists()):
+        found = capture.analyze_parts(source, calibration, cluster)
+        checkpoint.open()
+        found.save(file)
+        checkpoint.keep("depth", key)
+    # Always from the file: later results do not depend on whether a run was interrupted.
+    return DepthMap.load(file)
 
 
 def _check(capture: CaptureInput, given: Any) -> bool:
@@ -139,5 +201,5 @@ def _find_depth(
     from ..rendering.render import expand_roi
 
     with option_errors():
-        needed = None if capture.roi is None else expand_roi(capture.roi, calibration)
+        needed = capture.roi and expand_roi(capture.roi, calibration)
     return capture.analyze(pixels, calibration, roi=needed, edges=edges)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
@@ -95,19 +96,20 @@ def batch(capture: CaptureInput, given: Any) -> int:
             calibration = load_camera(output)
     found = {"film" if output in films else "pictures": str(output), **found}
     failures = [result.message for result in results if result.outcome == "failed"]
-    found["warnings"] = [
-        *(calibration.warnings if calibration else ()),
-        *(failures if report.as_json else ()),
-    ]
+    found["warnings"] = list(calibration.warnings) if calibration else []
+    if report.as_json:
+        found["warnings"] += failures
     sentences = [sentence, f"{output} is written."]
     if maps is not None:
         found |= {"depth_maps": str(maps), "colours": plan.colours}
-        ends = "magnification M from {:.1f} (blue) to {:.1f} (red), logarithmic".format(
-            *plan.colours or (0, 0)
-        )
-        sentences.append(f"{maps}: {ends}." if maps in films else f"{maps}: the depth maps.")
+        content = "the depth maps"
+        if maps in films:
+            content = "magnification M from {:.1f} (blue) to {:.1f} (red), logarithmic".format(
+                *plan.colours or (0, 0)
+            )
+        sentences.append(f"{maps}: {content}.")
     report.finish(found, *sentences)
-    return 1 if failures else 0
+    return int(bool(failures))
 
 
 def _render(
@@ -120,7 +122,7 @@ def _render(
 ) -> tuple[list[FrameResult], Plan]:
     """Render all frames; print the plan before, and show the progress."""
     from .. import render_frames
-    from ..sequence.film import render_film
+    from ..sequence.film import DEFAULT_RATE, render_film
 
     report = capture.report
     results = []
@@ -129,10 +131,13 @@ def _render(
     def announce(plan: Plan) -> None:
         plans.append(plan)
         if not (report.quiet or report.as_json):
-            rate = None if given.output not in films else given.fps or frames.rate or 25
             cl.echo(_describe(plan, given, rate), err=True)
 
-    render: Any = render_film if given.output in films else render_frames
+    render: Any = render_frames
+    rate = None
+    if given.output in films:
+        render = render_film
+        rate = given.fps or frames.rate or DEFAULT_RATE
     with (
         report.stage("frames"),
         report.progress("frames") as step,
@@ -152,49 +157,50 @@ def _render(
                 step(len(results), frames.count or None, result.message)
         except KeyboardInterrupt:
             if not report.quiet:
-                again = (
-                    "the same command without --overwrite"
-                    if given.overwrite
-                    else "the same command"
-                )
-                cl.echo(
-                    f"{len(results):,} of {frames.count:,} frames are done; {again} goes on",
-                    err=True,
-                )
+                again = "the same command"
+                if given.overwrite:
+                    again += " without --overwrite"
+                counts = f"{len(results):,} of {frames.count:,}"
+                cl.echo(f"{counts} frames are done; {again} goes on", err=True)
             raise
     return results, plans[0]
 
 
 def _describe(plan: Plan, given: Any, rate: Any) -> str:
     """One line about what will be written; `rate` is that of a film."""
-    size = "" if plan.size is None else " of {} x {} px".format(*plan.size)
-    speed = "" if rate is None else f", {float(rate):.4g} a second,"
-    kept = f" ({plan.kept:,} kept from before)" if plan.kept else ""
-    views = " in {} x {} views".format(*given.views) if given.views else ""
-    maps = "" if given.depth_maps is None else f", their depth into {given.depth_maps}"
-    return f"Writes {plan.frames:,} frames{kept}{views}{size}{speed} into {given.output}{maps}."
+    line = f"Writes {plan.frames:,} frames"
+    if plan.kept:
+        line += f" ({plan.kept:,} kept from before)"
+    if given.views:
+        line += " in {} x {} views".format(*given.views)
+    if plan.size is not None:
+        line += " of {} x {} px".format(*plan.size)
+    if rate is not None:
+        line += f", {float(rate):.4g} a second,"
+    line += f" into {given.output}"
+    if given.depth_maps is not None:
+        line += f", their depth into {given.depth_maps}"
+    return f"{line}."
 
 
 def _sum_up(results: list[FrameResult], seconds: float) -> tuple[dict[str, Any], str]:
     """Figures of a run, and a sentence."""
-    rendered = [result for result in results if result.outcome == "rendered"]
-    kept, failed = (
-        sum(result.outcome == name for result in results) for name in ("kept", "failed")
-    )
-    each = seconds / max(len(rendered), 1)
-    still = sum(result.still for result in rendered) / max(len(rendered), 1)
-    told = [f"{len(rendered):,} frames rendered" + (f", {each:.2f} s each" if rendered else "")]
-    told += [f"{kept:,} kept from before"] if kept else []
-    told += [f"{failed:,} failed"] if failed else []
-    figures = {
-        "rendered": len(rendered),
-        "kept": kept,
-        "failed": failed,
-        "seconds_per_frame": each,
-        "still": still,
-    }
-    moved = f" {percent(still)} of their lenses had not moved." if still > 0.005 else ""
-    return figures, f"{', '.join(told)}.{moved}"
+    count: Counter[str] = Counter(result.outcome for result in results)
+    rendered = count["rendered"]
+    each = seconds / max(rendered, 1)
+    # Frames that were not rendered have no still lenses.
+    still = sum(result.still for result in results) / max(rendered, 1)
+    sentence = f"{rendered:,} frames rendered"
+    if rendered:
+        sentence += f", {each:.2f} s each"
+    for outcome, words in (("kept", "kept from before"), ("failed", "failed")):
+        if count[outcome]:
+            sentence += f", {count[outcome]:,} {words}"
+    sentence += "."
+    if round(100 * still):
+        sentence += f" {percent(still)} of their lenses had not moved."
+    figures = {name: count[name] for name in ("rendered", "kept", "failed")}
+    return {**figures, "seconds_per_frame": each, "still": still}, sentence
 
 
 def _frame_options(capture: CaptureInput, given: Any, film: bool) -> FrameOptions:
@@ -224,9 +230,12 @@ def _frame_options(capture: CaptureInput, given: Any, film: bool) -> FrameOption
         raise click.UsageError("--8bit is for pictures: leave it out, or --format yuv")
     if suffix.startswith("yuv") and given.views is None:
         raise click.UsageError("raw video is a film or views: give -o FILM.yuv, or --views")
-    rows, columns = given.views or (0, 0)
-    grid = ViewGrid(rows, columns, given.aperture or 0.7, given.resize) if given.views else None
-    return replace(options, eight_bits=given.eight_bits, suffix=f".{suffix}", views=grid)
+    options = replace(options, eight_bits=given.eight_bits, suffix=f".{suffix}")
+    if given.views is None:
+        return options
+    rows, columns = given.views
+    grid = ViewGrid(rows, columns, given.aperture or ViewGrid.aperture, given.resize)
+    return replace(options, views=grid)
 
 
 def _find_camera(frames: Frames, capture: CaptureInput) -> Calibration:

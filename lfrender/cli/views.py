@@ -28,6 +28,8 @@ __all__ = ["lenslet", "refocus", "views"]
 
 # Pictures of an animation where no number is given: two seconds.
 _PICTURES = 24
+# Rows and columns of viewpoints where none are given.
+_GRID = (5, 5)
 
 
 @capture_command(
@@ -67,8 +69,10 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     pixels = capture.read()
     check_format(output, *uses, dtype=pixels.dtype, inputs=capture.files)
     pixels, calibration = capture.calibrate(pixels)
+    depth = None
     # Without --scale the picture lies on the grid of `lfrender render`, which the depth decides.
-    depth = capture.analyze(pixels, calibration) if at or stack or given.scale is None else None
+    if at or stack or given.scale is None:
+        depth = capture.analyze(pixels, calibration)
     with report.stage("render"), option_errors():
         from .. import focal_stack
         from .. import refocus as run
@@ -80,17 +84,20 @@ def refocus(capture: CaptureInput, given: Any) -> None:
         if len(sizes) > 1:
             pictures = focal_stack(pixels, calibration, sizes, **drawing)
         else:
-            one = sizes[0] if sizes else None
-            pictures = [run(pixels, calibration, one, position=at, **drawing)]
+            pictures = [run(pixels, calibration, *sizes, position=at, **drawing)]
         pictures = [_cut(picture, capture, calibration) for picture in pictures]
     settings = [
         {"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))
     ]
     paths, stated = capture.write(given, pictures, settings)
-    one_file = len(paths) == 1
-    what = f"{len(pictures)} depths" if len(pictures) > 1 else "in focus at one depth"
-    named = output if one_file else f"{paths[0]} to {paths[-1].name}"
-    found = {"picture": str(output)} if one_file else {"pictures": list(map(str, paths))}
+    what = "in focus at one depth"
+    if len(pictures) > 1:
+        what = f"{len(pictures)} depths"
+    found: dict[str, Any] = {"picture": str(output)}
+    named = str(output)
+    if len(paths) > 1:
+        found = {"pictures": list(map(str, paths))}
+        named = f"{paths[0]} to {paths[-1].name}"
     found |= {"patch_sizes": sizes, **figures.picture_figures(pictures[0])}
     report.finish(
         found | figures.capture_figures(calibration, depth),
@@ -104,7 +111,9 @@ def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) ->
     """The part of a picture that --roi asks for."""
     from ..output.views import crop_view
 
-    return picture if capture.roi is None else crop_view(picture, capture.roi, calibration.lattice)
+    if capture.roi is None:
+        return picture
+    return crop_view(picture, capture.roi, calibration.lattice)
 
 
 @capture_command(
@@ -182,7 +191,9 @@ def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
         return circle_offsets(given.animation, radius)
     if given.stereo:
         return [(-radius, 0.0), (radius, 0.0)]
-    rows, columns = (1, given.quilt[0] * given.quilt[1]) if given.quilt else given.grid or (5, 5)
+    if given.quilt:
+        return grid_offsets(1, given.quilt[0] * given.quilt[1], radius)
+    rows, columns = given.grid or _GRID
     return grid_offsets(rows, columns, radius)
 
 
@@ -206,7 +217,7 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
     elif given.suffix.startswith(".yuv"):
         check_raw_format(check_folder(output), given.suffix[1:])
     else:
-        rows, columns = given.grid or (5, 5)
+        rows, columns = given.grid or _GRID
         if given.poses:
             check_grid(output, ".png", None, inputs)
             check_posed_folder(output, given.poses, rows * columns)
@@ -225,10 +236,12 @@ def _draw_views(
     from ..output.views import resize_view, scale_for_size
 
     camera = flat_camera_depth[1]
-    size = given.resize
-    scale = given.scale if size is None else scale_for_size(camera, size)
+    scale = given.scale
+    if given.resize:
+        scale = scale_for_size(camera, given.resize)
     for picture in run(*flat_camera_depth, offsets=offsets, scale=scale):
-        picture = picture if size is None else resize_view(picture, size)
+        if given.resize:
+            picture = resize_view(picture, given.resize)
         picture = finish.apply(_cut(picture, capture, camera))
         given.settings.update(finish.entries)
         yield picture
@@ -258,7 +271,7 @@ def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering
     elif given.suffix.startswith(".yuv"):
         write_view_videos(output, pictures, given.suffix[1:])
     else:
-        write_grid(output, pictures, (given.grid or (5, 5))[1], given.suffix, **options)
+        write_grid(output, pictures, (given.grid or _GRID)[1], given.suffix, **options)
     return []
 
 
@@ -276,7 +289,7 @@ def _write_posed(
     from ..output.posed_files import write_posed_views
     from ..rendering.viewpoints import still_depth, views_with_depth
 
-    known = Optics.load(given.optics) if given.optics is not None else None
+    known = given.optics and Optics.load(given.optics)
     still = still_depth(depth)
     drawn = views_with_depth(
         pixels, calibration, depth, offsets=offsets, scale=given.scale, still=still

@@ -75,7 +75,9 @@ def volume(capture: CaptureInput, given: Any) -> None:
         if calibration is None:
             pixels, calibration = capture.calibrate(pixels)
             _check_white(capture, calibration, pixels)
-        target = output if one_file else output / f"{frame.name}.ome.tif"
+        target = output
+        if not one_file:
+            target /= f"{frame.name}.ome.tif"
         name = f"volume {number}"
         with report.stage("reconstruct"), report.progress(name) as step, option_errors():
             found = reconstruct_volume(
@@ -93,7 +95,9 @@ def volume(capture: CaptureInput, given: Any) -> None:
             found.save(target)
         written.append(str(target))
     assert found is not None and calibration is not None
-    where = written[0] if len(written) == 1 else f"{len(written)} volumes in {output}"
+    where = written[0]
+    if len(written) > 1:
+        where = f"{len(written)} volumes in {output}"
     about: dict[str, Any] = {
         "volume": written[0],
         "volumes": written,

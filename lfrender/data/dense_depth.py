@@ -18,7 +18,7 @@ from lfcal.runtime.output_file import atomic_write, check_output
 
 from ..runtime.types import AnyPath
 from .depth_map import DEPTH_ADVICE, DepthMap, default_scale
-from .rendering import Picture, PictureGrid, check_scale
+from .rendering import Picture, PictureGrid, check_scale, scene_points
 from .surface import edge_step, sample_surface_at
 
 __all__ = [
@@ -123,8 +123,7 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
 
 def dense_distance(dense: DenseDepth, optics: Optics) -> Singles:
     """(h, w) float32 [m]: distance in front of the main lens; NaN where nothing can be imaged."""
-    v, u = np.indices(dense.patch_size.shape)
-    points = np.stack([u, v, np.ones_like(u)], axis=-1) @ dense.affine.T
+    points = scene_points(dense.patch_size.shape, dense.affine)
     return optics.distance(dense.patch_size / dense.pitch, points).astype(np.float32)
 
 

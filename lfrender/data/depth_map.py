@@ -20,6 +20,7 @@ from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import html_card
 
+from ..runtime.messages import one_line
 from ..runtime.types import AnyPath, Size
 from .frame_state import FrameState, LocalMatch
 from .rendering import show_on_axes
@@ -32,6 +33,7 @@ __all__ = [
     "BINOCULAR",
     "DEPTH_ADVICE",
     "MODES",
+    "MOST",
     "REASONS",
     "TELESCOPIC",
     "UNRESOLVED",
@@ -39,6 +41,7 @@ __all__ = [
     "DepthMap",
     "check_depth",
     "default_scale",
+    "finite",
     "is_same_flat",
     "magnification_range",
     "sample_flat",
@@ -98,6 +101,14 @@ REASONS = (
 )
 #: Where a depth map comes from, for `check_type`.
 DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
+#: Percentiles between which the values of a scale lie: errors of single lenses do not widen it.
+MOST = (1, 99)
+# Patch sizes of more lenses than this share keep the resolution of the flat.
+_FULL_RESOLUTION = 0.98
+# Grey of unresolved places in plots, as in the maps of `lfrender.output.depth_picture`.
+_GREY = np.full(3, 150 / 255)
+# Least patch size whose magnification is shown [pitches].
+_LEAST_PATCH = 1e-3
 # Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
 # Least ratio between the ends of a scale of magnifications.
@@ -330,8 +341,7 @@ class DepthMap(Frozen):
         drawn = show_on_axes(
             ax, shown, first, last, "Magnification", interpolation="nearest", **look
         )
-        # Grey as in the maps of `lfrender.output.depth_picture`.
-        drawn.axes.set_facecolor(np.full(3, 150 / 255))
+        drawn.axes.set_facecolor(_GREY)
         label = "magnification M (grey: unresolved)"
         bar = drawn.figure.colorbar(drawn, ax=drawn.axes, label=label)
         ticks = np.geomspace(low, high, 5)
@@ -344,7 +354,8 @@ class DepthMap(Frozen):
 
         98 % of the values lie in the range.
         """
-        whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), 1e-3 * self.pitch)
+        least = _LEAST_PATCH * self.pitch
+        whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), least)
         low, high = magnification_range(whole)
         return np.clip(whole, low, high), low, high
 
@@ -356,7 +367,7 @@ class DepthMap(Frozen):
 
     def _repr_html_(self) -> str:
         figures = {}
-        known = self.magnification[np.isfinite(self.magnification)]
+        known = finite(self.magnification)
         if known.size:
             ends = f"{known.min():.2f} to {known.max():.2f}"
             figures["magnification"] = f"{ends}, median {np.median(known):.2f}"
@@ -416,8 +427,8 @@ class DepthMap(Frozen):
             ) from error
         # Damaged bytes can raise nearly any error in the readers of ZIP files and array headers.
         except Exception as error:
-            text = " ".join(str(error).split())[:200] or type(error).__name__
-            raise DepthFileError(f"{path}: not a whole depth file ({text}); {remedy}") from error
+            problem = f"not a whole depth file ({one_line(error)})"
+            raise DepthFileError(f"{path}: {problem}; {remedy}") from error
 
 
 def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
@@ -459,9 +470,14 @@ def _check_unpacked_size(stream: Any) -> None:
         raise ValueError(f"its {size / 1e6:.1f} MB would unpack to {unpacked / 1e6:,.0f} MB")
 
 
+def finite(values: Array) -> Array:
+    """The values that are known and not at infinity."""
+    return values[np.isfinite(values)]
+
+
 def magnification_range(magnification: Array) -> tuple[float, float]:
     """Ends of a scale that holds 98 % of these magnifications, at least a fifth wide."""
-    low, high = np.percentile(magnification, (1, 99))
+    low, high = np.percentile(magnification, MOST)
     return float(low), float(max(high, _NARROWEST_SCALE * low))
 
 
@@ -490,9 +506,9 @@ def default_scale(depth: DepthMap) -> float:
     True
     """
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
-    sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
+    sizes = np.abs(finite(depth.patch_size))
     if not sizes.size:
         return 1.0
-    spacing = depth.pitch / float(np.quantile(sizes.astype(float), 0.98))
+    spacing = depth.pitch / float(np.quantile(sizes.astype(float), _FULL_RESOLUTION))
     rounded = 2.0 ** (round(_SPACINGS_PER_OCTAVE * np.log2(spacing)) / _SPACINGS_PER_OCTAVE)
     return max(1.0, depth.pitch / rounded)

@@ -31,6 +31,7 @@ __all__ = [
     "convert_to_dtype",
     "finish_picture",
     "pixels_between",
+    "scene_points",
     "show_on_axes",
 ]
 
@@ -284,6 +285,13 @@ class Rendering(Picture, Frozen):
 
     def _repr_html_(self) -> str:
         return html_card(repr(self), {}, self.plot)
+
+
+def scene_points(shape: Size, affine: Floats) -> Floats:
+    """(h, w, 2) scene coordinates of the pixels of a picture of this shape (h, w)."""
+    v, u = np.indices(shape)
+    points: Floats = np.stack([u, v, np.ones_like(u)], -1) @ affine.T
+    return points
 
 
 def show_on_axes(ax: Any, image: Array, first: Array, last: Array, title: str, **look: Any) -> Any:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from data_synth import BoardShoot, Camera, Capture
 
 __all__ = [
+    "SENSOR_NOISE",
     "board",
     "cache_folder",
     "clutter",
@@ -36,6 +37,10 @@ __all__ = [
     "ramp",
     "slope",
 ]
+
+#: Noise of a pixel of the simulated sensors: full well, and standard deviation of reading
+#: [electrons].
+SENSOR_NOISE = (9000.0, 5.0)
 
 
 def cache_folder() -> Path:
@@ -71,8 +76,7 @@ def _scene(name: str, about: str) -> Callable[..., Capture]:
         recipe: dict[str, Any] = {"samples": samples, "seed": seed}
 
         def trace() -> Capture:
-            # Noise of a pixel: a full well of 9000 electrons, and 5 of them when it is read.
-            return simulate(SCENES[name](design, seed=seed), design, noise=(9000.0, 5.0), **recipe)
+            return simulate(SCENES[name](design, seed=seed), design, noise=SENSOR_NOISE, **recipe)
 
         sample: Capture = _cached(name, design, recipe, load_capture, trace)
         return sample

@@ -109,9 +109,10 @@ def analyze_large(
     )
     with show_progress(progress, "tiles") as step:
         depth = _analyze_tiles(flat, workers, list(tiles), step)
+    samples = None
     # Those of a colour filter mosaic are not those of the flat in colour.
-    raw = calibration.mosaic is not None and len(source.shape) == 2
-    samples = None if raw else sample_flat(source)
+    if calibration.mosaic is None or len(source.shape) == 3:
+        samples = sample_flat(source)
     depth = rescale_depth(depth, calibration.lattice, flat.factor, flat_samples=samples)
     return replace(depth, lens_blur=_find_lens_blur(reader, calibration, depth))
 
@@ -157,11 +158,8 @@ class _Flat:
 
     @cached_property
     def _gain(self) -> Any:
-        return (
-            self.reader.calibration.region_gain()
-            if uneven_lenses(self.reader.calibration)
-            else None
-        )
+        camera = self.reader.calibration
+        return camera.region_gain() if uneven_lenses(camera) else None
 
     def read(self, part: LensTile) -> Array:
         return self.reader.read_raw(part.rectangle)
@@ -203,7 +201,9 @@ def _analyze_tile(flat: _Flat, part: LensTile, pixels: Array) -> DepthMap:
     depth = estimate_lens_by_lens(
         gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview
     )
-    return locate_edges(gray, part.lattice, depth) if PRESETS[flat.preset].edges else depth
+    if PRESETS[flat.preset].edges:
+        depth = locate_edges(gray, part.lattice, depth)
+    return depth
 
 
 def _analyze_tiles(
@@ -250,11 +250,8 @@ def _paste(target: Singles, surface: Surface, part: LensTile, spacing: float, fi
     rows, columns = values.shape
     u, v = (np.rint(part.corner / spacing).astype(int) * finer).tolist()
     # The grid begins at the border of the first pixel, as the tiles do.
-    left, top = (int(np.ceil((at + 0.5) / spacing)) * finer for at in part.core[:2])
-    right, bottom = (
-        int(np.ceil((at + 0.5) / spacing)) * finer if np.isfinite(at) else count
-        for at, count in zip(part.core[2:], target.shape[::-1], strict=True)
-    )
+    cells = np.ceil((np.array(part.core) + 0.5) / spacing) * finer
+    left, top, right, bottom = np.minimum(cells, [np.inf, np.inf, *target.shape[::-1]]).astype(int)
     at_v = np.minimum(np.arange(top, bottom) - v, rows - 1)
     at_u = np.minimum(np.arange(left, right) - u, columns - 1)
     target[top:bottom, left:right] = values[at_v[:, None], at_u]

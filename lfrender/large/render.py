@@ -183,8 +183,11 @@ def render_large(
 
     def store(tile: tuple[int, tuple[Array, Booleans]]) -> None:
         number, (pixels, valid) = tile
-        pixels = pixels if reader.channels > 1 else pixels[:, :, 0]
-        writer.write(parts[number], with_alpha(pixels, valid) if alpha else pixels)
+        if reader.channels == 1:
+            pixels = pixels[:, :, 0]
+        if alpha:
+            pixels = with_alpha(pixels, valid)
+        writer.write(parts[number], pixels)
         done[str(number)] = int(np.count_nonzero(valid))
         checkpoint.keep("picture", key, done)
 

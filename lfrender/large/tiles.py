@@ -28,6 +28,13 @@ from ..runtime.types import Size
 
 __all__ = ["LensTile", "Rectangle", "TileReader", "lens_tiles", "lens_windows"]
 
+# Side of a window [pitches], and the least one [px].
+_WINDOW = 16
+_LEAST_WINDOW = 256
+# Bytes of a pixel that is analysed: grey, without shading, cut out, masks.
+_ANALYSED_BYTES = 20
+# Cells of the surface among which the start of a tile is chosen.
+_CELLS = 40
 #: `left, top, right, bottom` [px].
 Rectangle = tuple[int, int, int, int]
 
@@ -72,9 +79,10 @@ class TileReader:
         """(h, w, C) pixels of a part, the same as `check_flat` gives there; from those of
         `read_raw` if given.
         """
-        raw = self.read_raw(part) if raw is None else raw
+        if raw is None:
+            raw = self.read_raw(part)
         if not self._mosaic:
-            return raw if raw.ndim == 3 else raw[:, :, None]
+            return np.atleast_3d(raw)
         left, top, _, _ = self._widen(part)
         colour = demosaic(raw, self.calibration, (left, top))
         return np.ascontiguousarray(
@@ -141,12 +149,10 @@ class LensTile:
 
 
 def lens_windows(whole: Lattice, factor: int) -> Iterator[LensTile]:
-    """At most 6 x 6 windows of 16 pitches, evenly spread from border to border; lenses near their
-    borders are halo.
-    """
+    """At most 6 x 6 windows, evenly spread from border to border; lenses near borders are halo."""
     size = np.array(_reduced_size(whole, factor))
     pitch = whole.pitch / factor
-    side = int(max(16 * pitch, 256))
+    side = int(max(_WINDOW * pitch, _LEAST_WINDOW))
     counts = np.clip(size // side, 1, 6)
     spans = np.where(counts > 1, side, size)
     columns, rows = (
@@ -173,16 +179,15 @@ def lens_tiles(
     block = max(1, round(pitch / preset.search_pitch)) * preset.row_step
     # Shading is averaged over 4.2 pitches, the rest is for support.
     halo = int(np.ceil(8 * pitch))
-    # Pixels as read, of this tile and of the next one; then grey, without shading, cut out, masks.
-    bytes_each = 2 * pixel_bytes * factor**2 + 20
+    # Pixels as read, of this tile and of the next one; then as they are analysed.
+    bytes_each = 2 * pixel_bytes * factor**2 + _ANALYSED_BYTES
     side = max(2 * halo, int(np.sqrt(memory / bytes_each)) - 2 * halo)
     edges = [
         np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist()
         for length in size
     ]
-    spacing = grid_shape(whole if factor == 1 else whole.downscaled(factor), preset.surface_cells)[
-        2
-    ]
+    reduced = whole if factor == 1 else whole.downscaled(factor)
+    _, _, spacing = grid_shape(reduced, preset.surface_cells)
     for top, bottom in zip(edges[1], edges[1][1:], strict=False):
         for left, right in zip(edges[0], edges[0][1:], strict=False):
             low = [_align(max(0, at - halo), spacing, block) for at in (left, top)]
@@ -199,10 +204,8 @@ def _reduced_size(whole: Lattice, factor: int) -> Size:
 
 
 def _align(at: int, spacing: float, block: int) -> int:
-    """The pixel at or before `at` where a block begins and, of 40 cells, most nearly a cell of the
-    surface.
-    """
+    """The pixel at or before `at` where a block begins and, most nearly, a cell of the surface."""
     last = int(at / spacing)
-    starts = np.arange(max(0, last - 40), last + 1) * spacing
+    starts = np.arange(max(0, last - _CELLS), last + 1) * spacing
     pixels = np.rint(starts / block).astype(int) * block
     return int(pixels[np.abs(starts - pixels).argmin()])

@@ -13,6 +13,7 @@ from threading import Condition, Event, Thread
 
 from lfcal import LightFieldError
 
+from ..runtime.messages import one_line
 from .recording import Recorder
 from .sources import Shot
 
@@ -77,10 +78,10 @@ class Grabber:
                         break
             # Drivers raise errors of any kind when a camera is pulled out.
             except Exception as error:
-                text = " ".join(str(error).split()) or type(error).__name__
-                self.message = (
-                    text if isinstance(error, LightFieldError) else f"the camera fails: {text}"
-                )
+                text = one_line(error)
+                if not isinstance(error, LightFieldError):
+                    text = f"the camera fails: {text}"
+                self.message = text
                 self._stopped.wait(_AGAIN)
                 self._frames = self._open()
         self._frames.close()  # type: ignore[attr-defined]

@@ -82,10 +82,10 @@ class Recorder:
     @property
     def told(self) -> str:
         """The file, and how many frames are in it and were skipped."""
-        return (
-            f"{self.path}: {self.frames} "
-            f"frames{f', {self.skipped} skipped' if self.skipped else ''}"
-        )
+        told = f"{self.path}: {self.frames} frames"
+        if self.skipped:
+            told += f", {self.skipped} skipped"
+        return told
 
     def close(self) -> None:
         """Write what waits, and close the file."""
@@ -109,13 +109,14 @@ class Recorder:
             self.skipped += 1
             return
         when = datetime.fromtimestamp(shot.time, UTC).isoformat(timespec="microseconds")
-        text = {
+        text: dict[str, Any] = {
             "software": "lfrender",
             "frame": shot.number,
             "time": when,
             "camera_clock_ns": shot.ticks,
         }
-        text |= {} if self._about is None else {"recording": self._about}
+        if self._about is not None:
+            text["recording"] = self._about
         self._file.write(
             shot.pixels, contiguous=False, **tiff_tags(shot.pixels.shape, json.dumps(text), b"")
         )

@@ -6,11 +6,14 @@ slow browser gets fewer pictures and does not delay others.
 
 from __future__ import annotations
 
+from http.client import BAD_REQUEST, INTERNAL_SERVER_ERROR, NO_CONTENT, NOT_FOUND
+
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from lfcal import LightFieldError
 
+from ..runtime.messages import one_line
 from ..web.server import WebServer
 from ..web.templates import fill, read_asset
 from .session import COMMANDS, KINDS, Session
@@ -45,21 +48,22 @@ class LiveServer(WebServer):
         values = request.query_params
         kind = values.get("kind")
         if kind not in KINDS:
-            return JSONResponse({"message": f"kind is one of {', '.join(KINDS)}"}, 404)
+            message = f"kind is one of {', '.join(KINDS)}"
+            return JSONResponse({"message": message}, NOT_FOUND)
         try:
             after = int(values.get("after", 0))
             place = float(values.get("x", 0.5)), float(values.get("y", 0.5))
             if not all(0 <= share <= 1 for share in place):
                 raise ValueError("x and y are shares of width and height")
         except ValueError as error:
-            return JSONResponse({"message": str(error)}, 400)
+            return JSONResponse({"message": str(error)}, BAD_REQUEST)
         try:
             found = self._session.picture(kind, after, place)
         # An error of one picture, such as a place without depth, is shown, and the page goes on.
         except Exception as error:
-            return JSONResponse({"message": " ".join(str(error).split())}, 500)
+            return JSONResponse({"message": one_line(error)}, INTERNAL_SERVER_ERROR)
         if found is None:
-            return Response(status_code=204)
+            return Response(status_code=NO_CONTENT)
         view, data = found
         return Response(data, media_type="image/jpeg", headers={"X-Frame": str(view.shot.number)})
 
@@ -67,5 +71,5 @@ class LiveServer(WebServer):
         try:
             self._session.command(request.url.path[1:])
         except LightFieldError as error:
-            return JSONResponse({"message": str(error)}, 500)
+            return JSONResponse({"message": str(error)}, INTERNAL_SERVER_ERROR)
         return JSONResponse(self._session.status())

@@ -31,6 +31,7 @@ from ..rendering.refocus import refocus
 from ..rendering.render import render
 from ..rendering.traditional import find_depth_problem, traditional
 from ..runtime.choices import Preset
+from ..runtime.messages import one_line
 from .grabber import Grabber
 from .recording import Recorder
 from .sources import Shot
@@ -48,6 +49,13 @@ _STILL = 0.9
 # Number of references in a row before depth is analysed anew: changes smaller than the noise would
 # add up.
 _CHAIN = 30
+# Rows and columns of a frame from which its histogram is made, and levels of it.
+_SAMPLES = 500
+_LEVELS = 32
+# Of the JPEG files that pages get.
+_QUALITY = 90
+# [s] The thread looks so often whether it is to end.
+_PATIENCE = 0.2
 # Output pixels per pitch of the depth picture, which browsers enlarge: more would take longer than
 # the depth itself.
 _DEPTH_SCALE = 4.0
@@ -74,28 +82,30 @@ class View:
     def light(self) -> dict[str, Any]:
         """What the raw frame tells about exposure and focus.
 
-        Its pixels over 32 levels up to white, the share of those at white, and the sharpness of the
-        middle third: standard deviation of its Laplacian over its mean, which is largest in focus.
+        Its pixels over equal levels up to white, the share of those at white, and the sharpness of
+        the middle third: standard deviation of its Laplacian over its mean, largest in focus.
         """
         import cv2
 
         pixels = self.shot.pixels
-        top = white_of(
-            pixels, self.shot.white or (self.camera.white_level if self.camera else None)
-        )
+        top = white_of(pixels, self.white)
         height, width = pixels.shape[:2]
-        part = pixels[height // 3 : height - height // 3, width // 3 : width - width // 3].astype(
-            np.float32
-        )
-        grey = part if part.ndim == 2 else part.mean(2)
-        few = pixels[:: max(1, height // 500), :: max(1, width // 500)]
+        middle = np.s_[height // 3 : height - height // 3, width // 3 : width - width // 3]
+        grey = np.atleast_3d(pixels[middle]).mean(2, dtype=np.float32)
+        few = pixels[:: max(1, height // _SAMPLES), :: max(1, width // _SAMPLES)]
+        sharpness = cv2.Laplacian(grey, cv2.CV_32F).std() / max(float(grey.mean()), 1e-9)
         return {
-            "histogram": np.histogram(few, 32, (0, top))[0].tolist(),
+            "histogram": np.histogram(few, _LEVELS, (0, top))[0].tolist(),
             "clipped": float((few >= top).mean()),
-            "sharpness": float(
-                cv2.Laplacian(grey, cv2.CV_32F).std() / max(float(grey.mean()), 1e-9)
-            ),
+            "sharpness": float(sharpness),
         }
+
+    @property
+    def white(self) -> float | None:
+        """The white level that the source tells, or the camera."""
+        if self.shot.white is None and self.camera is not None:
+            return self.camera.white_level
+        return self.shot.white
 
     def has(self, kind: str) -> bool:
         """Whether the picture can be drawn; without a camera all are the raw frame."""
@@ -107,8 +117,7 @@ class View:
     def draw(self, kind: str, at: Place = (0.5, 0.5)) -> NDArray[Any]:
         """The picture with 8 bits; `at` is the place in focus, as shares of width and height."""
         if self.camera is None or kind == "raw":
-            white = self.camera.white_level if self.camera else None
-            return self.show(self.shot.pixels, self.shot.white or white)
+            return self.show(self.shot.pixels, self.white)
         if kind == "traditional":
             picture = traditional(self.flat, self.camera)
         elif kind == "depth":
@@ -137,10 +146,10 @@ class View:
             key = (kind, at if kind == "focus" else None)
             if key not in self.jpegs:
                 pixels = self.draw(kind, at)
-                pixels = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
-                self.jpegs[key] = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 90])[
-                    1
-                ].tobytes()
+                if pixels.ndim == 3:
+                    pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+                _, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+                self.jpegs[key] = data.tobytes()
             return self.jpegs[key]
 
 
@@ -286,7 +295,7 @@ class Session:
 
     def _run(self) -> None:
         while not self._stopped.is_set():
-            shot = self.grabber.take(0.2)
+            shot = self.grabber.take(_PATIENCE)
             if shot is None:
                 if self.view is None or all(map(self.view.has, filter(self._watched, KINDS))):
                     continue
@@ -297,10 +306,8 @@ class Session:
                 self.message = self._analyze(view)
             # An error of one frame, such as its size, is shown, and the next frame is tried.
             except Exception as error:
-                self.message, view.camera = (
-                    " ".join(str(error).split()) or type(error).__name__,
-                    None,
-                )
+                self.message = one_line(error)
+                view.camera = None
             with self._published:
                 self.view = view
                 self._published.notify_all()
@@ -316,15 +323,13 @@ class Session:
         self._gain = exposure_gain(shot.pixels, white, self._exposure)
         # A camera that is given tells nothing but the rotation: this frame need not be its white
         # image.
-        found = assess(
-            shot.pixels,
-            calibration=replace(camera, source="scene") if self._given else camera,
-            white_level=shot.white,
-        ).findings
+        if self._given:
+            camera = replace(camera, source="scene")
+        found = assess(shot.pixels, calibration=camera, white_level=shot.white).findings
         self.findings = [
             f"{name}: {finding}" for name, finding in found.items() if finding.measured
         ]
-        return camera
+        return self.camera
 
     def _analyze(self, view: View) -> str:
         """Find the camera, depth and pictures that somebody watches; return a message."""

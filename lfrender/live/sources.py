@@ -37,6 +37,10 @@ _MOST_KEPT = 1 << 29
 _FORMAT = re.compile(r"(Mono|Bayer(?:RG|BG|GR|GB)|RGBa?|BGRa?)(8|10|12|14|16)(p|Packed)?")
 
 
+# Channels of pixels in colour, in the order red, green, blue.
+_ORDERS = {"RGB": [0, 1, 2], "BGR": [2, 1, 0]}
+
+
 class SourceError(LightFieldError, OSError):
     """A source of live frames cannot be opened, or gives no more frames."""
 
@@ -96,7 +100,9 @@ def _play_files(path: Path, rate: float | None) -> Iterator[Shot]:
                 error = wrong
                 continue
             if kept is not None and not complete:
-                kept = [*kept, pixels] if (len(kept) + 1) * pixels.nbytes <= _MOST_KEPT else None
+                kept.append(pixels)
+                if len(kept) * pixels.nbytes > _MOST_KEPT:
+                    kept = None
             time.sleep(max(0.0, due - time.monotonic()))
             due = max(due + step, time.monotonic())
             yield Shot(pixels, lost=lost)
@@ -135,11 +141,9 @@ def _read_opencv(name: str) -> Iterator[Shot]:
             good, frame = device.read()
             if not good:
                 raise SourceError(f"{name}: gives no more frames")
-            yield Shot(
-                np.ascontiguousarray(
-                    frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
-                )
-            )
+            if frame.ndim == 3:
+                frame = cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+            yield Shot(np.ascontiguousarray(frame))
     finally:
         device.release()
 
@@ -162,34 +166,32 @@ def to_flat(name: str, data: NDArray[Any], width: int, height: int) -> Shot:
             part.astype(np.uint16) for part in data[: width * height * 3 // 2].reshape(-1, 3).T
         )
         # PFNC has the low bits first, GigE Vision 1 ("Packed") the high ones.
-        one = first | (middle & 15) << 8 if packed == "p" else first << 4 | middle & 15
+        low = middle & 0xF
+        one = first << 4 | low
+        if packed == "p":
+            one = first | low << 8
         values = np.stack([one, last << 4 | middle >> 4], 1).ravel()
     else:
         values = data.view(np.uint8).view(np.uint8 if bits == "8" else "<u2")
-    channels = len(colours) if colours[0] in "RB" and colours[1] == "G" else 1
+    order = _ORDERS.get(colours[:3], [0])
+    channels = len(colours) if len(order) > 1 else 1
     pixels = values[: width * height * channels].reshape((height, width, channels))
-    if channels > 1:
-        pixels = pixels[:, :, 2::-1] if colours[0] == "B" else pixels[:, :, :3]
     filters = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}.get(
         colours.removeprefix("Bayer")
     )
     white = None if bits in ("8", "16") else float(2 ** int(bits) - 1)
-    return Shot(
-        np.array(pixels if channels > 1 else pixels[:, :, 0], order="C"),
-        filters,
-        white,
-        encoded=False,
-    )
+    return Shot(np.array(pixels[:, :, order].squeeze(), order="C"), filters, white, encoded=False)
 
 
 def _counted(shot: Shot, number: int, before: int | None, ticks: int | None) -> Shot:
     """A frame with the number of those that are missing between its number and that of the one
     `before`.
     """
+    lost = 0
     # Numbers of GigE Vision 1 begin again after 65535.
-    return replace(
-        shot, lost=number - before - 1 if before is not None and number > before else 0, ticks=ticks
-    )
+    if before is not None and number > before:
+        lost = number - before - 1
+    return replace(shot, lost=lost, ticks=ticks)
 
 
 def _read_gentl(name: str, pixel_format: str | None) -> Iterator[Shot]:

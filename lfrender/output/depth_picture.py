@@ -11,13 +11,15 @@ from lfcal import Lattice
 from lfcal.runtime.arrays import Array
 
 from ..data.dense_depth import dense_depth
-from ..data.depth_map import DepthMap, default_scale, magnification_range
-from ..data.rendering import Rendering
+from ..data.depth_map import DepthMap, default_scale, finite, magnification_range
+from ..data.rendering import Rendering, scene_points
 from ..flat.lens_graph import nearest_lens
 from ..runtime.types import Size
 
 __all__ = ["MODE_COLOURS", "colour_scale", "depth_picture", "lens_maps", "magnification_limits"]
 
+# Ends of the scale of a depth map without depth.
+_LIMITS_OF_NONE = (1.0, 10.0)
 #: Colours of the modes, which colour-blind eyes can tell apart too.
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 
@@ -40,8 +42,10 @@ def depth_picture(
 
 def magnification_limits(magnification: Array) -> tuple[float, float]:
     """Ends of a scale of M that holds 98 % of the lenses with a finite one."""
-    known = magnification[np.isfinite(magnification)]
-    return magnification_range(known) if known.size else (1.0, 10.0)
+    known = finite(magnification)
+    if not known.size:
+        return _LIMITS_OF_NONE
+    return magnification_range(known)
 
 
 def colour_scale(name: Literal["turbo", "viridis"]) -> NDArray[np.uint8]:
@@ -63,16 +67,12 @@ def lens_maps(
     where unresolved; confidence is dark for 0 and light for 1. `affine` (2, 3) leads from pixel to
     scene coordinates.
     """
-    v, u = np.indices(shape)
-    points = (
-        np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ np.asarray(affine, dtype=float).T
-    )
-    lens = nearest_lens(lattice, points).reshape(shape)
+    points = scene_points(shape, np.asarray(affine, np.float64))
+    lens = nearest_lens(lattice, points.reshape(-1, 2)).reshape(shape)
+    limits = magnification_limits(depth.magnification)
     confidence = np.rint(255 * np.clip(np.nan_to_num(depth.confidence), 0, 1)).astype(np.uint8)
     return {
-        "magnification": _colours(depth.magnification, *magnification_limits(depth.magnification))[
-            lens
-        ],
+        "magnification": _colours(depth.magnification, *limits)[lens],
         "modes": np.array([MODE_COLOURS[code] for code in (0, 1, -1)], np.uint8)[depth.mode][lens],
         "confidence": colour_scale("viridis")[confidence][lens],
     }

@@ -46,6 +46,16 @@ __all__ = [
 
 #: Side of the tiles of compressed TIFFs [px].
 TIFF_TILE = 256
+# Tag of the colour profile in a TIFF.
+_ICC = 34675
+# Tags of width and height of the flat, which are not those of the picture (TIFF, EXIF).
+_SIZE_TAGS = (0x0100, 0x0101, 0xA002, 0xA003)
+# Quality of JPEG and WebP: errors of two grey levels.
+_QUALITY = 95
+# Signature and first chunk (IHDR) of a PNG file [bytes]; other chunks stand behind them.
+_PNG_HEAD = 33
+# Bytes of pixels that plain TIFF holds: it counts with 32 bits, and needs room for its tags.
+_TIFF_BYTES = 2**32 - 2**25
 # Largest sides of the chunks of OME-Zarr: all channels, one plane of a volume, 512 x 512 pixels.
 _CHUNKS = {"c": 4, "z": 1, "y": 512, "x": 512}
 
@@ -79,6 +89,7 @@ def read_metadata(path: AnyPath) -> EmbeddedMetadata:
     """
     import tifffile
     from PIL import Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
+    from PIL.ExifTags import IFD
 
     suffix = Path(path).suffix.lower()
     # The formats' own classes: Image.open refuses sensors above 179 megapixels.
@@ -89,20 +100,17 @@ def read_metadata(path: AnyPath) -> EmbeddedMetadata:
     try:
         if suffix in (".tif", ".tiff"):
             with tifffile.TiffFile(path) as tiff:
-                tag = tiff.pages[0].tags.get("InterColorProfile")  # type: ignore[union-attr]
-                return EmbeddedMetadata(b"" if tag is None else bytes(tag.value))
+                return EmbeddedMetadata(bytes(tiff.pages.first.tags.valueof(_ICC, b"")))
         with readers.get(suffix, JpegImagePlugin.JpegImageFile)(str(path)) as image:
+            exif = Image.Exif()
             # Looking for EXIF data behind the pixels of a PNG file would decode them.
-            exif = (
-                Image.Exif() if suffix == ".png" and "exif" not in image.info else image.getexif()
-            )
-            # Width and height of the flat, which are not those of the picture.
-            for tag in (0x0100, 0x0101, 0xA002, 0xA003):
+            if suffix != ".png" or "exif" in image.info:
+                exif = image.getexif()
+            for tag in _SIZE_TAGS:
                 exif.pop(tag, None)
-                exif.get_ifd(0x8769).pop(tag, None)
-            return EmbeddedMetadata(
-                image.info.get("icc_profile") or b"", exif.tobytes() if len(exif) else b""
-            )
+                exif.get_ifd(IFD.Exif).pop(tag, None)
+            data = exif.tobytes() if len(exif) else b""
+            return EmbeddedMetadata(image.info.get("icc_profile") or b"", data)
     # Readers raise errors of any kind on damaged data; the pixels matter more.
     except Exception:
         return EmbeddedMetadata()
@@ -126,7 +134,7 @@ class PictureFormat:
     package: str = ""  # that is needed ...
     extra: str = ""  # ... and the extra of lfrender that installs it
 
-    def reduces(self, pixel_type: str | None) -> bool:
+    def reduces(self, pixel_type: str) -> bool:
         """Whether it holds 8 bits a channel in the place of pixels of this type."""
         return (
             pixel_type in _ALL
@@ -154,9 +162,10 @@ def check_format(
     check_output(path, suffixes, inputs)
     suffix = Path(path).suffix.lower()
     kind = FORMATS[suffix]
-    name = None if dtype is None else np.dtype(dtype).name
-    if name not in (None, *kind.pixel_types) and not kind.reduces(name):
-        raise PictureError(f"{path}: {suffix} cannot hold {name} pixels; use .tif")
+    if dtype is not None:
+        name = np.dtype(dtype).name
+        if name not in kind.pixel_types and not kind.reduces(name):
+            raise PictureError(f"{path}: {suffix} cannot hold {name} pixels; use .tif")
     if alpha and not kind.alpha:
         raise PictureError(f"{path}: {suffix} cannot hold an alpha channel; use .png or .tif")
     check_package(path, kind)
@@ -223,8 +232,7 @@ def tiff_tiles(dtype: Any) -> dict[str, Any]:
 def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool) -> None:
     import tifffile
 
-    # Plain TIFF counts bytes with 32 bits; 32 MB are left for what stands beside the pixels.
-    big = sum(pixels.nbytes for pixels, _ in pages) > 2**32 - 2**25
+    big = sum(pixels.nbytes for pixels, _ in pages) > _TIFF_BYTES
     ome = is_ome_name(path)
     with tifffile.TiffWriter(path, bigtiff=big, ome=ome) as tiff:
         for pixels, text in pages:
@@ -267,15 +275,14 @@ def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compr
         data = cv2.imencode(".png", pixels)[1].tobytes()
     except cv2.error as error:
         raise PictureError(f"{path}: cannot be written as .png ({error.err or error})") from error
-    # Chunks stand behind the signature and the header.
-    written = [data[:33]]
+    written = [data[:_PNG_HEAD]]
     if embedded.icc:
         profile = b"ICC profile\0\0" + zlib.compress(embedded.icc)
         written.append(_png_chunk(b"iCCP", profile))
     written.append(_png_chunk(b"tEXt", b"Description\0" + text.encode("ascii")))
     if embedded.exif:
         written.append(_png_chunk(b"eXIf", embedded.exif.removeprefix(b"Exif\0\0")))
-    path.write_bytes(b"".join([*written, data[33:]]))
+    path.write_bytes(b"".join([*written, data[_PNG_HEAD:]]))
 
 
 def _png_chunk(kind: bytes, body: bytes) -> bytes:
@@ -297,7 +304,7 @@ def _write_small(
     if path.suffix.lower() != ".webp":
         more["comment"] = text.encode("ascii")
     try:
-        Image.fromarray(_in_colour(pixels)).save(path, quality=95, **more)
+        Image.fromarray(_in_colour(pixels)).save(path, quality=_QUALITY, **more)
     except (OSError, ValueError) as error:
         size = f"{pixels.shape[1]} x {pixels.shape[0]} px"
         raise PictureError(

@@ -20,6 +20,7 @@ from lfcal.runtime.arrays import (
     brighten,
     exposure_gain,
     to_eight_bits,
+    white_of,
 )
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, refuse_leftovers
@@ -181,23 +182,23 @@ class Brightness:
 
 def default_exposure(path: AnyPath) -> Exposure | None:
     """`"auto"` for formats that are made to be looked at, None (no gain) for all others."""
-    return (
-        "auto" if Path(path).suffix.lower() in (".jpg", ".jpeg", ".webp", ".gif", ".mp4") else None
-    )
+    if Path(path).suffix.lower() in (".jpg", ".jpeg", ".webp", ".gif", ".mp4"):
+        return "auto"
+    return None
 
 
 def describe(affine: Floats | None, settings: Mapping[str, Any] | None) -> str:
     """The JSON text of a picture."""
-    known = {} if affine is None else {"affine": affine.tolist()}
-    return json.dumps({"software": "lfrender"} | known | dict(settings or {}))
+    entries: dict[str, Any] = {"software": "lfrender"}
+    if affine is not None:
+        entries["affine"] = affine.tolist()
+    return json.dumps(entries | dict(settings or {}))
 
 
 def with_alpha(pixels: Array, valid: Booleans) -> Array:
     """`pixels` with `valid` as one more channel."""
-    opaque = 1.0 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
-    return np.dstack(
-        [pixels, np.where(np.broadcast_to(valid, pixels.shape[:2]), opaque, 0).astype(pixels.dtype)]
-    )
+    opaque = np.asarray(white_of(pixels), pixels.dtype)
+    return np.dstack([pixels, opaque * np.broadcast_to(valid, pixels.shape[:2])])
 
 
 def _page(
@@ -211,12 +212,14 @@ def _page(
     if isinstance(picture, Rendering):
         picture = brightness.apply(picture)
         settings = {**(settings or {}), **brightness.entries}
-    picture = eight_bits(picture) if needs_eight_bits(path, picture) else picture
+    if needs_eight_bits(path, picture):
+        picture = eight_bits(picture)
     pixels = np.asarray(getattr(picture, "image", picture))
     if pixels.shape[2:] not in ((), (3,)) or pixels.ndim < 2 or not pixels.size:
         raise PictureError(f"{path}: a picture has shape (h, w) or (h, w, 3), got {pixels.shape}")
     check_format(path, "picture", dtype=pixels.dtype, alpha=alpha)
-    pixels = with_alpha(pixels, np.asarray(getattr(picture, "valid", True))) if alpha else pixels
+    if alpha:
+        pixels = with_alpha(pixels, np.asarray(getattr(picture, "valid", True)))
     return pixels, describe(getattr(picture, "affine", None), settings)
 
 

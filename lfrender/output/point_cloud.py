@@ -14,6 +14,7 @@ from lfcal.runtime.output_file import atomic_write, check_output
 
 from ..data.dense_depth import DenseDepth, dense_depth
 from ..data.depth_map import DepthMap, check_depth
+from ..data.rendering import scene_points
 from ..data.surface import edge_step
 from ..rendering.render import render
 from ..runtime.types import AnyPath
@@ -26,6 +27,8 @@ MESH_SUFFIXES = (".glb", ".ply")
 _POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
 )
+# Largest virtual depth [pitches]: it has a pole where the patch size is 0.
+_FARTHEST = 50
 # What coordinates are, not in metres and in metres.
 _AXES = (
     "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s",
@@ -118,7 +121,8 @@ def mesh(
     dense, places, metres = _places(calibration, depth, optics, points_per_pitch)
     picture = render(flat, calibration, depth)
     height, width = picture.valid.shape
-    pixels = (_scene(dense) - picture.affine[:, 2]) / np.diag(picture.affine)
+    scene = scene_points(dense.patch_size.shape, dense.affine)
+    pixels = (scene - picture.affine[:, 2]) / np.diag(picture.affine)
     u, v = np.moveaxis(np.rint(pixels).astype(int).clip(0, (width - 1, height - 1)), -1, 0)
     known = (picture.valid[v, u] & np.isfinite(places).all(-1)).ravel()
     number = np.arange(known.size).reshape(dense.patch_size.shape)
@@ -153,23 +157,15 @@ def _places(
     check_depth(depth, calibration)
     optics = optics or calibration.optics
     dense = dense_depth(depth, min(points_per_pitch, depth.pitch))
-    scene = _scene(dense)
+    scene = scene_points(dense.patch_size.shape, dense.affine)
     size = dense.patch_size.astype(np.float64)
     pitch = depth.pitch
-    # Virtual depth has a pole at s = 0.
-    size[~dense.resolved | (np.abs(size) * 50 < pitch)] = np.nan
+    size[~dense.resolved | (np.abs(size) * _FARTHEST < pitch)] = np.nan
     if optics is None:
         return dense, np.dstack([scene / pitch, pitch / size]), False
     middle = (np.array(depth.image_size) - 1) / 2
     found = optics.positions(scene.reshape(-1, 2), size.ravel() / pitch, middle)
     return dense, found.reshape(*size.shape, 3), True
-
-
-def _scene(dense: DenseDepth) -> Floats:
-    """(h, w, 2) scene coordinates of pixels."""
-    v, u = np.indices(dense.patch_size.shape)
-    scene: Floats = np.stack([u, v, np.ones_like(u)], -1) @ dense.affine.T
-    return scene
 
 
 def write_points(path: AnyPath, points: Array, metres: bool = False) -> None:

@@ -21,7 +21,7 @@ from lfcal.runtime.arrays import Array, Booleans, Floats, Singles, to_eight_bits
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthMap
-from ..data.rendering import Rendering
+from ..data.rendering import Rendering, scene_points
 from ..runtime.choices import PoseFormat
 from ..runtime.types import AnyPath
 from .picture import write_picture
@@ -31,6 +31,11 @@ from .raw_video import check_raw_format, frame_bytes, yuv_frame
 __all__ = ["POSE_FORMATS", "check_posed_folder", "write_posed_views"]
 
 _VIEW_FILES = r"view_\d{3,}\..+"
+# Share of the pixels whose depth, mostly wrong, lies beyond the range of disparities; and by how
+# much of itself the range is widened, so that its ends are not rounded away.
+_RARE = 1e-3
+# Colour differences of no colour, of 16 bits.
+_GREY = 0x8000
 # Names of the masks, as each program looks for them.
 _MASK_NAMES = {"nerfstudio": "{}.png", "colmap": "{}.png.png"}
 
@@ -107,8 +112,7 @@ def write_posed_views(
     affine = drawn[0][0].affine
     shape = drawn[0][1].shape
     rig = view_rig(calibration, depth, offsets, affine, shape[::-1], still, optics)
-    v, u = np.indices(shape)
-    places = np.stack([u, v, np.ones_like(u)], -1) @ affine.T
+    places = scene_points(shape, affine)
     for number, ((picture, sizes), offset) in enumerate(zip(drawn, offsets, strict=True)):
         distance = rig.depth(number, sizes, places + np.array(offset) * (depth.pitch / still))
         known = picture.valid & np.isfinite(distance) & (distance > 0)
@@ -127,14 +131,12 @@ def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
         (float(view.depth[view.known].max()) for view in views if view.known.any()), default=1.0
     )
     # Millimetres where 16 bits hold that.
-    step = max(1e-3, largest / 65000)
+    step = max(1e-3, largest / 65535)
     exact = ".tif" if find_spec("OpenEXR") is None else ".exr"
     for name, picture, depth, _, known, _ in views:
-        shown = (
-            picture.image
-            if picture.image.dtype.kind == "u"
-            else to_eight_bits(picture.image, picture.white)
-        )
+        shown = picture.image
+        if shown.dtype.kind != "u":
+            shown = to_eight_bits(shown, picture.white)
         write_picture(images / f"{name}.png", shown)
         write_picture(masks / mask.format(name), picture.valid.astype(np.uint8) * np.uint8(255))
         whole = np.rint(np.minimum(np.where(known, depth / step, 0), 65535)).astype(np.uint16)
@@ -157,15 +159,15 @@ def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
     for name, _, _, camera, _, centre in views:
         x, y, z = camera.position.tolist()
-        files = {"file_path": "images", "depth_file_path": "depth", "mask_path": "masks"}
-        lens = dict(
-            zip(names, (*camera.focal, *centre, *camera.size, *camera.distortion), strict=True)
-        )
-        pose = [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]]
+        lens = (*camera.focal, *centre, *camera.size, *camera.distortion)
         frames.append(
-            {kind: f"{place}/{name}.png" for kind, place in files.items()}
-            | lens
-            | {"transform_matrix": pose}
+            {
+                "file_path": f"images/{name}.png",
+                "depth_file_path": f"depth/{name}.png",
+                "mask_path": f"masks/{name}.png",
+                **dict(zip(names, lens, strict=True)),
+                "transform_matrix": [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]],
+            }
         )
     model = {
         "camera_model": "OPENCV",
@@ -297,12 +299,14 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     for number, (_, picture, depth, camera, known, centre) in enumerate(views):
         texture = yuv_frame(picture.image, "yuv420p10", picture.white)
         width, height, (x, y, z) = texture.width, texture.height, camera.position.tolist()
-        near, far = np.quantile(depth[known], (0, 0.999)).tolist() if known.any() else (1.0, 2.0)
-        near = 0.999 * near
-        far = 1.001 * far
+        near, far = (1.0, 2.0)
+        if known.any():
+            near, far = np.quantile(depth[known], (0, 1 - _RARE)).tolist()
+        near *= 1 - _RARE
+        far *= 1 + _RARE
         disparity = (1 / np.where(known, depth, far) - 1 / far) / (1 / near - 1 / far)
         whole = np.rint(np.clip(disparity, 0, 1) * 65535).astype("<u2")[:height, :width]
-        grey = np.full(width * height // 2, 0x8000, "<u2")
+        grey = np.full(width * height // 2, _GREY, "<u2")
         planes = {
             "texture": (10, frame_bytes(texture)),
             "depth": (16, whole.tobytes() + grey.tobytes()),
@@ -313,15 +317,17 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
             with atomic_write(path) as temporary:
                 temporary.write_bytes(data)
         cameras.append(
-            {"Name": f"v{number:02d}", "Position": [z, -x, -y], "Rotation": [0.0, 0.0, 0.0]}
-            | {
+            {
+                "Name": f"v{number:02d}",
+                "Position": [z, -x, -y],
+                "Rotation": [0.0, 0.0, 0.0],
                 "Depthmap": 1,
                 "Background": 0,
                 "Depth_range": [near, far],
                 "Resolution": [width, height],
-            }
-            | {"Projection": "Perspective", "Focal": list(camera.focal), "Principle_point": centre}
-            | {
+                "Projection": "Perspective",
+                "Focal": camera.focal,
+                "Principle_point": centre,
                 "BitDepthColor": 10,
                 "BitDepthDepth": 16,
                 "ColorSpace": "YUV420",
@@ -329,15 +335,15 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
             }
         )
     refuse_leftovers(folder, r"v\d{2,}_(texture|depth)_.+\.yuv", written)
-    about = {"Converted_by": "lfrender", "Unit": rig.unit}
     model = {
         "Version": "2.0",
         "Content_name": folder.name,
         "Fps": 1,
         "Frames_number": 1,
-        "Informative": about,
+        "Informative": {"Converted_by": "lfrender", "Unit": rig.unit},
+        "cameras": cameras,
     }
-    _write_text(folder / "cameras.json", json.dumps(model | {"cameras": cameras}, indent=1))
+    _write_text(folder / "cameras.json", json.dumps(model, indent=1))
 
 
 #: Writers by the name of the program.

@@ -18,11 +18,20 @@ from numpy.typing import ArrayLike
 from lfcal import Calibration, Optics
 from lfcal.runtime.arrays import Array, Floats, Frozen, Singles
 
-from ..data.depth_map import DepthMap, check_depth
+from ..data.depth_map import MOST, DepthMap, check_depth
 from ..rendering.warped_surface import virtual_depth
 from ..runtime.types import Size
 
 __all__ = ["ViewCamera", "ViewRig", "view_rig"]
+
+# Without optics, infinity lies behind the scene by this share of its range of virtual depth, which
+# is at least so many pitches: nearer, the far end of the scene would be stretched most.
+_BEYOND = 0.25
+_LEAST_DEPTH = 0.1
+# Places on each axis of the flat, and the shares of its sides and of the depths between which they
+# lie, to which the camera of each view is fitted.
+_PLACES = 9
+_INNER = (0.02, 0.98)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,22 +151,23 @@ def view_rig(
         """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the
         microlens plane.
         """
-        pairs, (fx, fy) = (
-            zip(aside, ((centres - moved - affine[:, 2]) / step).tolist(), strict=True),
-            focal / step,
-        )
+        fx, fy = focal / step
+        points = (centres - moved - affine[:, 2]) / step
         return tuple(
-            ViewCamera(np.array([*place, 0.0]), (fx, fy), (x, y), size) for place, (x, y) in pairs
+            ViewCamera(np.array([*place, 0.0]), (fx, fy), (x, y), size)
+            for place, (x, y) in zip(aside, points.tolist(), strict=True)
         )
 
     if optics is None:
         # In units of the baseline: the focal length is the longer side, infinity a little behind
         # the scene, where `D / s = beyond` is drawn at X + q beyond.
-        near, far = (float(v) for v in np.quantile(virtual, (0.01, 0.99)))
-        beyond = far + 0.25 * max(far - near, 0.1)
+        near, far = np.percentile(virtual, MOST).tolist()
+        beyond = far + _BEYOND * max(far - near, _LEAST_DEPTH)
         focal = float(max(depth.image_size))
         gaps = np.linalg.norm(where[:, None] - where, axis=-1)
-        unit = float(gaps[gaps > 0].min()) if (gaps > 0).any() else 1.0
+        unit = float(gaps[gaps > 0].min(initial=np.inf))
+        if np.isinf(unit):
+            unit = 1.0
 
         def chosen_distance(_view: int, depths: Floats, _places: Floats) -> Floats:
             with np.errstate(divide="ignore"):
@@ -181,10 +191,10 @@ def view_rig(
     error = 0.0
     if any((*lens.radial, *lens.tangential, *lens.tilt, lens.curvature, lens.pupil)):
         # Optics with distortion, tilt, curvature or a pupil: the cameras that come nearest.
-        sides = [np.linspace(0.02, 0.98, 9) * side for side in depth.image_size]
-        x, y, v = (
-            axis.ravel() for axis in np.meshgrid(*sides, np.quantile(virtual, (0.02, 0.5, 0.98)))
-        )
+        sides = [np.linspace(*_INNER, _PLACES) * side for side in depth.image_size]
+        low, high = _INNER
+        depths = np.quantile(virtual, (low, 0.5, high))
+        x, y, v = (axis.ravel() for axis in np.meshgrid(*sides, depths))
         scene = np.column_stack([x, y])
         points = lens.positions(scene, 1 / v.astype(np.float64), middle)
         known = np.isfinite(points).all(1)

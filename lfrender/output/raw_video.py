@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lfcal.runtime.arrays import Array
+from lfcal.runtime.arrays import Array, white_of
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 from lfcal.runtime.video import convert_frame, parse_pixel_format
 
@@ -21,6 +21,9 @@ from ..runtime.types import AnyPath
 from .formats import FORMATS, PictureError, check_package
 
 __all__ = ["check_raw_format", "frame_bytes", "view_name", "write_view_videos", "yuv_frame"]
+
+# White of 16 bits in FFmpeg, which counts them as 8 bits times 256, both ways.
+_WHITE = 0xFF00
 
 
 def check_raw_format(folder: AnyPath, pixel_format: str) -> str:
@@ -56,14 +59,16 @@ def yuv_frame(pixels: Array, pixel_format: str, white: float | None = None, **co
 
     name, subsampling, _ = parse_pixel_format(pixel_format)
     height, width = pixels.shape[:2]
-    height -= height % 2 if subsampling == "420" and height > 1 else 0
-    width -= width % 2 if subsampling in ("420", "422") and width > 1 else 0
+    if subsampling == "420":
+        height = max(height - height % 2, 1)
+    if subsampling in ("420", "422"):
+        width = max(width - width % 2, 1)
     pixels = pixels[:height, :width]
     if pixels.dtype != np.uint8 or white not in (None, 255):
-        full = 1.0 if pixels.dtype.kind == "f" else white or np.iinfo(pixels.dtype).max
+        full = white_of(pixels, white)
         if pixels.dtype != np.uint16 or full != 65535:
-            # FFmpeg counts 16 bits as 8 bits times 256, both ways.
-            pixels = np.rint(np.clip(np.nan_to_num(pixels) / full, 0, 1) * 0xFF00).astype(np.uint16)
+            share = np.clip(np.nan_to_num(pixels) / full, 0, 1)
+            pixels = np.rint(share * _WHITE).astype(np.uint16)
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[..., None], 3, 2)
     frame = VideoFrame.from_ndarray(

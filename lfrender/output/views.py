@@ -34,6 +34,8 @@ __all__ = [
 
 #: How long an animation shows a picture.
 MILLISECONDS = 80
+# Of animated WebP.
+_QUALITY = 90
 # Names of the files of a grid, as a regular expression.
 _GRID_FILES = r"row\d+_column\d+\.\w+"
 
@@ -150,7 +152,9 @@ def resize_view(picture: Rendering, size: Size) -> Rendering:
     import cv2
 
     across, down = np.divide(picture.valid.shape[::-1], size).tolist()
-    method = cv2.INTER_AREA if min(across, down) >= 1 else cv2.INTER_CUBIC
+    method = cv2.INTER_CUBIC
+    if min(across, down) >= 1:
+        method = cv2.INTER_AREA
     image = cv2.resize(picture.image, size, interpolation=method)
     valid = cv2.resize(
         picture.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST
@@ -228,10 +232,12 @@ def write_animation(
     if not frames:
         raise PictureError(f"{path}: an animation needs at least one picture")
     suffix = Path(path).suffix.lower()
-    options: dict[str, Any] = {"lossless": False, "quality": 90} if suffix == ".webp" else {}
+    options: dict[str, Any] = {}
+    if suffix == ".webp":
+        options = {"lossless": False, "quality": _QUALITY}
     if suffix == ".gif":
         # All frames share one palette: with a palette each, colours would flicker.
-        palette = frames[0].convert("RGB").quantize(256)
+        palette = frames[0].convert("RGB").quantize()
         frames = [frame.convert("RGB").quantize(palette=palette) for frame in frames]
     options |= {"save_all": True, "append_images": frames[1:], "duration": milliseconds, "loop": 0}
     with atomic_write(path) as temporary:

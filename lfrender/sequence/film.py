@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from lfcal import Calibration, OutputError
 from lfcal.runtime.errors import check_type
+from lfcal.runtime.progress import Progress, show_progress
 
 from ..output.formats import check_format
 from ..output.picture import default_exposure
@@ -25,10 +26,10 @@ from .run import FrameResult, Run, render_group
 from .run_folder import RunFolder, load_camera
 from .workers import Workers
 
-__all__ = ["Plan", "render_film", "render_frames"]
+__all__ = ["DEFAULT_RATE", "Plan", "render_film", "render_frames"]
 
-# Frames per second of films whose frames have no rate.
-_DEFAULT_RATE = 25
+#: Frames per second of films whose frames have no rate.
+DEFAULT_RATE = 25
 # Groups that this process renders at once: one computes in steps of one thread while the other
 # uses all cores.
 _GROUPS_AT_ONCE = 2
@@ -51,6 +52,7 @@ def render_frames(
     *,
     overwrite: bool = False,
     announce: Callable[[Plan], None] | None = None,
+    progress: Progress = None,
     client: Any = None,
     threads: int | None = None,
     **given: Any,
@@ -77,6 +79,9 @@ def render_frames(
         Remove what is in the folder for these frames, and render them again.
     announce : callable, optional
         Called once with a `Plan`, before the first picture is written.
+    progress : bool or callable, optional
+        True shows a bar; a function is called with the numbers of finished and of all frames, None
+        where that is not known.
     client, threads
         As in `analyze_large`. Workers of a cluster read image files and write pictures: inputs and
         `folder` must have the same path for all of them.
@@ -116,12 +121,12 @@ def render_frames(
     target = RunFolder(place, options, known.names, overwrite)
     run = Run(target, options, calibration, known)
     workers = Workers(client, threads, _GROUPS_AT_ONCE)
-    results = _render(run, frames, known.names, overwrite, announce, workers)
+    results = _render(run, frames, known.names, overwrite, announce, workers, progress)
     if not target.makes_depth_film:
         yield from results
         return
     depth_of = target.depth_path_of
-    rate = Fraction(options.rate or known.rate or _DEFAULT_RATE)
+    rate = Fraction(options.rate or known.rate or DEFAULT_RATE)
     yield from film_results(
         results, maps, target.hidden, rate, lambda result: depth_of(result.name), rendering="depth"
     )
@@ -141,19 +146,22 @@ def _render(
     overwrite: bool,
     announce: Callable[[Plan], None] | None,
     workers: Workers,
+    progress: Progress,
 ) -> Results:
-    kept = 0 if overwrite else sum(not run.folder.is_missing(name) for name in names)
     groups = run.groups(frames, overwrite)
     first = next(groups)
     if overwrite:
         run.folder.remove(names)
     if announce is not None:
+        kept = sum(not run.folder.is_missing(name) for name in names)
         colours = None if run.state is None else run.state.colours
         announce(Plan(len(names), kept, run.size, colours))
     done: list[str] = []
-    for results in workers.map(render_group, run, chain([first], groups)):
-        for result in results:
+    groups_done = workers.map(render_group, run, chain([first], groups))
+    with show_progress(progress, "frames") as step:
+        for result in chain.from_iterable(groups_done):
             done.append(result.name)
+            step(len(done), len(names) or None)
             yield result
     if run.folder.views is not None:
         run.folder.views.finish(done)
@@ -167,6 +175,7 @@ def render_film(
     *,
     overwrite: bool = False,
     announce: Callable[[Plan], None] | None = None,
+    progress: Progress = None,
     client: Any = None,
     threads: int | None = None,
     **given: Any,
@@ -202,7 +211,7 @@ def render_film(
     if options.exposure is None:
         options = replace(options, exposure=default_exposure(output))
     checkpoint = Checkpoint(output)
-    camera = None if calibration is None else calibration.to_dict()
+    camera = calibration and calibration.to_dict()
     files = [file_identity(file) for file in (*frames.files, frames.dark)]
     drawn = (options.preset, options.scale, options.exposure)
     key = fingerprint(files, str(frames.chosen), camera, *drawn)
@@ -214,10 +223,10 @@ def render_film(
     folder = checkpoint.folder
     run: dict[str, Any] = {"announce": announce, "client": client, "threads": threads}
     results = film_results(
-        render_frames(frames, folder, calibration, options, **run),
+        render_frames(frames, folder, calibration, options, progress=progress, **run),
         output,
         folder,
-        Fraction(options.rate or frames.rate or _DEFAULT_RATE),
+        Fraction(options.rate or frames.rate or DEFAULT_RATE),
         lambda result: result.path,
         cache(lambda: load_camera(folder).white_level),
         rendering="all in focus",

@@ -70,7 +70,8 @@ def film_results(
     # garbage collector.
     with closing(results), FilmFile(partial, rate, **about) as film:
         for result in results:
-            shown = shown if result.outcome == "failed" else picture(result)
+            if result.outcome != "failed":
+                shown = picture(result)
             times += 1
             if shown is not None:
                 pixels = read_flat(shown)
@@ -98,10 +99,14 @@ class FilmFile:
         self._kind = path.suffix.lower()
         self._stream: Any = None
         self._first = ""  # kind of the first picture
-        # With the index before the pictures, a browser can play the film before it has all of it.
-        options = {"movflags": "+faststart"} if self._kind in (".mp4", ".mov") else {}
+        form = None
+        options = {}
+        if self._kind == ".yuv":
+            form = "rawvideo"
+        elif self._kind != ".mkv":
+            # With the index before the pictures, a browser can play the film before it has all.
+            options = {"movflags": "+faststart"}
         with self._output_errors():
-            form = "rawvideo" if self._kind == ".yuv" else None
             self._file = av.open(str(path), "w", format=form, options=options)
             self._file.metadata["comment"] = json.dumps({"software": "lfrender", **about})
 
@@ -139,11 +144,9 @@ class FilmFile:
         context = self._stream.codec_context
         # A fixed number, so that the film is the same on every machine.
         context.thread_count = 4
-        context.width, context.height, context.pix_fmt = (
-            frame.width,
-            frame.height,
-            frame.format.name,
-        )
+        context.width = frame.width
+        context.height = frame.height
+        context.pix_fmt = frame.format.name
         if self._kind in (".mp4", ".mov"):
             # Codes of ITU-T H.273 for the colours of HD television (BT.709) and their limited
             # range.

@@ -21,6 +21,7 @@ from lfcal.runtime.errors import check_type
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS
 from lfcal.runtime.video import import_av, rgb_pixels
 
+from ..runtime.messages import one_line
 from ..runtime.types import AnyPath, Size
 
 __all__ = ["Frame", "Frames", "is_video", "open_frames"]
@@ -104,17 +105,19 @@ class Frames:
     @property
     def count(self) -> int:
         """Number of frames; less than there are where a video is damaged."""
-        return (
-            sum(part.header[0] for part in self.parts) if self.chosen is None else len(self.chosen)
-        )
+        if self.chosen is not None:
+            return len(self.chosen)
+        return sum(part.header[0] for part in self.parts)
 
     @property
     def rate(self) -> Fraction | None:
         """Frames a second of the first video that has them, None if there is none; fewer where some
         are left out.
         """
-        rate = next((rate for _, rate in (part.header for part in self.parts) if rate), None)
-        return None if rate is None else Fraction(rate) / (self.chosen.step if self.chosen else 1)
+        rates = [part.header[1] for part in self.parts]
+        for rate in filter(None, rates):
+            return Fraction(rate) / (self.chosen or range(1)).step
+        return None
 
     @property
     def files(self) -> list[Path]:
@@ -125,7 +128,9 @@ class Frames:
     def names(self) -> list[str]:
         """Names of the pictures of the frames, without suffix."""
         names = [name for part in self.parts for name in part.names]
-        return names if self.chosen is None else [names[number] for number in self.chosen]
+        if self.chosen is not None:
+            names = [names[number] for number in self.chosen]
+        return names
 
     @property
     def encoded(self) -> bool:
@@ -189,7 +194,10 @@ def open_frames(
     (['f9', 'f10'], ['f10'])
     """
     check_type(inputs, Iterable, "inputs", "give a list of files and folders")
-    dark = None if dark is None else Path(dark).absolute()
+    if dark is not None:
+        dark = Path(dark).absolute()
+        # Errors of this file are raised at once, not for every frame.
+        _read_dark(dark)
     layout = {"size": size, "pixel_format": pixel_format}
     parts = [part for path in inputs for part in _parts(Path(path).absolute(), layout)]
     if not parts:
@@ -201,15 +209,12 @@ def open_frames(
     if twice:
         such = f"{len(twice)} frames would have the same name, such as '{twice[0]}'"
         raise FlatError(f"{such}; give them one by one")
-    if dark is not None:
-        # Errors of this file are raised at once, not for every frame.
-        _read_dark(dark)
     if start is not None or end is not None:
         if frames is not None:
             raise ValueError("give either frames, or start and end")
         frames = _slice_of_seconds(parts, start, end)
-    chosen = None if frames is None else _choose(sum(part.header[0] for part in parts), frames)
-    return Frames(tuple(parts), dark, chosen)
+    found = Frames(tuple(parts), dark)
+    return found if frames is None else replace(found, chosen=_choose(found.count, frames))
 
 
 def _slice_of_seconds(parts: list[_Part], start: float | None, end: float | None) -> slice:
@@ -282,18 +287,21 @@ def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
         raise FlatError(f"{path}: no such file or folder")
     suffix = path.suffix.lower()
     pages = 1
-    given = tuple(layout.items()) if is_video(path) else ()
-    if given:
+    given: tuple[tuple[str, Any], ...] = ()
+    if is_video(path):
         import_av(path)
         if suffix in VIDEO_FORMATS:
             return [_Part(path, None)]
+        given = tuple(layout.items())
         pages = count_pages(path, **layout)
     elif suffix in TIFF_SUFFIXES:
         # Reading the frame will report what is wrong.
         with suppress(FlatError):
             pages = count_pages(path)
-    names = (path.stem,) if pages == 1 else tuple(_frame_name(path, page) for page in range(pages))
-    return [_Part(path, names, given)]
+    names = [path.stem]
+    if pages > 1:
+        names = [_frame_name(path, page) for page in range(pages)]
+    return [_Part(path, tuple(names), given)]
 
 
 def _numeric_order(path: Path) -> Any:
@@ -334,8 +342,10 @@ def _video_frames(path: Path, chosen: range) -> Iterator[Frame]:
             raise FlatError(f"{path}: ends after {number} of {max(count, 1)} frames")
     # FFmpeg raises errors of many kinds on damaged videos.
     except Exception as error:
-        message = f"{path}: cannot be read as a video from frame {number} on ({_one_line(error)})"
-        message = str(error) if isinstance(error, FlatError) else message
+        message = str(error)
+        if not isinstance(error, FlatError):
+            reason = one_line(error)
+            message = f"{path}: cannot be read as a video from frame {number} on ({reason})"
         yield Frame(_frame_name(path, number), partial(_give, message))
 
 
@@ -370,29 +380,25 @@ def _decode(container: Any) -> Iterator[Any]:
             continue
         finally:
             logging.set_level(before)
-        wrong = [
-            text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR
-        ]
-        yield from [FlatError(wrong[0]) for _ in pictures] if wrong else pictures
+        wrong = [text for level, name, text in log if name == "ffv1" and level <= logging.ERROR]
+        if wrong:
+            pictures = [FlatError(wrong[0].strip())] * len(pictures)
+        yield from pictures
 
 
 def _pixels_or_message(name: str, picture: Any) -> Array | str:
     if isinstance(picture, Exception):
-        return f"{name}: {_one_line(picture)}"
+        return f"{name}: {one_line(picture)}"
     # Decoders fill in what is missing; such a flat must not be rendered.
     if picture.is_corrupt:
         return f"{name} is damaged"
     try:
         return rgb_pixels(picture)
     except Exception as error:
-        return f"{name}: {_one_line(error)}"
+        return f"{name}: {one_line(error)}"
 
 
 def _give(found: Array | str) -> Array:
     if isinstance(found, str):
         raise FlatError(found)
     return found
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -184,7 +184,7 @@ class Run:
     def read(self, frame: Frame) -> Array:
         """The flat of a frame, in colour if the camera has a colour mosaic."""
         pixels = frame.read()
-        return demosaic(pixels, self._camera(pixels)) if pixels.ndim == 2 else pixels
+        return demosaic(pixels, self._camera(pixels))
 
     def _camera(self, pixels: Array) -> Calibration:
         """The camera of the run, calibrated from these pixels if there is none yet."""
@@ -264,13 +264,15 @@ class Run:
                 before.picture = self._draw(before.flat, before.depth)
         if frame.name == before.name:
             return before
-        flat = self.read(frame) if flat is None else flat
+        if flat is None:
+            flat = self.read(frame)
         file = self.folder.reference_path_of(frame.name)
         if not file.exists():
             self._analyze(flat, before).save(file)
-        depth = self._load_depth(frame)
-        picture = None if with_views else self._draw(flat, depth, before)
-        return _Reference(frame.name, flat, depth, picture)
+        found = _Reference(frame.name, flat, self._load_depth(frame))
+        if not with_views:
+            found.picture = self._draw(flat, found.depth, before)
+        return found
 
     def render_frame(
         self, number: int, frame: Frame, flat: Array, first: _Reference
@@ -278,8 +280,11 @@ class Run:
         """Analyse, draw and write a frame, given its flat in colour and the first of a group."""
         start = perf_counter()
         state = self._known
-        is_first = first.name == frame.name
-        depth = first.depth if is_first else self._analyze(flat, first)
+        depth = first.depth
+        picture = first.picture
+        if first.name != frame.name:
+            depth = self._analyze(flat, first)
+            picture = None
         if self.folder.makes_depth_film:
             picture_of_depth = depth_picture(depth, state.scale, state.colours)
             write_picture(self.folder.depth_path_of(frame.name), picture_of_depth)
@@ -292,14 +297,14 @@ class Run:
             )
             self.folder.views.write(number, frame.name, map(self._as_written, pictures))
         else:
-            picture = first.picture if is_first else None
             picture = picture or self._draw(flat, depth, first)
             settings: dict[str, Any] = {"rendering": "all in focus", "preset": self.options.preset}
             settings |= Brightness(None, state.gain).entries
-            embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
+            embedded = frame.source and read_metadata(frame.source)
             shown = self._as_written(picture)
             path = self.folder.path_of(frame.name)
-            write_picture(path, shown, settings=settings, embedded=embedded, exposure=0.0)
+            options: dict[str, Any] = {"settings": settings, "exposure": 0.0}
+            write_picture(path, shown, embedded=embedded or EmbeddedMetadata(), **options)
         still = float(depth.saved.get("still", 0))
         return self.result(frame, "rendered", seconds=perf_counter() - start, still=still)
 

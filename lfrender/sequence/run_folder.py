@@ -94,11 +94,16 @@ class RunFolder:
     def remove(self, names: list[str]) -> None:
         """Remove the results for these frames: an interrupted run must keep none of before."""
         for name in names:
-            paths = [] if self.views and self.views.raw else [self.path_of(name)]
+            paths = []
+            if not (self.views and self.views.raw):
+                paths.append(self.path_of(name))
             if self.depth_maps is not None:
                 paths.append(self.depth_path_of(name))
             for path in paths:
-                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+                if path.is_dir():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink(missing_ok=True)
 
     def save_state(
         self, settings: dict[str, Any], state: RunState, camera: Calibration

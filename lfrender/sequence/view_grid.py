@@ -92,23 +92,26 @@ class ViewOutput:
             check_format(folder / f"image{suffix}", "picture")
 
     def path_of(self, name: str) -> Path:
+        """The folder of the views of a frame, or of the files of raw video."""
         return self.folder if self.raw else self.folder / name
 
     def is_missing(self, name: str) -> bool:
-        return not (self._mark(name) if self.raw else self.folder / name).exists()
+        """Whether the views of a frame have to be written."""
+        made = self._mark(name) if self.raw else self.path_of(name)
+        return not made.exists()
 
     def start(self, overwrite: bool, names: list[str]) -> None:
         """Make the hidden folder; OutputError if it belongs to frames with other names."""
         if overwrite:
             shutil.rmtree(self._parts, ignore_errors=True)
-            for file in self.folder.glob(_VIDEOS) if self.raw else ():
+            for file in self._raw_files(self.folder):
                 file.unlink()
         self._parts.mkdir(exist_ok=True)
         places = {name: f"{number}" for number, name in enumerate(names)}
-        marks = self._parts.glob("*.done") if names else ()
-        if any(places.get(mark.stem) != mark.read_text(encoding="utf-8").strip() for mark in marks):
-            remedy = "give another folder, or render everything again (--overwrite)"
-            raise OutputError(f"{self.folder}: holds the frames of another sequence; {remedy}")
+        for mark in self._parts.glob("*.done"):
+            if names and places.get(mark.stem) != mark.read_text(encoding="utf-8").strip():
+                remedy = "give another folder, or render everything again (--overwrite)"
+                raise OutputError(f"{self.folder}: holds the frames of another sequence; {remedy}")
 
     def write(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
         if self.raw:
@@ -143,7 +146,7 @@ class ViewOutput:
         """Move the files of raw video into place; a frame that failed shows the one before it, or
         the first of all.
         """
-        unfinished = sorted(self._parts.glob(_VIDEOS)) if self.raw else []
+        unfinished = self._raw_files(self._parts)
         numbers = {name: number for number, name in enumerate(names)}
         good = [number for name, number in numbers.items() if self._mark(name).exists()]
         if not (unfinished and good):
@@ -158,6 +161,10 @@ class ViewOutput:
                     stream.seek(number * size)
                     stream.write(data)
             os.replace(path, self.folder / path.name)
+
+    def _raw_files(self, folder: Path) -> list[Path]:
+        """The files of raw video in a folder; none if pictures are written."""
+        return sorted(folder.glob(_VIDEOS)) * bool(self.raw)
 
     def _mark(self, name: str) -> Path:
         """The file that says that the views of a frame are written; it holds the number of the

@@ -27,9 +27,9 @@ class Workers:
     @property
     def count(self) -> int:
         """How many parts are worked on at a time."""
-        return (
-            self._at_once if self._client is None else max(1, sum(self._client.nthreads().values()))
-        )
+        if self._client is None:
+            return self._at_once
+        return max(1, sum(self._client.nthreads().values()))
 
     def map(
         self,
@@ -76,7 +76,7 @@ class Workers:
             while waiting:
                 yield _result(waiting.popleft())
         finally:
-            self._client.cancel([*waiting, *([sent] if sent else [])])
+            self._client.cancel([*waiting, sent] if sent else [])
 
 
 def ahead(function: Callable[[Any], Any], items: Iterable[Any], count: int) -> Iterator[Any]:
@@ -92,12 +92,11 @@ def ahead(function: Callable[[Any], Any], items: Iterable[Any], count: int) -> I
     ) as pool:
         try:
             for number, item in enumerate(items):
-                # The first one imports what all need.
-                waiting.append(
-                    pool.submit(function, item)
-                    if number
-                    else pool.submit(_identity, function(item))
-                )
+                if number == 0:
+                    # The first one imports what all need.
+                    waiting.append(pool.submit(_identity, function(item)))
+                else:
+                    waiting.append(pool.submit(function, item))
                 if len(waiting) > count:
                     yield waiting.popleft().result()
             while waiting:

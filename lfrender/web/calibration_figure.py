@@ -12,13 +12,22 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, check_fit
 
+from ..data.depth_map import MOST
 from .report_pictures import picture_url
 from .templates import fill
 
 __all__ = ["calibration_panels", "flat_part"]
 
 _TYPES = ("#5cb8ff", "#ff6fb5", "#7be07b", "#ffd84d")  # circles of lens types
-_SIDE = 320  # of a panel, in its own units
+_SIDE = 320  # of a panel, in the units of its drawing
+_MARGIN = 20  # around the flat on a panel, in the same units
+# Length of the longest arrow, as a share of the side, so that arrows of neighbours do not meet; and
+# the shortest offset [px] that such an arrow may stand for.
+_LONGEST_ARROW = 0.11
+_SHORTEST = 1e-3
+_UNKNOWN = (214, 110, 160)  # colour of pixels without a gain: pink
+# Crops are brightened as by this gamma: microimages of dark scenes stay visible.
+_GAMMA = 1.4
 
 
 def calibration_panels(flat: NDArray, calibration: Calibration, pitches: float = 6.0) -> Any:
@@ -59,10 +68,9 @@ def flat_part(flat: NDArray, middle: NDArray[np.float64], side: float) -> dict[s
     values = np.nan_to_num(
         flat[low[1] : low[1] + reach[1], low[0] : low[0] + reach[0]].astype(np.float32)
     )
-    dark, bright = np.percentile(values, (1, 99))
-    shown = np.rint(
-        255 * np.clip((values - dark) / max(bright - dark, 1e-6), 0, 1) ** (1 / 1.4)
-    ).astype(np.uint8)
+    dark, bright = np.percentile(values, MOST)
+    light = np.clip((values - dark) / max(bright - dark, 1e-6), 0, 1)
+    shown = np.rint(255 * light ** (1 / _GAMMA)).astype(np.uint8)
     (x, y), (width, height) = (low - 0.5).tolist(), reach.tolist()
     return {"x": x, "y": y, "width": width, "height": height, "url": picture_url(shown)}
 
@@ -79,11 +87,9 @@ def _crop(
     centres = lattice.centres()
     unlit = lattice.points(calibration.defects.lenses)
     near = ((centres > low) & (centres < high)).all(1)
-    kinds = (
-        np.zeros(near.sum(), int)
-        if types is None
-        else types.of(lattice.indices()[near]) % len(_TYPES)
-    )
+    kinds = np.zeros(near.sum(), int)
+    if types is not None:
+        kinds = types.of(lattice.indices()[near]) % len(_TYPES)
     circles = [(x, y, _TYPES[kind]) for (x, y), kind in zip(centres[near], kinds, strict=True)]
     return {
         **part,
@@ -95,14 +101,13 @@ def _crop(
 def _offsets(calibration: Calibration, fit: Any) -> dict[str, Any]:
     """Arrows from the centres of the lattice to those that nine regions of the flat show."""
     size = np.array(calibration.image_size)
-    scale = (_SIDE - 40) / size.max()
+    scale = (_SIDE - 2 * _MARGIN) / size.max()
     corner = (_SIDE - scale * size) / 2
     positions = fit.positions.reshape(-1, 2)
     offsets = fit.offset.reshape(-1, 2)
     lengths = np.linalg.norm(offsets, axis=-1)
-    drawn = (
-        np.nan_to_num(offsets) * 0.11 * _SIDE / max(float(np.nanmax(lengths, initial=0.0)), 1e-3)
-    )
+    longest = float(np.nanmax(lengths, initial=_SHORTEST))
+    drawn = np.nan_to_num(offsets) * _LONGEST_ARROW * _SIDE / longest
     at = corner + scale * (positions + 0.5)
     told = [length if np.isfinite(length) else None for length in lengths.tolist()]
     arrows = [
@@ -118,11 +123,10 @@ def _falloff(calibration: Calibration) -> dict[str, Any] | None:
     if vignetting is None:
         return None
     distances = np.arange(len(vignetting.profile)) * float(vignetting.step)
-    end = max(float(distances[-1]), 1.05 * calibration.lattice.radius)
-    return {
-        "end": end,
-        "points": list(zip(distances.tolist(), vignetting.profile.tolist(), strict=True)),
-    }
+    points = list(zip(distances.tolist(), vignetting.profile.tolist(), strict=True))
+    # The line of the usable radius stands inside the panel.
+    beyond = calibration.lattice.radius + float(vignetting.step)
+    return {"end": max(float(distances[-1]), beyond), "points": points}
 
 
 def _gain(calibration: Calibration) -> str:
@@ -136,5 +140,5 @@ def _gain(calibration: Calibration) -> str:
     drawn = np.repeat(
         np.rint(255 * np.clip(np.nan_to_num(gain), 0, 1)).astype(np.uint8)[..., None], 3, axis=2
     )
-    drawn[np.isnan(gain)] = (214, 110, 160)
+    drawn[np.isnan(gain)] = _UNKNOWN
     return picture_url(drawn, ".png")

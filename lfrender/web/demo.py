@@ -24,6 +24,7 @@ from lfcal.runtime.output_file import make_folder
 from .. import analyze
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
+from ..data.samples import SENSOR_NOISE
 from ..flat.lens_graph import nearest_lens
 from ..output.depth_picture import lens_maps
 from ..output.picture import write_picture
@@ -32,6 +33,13 @@ from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_u
 from .templates import fill
 
 __all__ = ["run_demo"]
+
+# The simulated camera; the lattice is turned a little, as real ones are [degrees].
+_CAMERA: dict[str, Any] = {"pitch": 23.2, "lattice": "hex", "rotation": 0.7}
+# Width and height of the crop of the flat on the page [px].
+_CROP = (320, 240)
+# Room for the true picture on the page [characters].
+_REFERENCE_BYTES = 2_000_000
 
 
 def run_demo(
@@ -51,11 +59,9 @@ def run_demo(
     target = make_folder(folder, parents=True)
     report = report or Report(quiet=True)
     with report.stage("simulate"):
-        camera = Camera.design(flat_size, pitch=23.2, lattice="hex", rotation=0.7)
-        # Noise of a pixel: a full well of 9000 electrons, and 5 of them when it is read.
-        capture = simulate(
-            SCENES["house"](camera), camera, samples=samples, seed=1, noise=(9000.0, 5.0)
-        )
+        camera = Camera.design(flat_size, **_CAMERA)
+        scene = SCENES["house"](camera)
+        capture = simulate(scene, camera, samples=samples, seed=1, noise=SENSOR_NOISE)
     flat = capture.flat
     truth = capture.truth
     with report.stage("calibrate from the capture"):
@@ -89,7 +95,7 @@ def run_demo(
         for name, picture in written.items():
             write_picture(target / f"{name}.png", picture)
     figures = {**figures, "seconds": report.seconds}
-    urls, _ = data_urls({"reference": true_picture}, 2_000_000)
+    urls, _ = data_urls({"reference": true_picture}, _REFERENCE_BYTES)
     # Those that a user's own capture would take: without the simulation, its truth, and its white
     # image.
     stages = {"calibrate": "calibrate from the capture", "analyze": "analyze", "render": "render"}
@@ -171,11 +177,10 @@ def _compare(capture: Capture, picture: Rendering, resolvable: float = 0.75) -> 
 
 
 def _crop_of_both_modes(capture: Capture) -> NDArray[Any]:
-    """The part of the flat, at most 320 x 240 px, that shows both modes most evenly."""
+    """The part of the flat that shows both modes most evenly."""
     sign = np.nan_to_num(np.sign(capture.truth.disparity))
     height, width = sign.shape
-    w = min(320, width)
-    h = min(240, height)
+    w, h = np.minimum(_CROP, (width, height)).tolist()
     rows = range(0, height - h + 1, h // 2)
     columns = range(0, width - w + 1, w // 2)
     windows = [np.s_[y : y + h, x : x + w] for y in rows for x in columns]

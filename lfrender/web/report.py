@@ -15,7 +15,7 @@ from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import to_svg
 
-from ..data.depth_map import BINOCULAR, MODES, REASONS, TELESCOPIC, DepthMap
+from ..data.depth_map import BINOCULAR, MODES, REASONS, TELESCOPIC, DepthMap, finite
 from ..data.rendering import PictureGrid
 from ..output.depth_picture import MODE_COLOURS, lens_maps, magnification_limits
 from .calibration_figure import calibration_panels, flat_part
@@ -26,6 +26,15 @@ __all__ = ["write_report"]
 
 # Bars of the histogram between its limits.
 _BINS = 40
+# Largest width of the maps [px], and their pixels per pitch at most: maps have one colour a lens.
+_MAP_WIDTH = 1100
+_MAP_SCALE = 12.0
+# Largest width of the flat on the page [px], twice that of its column.
+_FLAT_WIDTH = 1120
+# Characters of a page: mail programs and browsers accept 15 MB, text takes the rest.
+_ROOM = 14_500_000
+# Side of the crop of the flat, and of the window in which detail is looked for [pitches].
+_CROP = 7
 _SHORTCUTS = {
     "blank": "lenses without texture, which were not matched",
     "ranges": "shifts that occur in no lens of a sample, which were not tried",
@@ -70,10 +79,10 @@ def write_report(
     ...     Path(folder, "report.html").read_text()[:15]
     '<!doctype html>'
     """
-    pictures = draw_pictures(flat, calibration, depth) if pictures is None else pictures
-    # Maps have at most 1100 columns and 12 pixels per pitch.
-    lattice, (columns, _) = calibration.lattice, calibration.image_size
-    grid = PictureGrid(lattice.image_size, lattice.pitch, min(12.0, 1100 * lattice.pitch / columns))
+    pictures = pictures or draw_pictures(flat, calibration, depth)
+    lattice = calibration.lattice
+    scale = min(_MAP_SCALE, _MAP_WIDTH * lattice.pitch / flat.shape[1])
+    grid = PictureGrid(lattice.image_size, lattice.pitch, scale)
     maps = lens_maps(depth, lattice, grid.affine(), grid.size[::-1])
     charts = {name: picture_url(picture, ".png") for name, picture in maps.items()}
     raw = to_eight_bits(flat, calibration.white_level, exposure_gain(flat, calibration.white_level))
@@ -82,20 +91,18 @@ def write_report(
         **{name: picture.image for name, picture in pictures.fixed.items()},
         "traditional": pictures.traditional.image,
         **(compare or {}),
-        "flat": reduce_picture(raw, min(1.0, 1120 / flat.shape[1])),
+        "flat": reduce_picture(raw, min(1.0, _FLAT_WIDTH / flat.shape[1])),
     }
     gain = exposure_gain(pictures.sharp.image, calibration.white_level)
     panels = calibration_panels(flat, calibration)
-    crop = flat_part(flat, _most_detail(pictures), 7 * calibration.lattice.pitch)
-    # Mail programs and browsers accept pages of 15 MB.
-    room = 14_500_000 - sum(map(len, [*charts.values(), further, panels, crop["url"]]))
+    crop = flat_part(flat, _most_detail(pictures), _CROP * calibration.lattice.pitch)
+    room = _ROOM - sum(map(len, [*charts.values(), further, panels, crop["url"]]))
     urls, size = data_urls(shown, room, calibration.white_level, gain)
     names = {"all_in_focus": "all in focus", "traditional": "traditional"}
-    names |= {name: f"one patch size, {name}" for name in pictures.fixed} | {
-        name: name for name in compare or {}
-    }
+    names |= {name: f"one patch size, {name}" for name in pictures.fixed}
+    names |= {name: name for name in compare or {}}
     height, width = pictures.sharp.image.shape[:2]
-    known = depth.magnification[np.isfinite(depth.magnification)]
+    known = finite(depth.magnification)
     limits = magnification_limits(depth.magnification)
     reasons = {
         REASONS[code]: float(np.mean(depth.reason == code))
@@ -144,9 +151,10 @@ def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
     import cv2
 
     image = np.atleast_3d(pictures.traditional.image).astype(np.float32)[..., :3].mean(2)
-    spread = cv2.blur(image**2, (7, 7)) - cv2.blur(image, (7, 7)) ** 2
+    window = (_CROP, _CROP)  # the traditional picture has a pixel per pitch
+    spread = cv2.blur(image**2, window) - cv2.blur(image, window) ** 2
     # Beyond the border all is dark.
-    darkest = cv2.erode(image, np.ones((7, 7)), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    darkest = cv2.erode(image, np.ones(window), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     v, u = np.unravel_index(int((np.sqrt(np.maximum(spread, 0)) * darkest).argmax()), image.shape)
     place: NDArray[np.float64] = pictures.traditional.affine @ [u, v, 1]
     return place
@@ -191,7 +199,7 @@ def _figures(
     seconds: Mapping[str, float],
 ) -> dict[str, str]:
     """Names and figures of the cards at the top."""
-    known = depth.magnification[np.isfinite(depth.magnification)]
+    known = finite(depth.magnification)
     figures = {
         "lenses with a depth": f"{np.mean(~depth.filled):.1%}",
         "telescopic": f"{np.mean(depth.mode == 1):.1%}",
@@ -201,10 +209,8 @@ def _figures(
         "pixels per microlens pitch": f"{pictures.sharp.scale:.1f}",
     }
     if calibration.optics is not None:
-        away = depth.distance(calibration)
-        errors = depth.distance_error(calibration)
-        seen = away[np.isfinite(away)]
-        sure = errors[np.isfinite(errors)]
+        seen = finite(depth.distance(calibration))
+        sure = finite(depth.distance_error(calibration))
         if seen.size and sure.size:
             figures["distance, median"] = (
                 f"{np.median(seen):.3g} m, each to {np.median(sure):.2g} m"

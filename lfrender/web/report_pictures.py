@@ -27,6 +27,18 @@ __all__ = [
 ]
 
 
+# A mode that a smaller share of the lenses has is taken for errors.
+_FEW = 0.01
+# Reduction and quality of WebP, in the order in which they are tried.
+_SIZES = ((1.0, 92), (1.0, 78), (0.5, 85), (0.25, 85), (0.125, 80))
+# Longest row that WebP holds [px], and longest side of pictures that are never reduced [px]: the
+# traditional one has a pixel per lens.
+_WEBP_SIDE = 16383
+_SMALL = 400
+# Strongest compression of PNG.
+_SMALLEST = 9
+
+
 @dataclass(frozen=True)
 class ReportPictures:
     """Pictures of one flat, to be compared."""
@@ -40,16 +52,13 @@ class ReportPictures:
 
 
 def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> ReportPictures:
-    """Draw a flat all in focus, traditionally, and with the median patch size of each mode.
-
-    A mode that fewer than one lens of a hundred has is taken for errors.
-    """
+    """Draw a flat all in focus, traditionally, and with the median patch size of each mode."""
     check_depth(depth, calibration)
     sharp = render(flat, calibration, depth)
     sizes = {}
     for mode in (TELESCOPIC, BINOCULAR):
         found = depth.patch_size[depth.mode == mode]
-        if found.size > 0.01 * len(depth):
+        if found.size > _FEW * len(depth):
             sizes[MODES[mode]] = float(np.median(found))
     fixed = {
         name: render(flat, calibration, patch_size=size, scale=sharp.scale)
@@ -74,15 +83,14 @@ def data_urls(
         for name, one in arrays.items()
     }
     urls: dict[str, str] = {}
-    for size, quality in ((1.0, 92), (1.0, 78), (0.5, 85), (0.25, 85), (0.125, 80)):
-        # WebP holds at most so many pixels in a row.
-        if size * max(max(picture.shape[:2]) for picture in shown.values()) > 16383:
+    for size, quality in _SIZES:
+        if size * max(max(picture.shape[:2]) for picture in shown.values()) > _WEBP_SIDE:
             continue
         urls = {}
         for name, picture in shown.items():
-            # The traditional picture, of a pixel per lens, stays as it is.
-            reduced = picture if max(picture.shape) < 400 else reduce_picture(picture, size)
-            urls[name] = picture_url(reduced, quality=quality)
+            if max(picture.shape) >= _SMALL:
+                picture = reduce_picture(picture, size)
+            urls[name] = picture_url(picture, quality=quality)
         if sum(map(len, urls.values())) <= most:
             break
     return urls, size
@@ -90,7 +98,9 @@ def data_urls(
 
 def picture_url(picture: NDArray[np.uint8], suffix: str = ".webp", quality: int = 85) -> str:
     """A picture in a data URL: WebP, or PNG, for few colours; arguments as of `encode_picture`."""
-    content = encode_picture(picture, suffix, 9 if suffix == ".png" else quality)
+    if suffix == ".png":
+        quality = _SMALLEST
+    content = encode_picture(picture, suffix, quality)
     return f"data:image/{suffix[1:]};base64,{base64.b64encode(content).decode()}"
 
 
@@ -104,10 +114,9 @@ def encode_picture(picture: NDArray[np.uint8], suffix: str, quality: int) -> byt
 
     parameter = {".webp": cv2.IMWRITE_WEBP_QUALITY, ".png": cv2.IMWRITE_PNG_COMPRESSION}[suffix]
     channels = picture.reshape(*picture.shape[:2], -1)
-    shown = np.ascontiguousarray(
-        channels[..., 2::-1] if channels.shape[2] >= 3 else channels[..., :1]
-    )
-    done, data = cv2.imencode(suffix, shown, [parameter, quality])
+    # OpenCV has blue first; of grey with alpha, grey is shown.
+    shown = channels[..., (2, 1, 0)] if channels.shape[2] >= 3 else channels[..., 0]
+    done, data = cv2.imencode(suffix, np.ascontiguousarray(shown), [parameter, quality])
     if not done:
         raise LightFieldError(
             f"{picture.shape[1]} x {picture.shape[0]} px cannot be written as {suffix[1:].upper()}"

@@ -11,6 +11,13 @@ import secrets
 import socket
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from http.client import (
+    BAD_REQUEST,
+    FORBIDDEN,
+    INTERNAL_SERVER_ERROR,
+    NOT_FOUND,
+    REQUEST_ENTITY_TOO_LARGE,
+)
 from itertools import chain
 from threading import Thread
 from typing import Any
@@ -24,6 +31,8 @@ from uvicorn import Config, Server
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from lfcal import LightFieldError
+
+from ..runtime.messages import one_line
 
 __all__ = ["LARGEST_HEAD", "MOST_CONNECTIONS", "QUIET", "ServerError", "WebServer", "page_routes"]
 
@@ -61,7 +70,7 @@ def page_routes(files: Any) -> dict[tuple[str, str], Answer]:
         path = request.path_params["path"] or "index.html"
         content = files.get(path)
         if content is None:
-            return PlainTextResponse("not found", 404)
+            return PlainTextResponse("not found", NOT_FOUND)
         kind = "javascript" if path.endswith(".js") else "html"
         return Response(content, media_type=f"text/{kind}")
 
@@ -83,7 +92,7 @@ class WebServer:
         self.token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            self._listening = socket.create_server((host, port), family=family, backlog=128)
+            self._listening = socket.create_server((host, port), family=family)
         except OSError as error:
             raise ServerError(
                 f"{host} port {port}: cannot be used ({error.strerror or error})"
@@ -130,9 +139,13 @@ class WebServer:
     @property
     def url(self) -> str:
         """An address of the page that works, with its token."""
-        host = _own_address(self.host) if self.host in ("0.0.0.0", "::") else self.host
-        host = f"[{host}]" if ":" in host else host
-        return f"http://{host}:{self.port}/{f'?token={self.token}' if self.token else ''}"
+        host = self.host
+        if host in ("0.0.0.0", "::"):
+            host = _own_address(host)
+        if ":" in host:
+            host = f"[{host}]"
+        address = f"http://{host}:{self.port}/"
+        return f"{address}?token={self.token}" if self.token else address
 
     def reason_to_refuse(
         self, method: str, headers: Headers, query: Mapping[str, str]
@@ -142,18 +155,24 @@ class WebServer:
         if self.token and not secrets.compare_digest(
             query.get("token", "").encode(), self.token.encode()
         ):
-            return 403, "open the address with its token, as 'lfrender live' prints it"
+            return (
+                FORBIDDEN,
+                "open the address with its token, as 'lfrender live' prints it",
+            )
         # Against DNS rebinding: a page of another host could let its name point to this machine.
         if not self.token and host not in {
             f"{name}:{self.port}" for name in (self.host, "localhost", f"[{self.host}]")
         }:
-            return 403, "only requests to this machine by its own name are answered"
+            return (
+                FORBIDDEN,
+                "only requests to this machine by its own name are answered",
+            )
         if headers.get("origin", f"http://{host}") != f"http://{host}":
-            return 403, "pages of other sites are not answered"
+            return FORBIDDEN, "pages of other sites are not answered"
         if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
-            return 413, "requests have no body"
+            return REQUEST_ENTITY_TOO_LARGE, "requests have no body"
         if method == "POST" and OWN_PAGE not in headers:
-            return 403, f"commands have the header {OWN_PAGE}"
+            return FORBIDDEN, f"commands have the header {OWN_PAGE}"
         return None
 
 
@@ -175,7 +194,7 @@ class _Guard:
         )
         # Uvicorn limits requests that arrive in parts.
         if len(str(request.url)) + sum(map(len, chain(*scope["headers"]))) > LARGEST_HEAD:
-            refused = 400, "the request is too long"
+            refused = BAD_REQUEST, "the request is too long"
         app = self._app
         if refused is not None:
             status, text = refused
@@ -235,7 +254,7 @@ async def _in_thread(answer: Answer, request: Request) -> Response:
             response = answer(request)
         # The page shows the error, and the server goes on.
         except Exception as error:
-            response = PlainTextResponse(" ".join(str(error).split()) or type(error).__name__, 500)
+            response = PlainTextResponse(one_line(error), INTERNAL_SERVER_ERROR)
         with suppress(RuntimeError):  # the server was closed
             loop.call_soon_threadsafe(finish, response)
 
@@ -252,12 +271,11 @@ def _is_loopback(host: str) -> bool:
 
 def _own_address(host: str) -> str:
     """The address of this machine in its network, or of the loopback if it has none."""
-    v6 = ":" in host
-    outside = "2001:db8::1" if v6 else "192.0.2.1"  # of documentation: nothing is sent
-    with (
-        socket.socket(socket.AF_INET6 if v6 else socket.AF_INET, socket.SOCK_DGRAM) as probe,
-        suppress(OSError),
-    ):
-        probe.connect((outside, 9))
+    # Addresses of documentation: nothing is sent.
+    family, outside, loopback = socket.AF_INET, "192.0.2.1", "127.0.0.1"
+    if ":" in host:
+        family, outside, loopback = socket.AF_INET6, "2001:db8::1", "::1"
+    with socket.socket(family, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect((outside, 1))
         return str(probe.getsockname()[0])
-    return "::1" if v6 else "127.0.0.1"
+    return loopback

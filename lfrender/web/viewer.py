@@ -59,11 +59,9 @@ def _page(title: str, data: dict[str, str] | None = None, **place: Any) -> str:
     for name in _MODULES:
         script = base64.b64encode(read_asset(f"{name}.js").encode()).decode()
         urls[f"lfrender/{name}"] = f"data:text/javascript;base64,{script}"
-    inside = (
-        f"<script>globalThis.lightFieldFiles = {json.dumps(data)};</script>"
-        if data is not None
-        else ""
-    )
+    inside = ""
+    if data is not None:
+        inside = f"<script>globalThis.lightFieldFiles = {json.dumps(data)};</script>"
     page = fill(
         "viewer.html",
         title=title,
@@ -189,11 +187,9 @@ class FlatPages:
             "next": [*self._pages, None][number + 1],
         }
         title = self.names[number]
-        status = (
-            "Loading"
-            if len(self.names) == 1
-            else f"Loading {title}; a flat is analysed once, for some seconds"
-        )
+        status = "Loading"
+        if len(self.names) > 1:
+            status += f" {title}; a flat is analysed once, for some seconds"
         place = {
             "folder": f"data/{number + 1}",
             "flats": len(self.names),

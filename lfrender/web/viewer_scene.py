@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, LightFieldError
 from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 
-from ..data.depth_map import DepthMap, check_depth, default_scale
+from ..data.depth_map import MOST, DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
 from ..detail.blur import READING, choose_blur, likely_discs
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
@@ -33,6 +33,18 @@ __all__ = ["viewer_scene"]
 # Codes of the patch sizes of flat pixels, of 16 bits: 0 is unknown, the last one infinitely far,
 # the others -D to D.
 _CODES = 65535
+# Layers of textures that every WebGL 2 has; each has 2048 x 2048 pixels.
+_LAYERS = 256
+# Lenses whose depths differ by less than this are one thing in focus [pitches].
+_SAME_DEPTH = 0.03
+# Smallest patch that the slider of depth reaches [pitches].
+_LEAST_PATCH = 0.04
+# Room beyond the depths of the lenses at both ends of the slider, and the least range of depths
+# [pitches] that it is a share of.
+_ROOM = 0.15
+_LEAST_RANGE = 0.2
+# Weight of a lens without confidence, so that a flat without any has a middle.
+_LEAST_WEIGHT = 1e-3
 
 
 def viewer_scene(
@@ -56,11 +68,10 @@ def viewer_scene(
     check_depth(depth, calibration)
     height, width = pixels.shape[:2]
     side, places = _tiles((width, height), tile)
-    # Every WebGL 2 has textures of 2048 pixels and 256 layers.
-    if len(places) > 256:
+    if len(places) > _LAYERS:
         raise LightFieldError(
-            f"a flat of {width} x {height} px needs {len(places)} textures, browsers take 256; "
-            "view a part of it, or a smaller copy"
+            f"a flat of {width} x {height} px needs {len(places)} textures, browsers take "
+            f"{_LAYERS}; view a part of it, or a smaller copy"
         )
     edge = edge_step(calibration.lattice.pitch)
     (gains, *_), step = correction_tables(calibration)
@@ -91,8 +102,8 @@ def viewer_scene(
         "traditional.png",
         encode_picture(to_eight_bits(plain.image, white, gain), ".png", compression),
     )
-    scene["traditional"] = {"first": plain.affine[:, 2].tolist(), "shape": plain.image.shape[:2]}
-    columns, rows = (int(n) + 1 for n in list(places)[-1].split("-"))
+    scene["traditional"] = {"first": plain.affine[:, 2], "shape": plain.image.shape[:2]}
+    columns, rows = (len(set(ends)) for ends in zip(*places.values(), strict=True))
     scene["tiles"] = {"side": side, "columns": columns, "rows": rows, "occlusion": with_occlusion}
     surface = depth.surface
     yield "surface.f32", np.ascontiguousarray(surface.patch_size, "<f4").tobytes()
@@ -100,9 +111,9 @@ def viewer_scene(
     points = (
         np.column_stack([u.ravel(), v.ravel()]).astype(np.float64) * surface.spacing + surface.first
     )
-    known = np.where(
-        depth.filled, 0, np.rint(1 + 254 * np.clip(np.nan_to_num(depth.confidence), 0, 1))
-    )
+    # 0 is filled in, others from 1.
+    sure = np.rint(1 + (255 - 1) * np.clip(np.nan_to_num(depth.confidence), 0, 1))
+    known = np.where(depth.filled, 0, sure)
     yield (
         "confidence.u8",
         known.astype(np.uint8)[nearest_lens(calibration.lattice, points)].tobytes(),
@@ -113,7 +124,7 @@ def viewer_scene(
         at = calibration.optics.positions(points, ratio, (np.array(depth.image_size) - 1) / 2)
         at = np.where(np.isfinite(at).all(1, keepdims=True), at, np.nan)
         yield "positions.f32", at.astype("<f4").tobytes()
-    yield "scene.json", json.dumps(scene).encode()
+    yield "scene.json", json.dumps(scene, default=lambda values: values.tolist()).encode()
 
 
 def _tiles(size: tuple[int, int], largest: int) -> tuple[int, dict[str, tuple[int, int]]]:
@@ -179,29 +190,29 @@ def _tables(
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
     ends, middle = _planes(depth)
     moved = {
-        "shape": list(displacements.shape[:2]),
-        "low": low.tolist(),
+        "shape": displacements.shape[:2],
+        "low": low,
         "values": _base64(displacements, np.float32),
     }
     return {
         "pitch": lattice.pitch,
         "radius": lattice.radius,
-        "origin": lattice.origin.tolist(),
-        "basis": lattice.basis.tolist(),
-        "inverse": np.linalg.inv(lattice.basis).tolist(),
+        "origin": lattice.origin,
+        "basis": lattice.basis,
+        "inverse": np.linalg.inv(lattice.basis),
         "offsets": _base64(offsets, np.float32),
         "displacements": moved,
         "types": {
             "side": len(cell),
-            "cell": cell.ravel().tolist(),
+            "cell": cell.ravel(),
             "shares": _base64(shares, np.float32),
         },
         "surface": {
-            "shape": list(surface.patch_size.shape),
-            "first": list(surface.first),
+            "shape": surface.patch_size.shape,
+            "first": surface.first,
             "spacing": surface.spacing,
             "edge": edge,
-            "virtual": [float(virtual.min()), float(virtual.max())],
+            "virtual": [virtual.min(), virtual.max()],
         },
         "blur": _blur_line(calibration, depth),
         "scale": default_scale(depth),
@@ -210,7 +221,7 @@ def _tables(
         "plane": middle,
         "reach": {"sharp": REACH, "aside": VIEW_REACH, "wide": REFOCUS_REACH},
         "overlay": {
-            "limits": list(magnification_limits(depth.magnification)),
+            "limits": magnification_limits(depth.magnification),
             "ramp": _base64(colour_scale("turbo"), np.uint8),
         },
     }
@@ -221,39 +232,37 @@ def _blur_line(calibration: Calibration, depth: DepthMap) -> dict[str, Any]:
     known = choose_blur(calibration, depth)
     pitch = calibration.lattice.pitch
     if known is not None and known.tells_aperture:
-        line = [known.aperture / pitch, -known.aperture * float(known.focus.mean())]
+        line = [known.aperture / pitch, -known.aperture * known.focus.mean()]
     else:
         at_zero, at_half = likely_discs(calibration, None, np.array([0.0, 0.5])).mean(0)
-        line = [float(at_half - at_zero) / (0.5 * pitch), float(at_zero)]
+        line = [(at_half - at_zero) / (0.5 * pitch), at_zero]
     return {"line": line, "reading": READING}
 
 
 def _planes(depth: DepthMap) -> tuple[list[float], float]:
     """Ends of the slider of depth, and the patch size that the page opens with.
 
-    In focus is the largest thing with texture: the depth at which most lenses lie within 0.03
-    pitches, each as much as it is sure. Depths are `s` of telescopic and `s + 2 D` of binocular
-    lenses, which grows toward the camera.
+    In focus is the largest thing with texture: the depth at which most lenses lie, weighted by
+    their confidence. Depths are `s` of telescopic and `s + 2 D` of binocular lenses, which grows
+    toward the camera.
     """
     resolved = np.isfinite(depth.patch_size)
-    resolved = resolved if resolved.any() else np.ones(len(depth), bool)
+    resolved |= not resolved.any()
     known = depth.filled_patch_size[resolved].astype(float)
     pitch = depth.pitch
     near = np.where(known > 0, known, known + 2 * pitch)
-    low, high = np.quantile(near, (0.01, 0.99), method="nearest")
+    low, high = np.percentile(near, MOST, method="nearest")
     order = np.argsort(near)
     near = near[order]
-    sure = np.concatenate(
-        [[0.0], np.cumsum(np.maximum(np.nan_to_num(depth.confidence[resolved][order]), 1e-3))]
-    )
-    inside = [np.searchsorted(near, near + side * 0.03 * pitch) for side in (-1, 1)]
-    middle = float(near[np.argmax(sure[inside[1]] - sure[inside[0]])])
-    # Room at both sides; but no patches smaller than 0.04 pitches.
-    more = 0.15 * max(high - low, 0.2 * pitch)
-    least = 0.04 * pitch
-    limits = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]
-    middle = min(max(middle, limits[0]), limits[1])
-    return limits, middle if middle < pitch else middle - 2 * pitch
+    weights = np.maximum(np.nan_to_num(depth.confidence[resolved][order]), _LEAST_WEIGHT)
+    summed = np.concatenate([[0.0], np.cumsum(weights)])
+    first, last = (np.searchsorted(near, near + side * _SAME_DEPTH * pitch) for side in (-1, 1))
+    middle = near[np.argmax(summed[last] - summed[first])]
+    more = _ROOM * max(high - low, _LEAST_RANGE * pitch)
+    least = _LEAST_PATCH * pitch
+    limits = np.clip([low - more, high + more], least, 2 * pitch - least)
+    middle = float(np.clip(middle, *limits))
+    return limits.tolist(), middle if middle < pitch else middle - 2 * pitch
 
 
 def _base64(values: ArrayLike, dtype: Any) -> str:

@@ -53,7 +53,7 @@ def light_field_widget(
 
         _esm = str(read_asset("widget.js"))
         page = traitlets.Unicode().tag(sync=True)
-        height = traitlets.Int(520).tag(sync=True)
+        height = traitlets.Int().tag(sync=True)
         mode = traitlets.Enum(["focus", "range", "sharp", "tiles", "traditional"], "focus").tag(
             sync=True
         )

@@ -84,16 +84,9 @@ def test_any_pixel_type_gives_the_same_lattice(whites):
         )
 
 
-def test_scene_alone_places_centres_of_a_simulated_camera(house, whites):
-    camera = lfcal.calibrate(house.flat, kind="scene")
-    true = house.camera.lattice
-    assert camera.source == "scene"
-    assert whites.rms(whites.centre_errors(camera.lattice, true.origin, true.basis)) < 0.2
-
-
 def test_a_scene_that_is_lit_in_a_corner_is_doubted(house):
     dark = house.flat.copy()
-    dark[dark.shape[0] // 3 :], dark[:, dark.shape[1] // 2 :] = 0, 0
+    dark[dark.shape[0] // 2 :], dark[:, 3 * dark.shape[1] // 4 :] = 0, 0
     camera = lfcal.calibrate(dark, kind="scene")
     assert camera.confidence <= 0.4
     assert any("light lies on" in warning for warning in camera.warnings)

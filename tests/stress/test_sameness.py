@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+import cv2
 import numba
 import numpy as np
 import pytest
@@ -25,9 +26,11 @@ def _on_threads(call) -> Iterator[object]:
     try:
         for threads in (most, most, 1):
             numba.set_num_threads(threads)
+            cv2.setNumThreads(threads)
             yield call()
     finally:
         numba.set_num_threads(most)
+        cv2.setNumThreads(-1)
 
 
 @pytest.mark.parametrize("preset", ["fast", "balanced"])

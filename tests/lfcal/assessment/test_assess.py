@@ -172,7 +172,8 @@ def test_the_command_writes_a_page_without_network_and_all_figures(overlapping, 
     white, camera = overlapping
     tifffile.imwrite(tmp_path / "white.tif", white)
     camera.save(tmp_path / "camera.json")
-    words = f"assess {tmp_path}/white.tif -c {tmp_path}/camera.json -o {tmp_path}/page.html --json".split()
+    words = f"assess {tmp_path}/white.tif -c {tmp_path}/camera.json --json".split()
+    words += ["-o", f"{tmp_path}/page.html"]
     result = CliRunner().invoke(main, words, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)["findings"]

@@ -2,11 +2,9 @@
 
 from dataclasses import replace
 
-import lfcal
 
-
-def test_the_words_name_the_proofs(house):
-    evidence = lfcal.calibrate(house.white).evidence
+def test_the_words_name_the_proofs(house_white_camera):
+    evidence = house_white_camera.evidence
     assert "shape of a lens, and circles lie on" in evidence.describe()
     touching = replace(
         evidence,
@@ -21,7 +19,7 @@ def test_the_words_name_the_proofs(house):
     assert "cells touch each other on straight lines" in touching.describe()
 
 
-def test_without_a_proof_the_words_are_those_of_the_doubt(house):
-    evidence = lfcal.calibrate(house.white).evidence
+def test_without_a_proof_the_words_are_those_of_the_doubt(house_white_camera):
+    evidence = house_white_camera.evidence
     blank = replace(evidence, shape=0.2, circles=0.0, parallax=0.0)
     assert blank.describe() == blank.describe_doubt()

@@ -42,7 +42,8 @@ def test_square_lattice_is_refused(make_camera, tmp_path):
 
 def test_central_microimage_and_level_rows_are_read_and_other_sizes_refused(tmp_path):
     path = tmp_path / "camera.cfg"
-    text = "# made by hand\n\nLensletWidth : {}\nLensletHeight : 80\nMIDiameter : {}\nMLADirection : 0\n"
+    text = "# made by hand\n\nLensletWidth : {}\nLensletHeight : 80\n"
+    text += "MIDiameter : {}\nMLADirection : 0\n"
     text += "CentralMIOffsetX : 1\nCentralMIOffsetY : 2\n"
     path.write_text(text.format(100, 20))
     np.testing.assert_allclose(lfcal.load(path).lattice.origin, [50.5, 37.5])

@@ -21,8 +21,9 @@ _RAYTRIX = """<RayCalibData version="1.0">
   <lens_base_y units="lens"><x>{bx}</x><y>{by}</y></lens_base_y>
 </RayCalibData>"""
 
-_CORNERS = """<TSPCCalibData><diameter unit="pix">70</diameter><rotation unit="rad">{rotation}</rotation><centers>
-<ltop><x>35</x><y>40</y></ltop><rtop><x>{right}</x><y>{top}</y></rtop>
+_CORNERS = """<TSPCCalibData><diameter unit="pix">70</diameter>
+<rotation unit="rad">{rotation}</rotation>
+<centers><ltop><x>35</x><y>40</y></ltop><rtop><x>{right}</x><y>{top}</y></rtop>
 <lbot><x>35</x><y>740</y></lbot><rbot><x>{right}</x><y>{low}</y></rbot></centers></TSPCCalibData>"""
 
 

@@ -14,7 +14,7 @@ from lfcal.detection.spectrum import is_same_lattice
 
 
 def elemental_images(basis, origin, size=(420, 360), seed=0):
-    """Steps of a flat whose cells about origin + whole numbers @ basis have a tone each, and noise."""
+    """Steps of a flat whose cells about origin + whole numbers @ basis have tones, and noise."""
     width, height = size
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:height, :width]

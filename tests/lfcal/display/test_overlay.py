@@ -21,8 +21,8 @@ from lfcal.lattice.standard_errors import Residuals
 @pytest.fixture(scope="module")
 def white(whites):
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
-    image, origin = whites.white_image(basis, (700, 500))
-    return image, lfcal.Calibration(lfcal.Lattice(origin, basis, (700, 500), 9.0))
+    image, origin = whites.white_image(basis, (460, 400))
+    return image, lfcal.Calibration(lfcal.Lattice(origin, basis, (460, 400), 9.0))
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_command_writes_the_picture_and_says_where_to_look(white, tmp_path):
 def test_lens_types_have_their_own_colours_and_unlit_lenses_are_crossed_out(white, drawn_white):
     image, camera = white
     lattice = camera.lattice
-    near = np.argmin(np.hypot(*(lattice.centres() - (349.5, 249.5)).T))
+    near = np.argmin(np.hypot(*(lattice.centres() - (229.5, 199.5)).T))
     marked = replace(
         camera,
         lens_types=lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]], True),

@@ -20,10 +20,10 @@ def test_hot_pixels_are_found_and_noise_is_not(calibrated_white):
 
 
 def test_dust_is_found_as_defects_of_its_own_pixels(drawn):
-    truth = drawn("hexagonal", 20.3, 5.0, 26.0, size=(800, 600))
+    truth = drawn("hexagonal", 20.3, 5.0, 26.0, size=(420, 320))
     image = truth.image()
     y, x = np.mgrid[: truth.size[1], : truth.size[0]]
-    cx, cy = truth.centres(truth.index_of(np.array([[400.0, 300.0]])))[0] + (4, 2)
+    cx, cy = truth.centres(truth.index_of(np.array([[210.0, 160.0]])))[0] + (4, 2)
     specks = 1 - 0.6 * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * 4.0**2))
     camera = lfcal.calibrate((image * specks).astype(image.dtype), kind="white")
     found = camera.defects.pixels

@@ -10,7 +10,7 @@ import pytest
 import lfcal
 from lfcal.images.stack import estimate_white_level, measure_overexposure
 
-_SIZE = (500, 400)
+_SIZE = (400, 320)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def _error(whites, camera, basis, origin):
 def test_four_white_images_halve_the_error_of_one(whites, noisy):
     images, basis, origin = noisy
     single = [
-        _error(whites, lfcal.calibrate(image, kind="white"), basis, origin) for image in images
+        _error(whites, lfcal.calibrate(image, kind="white"), basis, origin) for image in images[:2]
     ]
     together = lfcal.calibrate(images, kind="white")
     assert _error(whites, together, basis, origin) < 0.75 * np.sqrt(np.mean(np.square(single)))
@@ -51,17 +51,15 @@ def test_a_useless_flat_does_not_change_the_centres_of_a_good_one(whites, useles
         assert _error(whites, camera, basis, origin) < 1.5 * alone + 0.0005
 
 
-def test_among_scenes_only_the_white_image_is_used(house):
+def test_among_scenes_only_the_white_image_is_used(house, house_white_camera):
     camera = lfcal.calibrate([house.flat, house.white])
     assert camera.source == "white"
-    np.testing.assert_allclose(
-        camera.lattice.basis, lfcal.calibrate(house.white).lattice.basis, atol=1e-3
-    )
+    np.testing.assert_allclose(camera.lattice.basis, house_white_camera.lattice.basis, atol=1e-3)
 
 
 def test_flats_of_different_sizes_are_refused_by_number(noisy):
     images, _, _ = noisy
-    with pytest.raises(lfcal.FlatError, match=r"flat 2 is 499 x 400 px, flat 1 is 500 x 400 px"):
+    with pytest.raises(lfcal.FlatError, match=r"flat 2 is 399 x 320 px, flat 1 is 400 x 320 px"):
         lfcal.calibrate([images[0], images[1][:, 1:]])
     with pytest.raises(lfcal.FlatError, match=r"flat 2 has shape \(8,\)"):
         lfcal.calibrate([images[0], np.zeros(8)])

@@ -12,7 +12,7 @@ _CHANGE = np.array([[0.3, -0.2], [0.01, 0.004], [-0.006, 0.02]])
 
 @pytest.fixture
 def shifts():
-    """Indices, and shifts of 0.05 px noise per axis of which every fifth is an outlier to one side."""
+    """Indices, and shifts of 0.05 px noise an axis; every fifth is an outlier to one side."""
     rng = np.random.default_rng(4)
     index = rng.integers(-15, 16, (400, 2))
     design = np.column_stack([np.ones(len(index)), index])

@@ -189,7 +189,7 @@ def test_two_types_of_unlike_radius_are_found_on_a_white_image_and_alike_ones_ar
 @pytest.mark.skipif(
     not KINDS.is_dir(), reason="no white images of other kinds beside the repository"
 )
-def test_alternating_types_whose_rims_pass_the_usable_radius_alike_are_found_by_the_light_before_them():
+def test_alternating_types_with_like_rims_are_found_by_the_light_before_them():
     camera = lfcal.calibrate(KINDS / "types2_sq.png")
     assert camera.lens_types is not None and camera.lens_types.count == 2
     assert camera.confidence > 0.9

@@ -1,4 +1,4 @@
-"""Corners of boards as a given camera shows them, and random cameras: observations for the tests."""
+"""Corners of boards as a given camera shows them, and random cameras."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def observe(values, where, rng, noise, pitch=28.3, radius=11.5, size=(1600, 1200
 
 
 def detect(values, where, rng, error=0.02):
-    """Boards as they are detected in all-in-focus pictures: to half a pixel, `s / D` to an `error`."""
+    """Boards as detected in all-in-focus pictures: to half a pixel, `s / D` to an `error`."""
     found = []
     for turn, shift in zip(where.rotation, where.translation, strict=True):
         points = BOARD @ turn.T + shift

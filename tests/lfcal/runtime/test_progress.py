@@ -32,6 +32,13 @@ def in_tiles(folder, step):
         )
 
 
+def frames(folder, step):
+    for name in ("a.tif", "b.tif"):
+        lfrender.write_picture(folder / name, FLAT)
+    found = lfrender.open_frames([folder])
+    return list(lfrender.render_frames(found, folder / "out", CAMERA, preset="fast", progress=step))
+
+
 @pytest.mark.parametrize(
     "work",
     [
@@ -42,8 +49,9 @@ def in_tiles(folder, step):
             FLAT, CAMERA, depth_range=(-4, 4), planes=3, steps=2, progress=step
         ),
         in_tiles,
+        frames,
     ],
-    ids=["calibrate", "analyze", "render", "volume", "large"],
+    ids=["calibrate", "analyze", "render", "volume", "large", "frames"],
 )
 def test_a_function_is_called_until_all_steps_are_done(tmp_path, work):
     steps = []

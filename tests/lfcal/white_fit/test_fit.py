@@ -1,4 +1,4 @@
-"""White images of the benchmark: whole, cut and distorted microimages against their true centres."""
+"""White images of the benchmark: whole, cut and distorted microimages, and true centres."""
 
 from __future__ import annotations
 

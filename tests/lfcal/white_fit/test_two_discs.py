@@ -54,7 +54,7 @@ def test_two_equal_discs_without_shading_are_doubtful_and_said_so():
     assert "constant in the disparity" in doubt
 
 
-def test_centres_of_blurred_cut_microimages_are_within_a_few_thousandths_of_a_pixel_and_pass_the_check():
+def test_centres_of_blurred_cut_microimages_are_right_to_0_004_px_and_pass_the_check():
     truth = WhiteImage(
         "hexagonal", 18.9, 5.0, strength=0.3, ratio=1.04, soft=1.1, gap=0.03, size=(860, 640)
     )

@@ -211,7 +211,7 @@ def test_a_camera_is_checked_against_the_flat_before_that_is_analysed(
     other = run(command, flat, "-c", tmp_path / "other.json", "-o", output, "--preset", "fast")
     assert_refused(other, "other.json", "not made with this camera")
     part = run(command, tmp_path / "part.png", "-c", house_files / "camera.json", "-o", output)
-    assert_refused(part, "520 x 400", "500 x 390")
+    assert_refused(part, "420 x 330", "400 x 320")
     white = run(command, tmp_path / "part.png", "--white", house_files / "white.png", "-o", output)
     assert_refused(white, "one size")
     both = run(command, flat, "-c", moved, "--white", house_files / "white.png", "-o", output)
@@ -228,7 +228,7 @@ def test_depth_of_another_camera_or_no_depth_at_all_is_refused(house, ask, tmp_p
     figures_of(*ask("analyze", "-o", tmp_path / "depth.npz", "--preset", "fast"))
     cv2.imwrite(str(tmp_path / "part.png"), house.flat[:-10, :-20])
     lattice = house.truth.calibration.lattice
-    lfcal.Calibration(replace(lattice, image_size=(500, 390))).save(tmp_path / "part.json")
+    lfcal.Calibration(replace(lattice, image_size=(400, 320))).save(tmp_path / "part.json")
     words = (
         "-c",
         tmp_path / "part.json",
@@ -312,9 +312,8 @@ def test_sixteen_bits_become_eight_where_the_format_or_the_user_wants_it_and_tha
         pictures[name] = lfcal.read_flat(tmp_path / name)
     assert [picture.dtype for picture in pictures.values()] == [np.uint8, np.uint8, np.uint16]
     assert np.abs(pictures["b.png"] - pictures["c.png"] / 257).max() <= 0.5
-    assert (
-        np.abs(pictures["a.jpg"].astype(float) - pictures["b.png"]).mean() < 6
-    )  # grey levels: JPEG
+    # Grey levels: JPEG, and its brightness.
+    assert np.abs(pictures["a.jpg"].astype(float) - pictures["b.png"]).mean() < 8
 
 
 def test_a_command_ends_with_sentences_that_name_the_source_and_percentages(
@@ -322,7 +321,7 @@ def test_a_command_ends_with_sentences_that_name_the_source_and_percentages(
 ):
     lines = run(*ask("render", "-o", tmp_path / "picture.png")).stdout.splitlines()
     assert [line for line in lines if not line.startswith("compiling")] == lines[-3:]
-    assert lines[-3] == f"588 microlenses, 20.3 px apart, with {house_files / 'camera.json'}."
+    assert lines[-3] == f"392 microlenses, 20.3 px apart, with {house_files / 'camera.json'}."
     assert re.fullmatch(
         r"Of the lenses \d+ % telescopic, \d+ % binocular, \d+(\.\d)? % unresolved \(.+\)\.",
         lines[-2],
@@ -350,7 +349,7 @@ def test_opposite_corners_of_a_region_come_in_any_order(ask, tmp_path):
     assert np.array_equal(pictures[0], pictures[1]) and np.array_equal(pictures[0], pictures[2])
     for command, out in (("render", "o.png"), ("analyze", "o.npz")):
         words = ask(command, "-o", tmp_path / out, "--roi")
-        assert_refused(run(*words, 900, 800, 600, 700), "roi 900 800 600 700 lies outside", "520")
+        assert_refused(run(*words, 900, 800, 600, 700), "roi 900 800 600 700 lies outside", "420")
         assert_refused(run(*words, 40, 80, 40, 190), "--roi 40 80 40 190 has no area")
         assert_refused(
             run(*words, 40, 80, 90, "--quiet"), "'--roi'", "'--quiet' is not a valid float"
@@ -442,7 +441,8 @@ def test_help_imports_nothing_heavy(program, words):
     code = (
         f"import sys\nfrom {program}.cli.main import main\n"
         f"try: main({words.split()})\nexcept SystemExit as end: assert end.code == 0\n"
-        "print([m for m in ('numpy', 'numba', 'scipy', 'cv2', 'PIL', 'tifffile', 'rich') if m in sys.modules])"
+        "heavy = {'numpy', 'numba', 'scipy', 'cv2', 'PIL', 'tifffile', 'rich'}\n"
+        "print([m for m in heavy if m in sys.modules])"
     )
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True

@@ -49,44 +49,43 @@ def files(house_files, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(
-    "option",
-    ["--white", "--camera", "--dark", "--preset", "--roi", "--mosaic", "--page", "--depth"],
-)
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_takes_every_option_or_says_why_not(files, tmp_path, command, option):
+def run(files, folder, command, flat, options):
+    """Run a command on a flat with options, each a list of words."""
     name, *more = COMMANDS[command]
-    flat = {"--mosaic": "raw.tif", "--page": "pages.tif"}.get(option, "flat.png")
-    value = {
-        "--white": [files / "white.png"],
-        "--camera": [files / "camera.json"],
-        "--dark": [files / "dark.tif"],
-        "--preset": ["fast"],
-        "--roi": [100, 80, 300, 260],
-        "--mosaic": ["GRBG"],
-        "--page": [1],
-        "--depth": [files / "depth.npz"],
-    }[option]
-    words = [
-        command,
-        files / flat,
-        "--export" if command == "view" else "-o",
-        tmp_path / name,
-        *more,
-        option,
-        *value,
-    ]
-    if option not in ("--white", "--camera"):
-        words += ["-c", files / "camera.json"]
-    if option != "--preset":
-        words += ["--preset", "fast"]
-    done = CliRunner().invoke(main, [str(word) for word in [*words, "--quiet"]])
-    if (command, option) in REFUSED:
-        assert done.exit_code == 2 and f"{option} makes no sense here: " in done.stderr
-        assert list(tmp_path.iterdir()) == []
-    else:
+    output = ["--export" if command == "view" else "-o", folder / name]
+    given = [word for words in options for word in words]
+    words = [command, files / flat, *output, *more, *given, "--preset", "fast", "--quiet"]
+    return CliRunner().invoke(main, list(map(str, words)))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_takes_every_option_or_says_why_not(files, tmp_path, command):
+    camera = ["--camera", files / "camera.json"]
+    dark = ["--dark", files / "dark.tif"]
+    options = {
+        "--roi": ["--roi", 100, 80, 300, 260],
+        "--page": ["--page", 1],
+        "--depth": ["--depth", files / "depth.npz"],
+    }
+    taken = [words for option, words in options.items() if (command, option) not in REFUSED]
+    flat = "flat.png" if (command, "--page") in REFUSED else "pages.tif"
+    for name, others in ((flat, [camera, dark, *taken]), ("raw.tif", [["--mosaic", "GRBG"]])):
+        white = [] if camera in others else [["--white", files / "white.png"]]
+        (tmp_path / name).mkdir()
+        done = run(files, tmp_path / name, command, name, [*others, *white])
         assert done.exit_code == 0, done.output
-        assert (tmp_path / name).exists()
+        assert (tmp_path / name / COMMANDS[command][0]).exists()
+
+
+@pytest.mark.parametrize(("command", "option"), sorted(REFUSED))
+def test_options_that_make_no_sense_for_a_command_are_refused_with_the_reason(
+    files, tmp_path, command, option
+):
+    value = {"--depth": [files / "depth.npz"], "--page": [1], "--roi": [100, 80, 300, 260]}
+    camera = ["--camera", files / "camera.json"]
+    done = run(files, tmp_path, command, "flat.png", [camera, [option, *value[option]]])
+    assert done.exit_code == 2 and f"{option} makes no sense here: " in done.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_part_that_is_drawn_lies_on_the_whole_picture(files, tmp_path):
@@ -127,10 +126,8 @@ def test_the_part_that_is_drawn_lies_on_the_whole_picture(files, tmp_path):
 def test_an_option_of_another_command_names_it():
     done = CliRunner().invoke(main, ["render", "flat.png", "-o", "p.png", "--stack", "5"])
     assert done.exit_code == 2
-    assert (
-        done.stderr
-        == "lfrender: No such option: --stack; it belongs to refocus. See 'lfrender render --help'.\n"
-    )
+    told = "No such option: --stack; it belongs to refocus. See 'lfrender render --help'."
+    assert done.stderr == f"lfrender: {told}\n"
     done = CliRunner().invoke(main, ["render", "flat.png", "-o", "p.png", "--nothing"])
     assert "No such option" in done.stderr and "belongs" not in done.stderr
 

@@ -35,6 +35,12 @@ def test_a_notebook_shows_each_result_with_a_picture_and_figures(drawn):
         assert np.asarray(picture).std() > 10
 
 
+def test_a_notebook_shows_the_offsets_of_a_checked_camera(house):
+    html = lfcal.check_fit(house.truth.calibration, house.white)._repr_html_()
+    assert html.count(" px</td>") == 9 and "middle centre" in html
+    assert "within" in html and "of this flat" in html
+
+
 def test_unresolved_lenses_are_grey_and_colours_have_a_bar(drawn):
     plt = pytest.importorskip("matplotlib.pyplot", reason="Matplotlib is not installed")
     plt.switch_backend("agg")

@@ -1,4 +1,4 @@
-"""The vignetting-corrected flat: every pixel of a trusted microimage has the gain of its own lens."""
+"""The vignetting-corrected flat: every pixel has the gain of its own lens."""
 
 from __future__ import annotations
 

@@ -86,11 +86,13 @@ from scipy.ndimage import correlate
 from lfrender.flat.gray_flat import GrayFlat
 from lfrender.flat.texture import measure_statistics
 rng = np.random.default_rng(0)
-image, centres = rng.random((300, 400), np.float32), (rng.random((200, 2)) * (400, 300)).astype(np.float32)
+image = rng.random((300, 400), np.float32)
+centres = (rng.random((200, 2)) * (400, 300)).astype(np.float32)
 for radius in (3.2, 11.4, 17.5):
     for step in (1, 2):
         found = measure_statistics(GrayFlat(image, centres, radius, 2 * radius), row_step=step)
-        print(*(getattr(found, name).tobytes().hex() for name in ("mean", "contrast", "central_contrast", "roughness")))
+        names = ("mean", "contrast", "central_contrast", "roughness")
+        print(*(getattr(found, name).tobytes().hex() for name in names))
 """
 
 

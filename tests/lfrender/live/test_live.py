@@ -55,8 +55,8 @@ def wait_until(condition, seconds=10.0):
 
 
 @pytest.fixture(scope="module")
-def camera(house):
-    return lfcal.calibrate(house.white, kind="white")
+def camera(house_white_camera):
+    return house_white_camera
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ def depth_of(scene, **arguments):
 
 
 def difference(picture, other, part=np.s_[:, :]):
-    """RMS difference [grey levels] of two pictures on one grid, a border of two pitches left out."""
+    """RMS difference [grey levels] of two pictures on one grid, without two pitches of border."""
     border = int(np.ceil(2 * picture.scale))
     inner = np.s_[border:-border, border:-border]
     return np.sqrt(np.mean((picture.image.astype(float) - other.image)[inner][part] ** 2))

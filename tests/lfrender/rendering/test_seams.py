@@ -43,7 +43,7 @@ def camera_of(scene):
 
 
 def lattice_amplitude(picture, lattice):
-    """RMS [grey levels] of the picture at the frequencies of the lattice, up to the second order."""
+    """RMS [grey levels] of the picture at frequencies of the lattice, up to the second order."""
     border = int(np.ceil(1.5 * picture.scale))
     image = picture.image.astype(float)
     image = image.mean(2) if image.ndim == 3 else image

@@ -15,7 +15,7 @@ from lfrender.rendering.traditional import traditional
 
 @pytest.fixture(scope="module")
 def wall():
-    """Camera and flat of a wall of value 150; the light of its types differs by a tenth at the rim."""
+    """Camera and flat of a wall of value 150; its types differ by a tenth of light at the rim."""
     types = LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
     lattice = Lattice([10, 10], [[20, 0], [10, 17.3]], (400, 300), 9)
     ramp = np.clip((np.arange(60) * 0.25 - 5) / 4, 0, 1)

@@ -100,10 +100,10 @@ def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole,
 
 
 def test_a_run_uses_the_camera_as_its_file_has_it_so_that_a_continued_one_has_the_same(
-    house, sequence, tmp_path
+    house_white_camera, sequence, tmp_path
 ):
     frames = lfrender.open_frames([sequence[0]], frames="2:4")
-    camera = lfcal.calibrate(house.white, kind="white")
+    camera = house_white_camera
     options = FrameOptions(preset="fast", scale=4.0)
     folder = RunFolder(tmp_path, options, frames.names, overwrite=False)
     run = Run(folder, options, camera, frames)
@@ -124,7 +124,7 @@ def test_other_settings_are_refused_unless_everything_is_rendered_again(sequence
         list(lfrender.render_frames(one, whole[0], camera, **again))
     list(lfrender.render_frames(one, tmp_path, camera, preset="fast", scale=4.0))
     list(lfrender.render_frames(one, tmp_path, camera, **again))
-    assert tifffile.imread(tmp_path / "f8.tif").shape[1] == pytest.approx(3.0 * 520 / 20.3, abs=1)
+    assert tifffile.imread(tmp_path / "f8.tif").shape[1] == pytest.approx(3.0 * 420 / 20.3, abs=1)
 
 
 def test_frames_of_16_bits_are_written_with_8_where_that_is_asked_for(house, tmp_path):
@@ -316,7 +316,7 @@ def test_pages_of_a_tiff_and_a_video_are_frames(house, tmp_path):
     av = pytest.importorskip("av")
     with av.open(str(tmp_path / "film.mkv"), "w") as film:
         stream = film.add_stream("ffv1", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 520, 400, "bgr0"
+        stream.width, stream.height, stream.pix_fmt = 420, 330, "bgr0"
         for page in pages:
             film.mux(
                 stream.encode(av.VideoFrame.from_ndarray(page.astype(np.uint8), format="rgb24"))

@@ -81,7 +81,7 @@ def flat(house, tmp_path):
 
 
 def killing(client, when):
-    """A progress function that kills a worker at step `when`, and the numbers it was called with."""
+    """A progress function that kills a worker at step `when`, and the numbers it got."""
     calls = []
 
     def progress(done, count):
@@ -135,7 +135,7 @@ def test_commands_on_large_flats_take_workers_and_a_dark_frame(flat, client, tmp
     given = ["-c", str(tmp_path / "camera.json"), "--workers", "2", "--preset", "fast", "--json"]
     given += ["--dark", str(dark)]
     analyzed = ["analyze", str(path), "-o", str(tmp_path / "depth.npz"), *given]
-    rendered = ["render", str(path), "-o", str(tmp_path / "there.tif"), *given, "--tile", "100"]
+    rendered = ["render", str(path), "-o", str(tmp_path / "there.tif"), *given, "--tile", "80"]
     figures = [
         json.loads(CliRunner().invoke(main, c, catch_exceptions=False).stdout)
         for c in (analyzed, rendered)

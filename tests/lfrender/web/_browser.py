@@ -31,7 +31,8 @@ def start_browser():
     driver = shutil.which("chromedriver")
     if program is None or driver is None:
         pytest.skip(
-            "no browser: neither Chromium nor its driver is installed (Debian: chromium, chromium-driver)"
+            "no browser: neither Chromium nor its driver is installed (Debian: chromium, "
+            "chromium-driver)"
         )
     options = webdriver.ChromeOptions()
     options.binary_location = program
@@ -65,7 +66,8 @@ def pixels(browser, shape, affine, **settings):
     height, width = shape
     text = browser.execute_script(
         "const a = lightField.pixels(...arguments); let s = '';"
-        "for (let n = 0; n < a.length; n += 8192) s += String.fromCharCode(...a.subarray(n, n + 8192)); return btoa(s)",
+        "for (let n = 0; n < a.length; n += 8192)"
+        "  s += String.fromCharCode(...a.subarray(n, n + 8192)); return btoa(s)",
         width,
         height,
         affine[:, 2].tolist(),

@@ -46,8 +46,10 @@ def page(browser, served):
         browser.get(served.url)
         wait_for(browser, READY)
     browser.execute_script(
-        "lightField.compare(false); lightField.other = undefined; lightField.measure(false); lightField.view('');"
-        "lightField.set({ mode: 'focus', plane: lightField.scene.plane, q: [0, 0], aperture: 1, overlay: 0,"
+        "lightField.compare(false); lightField.other = undefined; lightField.measure(false);"
+        "lightField.view('');"
+        "lightField.set({ mode: 'focus', plane: lightField.scene.plane, q: [0, 0], aperture: 1,"
+        "overlay: 0,"
         "brightness: 0 }); lightField.fit()"
     )
     yield browser

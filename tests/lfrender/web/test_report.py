@@ -181,7 +181,8 @@ def test_the_line_moves_and_the_picture_zooms_to_its_own_pixels(report):
             "return i.decode().then(() => [i.naturalWidth, i.naturalHeight])"
         )
         line = browser.find_element("id", "line")
-        cut = "return parseFloat(getComputedStyle(document.getElementById('right')).clipPath.split(' ')[3])"
+        style = "getComputedStyle(document.getElementById('right'))"
+        cut = f"return parseFloat({style}.clipPath.split(' ')[3])"
         assert browser.execute_script(cut) == pytest.approx(50, abs=0.2)
         browser.execute_script(
             "arguments[0].value = 20; arguments[0].dispatchEvent(new Event('input'))", line
@@ -205,8 +206,10 @@ def test_the_line_moves_and_the_picture_zooms_to_its_own_pixels(report):
             )
             wide = browser.execute_script(
                 "return [...document.querySelectorAll(':not(svg *)')].filter(e => e.clientWidth && "
-                "e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).overflowX !== 'visible' || "
-                "e.getBoundingClientRect().right > innerWidth + 1).map(e => e.tagName + e.className)"
+                "e.scrollWidth > e.clientWidth + 1 && "
+                "getComputedStyle(e).overflowX !== 'visible' || "
+                "e.getBoundingClientRect().right > innerWidth + 1)"
+                ".map(e => e.tagName + e.className)"
             )
             assert wide == [], width
         assert errors(browser) == []

@@ -37,7 +37,8 @@ def settings(page):
 
 def slide(page, name, value):
     page.execute_script(
-        "const s = document.getElementById(arguments[0]); s.value = arguments[1]; s.dispatchEvent(new Event('input'))",
+        "const s = document.getElementById(arguments[0]); s.value = arguments[1];"
+        "s.dispatchEvent(new Event('input'))",
         name,
         value,
     )
@@ -168,7 +169,8 @@ def test_two_places_have_a_distance_in_metres_where_the_optics_are_known(page):
 def test_both_eyes_see_the_picture_side_by_side_or_in_colours(page):
     radius = page.execute_script("return lightField.scene.radius")
     page.execute_script(
-        "const s = document.getElementById('stereo'); s.value = 'side'; s.dispatchEvent(new Event('change'))"
+        "const s = document.getElementById('stereo'); s.value = 'side';"
+        "s.dispatchEvent(new Event('change'))"
     )
     assert settings(page)["stereo"] == "side"
     page.execute_script("lightField.set({ mode: 'sharp' })")
@@ -231,7 +233,8 @@ def test_a_view_is_compared_with_the_one_that_was_kept(page):
 
 def test_a_link_shows_the_same_view(page, served):
     page.execute_script(
-        "lightField.set({ mode: 'range', range: [5, 9], plane: 6.5, aperture: 0.6, q: [1.5, -2], overlay: 0.6,"
+        "lightField.set({ mode: 'range', range: [5, 9], plane: 6.5, aperture: 0.6, q: [1.5, -2],"
+        "overlay: 0.6,"
         "brightness: 0.4 }); lightField.zoom(2)"
     )
     wait_for(page, "location.hash.includes('view=')")

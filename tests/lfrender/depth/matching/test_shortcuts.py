@@ -19,7 +19,7 @@ def test_shifts_near_no_sampled_depth_are_skipped_without_changing_the_result(sc
     assert scenes.agreement(full, quick) > 0.99
 
 
-def test_blank_lenses_are_skipped_without_changing_the_others_and_shading_is_not_taken_for_fine_texture(
+def test_blank_lenses_are_skipped_without_changing_others_and_shading_is_no_fine_texture(
     scenes,
 ):
     shot = scenes.shot_of(
