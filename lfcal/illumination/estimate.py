@@ -8,7 +8,7 @@ squares).
 
 On a white image a lens has one unknown, its light. On a scene capture a plane is fitted to its
 inner part, and lenses that are no plane there have little weight. That suffices for the rims; the
-profile itself is taken from sums over many lenses (`profiles`). The light of single lenses cannot
+profile itself follows from sums over many lenses (`profiles`). The light of single lenses cannot
 be measured from scenes.
 """
 
@@ -27,7 +27,6 @@ from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.arrays import Array, Booleans, Floats, Singles
 from ..white_fit.vignetting import CatEye
-from .profiles import fit_scene_profile
 from .residuals import Residuals, collect_residuals, draw_sample
 
 __all__ = ["estimate_gain"]
@@ -37,6 +36,8 @@ def estimate_gain(
     picture: Singles | StackedCrops, lattice: Lattice, scene: bool, cat_eye: CatEye | None = None
 ) -> GainMap:
     """Estimate the shape of the microimages of a flat, without the light of single lenses.
+
+    On a scene, the profile is that of single lenses: `fit_scene_profile` corrects it.
 
     `picture` (h, w), or crops of a white image, is the square root of the luminance; `cat_eye` the
     cutting disc if known.
@@ -64,7 +65,7 @@ def estimate_gain(
             gain = replace(
                 gain, cut=_fit_cut(collect_residuals(sample, gain, scene, largest), gain)
             )
-    return replace(gain, profile=fit_scene_profile(picture, lattice, gain)) if scene else gain
+    return gain
 
 
 def _estimate_noise(residuals: Residuals, rings: int) -> Array:
