@@ -1,9 +1,10 @@
 """Check whether a camera fits a flat, and measure how far the microimages lie from its lattice.
 
-The lattice of the flat is measured from the basis of the camera, without its centres. If nothing
-repeats at that basis, the lattice is searched without the camera. If it is the lattice of the
-camera, it is fitted to the edges between the microimages (`scene_fit`). Flats are downscaled to
-microimages of 10 to 20 pixels.
+A camera whose gain map matches the average cells of all parts of the flat is confirmed at once
+(`confirmation`). Else the lattice of the flat is measured from the basis of the camera, without its
+centres. If nothing repeats at that basis, the lattice is searched without the camera. If it is the
+lattice of the camera, it is fitted to the edges between the microimages (`scene_fit`). Flats are
+downscaled to microimages of 10 to 20 pixels.
 """
 
 from __future__ import annotations
@@ -208,7 +209,11 @@ def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
 
 
 def _check(calibration: Calibration, reduced: _Reduced) -> CameraCheck:
+    from .confirmation import confirms_camera
+
     lattice = calibration.lattice
+    if confirms_camera(calibration, lattice.downscaled(reduced.factor), reduced.picture):
+        return CameraCheck(problem=_find_type_conflict(calibration, reduced.flat))
     found, misfit = _compare(reduced, lattice)
     if found is None and reduced.factor > 1:
         # Microimages that are much smaller than those of the camera vanish by downscaling.
