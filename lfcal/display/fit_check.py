@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 __all__ = ["CameraCheck", "FitCheck", "check_camera", "check_fit", "choose_orientation"]
 
 _REMEDY = "give the camera of this flat, or calibrate on it"
-# Largest shift of a right camera over the whole flat [pitch]: 0.05 on 60 simulated flats. Beyond it,
+# Largest shift of a right camera over the whole flat [pitch]: 0.05 on 60 simulated flats. Larger
 # errors are visible in pictures.
 _SHIFT = 0.06
-# Largest shift of a corner by scale or rotation [pitch]: 0.028 with right cameras on 11 captures, 0.039
-# with a wrong one.
+# Largest shift of a corner by scale or rotation [pitch]: 0.028 with right cameras on 11 captures,
+# 0.039 with a wrong one.
 _STRETCH = 0.033
 # Least probability of a lattice that a camera is compared with.
 _LIKELY = 0.5
@@ -53,8 +53,8 @@ _LEAST_PITCH = 10
 _PIXELS = 4e6
 # Lenses to which a straight lattice is fitted.
 _LENSES = 4000
-# Lenses that are fitted to check a camera: 8,000 give the same verdicts on eight captures, and their
-# offsets differ by less than 0.004 pitch, or 0.02 where a camera is far beside.
+# Lenses that are fitted to check a camera: 8,000 give the same verdicts on eight captures. Their
+# offsets differ by less than 0.004 pitch, or 0.02 where the camera is wrong.
 _CHECKED_LENSES = 1400
 # The same where the offsets are wanted.
 _MEASURED_LENSES = 8000
@@ -138,7 +138,7 @@ class CameraCheck:
     Examples
     --------
     >>> from lfcal import CameraCheck
-    >>> CameraCheck().fits, CameraCheck(problem="the microimages lie 5.9 px beside those of the camera").problem[:16]
+    >>> CameraCheck().fits, CameraCheck(problem="the microimages lie 5.9 px beside").problem[:16]
     (True, 'the microimages ')
     """
 
@@ -148,7 +148,7 @@ class CameraCheck:
     checked: bool = True
 
     def warn(self, calibration: Calibration, name: object) -> Calibration:
-        """The camera with its problem as a warning; CameraFileError with its `name` if it is wrong."""
+        """The camera, with its problem as a warning; CameraFileError if it is of another array."""
         if not self.fits:
             raise CameraFileError(f"{name}: {self.problem}")
         warning = self.problem
@@ -174,7 +174,8 @@ def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     >>> from lfcal import Calibration, Lattice, check_fit
     >>> y, x = np.mgrid[:300, :400]
     >>> white = 20 + 200 * np.clip(9.5 - np.hypot(x % 20 - 10, y % 20 - 10), 0, 1)
-    >>> round(check_fit(Calibration(Lattice([11, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).max_offset)
+    >>> camera = Calibration(Lattice([11, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    >>> round(check_fit(camera, white).max_offset)
     1
     """
     reduced = _prepare(calibration, image)
@@ -198,7 +199,8 @@ def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
     >>> from lfcal import Calibration, Lattice, check_camera
     >>> y, x = np.mgrid[:300, :400]
     >>> white = 20 + 200 * np.clip(9.5 - np.hypot(x % 20 - 10, y % 20 - 10), 0, 1)
-    >>> check_camera(Calibration(Lattice([4, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).problem[:19]
+    >>> camera = Calibration(Lattice([4, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    >>> check_camera(camera, white).problem[:19]
     'the microimages lie'
     """
     from threadpoolctl import threadpool_limits
@@ -318,7 +320,7 @@ def _prepare(calibration: Calibration, image: ArrayLike) -> _Reduced:
 
 
 def _reduce(flat: Array, factor: int) -> Singles:
-    """Root of the luminance (h, w) of a flat after averaging blocks of `factor` x `factor` pixels."""
+    """Root of the luminance (h, w) of a flat, averaged in blocks of `factor` x `factor` pixels."""
     from ..images.preprocessing import sqrt_luminance
 
     if factor > 1:
@@ -438,7 +440,7 @@ def _fit_offsets(
 def _measure(
     picture: Singles, given: Lattice, start: Lattice, positions: Floats, most: int
 ) -> Floats:
-    """(3, 3, 2) offsets [px] of the lattice of a picture from the given one; NaN if not reliable."""
+    """(3, 3, 2) offsets [px] of the lattice of a picture from a given one; NaN if unreliable."""
     from ..images.preprocessing import edge_strength, normalise_locally
     from ..scene_fit.fit import fit_scene
 
