@@ -50,11 +50,12 @@ def twice(name, call):
 def load():
     import lfcal, lfrender, lfrender.cli.main
     steps = (lfrender.analyze, lfrender.render, lfrender.write_picture)
-    return (*steps, lfcal.calibrate, lfcal.read_flat)
+    return (*steps, lfcal.calibrate, lfcal.check_camera, lfcal.read_flat)
 
-analyze, render, write, calibrate, read = measure("imports", load)
+analyze, render, write, calibrate, check, read = measure("imports", load)
 flat = measure("read", lambda: read(sys.argv[1]))
 camera = twice("calibrate", lambda: calibrate(flat))
+twice("check of the camera", lambda: check(camera, flat))
 for preset in ("fast", "balanced"):
     depth = twice("analyze, " + preset, lambda: analyze(flat, camera, preset))
 for detail in ("off", "natural"):

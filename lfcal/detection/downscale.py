@@ -4,7 +4,9 @@ every pixel.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -14,12 +16,21 @@ from ..lattice.lattice import Lattice
 from ..runtime.arrays import Array, Singles
 from ..runtime.errors import CalibrationError
 
-__all__ = ["LARGE", "PIECES", "average_blocks", "choose_block_size", "upscale_calibration"]
+__all__ = [
+    "LARGE",
+    "PIECES",
+    "average_blocks",
+    "choose_block_size",
+    "may_be_white",
+    "upscale_calibration",
+]
 
 # [px] flats of more are averaged in blocks, down to about a third.
 LARGE = 4.8e7
 # White images of fewer are as soon calibrated as a whole as in pieces.
 PIECES = 6e6
+# [px] side of the part that tells whether a flat may be a white image.
+_PART = 768
 
 
 def choose_block_size(flat: Array) -> int:
@@ -63,6 +74,30 @@ def _find_pitch(flat: Array) -> float:
             return pitch
     assert error is not None
     raise error
+
+
+def may_be_white(flat: Array) -> bool:
+    """Whether the middle of a flat has evenly lit microimages, at the strongest period there.
+
+    Scenes are told from white images without the search for a lattice in a piece, which measures
+    many periods of a scene before it finds that it is none.
+    """
+    from ..images.preprocessing import sqrt_luminance
+    from .features import FlatFeatures
+    from .search import measure_basis
+    from .spectrum import find_periods
+
+    height, width = flat.shape[:2]
+    side = min(_PART, height, width)
+    left = (width - side) // 2
+    top = (height - side) // 2
+    picture = sqrt_luminance(np.ascontiguousarray(flat[top : top + side, left : left + side]))
+    with suppress(CalibrationError, np.linalg.LinAlgError):
+        for basis in islice(find_periods(FlatFeatures(picture)), 1):
+            radius = float(np.hypot(*basis.T).min() / 2)
+            found = measure_basis(picture, Lattice(np.zeros(2), basis, (side, side), radius))
+            return bool(found) and found[0].evidence.white_probability > 0.5
+    return False
 
 
 def average_blocks(flat: Array, block: int, rows: int = 32) -> Singles:

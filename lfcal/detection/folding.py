@@ -175,12 +175,19 @@ class TileFolds:
         count = self.count[chosen].sum(0, dtype=np.float64)
         level = total.sum() / max(count.sum(), 1)
         # A pitch of a whole number of pixels leaves bins empty: average over the width of a pixel.
-        for axis, length in ((1, np.hypot(*self.basis[0])), (0, np.hypot(*self.basis[1]))):
-            half = int(np.ceil(self.bins / length)) // 2
-            total, count = (
-                sum(np.roll(v, k, axis) for k in range(-half, half + 1)) for v in (total, count)
-            )
+        across, down = (_window(self.bins, float(np.hypot(*side))) for side in self.basis)
+        total, count = down @ np.array([total, count]) @ across
         return np.where(count > 0.5, total / np.maximum(count, 0.5), level)
+
+
+def _window(bins: int, length: float) -> Floats:
+    """(bins, bins) matrix of sums over the bins within the width of a pixel, of a cell of `length`
+    [px].
+    """
+    half = int(np.ceil(bins / length)) // 2
+    place = np.arange(bins)
+    away = np.abs((place[:, None] - place + bins // 2) % bins - bins // 2)
+    return (away <= half).astype(np.float64)
 
 
 def fold_tiles(

@@ -32,6 +32,8 @@ __all__ = ["MOST_STRETCH", "FitCheck", "check_fit", "fit_offsets"]
 # Largest shift of a corner by scale or rotation [pitch]: 0.028 with right cameras on 11 captures,
 # 0.039 with a wrong one.
 MOST_STRETCH = 0.033
+# Lenses that are fitted where the offsets are wanted.
+_MEASURED_LENSES = 8000
 # Largest difference of the lattices of two halves of the microimages [pitch].
 _HALVES = 0.05
 
@@ -119,13 +121,19 @@ def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     """
     reduced = prepare_flat(calibration, image)
     found, misfit = compare_lattices(reduced, calibration.lattice)
-    return fit_offsets(calibration, reduced, found, misfit)
+    return fit_offsets(calibration, reduced, found, misfit, _MEASURED_LENSES)
 
 
 def fit_offsets(
-    calibration: Calibration, reduced: ReducedFlat, found: Lattice | None, misfit: Misfit | None
+    calibration: Calibration,
+    reduced: ReducedFlat,
+    found: Lattice | None,
+    misfit: Misfit | None,
+    most: int,
 ) -> FitCheck:
-    """Offsets of nine places, from a fit that starts at the nearer of camera and found lattice."""
+    """Offsets of nine places, from a fit of `most` lenses that starts at the nearer of camera and
+    found lattice.
+    """
     from ..gain.rows import RegionGain
 
     lattice = calibration.lattice
@@ -136,23 +144,25 @@ def fit_offsets(
     if found is not None and misfit is not None:
         small = lattice.downscaled(factor)
         start = small if misfit.is_small else found
-        offset = _measure(reduced.picture, small, start, positions / factor) * factor
+        offset = _measure(reduced.picture, small, start, positions / factor, most) * factor
         if gain is not None and len(gain.cut) and misfit.is_small:
             # Mechanical vignetting moves rims, which the gain map shows too.
             light = np.nan_to_num(RegionGain(gain, lattice).at(0, 0, *lattice.image_size))
-            rims = _measure(reduce_flat(light, factor), small, small, positions / factor)
+            rims = _measure(reduce_flat(light, factor), small, small, positions / factor, most)
             offset -= np.nan_to_num(rims) * factor
     return FitCheck(positions, offset, lattice.pitch)
 
 
-def _measure(picture: Singles, given: Lattice, start: Lattice, positions: Floats) -> Floats:
+def _measure(
+    picture: Singles, given: Lattice, start: Lattice, positions: Floats, most: int
+) -> Floats:
     """(3, 3, 2) offsets [px] of the lattice of a picture from the given one; NaN if unsure."""
     from ..images.preprocessing import edge_strength, normalise_locally
     from ..scene_fit.fit import fit_scene
 
     rims = normalise_locally(edge_strength(picture), 0.5 * given.pitch)
     try:
-        fit = fit_scene(rims, start)
+        fit = fit_scene(rims, start, most)
     except (CalibrationError, np.linalg.LinAlgError):
         return np.full((3, 3, 2), np.nan)
     if not fit.half_difference < _HALVES * given.pitch:

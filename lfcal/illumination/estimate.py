@@ -27,7 +27,7 @@ from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.arrays import Array, Booleans, Floats, Singles
 from ..white_fit.vignetting import CatEye
-from .profiles import FEW_PIXELS, fit_scene_profile
+from .profiles import FEW_PIXELS
 from .residuals import Residuals, collect_residuals, draw_sample
 
 __all__ = ["estimate_gain"]
@@ -60,6 +60,8 @@ def estimate_gain(
 ) -> GainMap:
     """Estimate the shape of the microimages of a flat, without the light of single lenses.
 
+    On a scene, the profile is that of single lenses: `fit_scene_profile` corrects it.
+
     `picture` (h, w), or crops of a white image, is the square root of the luminance; `cat_eye` the
     cutting disc if known.
     """
@@ -84,7 +86,7 @@ def estimate_gain(
             gain = replace(
                 gain, cut=_fit_cut(collect_residuals(sample, gain, scene, largest), gain)
             )
-    return replace(gain, profile=fit_scene_profile(picture, lattice, gain)) if scene else gain
+    return gain
 
 
 def _estimate_noise(residuals: Residuals, rings: int) -> Array:

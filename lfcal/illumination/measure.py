@@ -5,7 +5,7 @@ radius and defects.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ..white_fit.vignetting import CatEye
 from .defect_search import find_defects
 from .estimate import estimate_gain
 from .lens_light import find_unlit_in_scene, measure_lens_lights
-from .profiles import fit_type_profiles, order_by_rims
+from .profiles import ProfilePixels, fit_scene_profile, fit_type_profiles, order_by_rims
 
 __all__ = ["Illumination", "measure_illumination"]
 
@@ -66,9 +66,15 @@ def measure_illumination(
     lattice with a usable radius.
     """
     gain = estimate_gain(picture, lattice, not white, cat_eye)
+    pixels = None
+    if not white:
+        pixels = ProfilePixels.draw(picture, lattice, gain, True)
+        gain = replace(gain, profile=fit_scene_profile(pixels, gain))
     vignetting, radius = _average(gain, lattice)
     types = find_types(lattice.with_radius(radius)) if find_types else None
-    gain = fit_type_profiles(picture, lattice.with_radius(radius), gain, types, not white)
+    if types is not None and types.count > 1:
+        pixels = pixels or ProfilePixels.draw(picture, lattice, gain, not white)
+        gain = fit_type_profiles(pixels, radius, gain, types, not white)
     if white:
         types, gain = order_by_rims(types, gain, radius)
     warnings: tuple[str, ...] = ()

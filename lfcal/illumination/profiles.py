@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -21,10 +22,10 @@ from ..camera.lens_types import LensTypes
 from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from ..runtime.arrays import Floats, Singles
+from ..runtime.arrays import Floats, Integers, Singles
 from .residuals import CORES, Sample, clipping_luminance, draw_sample
 
-__all__ = ["FEW_PIXELS", "fit_scene_profile", "fit_type_profiles", "order_by_rims"]
+__all__ = ["FEW_PIXELS", "ProfilePixels", "fit_scene_profile", "fit_type_profiles", "order_by_rims"]
 
 #: Rings with a smaller share of the pixels of the fullest ring are interpolated.
 FEW_PIXELS = 1e-3
@@ -38,39 +39,61 @@ _SMOOTH = 1.25
 _LEAST = 0.005
 
 
-def _sum_windows(
-    sample: Sample, gain: GainMap, scene: bool, types: NDArray[np.int8], core: float
-) -> tuple[Floats, Floats, Floats]:
-    """Light over that of the core (w, t, k), its weight, and the level of the core (w, t), of
-    windows that have some.
+class ProfilePixels(NamedTuple):
+    """Lit pixels (p,) of lenses (n,) without clipped ones, and their places on the profile."""
 
-    `core` [px] is its radius; `types` (n,) are those of the lenses.
-    """
-    _, stretched, through = sample.evaluate(gain)
-    lit = through >= 0.5
-    clipped = (sample.value >= clipping_luminance(sample.value, scene)) & lit
-    whole = sample.add(clipped.astype(np.float64)) * 20 <= sample.add(lit.astype(np.float64))
-    chosen = np.flatnonzero(lit & whole[sample.lens])
-    shape = sample.windows, int(types.max(initial=0)) + 1, len(gain.profile)
-    place = stretched[chosen] / gain.step
-    ring = np.minimum(place.astype(np.int64), shape[2] - 2)
-    part = np.minimum(place - ring, 1.0)
-    ring += shape[2] * (types[sample.lens[chosen]] + shape[1] * sample.window[sample.lens[chosen]])
-    light, weight = (
-        np.bincount(ring, v * (1 - part), math.prod(shape))
-        + np.bincount(ring + 1, v * part, math.prod(shape))
-        for v in (sample.value[chosen], through[chosen])
-    )
-    light = light.reshape(shape)
-    weight = weight.reshape(shape)
-    radii = np.arange(shape[2]) * gain.step
-    number = weight[..., radii < core].sum(-1)
-    level = light[..., radii < core].sum(-1) / np.maximum(number, 1e-12)
-    bright = (number > 0).all(1) & (level.min(1) > _DARK * level.mean())
-    # A lens has few pixels in its middle: their mean would be noisier than those around it.
-    for sums in (light, weight):
-        sums[..., radii < 1.5] = sums[..., radii < 1.5].mean(-1, keepdims=True)
-    return light[bright] / level[bright][..., None], weight[bright], level[bright]
+    sample: Sample  # pixels, not cut off by more than half
+    through: Floats  # (p,) share that is not cut off
+    ring: Integers  # (p,) sample of the profile before the pixel
+    part: Floats  # (p,) how far it lies towards the next one
+
+    @classmethod
+    def draw(
+        cls, picture: Singles | StackedCrops, lattice: Lattice, gain: GainMap, scene: bool
+    ) -> ProfilePixels:
+        """About a million pixels of a flat; `picture` (h, w) is the square root of the luminance.
+
+        They depend on the rim and the cutting disc of the gain map, not on its profile.
+        """
+        sample = draw_sample(lattice, picture, _PIXELS, True)
+        _, stretched, through = sample.evaluate(gain)
+        lit = through >= 0.5
+        clipped = (sample.value >= clipping_luminance(sample.value, scene)) & lit
+        whole = sample.add(clipped.astype(np.float64)) * 20 <= sample.add(lit.astype(np.float64))
+        chosen = np.flatnonzero(lit & whole[sample.lens])
+        place = stretched[chosen] / gain.step
+        ring = np.minimum(place.astype(np.int64), len(gain.profile) - 2)
+        part = np.minimum(place - ring, 1.0)
+        return cls(sample.select(chosen), through[chosen], ring, part)
+
+    def sum_windows(
+        self, gain: GainMap, types: NDArray[np.int8], core: float
+    ) -> tuple[Floats, Floats, Floats]:
+        """Light over that of the core (w, t, k), its weight, and the level of the core (w, t), of
+        windows that have some.
+
+        `core` [px] is its radius; `types` (n,) are those of the lenses.
+        """
+        sample = self.sample
+        shape = sample.windows, int(types.max(initial=0)) + 1, len(gain.profile)
+        size = math.prod(shape)
+        first = shape[2] * (types + shape[1] * sample.window)
+        ring = self.ring + first[sample.lens]
+        light, weight = (
+            np.bincount(ring, values * (1 - self.part), size)
+            + np.bincount(ring + 1, values * self.part, size)
+            for values in (sample.value, self.through)
+        )
+        light = light.reshape(shape)
+        weight = weight.reshape(shape)
+        radii = np.arange(shape[2]) * gain.step
+        number = weight[..., radii < core].sum(-1)
+        level = light[..., radii < core].sum(-1) / np.maximum(number, 1e-12)
+        bright = (number > 0).all(1) & (level.min(1) > _DARK * level.mean())
+        # A lens has few pixels in its middle: their mean would be noisier than those around it.
+        for sums in (light, weight):
+            sums[..., radii < 1.5] = sums[..., radii < 1.5].mean(-1, keepdims=True)
+        return light[bright] / level[bright][..., None], weight[bright], level[bright]
 
 
 def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
@@ -84,15 +107,13 @@ def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
     return np.asarray(mean * np.maximum(1 - (2 * error / np.maximum(np.abs(mean), 1e-12)) ** 2, 0))
 
 
-def fit_scene_profile(picture: Singles | StackedCrops, lattice: Lattice, gain: GainMap) -> Floats:
+def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> Floats:
     """(k,) profile of a gain map with known rims, from a scene; 1 wherever that cannot be excluded.
 
-    `picture` (h, w) is the square root of the luminance; where it is too dark, the profile of
-    `gain` is returned.
+    Where the scene is too dark, the profile of `gain` is returned.
     """
-    sample = draw_sample(lattice, picture, _PIXELS, True)
-    types = np.zeros(len(sample.centres), np.int8)
-    light, weight, _ = _sum_windows(sample, gain, True, types, CORES[0] * gain.radius)
+    types = np.zeros(len(found.sample.centres), np.int8)
+    light, weight, _ = found.sum_windows(gain, types, CORES[0] * gain.radius)
     if not len(light):
         return gain.profile
     rings = np.arange(len(gain.profile))
@@ -105,23 +126,16 @@ def fit_scene_profile(picture: Singles | StackedCrops, lattice: Lattice, gain: G
 
 
 def fit_type_profiles(
-    picture: Singles | StackedCrops,
-    lattice: Lattice,
-    gain: GainMap,
-    types: LensTypes | None,
-    scene: bool,
+    found: ProfilePixels, radius: float, gain: GainMap, types: LensTypes, scene: bool
 ) -> GainMap:
     """The gain map with the light of each type of lens, or as it is if types do not differ
     significantly.
 
-    `picture` (h, w), or crops of a white image, is the square root of the luminance; on a white
-    image the light of each lens is in the map.
+    `radius` [px] is the usable one; on a white image the light of each lens is in the map.
     """
-    if types is None or types.count == 1:
-        return gain
-    sample = draw_sample(lattice, picture, _PIXELS, True)
-    kinds = types.of(np.rint(lattice.to_index(sample.centres)).astype(np.int64))
-    light, weight, level = _sum_windows(sample, gain, scene, kinds, 0.5 * lattice.radius)
+    sample = found.sample
+    kinds = types.of(np.rint(sample.lattice.to_index(sample.centres)).astype(np.int64))
+    light, weight, level = found.sum_windows(gain, kinds, 0.5 * radius)
     if level.shape[1] != types.count or len(level) < 4:
         return gain
     wide = 2 * (round(_SMOOTH / gain.step) // 2) + 1
@@ -138,10 +152,10 @@ def fit_type_profiles(
     last = np.flatnonzero((weight.sum((0, 1)) > 0) & (gain.profile > 0.25))[-1]
     factor[:, last:] = factor[:, [last]]
     if scene:
-        number = least[..., radii < 0.5 * lattice.radius].sum(-1)
+        number = least[..., radii < 0.5 * radius].sum(-1)
         factor *= 1 + _shrunk_mean(level / level.mean(1, keepdims=True) - 1, number)[:, None]
     factor = np.clip(factor, 0.5, 2)
-    if np.abs(factor[:, radii < lattice.radius] - 1).max() < _LEAST:
+    if np.abs(factor[:, radii < radius] - 1).max() < _LEAST:
         return gain
     return replace(gain, type_light=factor, type_cell=types.cell)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..images.preprocessing import sqrt_luminance
@@ -31,22 +32,38 @@ _AMBIGUOUS = 0.04
 _OTHER_MODE = 0.2
 
 
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
+def _sum_products(pixels, width, cx, cy, places, across, down):
+    """Sums over the places of a lens: its pixels, those of the other lens, and their products."""
+    a = b = aa = bb = ab = np.float32(0)
+    for place in range(places.shape[1]):
+        x = cx + places[0, place]
+        y = cy + places[1, place]
+        own = pixels[np.uint32(np.int32(y) * width + np.int32(x))]
+        other = pixels[np.uint32(np.int32(y + down) * width + np.int32(x + across))]
+        a += own
+        b += other
+        aa += own * own
+        bb += other * other
+        ab += own * other
+    return a, b, aa, bb, ab
+
+
 @kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres), fastmath=FAST)
 def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, covariance, variance):
     """Covariances and mean variances (n, ratios) of lenses and their neighbours, added up over the
     `steps`.
     """
     height, width = picture.shape
+    pixels = picture.ravel()
     reach = int(radius / spacing)
-    side = 2 * reach + 1
     # Places that both lenses show, from the centre of each [px].
-    own_x = np.empty(side * side)
-    own_y = np.empty(side * side)
+    places = np.empty((len(ratios), len(steps), 2, (2 * reach + 1) ** 2), np.float32)
+    shown = np.zeros((len(ratios), len(steps)), np.int64)
     for k in range(len(ratios)):
         for step in range(len(steps)):
             ux = ratios[k] * steps[step, 0] / 2
             uy = ratios[k] * steps[step, 1] / 2
-            shown = 0
             for row in range(-reach, reach + 1):
                 for column in range(-reach, reach + 1):
                     x = column * spacing
@@ -54,35 +71,40 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
                     first = (x - ux) * (x - ux) + (y - uy) * (y - uy)
                     second = (x + ux) * (x + ux) + (y + uy) * (y + uy)
                     if max(first, second) <= radius * radius:
-                        own_x[shown] = x - ux
-                        own_y[shown] = y - uy
-                        shown += 1
-            across = 2 * ux + steps[step, 0]
-            down = 2 * uy + steps[step, 1]
-            for lens in range(begin, end):
+                        places[k, step, 0, shown[k, step]] = x - ux
+                        places[k, step, 1, shown[k, step]] = y - uy
+                        shown[k, step] += 1
+    for lens in range(begin, end):
+        cx = centres[lens, 0]
+        cy = centres[lens, 1]
+        for step in range(len(steps)):
+            left = min(cx, cx + steps[step, 0])
+            top = min(cy, cy + steps[step, 1])
+            right = max(cx, cx + steps[step, 0])
+            bottom = max(cy, cy + steps[step, 1])
+            # The other lens may lie beyond the flat.
+            if (
+                min(left, top) < radius
+                or right > width - 1 - radius
+                or bottom > height - 1 - radius
+            ):
+                continue
+            for k in range(len(ratios)):
+                count = shown[k, step]
+                if count <= 4:
+                    continue
                 # With half a pixel added, truncation rounds.
-                cx = centres[lens, 0] + 0.5
-                cy = centres[lens, 1] + 0.5
-                count = 0
-                a = b = aa = bb = ab = 0.0
-                for place in range(shown):
-                    xa = cx + own_x[place]
-                    ya = cy + own_y[place]
-                    xb = xa + across
-                    yb = ya + down
-                    if min(xa, ya, xb, yb) < 0 or max(xa, xb) >= width or max(ya, yb) >= height:
-                        continue
-                    own = picture[np.uint64(ya), np.uint64(xa)]
-                    other = picture[np.uint64(yb), np.uint64(xb)]
-                    count += 1
-                    a += own
-                    b += other
-                    aa += own * own
-                    bb += other * other
-                    ab += own * other
-                if count > 4:
-                    covariance[lens, k] += (ab - a * b / count) / count
-                    variance[lens, k] += 0.5 * (aa + bb - (a * a + b * b) / count) / count
+                a, b, aa, bb, ab = _sum_products(
+                    pixels,
+                    np.int32(width),
+                    np.float32(cx + 0.5),
+                    np.float32(cy + 0.5),
+                    places[k, step, :, :count],
+                    np.float32((1 + ratios[k]) * steps[step, 0]),
+                    np.float32((1 + ratios[k]) * steps[step, 1]),
+                )
+                covariance[lens, k] += (ab - a * b / count) / count
+                variance[lens, k] += 0.5 * (aa + bb - (a * a + b * b) / count) / count
 
 
 def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:

@@ -113,20 +113,26 @@ class TypeMeans(NamedTuple):
         if np.bincount(self.of[known], minlength=count).min() < _FEWEST_LENSES:
             return None
         limit = outlier_limit(values[known]) + 1e-9
-        lines = np.zeros((count, 2))
-        errors = np.zeros((count, 2))
-        for kind in range(count):
-            mine = known & (self.of == kind)
-            x = places[mine]
-            y = np.clip(values[mine], -limit, limit)
-            variance = float(x.var())
-            slope = float(((x - x.mean()) * y).mean()) / variance if variance > 0 else 0.0
-            lines[kind] = y.mean() - slope * x.mean(), slope
-            scatter = float((y - lines[kind, 0] - slope * x).std()) / np.sqrt(len(x))
-            errors[kind] = scatter, scatter / np.sqrt(variance) if variance > 0 else np.inf
-        return self.unmixing @ lines, np.sqrt(2) * float(
-            np.linalg.norm(self.unmixing, 2)
-        ) * errors.max(0)
+        of = self.of[known]
+        x = places[known]
+        y = np.clip(values[known], -limit, limit)
+        number = np.bincount(of)
+
+        def mean(one: Floats) -> Floats:
+            return np.asarray(np.bincount(of, one) / number)
+
+        middle = mean(x)
+        level = mean(y)
+        away = x - middle[of]
+        variance = mean(away**2)
+        varied = variance > 0
+        slope = np.where(varied, mean(away * y) / np.where(varied, variance, 1), 0)
+        scatter = np.sqrt(mean((y - level[of] - slope[of] * away) ** 2) / number)
+        slope_error = np.where(varied, scatter / np.sqrt(np.where(varied, variance, 1)), np.inf)
+        lines = np.column_stack([level - slope * middle, slope])
+        error = np.array([scatter.max(), slope_error.max()])
+        inflation = np.sqrt(2) * float(np.linalg.norm(self.unmixing, 2))
+        return self.unmixing @ lines, inflation * error
 
     def fit_means(self, values: Floats) -> tuple[Floats, float] | None:
         """Robust mean of each type, and the standard error of their differences; None where a type

@@ -29,6 +29,8 @@ _FEWEST_LENSES = 12
 # Lenses for the first steps, and passes of these.
 _SKETCH_LENSES = 700
 _SKETCH_PASSES = 4
+# Pixels of all lenses that are used, about.
+_PIXELS = 4e6
 _PASSES = 10
 # [standard errors] shorter steps end a fit.
 _SETTLED = 0.2
@@ -38,19 +40,19 @@ _NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat o
 _TOO_LITTLE = "the microimages show too little; give a brighter flat or a white image"
 
 
-def fit_scene(picture: Singles, lattice: Lattice, pixels: float = 4e6) -> LatticeFit:
+def fit_scene(picture: Singles, lattice: Lattice, most: int = 8000) -> LatticeFit:
     """Fit origin and basis of a lattice, and a radial distortion if the lenses clearly show one.
 
     `picture` (h, w) is a feature that looks alike in most microimages, such as locally normalised
-    edges; `lattice` the start, right to a fraction of the pitch over the whole flat. Used are at
-    most as many lenses, evenly spread, as have so many `pixels` in all. CalibrationError if fewer
-    than a dozen whole microimages are on the flat, or they keep to no lattice.
+    edges; `lattice` the start, right to a fraction of the pitch over the whole flat. At most so
+    many lenses are used, evenly spread. CalibrationError if fewer than a dozen whole microimages
+    are on the flat, or they keep to no lattice.
     """
     # Of larger microimages fewer pixels are used, as many as of these.
     stride = max(1, round(lattice.pitch / 24))
     area = abs(np.linalg.det(lattice.basis))
     # More lenses do not make the lattice of a scene more accurate.
-    most = min(max(int(pixels * stride**2 / area), _SKETCH_LENSES), 8000)
+    most = min(max(int(_PIXELS * stride**2 / area), _SKETCH_LENSES), most)
     if min(most, len(lattice)) > 2 * _SKETCH_LENSES:
         sketch = _Fitter(picture, select_lenses(lattice, _SKETCH_LENSES), stride)
         lattice = sketch.converge(lattice, _SKETCH_PASSES).lattice

@@ -10,7 +10,6 @@ from numpy.typing import DTypeLike, NDArray
 from lfcal import Calibration, Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
 
-from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
 
 __all__ = [
@@ -194,7 +193,7 @@ def make_gray_flat(
     `light` (H, W) is the gain of its pixels; needed if the flat is part of a larger one.
     """
     lattice = downsample_lattice(calibration.lattice, factor)
-    image = allocate_pooled(lattice.image_size[::-1], np.float32)
+    image = np.empty(lattice.image_size[::-1], np.float32)
     rows = np.ascontiguousarray(flat).reshape(len(flat), -1)
     radius = trusted_radius(calibration)
     uneven = has_uneven_lenses(calibration)

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import FAST, kernel
 
-from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
 from .gray_flat import GrayFlat
 
@@ -211,9 +210,7 @@ def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
     inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
-    values = allocate_pooled(
-        (len(middle) * rows * step * width + _spare_values(width),), np.float32
-    )
+    values = np.empty((len(middle) * rows * step * width + _spare_values(width),), np.float32)
     values[-_spare_values(width) :] = 0.0
     return Strips(
         values,

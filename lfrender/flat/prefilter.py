@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import kernel
 
-from ..runtime.buffers import allocate_pooled
-
 __all__ = ["prefilter_flat", "prefilter_packed"]
 
 
@@ -132,6 +130,6 @@ def prefilter_packed(pixels: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint32
     rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
     channels = pixels.shape[2]
     of_bytes = pixels.dtype == np.uint8
-    out = allocate_pooled(pixels.shape[:2], np.uint32 if of_bytes else np.uint64)
+    out = np.empty(pixels.shape[:2], np.uint32 if of_bytes else np.uint64)
     (_pack_bytes if of_bytes else _pack_shorts)(rows, channels, out)
     return out

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
 
-from ..runtime.buffers import allocate_pooled
 from .gray_flat import GrayFlat
 from .lens_graph import count_neighbours, neighbour_rows
 from .microimages import extract_strips, row_of_disc
@@ -130,7 +129,7 @@ def remove_shading(
     )
     table = strips.values, strips.centre_pixels, strips.complete, strips.half_width
     if others is None:
-        out = allocate_pooled(gray.image.shape, np.float32)
+        out = np.empty(gray.image.shape, np.float32)
         np.copyto(out, gray.image)
     else:
         out = others.image

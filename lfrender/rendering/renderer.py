@@ -25,7 +25,6 @@ from ..detail.restore import HALO, choose_filters, find_places, restore_detail
 from ..flat.gray_flat import is_encoded, white_level
 from ..flat.lens_type_weights import WEIGHT_RATIOS
 from ..flat.prefilter import prefilter_flat
-from ..runtime.buffers import allocate_pooled
 from .blend.blend_pixels import blend_pixels
 from .blend.blend_rows import blend_rows
 from .blend.lit_flat import LitFlat, light_flat
@@ -194,7 +193,7 @@ class Renderer:
         lenses = lenses._replace(edged=lit.edged[order])
         depth = self._seen_surface.patch_size, self._seen_surface.grid(edge_step(lattice.pitch))
         shape = part[3] - part[1], part[2] - part[0]
-        image = allocate_pooled((*shape, pixels.shape[2]), np.float32)
+        image = np.empty((*shape, pixels.shape[2]), np.float32)
         if wanted.size:
             image.fill(0)
         output = Output(image, np.zeros(shape, bool))

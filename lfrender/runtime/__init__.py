@@ -1,1 +1,1 @@
-"""Tools below the mathematics: caches, buffers, words of options."""
+"""Tools below the mathematics: caches, words of options."""

@@ -18,7 +18,6 @@ from lfcal.runtime.kernels import FAST, kernel
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, make_shift_masks, overlap_range
 from ...flat.texture import FIXED_PATTERN, LensStatistics
-from ...runtime.buffers import allocate_pooled
 
 __all__ = [
     "compute_pair_costs",
@@ -336,7 +335,7 @@ def compute_pair_costs(
     """
     fresh = out is None
     if out is None:
-        out = allocate_pooled((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
+        out = np.empty((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
     pitch = np.float32(gray.pitch)
     shifts = shifts.astype(np.float32)
     # A match at zero may be one of shading, which stays with its lens, if contrast is below 3 % of

@@ -14,7 +14,6 @@ from lfcal import Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...data.surface import Surface
-from ...runtime.buffers import allocate_pooled
 
 __all__ = ["project_surface"]
 
@@ -179,7 +178,7 @@ def project_surface(
     less than `edge` [px] belong to one surface.
     """
     left, top, right, bottom = part or (0, 0, *lattice.image_size)
-    out = allocate_pooled((bottom - top, right - left), np.float32)
+    out = np.empty((bottom - top, right - left), np.float32)
     if everywhere:
         out.fill(np.nan)
     values = surface.patch_size

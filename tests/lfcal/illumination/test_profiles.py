@@ -11,7 +11,12 @@ from scipy.ndimage import gaussian_filter
 from lfcal import Lattice, LensTypes
 from lfcal.gain.gain_map import GainMap
 from lfcal.gain.rows import RegionGain
-from lfcal.illumination.profiles import fit_scene_profile, fit_type_profiles, order_by_rims
+from lfcal.illumination.profiles import (
+    ProfilePixels,
+    fit_scene_profile,
+    fit_type_profiles,
+    order_by_rims,
+)
 
 _TYPES = LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 _LATTICE = Lattice([10, 10], [[20, 0], [10, 17.3]], (600, 400), 9)
@@ -34,12 +39,19 @@ def _flat(gain: GainMap, contrast: float) -> np.ndarray:
     ).astype(np.float32)
 
 
+def _fit_types(picture: np.ndarray) -> GainMap:
+    gain = GainMap.round(np.ones(60), _STEP, 9)
+    pixels = ProfilePixels.draw(picture, _LATTICE, gain, True)
+    return fit_type_profiles(pixels, _LATTICE.radius, gain, _TYPES, True)
+
+
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_profile_from_a_scene_is_even_in_the_middle(seed):
     lattice = Lattice((201.3, 160.2), ((46.0, 0.8), (22.2, 39.9)), (420, 340), 20.0)
     scene = gaussian_filter(np.random.default_rng(seed).normal(0, 1, (340, 420)), 3.0)
     picture = (0.5 + 0.12 * scene / scene.std()).clip(0.05, 1).astype(np.float32)
-    profile = fit_scene_profile(picture, lattice, GainMap.round(np.ones(100), 0.25, 20.0))
+    gain = GainMap.round(np.ones(100), 0.25, 20.0)
+    profile = fit_scene_profile(ProfilePixels.draw(picture, lattice, gain, True), gain)
     # Pixel by pixel, the few in the middle of these 80 lenses are up to 40 % off.
     np.testing.assert_allclose(profile[:6] / np.median(profile[:60]), 1, atol=0.06)
 
@@ -47,17 +59,13 @@ def test_profile_from_a_scene_is_even_in_the_middle(seed):
 @pytest.mark.parametrize(("contrast", "error"), [(0.02, 0.005), (0.1, 0.015)])
 def test_light_of_three_types_is_told_apart_to_one_and_a_half_per_cent_on_scenes(contrast, error):
     typed = _typed(0.1)
-    found = fit_type_profiles(
-        _flat(typed, contrast), _LATTICE, GainMap.round(np.ones(60), _STEP, 9), _TYPES, True
-    )
+    found = _fit_types(_flat(typed, contrast))
     inside = (np.arange(60) * _STEP < 9) & (np.abs(np.arange(60) * _STEP - 6) > 1.5)
     assert np.abs(found.type_light - typed.type_light)[:, inside].max() < error
 
 
 def test_types_that_are_lit_alike_have_one_profile():
-    found = fit_type_profiles(
-        _flat(_typed(0), 0.1), _LATTICE, GainMap.round(np.ones(60), _STEP, 9), _TYPES, True
-    )
+    found = _fit_types(_flat(_typed(0), 0.1))
     assert found.type_light.size == 0
 
 
