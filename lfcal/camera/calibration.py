@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..gain.gain_map import Defects, GainMap, Vignetting
 from ..gain.rows import RegionGain
+from ..lattice.cell import Cell
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice, describe_orientation
 from ..lattice.standard_errors import LatticeErrors, Residuals
@@ -269,6 +270,18 @@ class Calibration(Frozen):
         microimage, it is the distance to the cut; for unlit lenses it is 0.
         """
         return self._gain_map().usable_radius(self.lattice)
+
+    def lit_reach(self) -> float:
+        """Distance [px] from the centre of a microimage to its farthest point that is lit.
+
+        It exceeds `lattice.radius` if microimages have the shape of their cells, as elemental images
+        without gaps and square apertures have: there it is the distance to their corners.
+        """
+        radius = self.lattice.radius
+        if self.gain_map is None and self.vignetting is None:
+            return radius
+        corner = Cell.of(self.lattice).circumradius
+        return max(radius, self._gain_map().lit_cell(self.lattice) * corner)
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the mean residuals over the flat, or the centres if residuals are not measured.
