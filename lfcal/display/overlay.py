@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..camera.calibration import Calibration
 from ..camera.plotting import draw_circles, draw_lenses, plot_falloff, plot_gain, plot_residuals
 from ..hough.circle_vote import find_circles
+from ..images.mosaic import equalise_mosaic, remove_mosaic
 from ..images.preprocessing import sqrt_luminance
 from ..lattice.lattice import describe_orientation
 from ..runtime.arrays import Array, Floats
@@ -103,7 +104,11 @@ def find_places_to_check(calibration: Calibration, flat: Array) -> list[PlaceToC
     lattice = calibration.lattice
     residuals = calibration.residuals
     places = []
-    circles = find_circles(sqrt_luminance(flat), lattice.pitch)
+    light = flat
+    if calibration.mosaic is not None and flat.ndim == 2:
+        # Colour filters draw edges of their own.
+        light = remove_mosaic(equalise_mosaic(flat))
+    circles = find_circles(sqrt_luminance(light), lattice.pitch)
     if len(circles.centres):
         nearest = lattice.points(np.rint(lattice.to_index(circles.centres)))
         beside = np.hypot(*(nearest - circles.centres).T)

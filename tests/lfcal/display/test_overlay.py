@@ -14,6 +14,7 @@ from matplotlib.colors import to_rgb
 import lfcal
 from lfcal.camera.plotting import TYPE_COLOURS, draw_lenses
 from lfcal.cli.main import main
+from lfcal.display.overlay import find_places_to_check
 from lfcal.gain.gain_map import Defects
 from lfcal.lattice.standard_errors import Residuals
 
@@ -109,3 +110,15 @@ def test_lenses_with_light_in_the_corners_of_their_cells_are_drawn_as_squares(re
     (outline,) = axes.collections[0].get_paths()
     corner = lattice.centres()[0] + 0.98 * reach / np.sqrt(2)
     assert outline.contains_point(corner) == square
+
+
+def test_circles_are_looked_for_without_the_colour_filters(white):
+    image, camera = white
+    filtered = image.astype(np.float32)
+    filtered[::2, ::2] *= 0.4
+    filtered[1::2, 1::2] *= 0.6
+    (plain,) = find_places_to_check(camera, image)
+    (place,) = find_places_to_check(replace(camera, mosaic="RGGB"), filtered)
+    assert plain.sentence.startswith("0 of ")
+    assert place.sentence.startswith("0 of ")
+    assert len(place.circles) > 0.9 * len(plain.circles)
