@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..gain.gain_map import Defects, GainMap, Vignetting
 from ..gain.rows import RegionGain
+from ..lattice.cell import Cell
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice, describe_orientation
 from ..lattice.standard_errors import LatticeErrors, Residuals
@@ -144,17 +145,30 @@ class Calibration(Frozen):
         """Width and height of the flats this camera makes [px]."""
         return self.lattice.image_size
 
-    def with_mosaic(self, mosaic: Mosaic | None, guessed: bool = False) -> Calibration:
-        """The camera with these colour filters, and a warning if they are guessed."""
+    def with_mosaic(
+        self, mosaic: Mosaic | None, guessed: bool = False, flat: NDArray[Any] | None = None
+    ) -> Calibration:
+        """The camera with these colour filters, and a warning if they are guessed.
+
+        If they are stated and a `flat` (h, w) is given, its green pixels must lie where they say:
+        otherwise there is a FlatError.
+        """
+        if flat is not None and not guessed:
+            from ..images.mosaic import check_mosaic
+
+            check_mosaic(mosaic, flat)
         earlier = "look exchanged, name the filters"
         warnings = [text for text in self.warnings if earlier not in text]
         if guessed and mosaic is not None:
             other = mosaic.translate(str.maketrans("RB", "BR"))
-            warnings.append(
+            warning = (
                 f"the flat is seen through colour filters, taken for {mosaic}: where green is was "
                 f"measured, red and blue are a guess; if they look exchanged, name the filters "
                 f"(--mosaic {other})"
             )
+            if self.mosaic not in (None, mosaic):
+                warning += f"; another flat of this camera was taken for {self.mosaic}"
+            warnings.append(warning)
         return replace(self, mosaic=mosaic, mosaic_guessed=guessed, warnings=tuple(warnings))
 
     def with_mosaic_of(self, flat: NDArray[Any]) -> Calibration:
@@ -269,6 +283,18 @@ class Calibration(Frozen):
         microimage, it is the distance to the cut; for unlit lenses it is 0.
         """
         return self._gain_map().usable_radius(self.lattice)
+
+    def lit_reach(self) -> float:
+        """Distance [px] from the centre of a microimage to its farthest point that is lit.
+
+        It exceeds `lattice.radius` if microimages have the shape of their cells, as elemental images
+        without gaps and square apertures have: there it is the distance to their corners.
+        """
+        radius = self.lattice.radius
+        if self.gain_map is None and self.vignetting is None:
+            return radius
+        corner = Cell.of(self.lattice).circumradius
+        return max(radius, self._gain_map().lit_cell(self.lattice) * corner)
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the mean residuals over the flat, or the centres if residuals are not measured.

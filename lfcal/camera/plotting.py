@@ -25,6 +25,12 @@ __all__ = [
 #: Colours of lens types.
 TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
 
+# Relative difference of the diagonals up to which a cell counts as rectangular.
+_RECTANGULAR = 0.03
+# Farthest light over the usable radius, from which on microimages have corners: 1.00 to 1.08 on five
+# arrays of discs, 1.15 to 1.41 on four of squares.
+_CORNERED = 1.12
+
 
 def plot_residuals(
     lattice: Lattice, residuals: Residuals | None, ax: Any, **style: Any
@@ -99,9 +105,28 @@ def draw_circles(ax: Any, centres: Any, radii: Any, colours: Any, **style: Any) 
 
 
 def draw_lenses(
-    lattice: Lattice, types: LensTypes | None, ax: Any, shown: Any, **style: Any
+    lattice: Lattice,
+    types: LensTypes | None,
+    ax: Any,
+    shown: Any,
+    reach: float = 0.0,
+    **style: Any,
 ) -> None:
-    """Draw the usable circles of the lenses in the mask `shown` (n,), coloured by their types."""
+    """Draw the usable circles of the lenses in the mask `shown` (n,), coloured by their types.
+
+    They are rectangles if light reaches farther towards the corners of rectangular cells: `reach`
+    [px] as `Calibration.lit_reach`.
+    """
+    from matplotlib.collections import PolyCollection
+
     kinds = np.zeros(shown.sum(), int) if types is None else types.of(lattice.indices()[shown])
     colours = [TYPE_COLOURS[kind % len(TYPE_COLOURS)] for kind in kinds]
-    draw_circles(ax, lattice.centres()[shown], lattice.radius, colours, **style)
+    centres = lattice.centres()[shown]
+    half = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) @ lattice.basis / 2
+    lengths = np.hypot(*half.T)
+    rectangular = np.ptp(lengths) < _RECTANGULAR * lengths.max()
+    if not rectangular or reach < _CORNERED * lattice.radius:
+        draw_circles(ax, centres, lattice.radius, colours, **style)
+        return
+    outlines = centres[:, None] + half * (reach / lengths.max())
+    ax.add_collection(PolyCollection(outlines, facecolor="none", edgecolor=colours, **style))

@@ -20,6 +20,8 @@ def describe(camera: Calibration) -> dict[str, Any]:
     types = camera.lens_types
     defects = camera.defects
     shape, rows, rotation = describe_orientation(lattice)
+    # What others state was not measured here.
+    confidence = None if camera.source == "published" else camera.confidence
     return {
         "size": camera.image_size,
         "lattice": shape,
@@ -41,7 +43,7 @@ def describe(camera: Calibration) -> dict[str, Any]:
         },
         "lenses_used": camera.lenses_used,
         "residual_rms": camera.residual_rms,
-        "confidence": camera.confidence,
+        "confidence": confidence,
         "proof": camera.evidence and camera.evidence.describe(),
         "evidence": camera.evidence and camera.evidence.to_dict(),
         "mosaic": camera.mosaic or "none",

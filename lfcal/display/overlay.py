@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..camera.calibration import Calibration
 from ..camera.plotting import draw_circles, draw_lenses, plot_falloff, plot_gain, plot_residuals
 from ..hough.circle_vote import find_circles
+from ..images.mosaic import equalise_mosaic, remove_mosaic
 from ..images.preprocessing import sqrt_luminance
 from ..lattice.lattice import describe_orientation
 from ..runtime.arrays import Array, Floats
@@ -43,7 +44,7 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     """Draw the centres and usable circles of a calibration over five crops of a flat.
 
     The crops show the centre, three corners and the place that should be checked first. Circles of
-    lens types 0 to 3 are blue, orange, green and violet. Unlit lenses are crossed out, defect
+    lens types 0 to 3 are blue, orange, green and violet; square microimages have squares. Unlit lenses are crossed out, defect
     pixels circled. White circles were found without the lattice (Hough vote). Beside the crops are
     the offsets of nine regions of the flat from the lattice, the residuals of the calibration, the
     gain map, and the light falloff inside a microimage.
@@ -103,7 +104,11 @@ def find_places_to_check(calibration: Calibration, flat: Array) -> list[PlaceToC
     lattice = calibration.lattice
     residuals = calibration.residuals
     places = []
-    circles = find_circles(sqrt_luminance(flat), lattice.pitch)
+    light = flat
+    if calibration.mosaic is not None and flat.ndim == 2:
+        # Colour filters draw edges of their own.
+        light = remove_mosaic(equalise_mosaic(flat))
+    circles = find_circles(sqrt_luminance(light), lattice.pitch)
     if len(circles.centres):
         nearest = lattice.points(np.rint(lattice.to_index(circles.centres)))
         beside = np.hypot(*(nearest - circles.centres).T)
@@ -179,7 +184,9 @@ def _draw_crop(
     centres = lattice.centres()
     pixels = calibration.defects.pixels
     missing = lattice.points(calibration.defects.lenses)
-    draw_lenses(lattice, calibration.lens_types, axes, near(centres), **style)
+    draw_lenses(
+        lattice, calibration.lens_types, axes, near(centres), calibration.lit_reach(), **style
+    )
     axes.plot(*centres[near(centres)].T, "+", color="gold", markersize=10, markeredgewidth=_LINE)
     draw_circles(axes, pixels[near(pixels)], 1.5, "magenta", **style)
     axes.plot(*missing[near(missing)].T, "x", color="magenta", markersize=32, markeredgewidth=2)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Array, Floats, Frozen, Integers, Singles, decode_array, encode_array
 from .kernel import RIM_START, Shape, evaluate_light
@@ -33,6 +34,8 @@ __all__ = [
 _PART = 500
 # Relative light down to which rings lie before the middle of the rim.
 _BEFORE_RIM = 0.75
+# Number of lenses, spread over the flat, whose light is averaged.
+_AVERAGED = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +197,24 @@ class GainMap(Frozen):
             crossed = np.where((light < 0.5).any(2), place * self.step, limit)
             least[part] = np.clip(np.where(light[..., 0] < 0.5, 0, crossed).min(1), 0, limit)
         return np.where(self.lens_gain == 0, 0, least) if len(self.lens_gain) else least
+
+    def lit_cell(self, lattice: Lattice) -> float:
+        """Factor 0..1 by which the cell of a lens is scaled so that it holds at least half the light.
+
+        It is 1 if microimages fill their cells, and below 1 / sqrt(2) for discs in square cells.
+        """
+        cell = Cell.of(lattice)
+        centres = lattice.centres()
+        chosen = np.ascontiguousarray(centres[:: max(1, len(centres) // _AVERAGED)])
+        rings = int(cell.circumradius / self.step) + 2
+        light = self.sample(self.describe(chosen, lattice), rings).mean(0)
+        inner = light[:, : int(cell.inradius / 2 / self.step) + 1]
+        dark = light < inner.max() / 2
+        first_dark = np.where(dark.any(1), dark.argmax(1) - 1, rings)
+        angle = np.arange(len(light)) * (2 * np.pi / len(light))
+        directions = np.column_stack([np.cos(angle), np.sin(angle)])
+        border = 0.5 / (directions @ cell.normals.T).max(1)
+        return float(np.clip(first_dark * self.step / border, 0, 1).min())
 
     def evaluate(self, lenses: Floats, lens: Integers, x: Any, y: Any) -> Floats:
         """(3, p) at places `x, y` (p,) [px] from the centres of described lenses, in rows `lens`

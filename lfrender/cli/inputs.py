@@ -187,9 +187,12 @@ class CaptureInput:
         elif self.white is None and self.recording is not None:
             known = self.recording.camera
         if known is not None:
+            import numpy as np
+
             calibration = known
             if self.mosaic is not None:
-                calibration = known.with_mosaic(self.mosaic)
+                shown = pixels if isinstance(pixels, np.ndarray) else None
+                calibration = known.with_mosaic(self.mosaic, flat=shown)
         elif self.white is not None:
             calibration = self._calibrate_white(self.white, pixels)
         else:

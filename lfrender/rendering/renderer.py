@@ -244,6 +244,16 @@ class Renderer:
             grid = grid._replace(wanted=~output.valid)
             weighting = weighting._replace(reach=np.float32(self._reach))
             blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
+        elif not output.valid.all() and self._corner_reach > radius:
+            # The corner of a cell is seen by its own lens alone.
+            corners = grid._replace(wanted=~output.valid)
+            nearest = weighting._replace(
+                widest=np.float32(self._corner_reach),
+                viewpoint=np.array([0, 0, self._corner_reach**2], np.float32),
+                tolerance=np.float32(0),
+            )
+            own = lenses._replace(edged=np.zeros_like(lenses.edged))
+            blend_pixels(flat, lit.light, own, *depth, corners, nearest, output)
         return output.image, output.valid
 
     def _is_packable(self, pixels: NDArray[Any]) -> bool:
@@ -272,6 +282,11 @@ class Renderer:
     @property
     def _reach(self) -> float:
         return self.reach * self.calibration.lattice.pitch
+
+    @cached_property
+    def _corner_reach(self) -> float:
+        """Distance [px] at which microimages are still read where their inscribed discs end."""
+        return self.aperture * self.calibration.lit_reach()
 
     @property
     def _aside(self) -> float:

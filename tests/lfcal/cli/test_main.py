@@ -216,3 +216,12 @@ def test_show_and_flatten_say_that_a_camera_does_not_fit(house, house_files, mov
     )
     refused = run("flatten", flat, "-c", tmp_path / "other.json", "-o", tmp_path / "g.tif")
     assert_refused(refused, "not made with this camera")
+
+
+def test_stated_lattices_have_no_confidence(tmp_path):
+    camera = str(tmp_path / "camera.json")
+    arguments = ["lattice", "--size", "400x300", "--pitch", "20", "--json", "-o", camera]
+    stated = CliRunner().invoke(main, arguments, catch_exceptions=False)
+    info = CliRunner().invoke(main, ["info", camera, "--json"], catch_exceptions=False)
+    assert json.loads(stated.stdout)["confidence"] is None
+    assert json.loads(info.stdout)["confidence"] is None

@@ -12,8 +12,9 @@ from click.testing import CliRunner
 from matplotlib.colors import to_rgb
 
 import lfcal
-from lfcal.camera.plotting import TYPE_COLOURS
+from lfcal.camera.plotting import TYPE_COLOURS, draw_lenses
 from lfcal.cli.main import main
+from lfcal.display.overlay import find_places_to_check
 from lfcal.gain.gain_map import Defects
 from lfcal.lattice.standard_errors import Residuals
 
@@ -97,3 +98,27 @@ def test_lens_types_have_their_own_colours_and_unlit_lenses_are_crossed_out(whit
     assert min(_pixels(picture, colour) for colour in TYPE_COLOURS[:3]) > 500
     assert _pixels(plain, TYPE_COLOURS[1]) < 50
     assert _pixels(picture, "magenta") > _pixels(plain, "magenta") + 60
+
+
+@pytest.mark.parametrize("reach, square", [(11.0, False), (14.1, True)])
+def test_lenses_with_light_in_the_corners_of_their_cells_are_drawn_as_squares(reach, square):
+    from matplotlib.figure import Figure
+
+    lattice = lfcal.Lattice([11, 10], [[22, 0], [0, 22]], (220, 110), 10.0)
+    axes = Figure().subplots()
+    draw_lenses(lattice, None, axes, np.arange(len(lattice)) == 0, reach)
+    (outline,) = axes.collections[0].get_paths()
+    corner = lattice.centres()[0] + 0.98 * reach / np.sqrt(2)
+    assert outline.contains_point(corner) == square
+
+
+def test_circles_are_looked_for_without_the_colour_filters(white):
+    image, camera = white
+    filtered = image.astype(np.float32)
+    filtered[::2, ::2] *= 0.4
+    filtered[1::2, 1::2] *= 0.6
+    (plain,) = find_places_to_check(camera, image)
+    (place,) = find_places_to_check(replace(camera, mosaic="RGGB"), filtered)
+    assert plain.sentence.startswith("0 of ")
+    assert place.sentence.startswith("0 of ")
+    assert len(place.circles) > 0.9 * len(plain.circles)

@@ -106,3 +106,11 @@ def test_lenses_have_the_profile_of_their_type_also_after_saving():
 def test_light_of_types_without_their_places_is_refused():
     with pytest.raises(ValueError, match="type_light"):
         replace(GainMap.round(np.ones(60), 0.25, 9), type_light=np.ones((2, 60)))
+
+
+@pytest.mark.parametrize("radius, share", [(13.0, 0.919), (16.0, 1.0), (9.0, 0.636)])
+def test_lit_cell_is_the_largest_square_inside_the_light(radius, share):
+    lattice = Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9.5)
+    distance = np.arange(80) * 0.25
+    gain = GainMap.round(np.clip(radius + 0.5 - distance, 0, 1), 0.25, 9.5)
+    assert gain.lit_cell(lattice) == pytest.approx(share, abs=0.02)

@@ -110,6 +110,22 @@ def test_a_guess_on_a_white_image_gives_way_to_what_a_scene_shows_and_to_what_is
     assert lfcal.Calibration.from_dict(scene.to_dict()).mosaic_guessed
 
 
+def test_flats_that_disagree_on_red_and_blue_are_both_named_and_stated_filters_are_checked(whites):
+    camera = Camera.design((300, 260), 23.0, "hex", 3.0).replace(mosaic="GBRG")
+    flat = simulate(SCENES["house"](camera), camera, samples=4).flat
+    found = find_mosaic(flat)
+    other = {"GBRG": "GRBG", "GRBG": "GBRG"}[found]
+    lattice = lfcal.Lattice([11, 10], [[23, 0], [0, 23]], (300, 260), 9.0)
+    before = lfcal.Calibration(lattice).with_mosaic(other, guessed=True)
+    after = before.with_mosaic_of(flat)
+    assert after.mosaic == found and f"another flat of this camera was taken for {other}" in str(
+        after.warnings
+    )
+    assert before.with_mosaic(found, flat=flat).mosaic == found
+    with pytest.raises(lfcal.FlatError, match="green lies as in"):
+        before.with_mosaic("RGGB", flat=flat)
+
+
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 def test_filters_of_a_raytrix_are_found_and_no_capture_without_is_taken_for_one():
     assert find_mosaic(lfcal.read_flat(CAPTURES / "R5b.png")) == "GBRG"

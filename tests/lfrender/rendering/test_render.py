@@ -9,7 +9,7 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
 from lfcal import Calibration, CalibrationError, Lattice
-from lfcal.gain.gain_map import Vignetting
+from lfcal.gain.gain_map import GainMap, Vignetting
 
 
 @functools.cache
@@ -204,3 +204,23 @@ def test_junk_of_an_unfocused_capture_is_not_drawn_in_focus(shared):
     flat = lfcal.read_flat(shared("captures", "Letters.png"))
     with pytest.warns(UserWarning, match="form a surface"):
         assert lfrender.render(flat, lfcal.calibrate(flat)).scale == 1
+
+
+def light_of_discs(distance):
+    return np.clip(9.5 - distance, 0, 1)
+
+
+@pytest.mark.parametrize("light, unseen", [(np.ones_like, 0.0), (light_of_discs, 1 - np.pi / 4)])
+def test_patches_reach_the_corners_of_cells_that_are_lit_up_to_there(light, unseen):
+    lattice = Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9.5)
+    gain = GainMap.round(light(np.arange(80) * 0.25), 0.25, 9.5)
+    rng = np.random.default_rng(3)
+    flat = rng.integers(50, 200, (300, 400)).astype(np.uint8)
+    for blend in (True, False):
+        picture = lfrender.render(
+            flat, Calibration(lattice, gain_map=gain), patch_size=19.0, blend=blend
+        )
+        inner = picture.valid[20:-20, 20:-20]
+        assert 1 - inner.mean() == pytest.approx(unseen, abs=0.04)
+        black = picture.image[20:-20, 20:-20] == 0
+        assert black.mean() == pytest.approx(unseen, abs=0.04)
