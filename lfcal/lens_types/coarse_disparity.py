@@ -57,8 +57,9 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
     height, width = picture.shape
     pixels = picture.ravel()
     reach = int(radius / spacing)
+    side = 2 * reach + 1
     # Places that both lenses show, from the centre of each [px].
-    places = np.empty((len(ratios), len(steps), 2, (2 * reach + 1) ** 2), np.float32)
+    places = np.empty((len(ratios), len(steps), 2, side * side), np.float32)
     shown = np.zeros((len(ratios), len(steps)), np.int64)
     for k in range(len(ratios)):
         for step in range(len(steps)):

@@ -244,7 +244,7 @@ class Renderer:
             grid = grid._replace(wanted=~output.valid)
             weighting = weighting._replace(reach=np.float32(self._reach))
             blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
-        elif not output.valid.all() and self._corner_reach > radius:
+        elif self.aperture == 1 and not output.valid.all() and self._corner_reach > radius:
             # The corner of a cell is seen by its own lens alone.
             corners = grid._replace(wanted=~output.valid)
             nearest = weighting._replace(
@@ -286,7 +286,7 @@ class Renderer:
     @cached_property
     def _corner_reach(self) -> float:
         """Distance [px] at which microimages are still read where their inscribed discs end."""
-        return self.aperture * self.calibration.lit_reach()
+        return self.calibration.lit_reach()
 
     @property
     def _aside(self) -> float:

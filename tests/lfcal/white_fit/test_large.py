@@ -108,7 +108,7 @@ def test_scene_with_an_even_middle_is_no_white_image(found_lattices):
     column, row = np.rint(centres + (pixels - centres) / 0.3).astype(int).T
     scene = shown[np.clip(row, 0, 999), np.clip(column, 0, 1299)].reshape(x.shape)
     camera = lfcal.calibrate((truth.image() * scene).astype(np.uint16))
-    assert found_lattices == [None]
+    assert not any(found_lattices)
     assert camera.source == "scene"
 
 
