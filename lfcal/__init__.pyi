@@ -9,6 +9,7 @@ from .display.camera_check import CameraCheck, check_camera
 from .display.compare import compare
 from .display.fit_check import check_fit
 from .display.overlay import show
+from .illumination.aperture import widen_microimages
 from .images.read import count_pages, read_flat
 from .images.stream import FlatSource, open_flat, subtract_dark
 from .lattice.lattice import Lattice
@@ -60,4 +61,5 @@ __all__ = [
     "show",
     "state_lattice",
     "subtract_dark",
+    "widen_microimages",
 ]

@@ -215,7 +215,7 @@ class CaptureInput:
         return replace(calibration, warnings=(*calibration.warnings, warning))
 
     def _calibrate_white(self, path: Path, pixels: NDArray[Any]) -> Calibration:
-        from lfcal import FlatError, calibrate, read_flat
+        from lfcal import FlatError, calibrate, read_flat, widen_microimages
 
         white = read_flat(path)
         if white.shape[:2] != pixels.shape[:2]:
@@ -228,7 +228,7 @@ class CaptureInput:
         with name_file_in_errors(path):
             calibration = calibrate(white, kind="white", mosaic=mosaic)
         # Scenes show more of which filters are red.
-        return calibration.with_mosaic_of(pixels)
+        return widen_microimages(calibration.with_mosaic_of(pixels), pixels)
 
     def analyze(self, pixels: NDArray[Any], calibration: Calibration, **options: Any) -> DepthMap:
         """The depth of the file, or of the flat in colour; `options` as for `lfrender.analyze`."""
@@ -336,7 +336,7 @@ def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
     """
     import numpy as np
 
-    from lfcal import check_camera, load
+    from lfcal import check_camera, load, widen_microimages
 
     from ..depth.region import crop_lattice
 
@@ -363,4 +363,6 @@ def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
         calibration = replace(check.adjusted, warnings=(*calibration.warnings, warning))
     else:
         calibration = check.warn(calibration, path)
-    return calibration.with_mosaic_of(part) if part.ndim == 2 else calibration
+    if part.ndim == 2:
+        calibration = calibration.with_mosaic_of(part)
+    return widen_microimages(calibration, part) if part is pixels else calibration

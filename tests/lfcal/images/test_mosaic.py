@@ -94,6 +94,15 @@ def test_discs_on_whole_pixels_are_no_mosaic(pitch, origin):
     assert find_mosaic(np.where(np.hypot(dx, dy) < 0.43 * pitch, 200, 10).astype(np.uint8)) is None
 
 
+@pytest.mark.parametrize("mosaic", ["RGGB", "GBRG"])
+def test_in_warm_light_the_colour_as_bright_as_green_is_red_though_some_objects_are_blue(mosaic):
+    rng = np.random.default_rng(3)
+    grey = cv2.resize(rng.uniform(0.2, 1, (40, 40)), (400, 400))
+    warm = grey[..., None] * [1.05, 1.0, 0.6] * 3000
+    warm[:60] *= [0.4, 0.8, 1.5]
+    assert find_mosaic(_filtered(warm, mosaic)) == mosaic
+
+
 def test_a_guess_on_a_white_image_gives_way_to_what_a_scene_shows_and_to_what_is_stated(whites):
     camera = Camera.design((300, 260), 23.0, "hex", 3.0).replace(
         mosaic="GBRG", filters=(0.9, 1.0, 0.9)
