@@ -57,13 +57,16 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
     bad = np.zeros(picture.shape, np.bool_)
     for values in (residual, small, large):
         differs = np.abs(values) > SIGNIFICANT
+        if values is not large:
+            # Large squares show errors of the map that harm no centre.
+            outside |= differs
+        if values is not residual:
+            # Dust takes light away; light patches are glare.
+            differs &= values < 0
         if values is large:
             # A large square that reaches over the rim of a speck does not make its middle part of
             # it.
-            differs &= small * np.sign(large) > 3
-        else:
-            # Large squares show errors of the map that harm no centre.
-            outside |= differs
+            differs &= small < -3
         rows, columns = np.nonzero(differs & ~bad)
         if values is residual:
             beside = _differs_from_pixels(picture, rows, columns)

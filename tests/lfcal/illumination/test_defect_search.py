@@ -34,6 +34,15 @@ def test_dust_is_found_as_defects_of_its_own_pixels(drawn):
     assert deep[(specks < 0.8) & (truth.light() > 0.5)].mean() > 0.9
 
 
+def test_glare_at_the_border_is_no_defect(drawn):
+    truth = drawn("hexagonal", 20.3, 5.0, 30.0, size=(420, 320), hot=0)
+    image = truth.image()
+    y, x = np.mgrid[: truth.size[1], : truth.size[0]]
+    glare = 1 + 0.25 * np.exp(-np.hypot(x, y - 60) / 8)
+    camera = lfcal.calibrate((image * glare).astype(image.dtype), kind="white")
+    assert len(camera.defects.pixels) <= 5
+
+
 def soft_cut_white(size=(660, 520), pitch=15.8, blur=1.8, cut=0.3, noise=0.01, seed=3):
     """A white image whose microimages are products of two soft discs, the second displaced toward
     the middle.
