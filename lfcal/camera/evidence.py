@@ -63,6 +63,7 @@ _SOME_CIRCLES = _Ramp(0.02, 0.12)
 _MANY_CIRCLES = _Ramp(0.1, 0.4)
 _ALL_CIRCLES = _Ramp(0.0, 1.0)
 _CIRCLES_BESIDE = 0.3
+_OVERLAP = _Ramp(0.3, 0.6)  # overlapping discs of white images have 0.65 and more
 # [local deviations] steps on outlines, and contrast of the lines between cells that touch.
 _OUTLINE = _Ramp(0.1, 0.6)
 _BORDERS = _Ramp(0.3, 0.6)
@@ -129,6 +130,9 @@ class Evidence:
     explained : float
         Gain in log likelihood of a pixel if each place of a cell has a mean and a variance of its
         own [nats].
+    overlap : float
+        Share of the lattice points that are centres of circles wider than the pitch, beyond chance,
+        less the same half a cell away; measured where gaps are bright, and on dubious white images.
     parallax : float
         Logarithm of how much less neighbours differ when they are shifted by the disparity than at
         any shift.
@@ -175,6 +179,7 @@ class Evidence:
     fine: float
     inverted: float
     explained: float
+    overlap: float = 0.0
     parallax: float = 0.0
     still: float = 0.0
     continued: float = 0.0
@@ -304,10 +309,11 @@ class Evidence:
         # What neighbours share is no noise.
         scene = self._shows_scene() * _SOME_MATCH(self.parallax)
         windows = _CONTENT_INSIDE(self.content) * scene
-        shape = _LENS_SHAPE(self.shape) * max(_ALL_CIRCLES(self.circles), windows)
+        overlap = _OVERLAP(self.overlap)
+        shape = _LENS_SHAPE(self.shape) * max(_ALL_CIRCLES(self.circles), windows, overlap)
         shape *= _NOT_ROUND + (1 - _NOT_ROUND) * _ROUND(self.roundness)
-        # Gaps may be bright beside a scene, but not in a white image.
-        shape *= max(_BRIGHT_MIDDLE(self.light), scene)
+        # Gaps of a white image are bright only where microimages overlap.
+        shape *= max(_BRIGHT_MIDDLE(self.light), scene, overlap) * (1 - _OVERLAP(-self.overlap))
         return _SHAPE_PROOF(shape * self._edges() * self._is_one_lens())
 
     def _edges(self) -> float:

@@ -17,7 +17,7 @@ from .folding import BINS
 from .neighbours import measure_likeness
 from .tones import measure_tones
 
-__all__ = ["Marks", "add_parallax", "measure_evidence"]
+__all__ = ["Marks", "add_overlap", "add_parallax", "measure_evidence"]
 
 #: Rings of an average cell.
 _RINGS = 24
@@ -78,6 +78,12 @@ def measure_evidence(
             line.contrast((along + 0.5) % 1) for line, along in zip(lines, centre, strict=True)
         ),
     )
+
+
+def add_overlap(evidence: Evidence, wide: Marks, lattice: Lattice) -> Evidence:
+    """The evidence with `wide` circles, of microimages that overlap their neighbours."""
+    own, beside = _count_marks(wide, lattice)
+    return replace(evidence, overlap=own - max(beside, 0.0))
 
 
 def add_parallax(evidence: Evidence, picture: Singles, lattice: Lattice) -> Evidence:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ..camera.evidence import Evidence
-from ..hough.circle_vote import find_circles, find_peaks, propose_basis
+from ..hough.circle_vote import OVERLAPPING, find_circles, find_peaks, propose_basis
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.arrays import Floats, Singles
@@ -24,7 +24,7 @@ from .cell_centre import find_round_centres
 from .cell_maps import CellMaps, CellParts, measure_classes, tile_side
 from .features import FlatFeatures
 from .folding import BINS, fold_lit_tiles
-from .measure_evidence import Marks, add_parallax, measure_evidence
+from .measure_evidence import Marks, add_overlap, add_parallax, measure_evidence
 from .spectrum import find_periods, is_same_lattice
 from .tile_lattice import fit_harmonics, has_run_away, refine_basis
 
@@ -282,7 +282,13 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
     classes = measure_classes(rough.features, basis)
     halves = fit.half_difference / fitted.pitch
     evidence = replace(rough.evidence, halves=halves, classes=classes)
-    evidence = add_parallax(evidence, rough.features.picture, fitted)
+    picture = rough.features.picture
+    evidence = add_parallax(evidence, picture, fitted)
+    bright_gaps = evidence.light < 0 and evidence.probability > _LIKELY
+    dubious_white = evidence.white_probability > _LIKELY and not evidence.is_certain
+    if bright_gaps or dubious_white:
+        wide = find_circles(picture, fitted.pitch, OVERLAPPING)
+        evidence = add_overlap(evidence, Marks.of(wide, picture, fitted.pitch), fitted)
     return [replace(rough, lattice=fitted, evidence=evidence)]
 
 

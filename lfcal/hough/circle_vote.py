@@ -20,8 +20,18 @@ from ..images.preprocessing import normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.arrays import Floats, Singles
 
-__all__ = ["Circles", "find_circles", "find_peaks", "propose_basis"]
+__all__ = [
+    "OVERLAPPING",
+    "SEPARATE",
+    "Circles",
+    "find_circles",
+    "find_peaks",
+    "propose_basis",
+]
 
+#: [pitch] Radii of microimages side by side, and of those that overlap their neighbours.
+SEPARATE = (0.36, 0.52)
+OVERLAPPING = (0.52, 0.68)
 #: [px] pitch that pictures are scaled to.
 _SCALED_PITCH = 24
 #: Circles whose distances are compared.
@@ -64,8 +74,8 @@ class Circles:
         return (share - chance) / (1 - chance)
 
 
-def find_circles(picture: Singles, pitch: float) -> Circles:
-    """Circles as large as microimages of a `pitch` [px], about, in the middle of a picture (h, w)."""
+def find_circles(picture: Singles, pitch: float, radii: tuple[float, float] = SEPARATE) -> Circles:
+    """Circles with these `radii` [pitch] in the middle of a picture (h, w) with a `pitch` [px]."""
     part = _ScaledPart.of(picture, pitch)
     found = cv2.HoughCircles(
         part.grey,
@@ -74,8 +84,8 @@ def find_circles(picture: Singles, pitch: float) -> Circles:
         0.7 * _SCALED_PITCH,
         param1=120,
         param2=6,
-        minRadius=int(0.36 * _SCALED_PITCH),
-        maxRadius=int(np.ceil(0.52 * _SCALED_PITCH)),
+        minRadius=int(radii[0] * _SCALED_PITCH),
+        maxRadius=int(np.ceil(radii[1] * _SCALED_PITCH)),
     )
     if found is None:
         return Circles(np.zeros((0, 2)), np.zeros(0))

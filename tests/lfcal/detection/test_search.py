@@ -12,6 +12,7 @@ import lfcal
 from benchmarks.lattices.judgement import compare_with_centres
 from benchmarks.lattices.random_cameras import draw_camera
 from benchmarks.no_flats import draw_no_flat
+from data_synth import SCENES, Camera, simulate
 from lfcal.detection.cell_maps import measure_classes
 from lfcal.detection.features import FlatFeatures
 from lfcal.detection.neighbours import measure_likeness
@@ -63,6 +64,19 @@ def test_hard_files_have_the_right_lattice(shared, name, pitch, centre):
     if centre is not None:
         index = camera.lattice.to_index([[centre, centre]])
         assert np.abs(index - np.rint(index)).max() < 0.02
+
+
+@pytest.mark.parametrize(("fill", "lattice"), [(1.15, "square"), (1.2, "hex"), (1.3, "square")])
+def test_white_images_of_overlapping_microimages_are_centred_on_them_not_on_the_overlap(
+    fill, lattice
+):
+    camera = Camera.design((520, 420), 23.0, lattice, 2.0, microimage_fill=fill)
+    capture = simulate(SCENES["house"](camera), camera, samples=1, noise=(5000, 8))
+    found = lfcal.calibrate(capture.white)
+    centres = capture.truth.calibration.lattice.centres()
+    assert compare_with_centres(found.lattice, centres).is_right
+    assert found.source == "white"
+    assert found.confidence > 0.8
 
 
 def test_signed_flats_have_the_lattice_of_unsigned_ones(shared):
