@@ -76,6 +76,7 @@ _TILE_TONES = _Ramp(-4.0, -2.5)
 # [ln] gain of neighbours that are shifted against each other.
 _SOME_MATCH = _Ramp(0.2, 0.35)
 _MATCH = _Ramp(0.3, 1.0)
+_STRONG_MATCH = _Ramp(0.8, 1.3)
 _TILES_MATCH = _Ramp(0.0, 0.5)
 _STILL = _Ramp(0.2, 0.5)
 _MOVED = _Ramp(0.0, 0.15)
@@ -380,9 +381,12 @@ class Evidence:
         screen match now and then, but their cells differ in tone.
         """
         touching = _BORDERS(self.borders) * _SOME_MATCH(self.parallax)
-        # Without gaps there is little else in the average cell than content.
-        touching *= 1 - _ALTERNATING_BORDERS(self.classes)
-        scene = _TEXTURED(self.inside) * (1 - _UNLIKE_TONES_BORDERS(self.between))
+        # Without gaps there is little else in the average cell than content. Parts of cells and
+        # letters do not match as whole cells do.
+        doubtful = 1 - _STRONG_MATCH(self.parallax)
+        touching *= 1 - _ALTERNATING_BORDERS(self.classes) * doubtful
+        differ = _UNLIKE_TONES_BORDERS(self.between) * doubtful
+        scene = _TEXTURED(self.inside) * (1 - differ)
         return touching * scene * (1 - _HALVES_BORDERS(self.halves))
 
     def _shows_scene(self) -> float:

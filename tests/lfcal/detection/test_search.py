@@ -115,6 +115,15 @@ def test_cells_are_compared_by_rows_and_by_their_facing_sides():
     assert measure_classes(features, lattice.basis / [[1], [2]]) > 0.15
 
 
+def test_elemental_images_full_of_content_are_found():
+    camera = Camera.design((520, 420), 27.0, "square", 1.0, microimage_fill=1.0, focus=0.06)
+    camera = camera.replace(square_aperture=True, natural_vignetting=False)
+    capture = simulate(SCENES["plane"](camera), camera, samples=3, noise=(4000, 6))
+    found = lfcal.calibrate(capture.flat)
+    assert compare_with_centres(found.lattice, capture.truth.calibration.lattice.centres()).is_right
+    assert found.confidence > 0.8
+
+
 def test_half_a_cell_away_parallax_and_circles_are_fewer(house):
     found = find_candidates(sqrt_luminance(house.flat), thorough=True)
     pitch = house.camera.lattice.pitch
