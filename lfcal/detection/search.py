@@ -98,7 +98,7 @@ def find_candidates(
         half: Any = cv2.resize(
             picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA
         )
-        small = _search(FlatFeatures(half), hint and hint.scaled(2))
+        small = _search(FlatFeatures(half), hint and hint.scaled(2), least=_HALVED)
         size = picture.shape[1], picture.shape[0]
         found = [
             replace(one, lattice=one.lattice.scaled(2, size))
@@ -136,9 +136,13 @@ def measure_basis(picture: Singles, lattice: Lattice) -> list[Candidate]:
 
 
 def _search(
-    features: FlatFeatures, hint: LatticeHint | None, thorough: bool = False
+    features: FlatFeatures,
+    hint: LatticeHint | None,
+    thorough: bool = False,
+    least: float = _SHORTEST,
 ) -> list[Candidate]:
-    """Candidates of all periods, or of those up to a certain one, the most probable first.
+    """Candidates of all periods, or of those up to a certain one, the most probable first; none if
+    the strongest period is shorter than `least` [px].
 
     The centre of each period that looks most like those of lenses is compared with its neighbours
     at once, others only if no period has a certain one.
@@ -157,9 +161,10 @@ def _search(
         map(refine, hint.bases() if hint else ()),
     )
     for basis in bases:
-        if np.hypot(*basis.T).min() < _SHORTEST or any(
-            is_same_lattice(basis, other, 0.01) for other in tried
-        ):
+        shortest = np.hypot(*basis.T).min()
+        if shortest < least and not tried:
+            return []
+        if shortest < _SHORTEST or any(is_same_lattice(basis, other, 0.01) for other in tried):
             continue
         if hint is not None and not hint.allows(Lattice(np.zeros(2), basis, (1, 1), 1.0)):
             continue
