@@ -40,7 +40,7 @@ class _Ramp(NamedTuple):
     high: float
 
     def __call__(self, value: float) -> float:
-        return float(np.clip((value - self.low) / (self.high - self.low), 0.0, 1.0))
+        return float(min(max((value - self.low) / (self.high - self.low), 0.0), 1.0))
 
 
 # The limits were chosen on random cameras (seeds 0 to 300), ray-traced scenes, pictures that are no

@@ -21,6 +21,7 @@ import numpy as np
 from ..lattice.lattice import reduce_basis
 from ..lattice.robust_fit import field_rms
 from ..runtime.arrays import Booleans, Floats, Singles
+from ..runtime.kernels import kernel
 from .tile_lattice import HarmonicFit
 
 __all__ = [
@@ -58,6 +59,27 @@ _LEAST_STEP = 0.03
 _LEAST_PROMINENCE = 5.0
 
 
+@kernel(error_model="numpy")
+def _fold_lines(steps, across, down, total, count):
+    """Add the steps (h, w) to the bins (n,) of one turn of `across` x + `down` y, and count them.
+
+    The pixels of a whole number of turns lie in the middle of the first bin.
+    """
+    height, width = steps.shape
+    bins = len(total)
+    place = np.empty(width, np.int32)
+    for y in range(height):
+        for x in range(width):
+            turns = y * down + x * across
+            place[x] = np.int32(np.rint((turns - np.floor(turns)) * bins))
+        for x in range(width):
+            nearest = place[x]
+            if nearest == bins:
+                nearest = 0
+            total[nearest] += steps[y, x]
+            count[nearest] += 1.0
+
+
 @dataclass(frozen=True)
 class LineProfile:
     """Mean steps across a family of parallel lines, over `_CELLS` periods.
@@ -76,16 +98,11 @@ class LineProfile:
     @classmethod
     def measure(cls, steps: Singles, frequency: Floats) -> LineProfile:
         """Profile of steps (h, w) along `frequency` (2,) [cycles per px]."""
-        height, width = steps.shape
         period = float(1 / np.hypot(*frequency))
         bins = max(int(period), 6)
-        along = np.arange(width) * frequency[0]
-        down = np.arange(height) * frequency[1]
-        # The pixels of a whole period lie in the middles of the bins.
-        nearest = np.rint(((down[:, None] + along) % _CELLS) * bins).astype(np.int32)
-        index = nearest.ravel() % (_CELLS * bins)
-        total = np.bincount(index, steps.ravel(), _CELLS * bins)
-        count = np.bincount(index, minlength=_CELLS * bins)
+        total = np.zeros(_CELLS * bins)
+        count = np.zeros(_CELLS * bins)
+        _fold_lines(np.ascontiguousarray(steps), *frequency / _CELLS, total, count)
         mean = total / np.maximum(count, 1)
         return cls(mean.reshape(_CELLS, bins), period)
 

@@ -16,7 +16,7 @@ from ..runtime.arrays import Booleans, Floats
 from .features import FlatFeatures
 from .folding import BINS, CELL_TILES, TileFolds, fold_lit_tiles, fold_tiles, measure_repeatability
 
-__all__ = ["CellMaps", "CellParts", "measure_classes", "tile_side"]
+__all__ = ["CellMaps", "CellParts", "estimate_explained", "measure_classes", "tile_side"]
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,23 @@ class CellMaps:
 
         It is greatest where gaps lie over gaps in all of the flat, while what they part differs.
         """
-        whole = float(self.variance.mean() + self.brightness.var())
-        # Places of no variance at all, as in saturated gaps, must not count without limit.
-        return float(0.5 * (np.log(whole) - np.log(self.variance + 0.001 * whole).mean()))
+        return _explained(self.brightness, self.variance)
+
+
+def estimate_explained(features: FlatFeatures, basis: Floats) -> float:
+    """`CellMaps.explained` of a lattice, by a sample of the tiles, dark ones too: to rank bases."""
+    pitch = float(np.sqrt(abs(np.linalg.det(basis))))
+    brightness = features.levelled(pitch)[0]
+    pictures = [brightness, brightness**2]
+    side = tile_side(features, pitch)
+    mean, square = (fold.mean() for fold in fold_tiles(pictures, basis, side, BINS, CELL_TILES))
+    return _explained(mean, np.maximum(square - mean**2, 0))
+
+
+def _explained(mean: Floats, variance: Floats) -> float:
+    whole = float(variance.mean() + mean.var())
+    # Places of no variance at all, as in saturated gaps, must not count without limit.
+    return float(0.5 * (np.log(whole) - np.log(variance + 0.001 * whole).mean()))
 
 
 def measure_classes(features: FlatFeatures, basis: Floats) -> float:

@@ -209,10 +209,14 @@ def _count_marks(marks: Marks, lattice: Lattice) -> tuple[float, float]:
     near = 0.15 * lattice.pitch
     chance = min(len(marks.centres) / points * np.pi * near**2 / area, 0.5)
 
+    low = np.floor(index.min(0)) - 1
+    columns = float(np.ceil(np.ptp(index[:, 0]))) + 4
+
     def share(shift: Floats) -> float:
         whole = np.rint(index - shift)
         away = np.hypot(*((index - shift - whole) @ lattice.basis).T)
-        found = len(np.unique(whole[away < near], axis=0))
+        number = (whole - low) @ [1.0, columns]
+        found = len(np.unique(number[away < near]))
         # Of the points, and of the marks: a lattice too fine has points, one too coarse marks
         # without the other.
         both = min(found / points, found / len(marks.centres))

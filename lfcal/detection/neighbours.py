@@ -17,6 +17,7 @@ from ..images.preprocessing import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
 from ..runtime.arrays import Floats, Singles
+from ..runtime.kernels import kernel
 
 __all__ = ["Likeness", "measure_likeness"]
 
@@ -66,9 +67,10 @@ def measure_likeness(picture: Singles, lattice: Lattice) -> Likeness | None:
     for step in near:
         own, other = _sample_lines(picture, centres, step, along)
         shifts = np.rint(_RATIOS * np.hypot(*step) / spacing).astype(int)
-        compared = [_compare(own, other, shift) for shift in shifts]
-        differences.append([difference for difference, _ in compared])
-        contrasts.append([contrast for _, contrast in compared])
+        compared = np.empty((2, len(shifts), len(centres)))
+        _compare(own, other, shifts.clip(1 - _SAMPLES, _SAMPLES - 1), *compared)
+        differences.append(compared[0])
+        contrasts.append(compared[1])
         first, last = (slice(None, _SIDE), slice(-_SIDE, None))
         same_sides += [_differ(own[:, side], other[:, side]) for side in (first, last)]
         facing_sides.append(_differ(own[:, last], other[:, first]))
@@ -112,22 +114,38 @@ def _sample_lines(
     return own / common, other / common
 
 
-def _compare(own: Floats, other: Floats, shift: int) -> tuple[Floats, Floats]:
-    """(n,) mean difference of lines of lenses and those of their neighbours, `shift` samples
-    further; and contrast.
+@kernel(error_model="numpy")
+def _compare(own, other, shifts, difference, contrast):
+    """Mean difference (s, n) of lines (n, m, 3) of lenses and those of their neighbours, each shift
+    (s,) samples further; and contrast (s, n).
 
     The contrast is the mean distance from the mean, of both together.
     """
-    shift = int(np.clip(shift, 1 - _SAMPLES, _SAMPLES - 1))
-    if shift < 0:
-        own, other, shift = other, own, -shift
-    first = own[:, : _SAMPLES - shift]
-    second = other[:, shift:]
-    difference = np.abs(first - second).mean((1, 2))
-    contrast = sum(
-        np.abs(part - part.mean((1, 2), keepdims=True)).mean((1, 2)) for part in (first, second)
-    )
-    return difference, np.asarray(contrast)
+    lenses, samples, lines = own.shape
+    for k in range(len(shifts)):
+        begin = max(-shifts[k], 0)
+        ahead = max(shifts[k], 0)
+        count = samples - begin - ahead
+        share = 1.0 / (count * lines)
+        for lens in range(lenses):
+            first = own[lens, begin : begin + count]
+            second = other[lens, ahead : ahead + count]
+            total = 0.0
+            mean = 0.0
+            other_mean = 0.0
+            for i in range(count):
+                for line in range(lines):
+                    total += abs(first[i, line] - second[i, line])
+                    mean += first[i, line]
+                    other_mean += second[i, line]
+            mean *= share
+            other_mean *= share
+            away = 0.0
+            for i in range(count):
+                for line in range(lines):
+                    away += abs(first[i, line] - mean) + abs(second[i, line] - other_mean)
+            difference[k, lens] = total * share
+            contrast[k, lens] = away * share
 
 
 def _log_gains(differences: Floats, contrasts: Floats) -> tuple[float, float]:

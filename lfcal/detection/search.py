@@ -21,7 +21,7 @@ from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
 from .borders import LineProfile, find_line_periods, fit_touching_cells, measure_borders
 from .cell_centre import find_round_centres
-from .cell_maps import CellMaps, CellParts, measure_classes, tile_side
+from .cell_maps import CellMaps, CellParts, estimate_explained, measure_classes, tile_side
 from .features import FlatFeatures
 from .folding import BINS, fold_lit_tiles
 from .measure_evidence import Marks, add_overlap, add_parallax, measure_evidence
@@ -98,7 +98,7 @@ def find_candidates(
         half: Any = cv2.resize(
             picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA
         )
-        small = _search(FlatFeatures(half), hint and hint.scaled(2))
+        small = _search(FlatFeatures(half), hint and hint.scaled(2), least=_HALVED)
         size = picture.shape[1], picture.shape[0]
         found = [
             replace(one, lattice=one.lattice.scaled(2, size))
@@ -130,15 +130,25 @@ def measure_basis(picture: Singles, lattice: Lattice) -> list[Candidate]:
     most probable first.
     """
     features = FlatFeatures(picture)
-    found = _measure_period(features, _refine_period(features, lattice.basis))
+    rough = _measure_period(features, _refine_period(features, lattice.basis))
+    found = [one for start in rough[:_MOST_CENTRES] for one in _refine_candidate(start)]
     return sorted(found, key=lambda one: -one.evidence.rank)
 
 
 def _search(
-    features: FlatFeatures, hint: LatticeHint | None, thorough: bool = False
+    features: FlatFeatures,
+    hint: LatticeHint | None,
+    thorough: bool = False,
+    least: float = _SHORTEST,
 ) -> list[Candidate]:
-    """Candidates of all periods, or of those up to a certain one, the most probable first."""
+    """Candidates of all periods, or of those up to a certain one, the most probable first; none if
+    the strongest period is shorter than `least` [px].
+
+    The centre of each period that looks most like those of lenses is compared with its neighbours
+    at once, others only if no period has a certain one.
+    """
     found: list[Candidate] = []
+    waiting: list[Candidate] = []
     tried: list[Floats] = []
     refine = partial(_refine_period, features)
     found_periods = find_periods(features)
@@ -151,20 +161,23 @@ def _search(
         map(refine, hint.bases() if hint else ()),
     )
     for basis in bases:
-        if np.hypot(*basis.T).min() < _SHORTEST or any(
-            is_same_lattice(basis, other, 0.01) for other in tried
-        ):
+        shortest = np.hypot(*basis.T).min()
+        if shortest < least and not tried:
+            return []
+        if shortest < _SHORTEST or any(is_same_lattice(basis, other, 0.01) for other in tried):
             continue
         if hint is not None and not hint.allows(Lattice(np.zeros(2), basis, (1, 1), 1.0)):
             continue
         tried.append(basis)
-        found += _measure_period(features, basis, _ALL_CENTRES if thorough else _MOST_CENTRES)
+        first, *others = _measure_period(features, basis)
+        found += _refine_candidate(first)
+        waiting += others[: (_ALL_CENTRES if thorough else _MOST_CENTRES) - 1]
+        if any(one.evidence.is_certain for one in found) and not thorough:
+            waiting = []
+            break
         if len(tried) >= _MOST_PERIODS:
             break
-        if thorough:
-            continue
-        if any(one.evidence.is_certain for one in found):
-            break
+    found += [one for rough in waiting for one in _refine_candidate(rough)]
     return sorted(found, key=lambda one: -one.evidence.rank)
 
 
@@ -179,9 +192,7 @@ def _find_finer_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator
         thirds = [(a / 3, b), (a, b / 3), ((a + b) / 3, b), ((a + 2 * b) / 3, b)]
         finer = [reduce_basis(np.array(pair)) for pair in (*halves, *thirds)]
         finer = [basis for basis in finer if np.hypot(*basis.T).min() >= _SHORTEST]
-        yield from sorted(finer, key=lambda basis: -CellMaps.measure(features, basis).explained())[
-            :2
-        ]
+        yield from sorted(finer, key=lambda basis: -estimate_explained(features, basis))[:2]
 
 
 def _find_more_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[Floats]:
@@ -238,10 +249,8 @@ def _refine_period(features: FlatFeatures, basis: Floats) -> Floats:
     return reduce_basis(refined)
 
 
-def _measure_period(
-    features: FlatFeatures, basis: Floats, most: int = _MOST_CENTRES
-) -> list[Candidate]:
-    """Candidates of one period, at so many centres that look most like those of lenses."""
+def _measure_period(features: FlatFeatures, basis: Floats) -> list[Candidate]:
+    """Candidates of one period, not yet fitted; those that look most like lenses first."""
     maps = CellMaps.measure(features, basis)
     height, width = features.picture.shape
     found = []
@@ -258,8 +267,7 @@ def _measure_period(
                 lattice, measure_evidence(maps, centre, lattice, marks, lines), features, maps
             )
         )
-    found.sort(key=lambda one: -one.evidence.outlined)
-    return [one for rough in found[:most] for one in _refine_candidate(rough)]
+    return sorted(found, key=lambda one: -one.evidence.outlined)
 
 
 def _refine_candidate(rough: Candidate) -> list[Candidate]:
@@ -283,7 +291,8 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
     halves = fit.half_difference / fitted.pitch
     evidence = replace(rough.evidence, halves=halves, classes=classes)
     picture = rough.features.picture
-    evidence = add_parallax(evidence, picture, fitted)
+    if np.isfinite(halves):
+        evidence = add_parallax(evidence, picture, fitted)
     bright_gaps = evidence.light < 0 and evidence.probability > _LIKELY
     dubious_white = evidence.white_probability > _LIKELY and not evidence.is_certain
     if bright_gaps or dubious_white:

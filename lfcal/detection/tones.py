@@ -97,9 +97,15 @@ def _scatter_inside(shape: Floats, core: Floats) -> Floats:
 
 
 def _without_types(values: Floats, types: Integers) -> Floats:
-    left = values.copy()
-    for kind in np.unique(types):
-        left[types == kind] -= np.median(left[types == kind])
+    """The values (n,) less the median of those of the same type."""
+    order = np.lexsort((values, types))
+    _, first, member, count = np.unique(
+        types[order], return_index=True, return_inverse=True, return_counts=True
+    )
+    ordered = values[order]
+    middle = (ordered[first + (count - 1) // 2] + ordered[first + count // 2]) / 2
+    left = np.empty_like(values)
+    left[order] = ordered - middle[member]
     return left
 
 

@@ -73,7 +73,8 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
             rows = rows[beside]
             columns = columns[beside]
         places = np.column_stack([columns, rows])
-        for part in np.array_split(places, len(places) // _PART + 1):
+        for start in range(0, len(places), _PART):
+            part = places[start : start + _PART]
             x, y = part[_differs_from_lenses(values, part, lattice)].T
             bad[y, x] = True
     pixels = np.argwhere(bad)[:, ::-1].astype(np.int32)
@@ -143,11 +144,14 @@ def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) ->
     reach = np.arange(-6, 6 + 1)
     steps = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
     order = np.argsort(np.linalg.norm(steps @ lattice.basis, axis=1), kind="stable")
-    index = np.rint(lattice.to_index(places))
+    index = np.rint(lattice.to_index(places)).astype(np.int64)
     offset = places - lattice.points(index)
-    beside = (
-        lattice.points(index[:, None] + _APART * steps[order[1 : 1 + _COMPARED]]) + offset[:, None]
-    )
+    compared = index[:, None] + _APART * steps[order[1 : 1 + _COMPARED]]
+    # Each lens is compared with at many places: its centre is computed once.
+    first = compared.min((0, 1))
+    lenses = np.indices(compared.max((0, 1)) - first + 1).transpose(1, 2, 0) + first
+    centres = lattice.points(lenses)[tuple((compared - first).transpose(2, 0, 1))]
+    beside = centres + offset[:, None]
     x, y = np.rint(beside).astype(np.int64).transpose(2, 0, 1)
     seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     others = np.where(seen, values[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], np.nan)

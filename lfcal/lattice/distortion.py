@@ -167,7 +167,9 @@ class Distortion(Frozen):
         """(n, 7) monomials of the position in the field."""
         assert self.middle is not None
         x, y = np.moveaxis((straight - self.middle) / self.reach, -1, 0)
-        return np.stack([x**p * y**q for p, q in _POWERS], axis=-1)
+        # Powers of arrays take ten times as long as products.
+        of_x, of_y = ((np.ones_like(one), one, one * one, one * one * one) for one in (x, y))
+        return np.stack([of_x[p] * of_y[q] for p, q in _POWERS], axis=-1)
 
     def _radial_scale(self, offset: Floats) -> Floats:
         """(n, 1) relative displacement of points at `offset` (n, 2) [px] from the centre."""

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from ..camera.calibration import Calibration
 from ..gain.gain_map import field_place, nearest_half
@@ -150,6 +151,8 @@ class _Tile(NamedTuple):
     weight: Array  # (m,)
 
 
+# The equations are too small for more threads to pay off: they would wait for each other.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def measure_microimages(
     flat: NDArray[Any], camera: Calibration, most: int = 5
 ) -> MicroimageField | None:
