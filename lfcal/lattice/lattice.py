@@ -227,11 +227,7 @@ class Lattice(Frozen):
 
     def downscaled(self, factor: int) -> Lattice:
         """The lattice of the flat after averaging blocks of `factor` x `factor` pixels."""
-        width, height = self.image_size
-        small = self.scaled(1 / factor, (max(1, width // factor), max(1, height // factor)))
-        # Rounding must not add or remove lenses at the border.
-        small.__dict__["_indices"] = self._indices
-        return small
+        return self if factor == 1 else self.derived(_downscaled, factor)
 
     def scaled(self, scale: float, image_size: tuple[int, int]) -> Lattice:
         """The lattice in pixels smaller by `scale`, on a flat of `image_size` of them."""
@@ -271,6 +267,14 @@ class Lattice(Frozen):
         if self.distortion is not None:
             straight = self.distortion.remove(straight)
         return (straight - self.origin) @ np.linalg.inv(self.basis)
+
+
+def _downscaled(lattice: Lattice, factor: int) -> Lattice:
+    width, height = lattice.image_size
+    small = lattice.scaled(1 / factor, (max(1, width // factor), max(1, height // factor)))
+    # Rounding must not add or remove lenses at the border.
+    small.__dict__["_indices"] = lattice._indices
+    return small
 
 
 def describe_orientation(lattice: Lattice) -> tuple[str, str, float]:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import FAST, kernel
 
-from ..runtime.cache import cached
 from .gray_flat import GrayFlat
 
 __all__ = [
@@ -48,9 +47,9 @@ class Strips:
     So every `step`-th row, which are read together, follow each other.
     """
 
-    values: NDArray[
-        np.float32
-    ]  # one strip after the other, less the mean of its lens; any off the flat, 0 at the end
+    means: NDArray[np.float32]  # (n,) of the lenses
+    # One strip after the other, less the mean of its lens; any off the flat, 0 at the end.
+    values: NDArray[np.float32]
     centre_pixels: NDArray[np.int32]  # (n, 2) pixel `x, y` in the middle of each microimage
     complete: NDArray[np.bool_]  # (n,) microimages that lie within the flat
     extracted: NDArray[np.bool_]  # (n,) microimages that have been cut out
@@ -173,10 +172,9 @@ def extract_strips(
 
     The strips are cached with the flat, for the same means and step.
     """
-    kept: dict[int, tuple[NDArray[np.float32], Strips]] = cached(gray, "strips", dict)
-    if step not in kept or kept[step][0] is not means:
-        kept[step] = means, _allocate_strips(gray, step)
-    strips = kept[step][1]
+    strips = gray.strips.get(step)
+    if strips is None or strips.means is not means:
+        strips = gray.strips[step] = _allocate_strips(gray, means, step)
     _extract(
         gray.image,
         strips.centre_pixels,
@@ -203,7 +201,7 @@ def _spare_values(width: int) -> int:
     return VECTOR_LENGTH + width
 
 
-def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
+def _allocate_strips(gray: GrayFlat, means: NDArray[np.float32], step: int) -> Strips:
     # Interpolation between the outermost pixels reads one pixel beyond them, to all sides.
     half = max(1, int(gray.radius - _ROUNDING)) + 2
     width = 2 * half + 1
@@ -213,6 +211,7 @@ def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
     values = np.empty((len(middle) * rows * step * width + _spare_values(width),), np.float32)
     values[-_spare_values(width) :] = 0.0
     return Strips(
+        means,
         values,
         middle,
         inside[:, 0] & inside[:, 1],

@@ -153,8 +153,7 @@ class _Flat:
     @cached_property
     def lattice(self) -> Lattice:
         """The lattice in pixels of the flat as it is analysed."""
-        lattice = self.reader.calibration.lattice
-        return lattice if self.factor == 1 else lattice.downscaled(self.factor)
+        return self.reader.calibration.lattice.downscaled(self.factor)
 
     @cached_property
     def _gain(self) -> Any:
