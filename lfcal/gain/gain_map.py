@@ -32,7 +32,7 @@ __all__ = [
 
 # Lenses that are sampled together, so that memory does not grow with the flat.
 _PART = 500
-# Relative light down to which rings lie before the middle of the rim.
+# Rings with more relative light than this lie inside the middle of the rim.
 _BEFORE_RIM = 0.75
 # Number of lenses, spread over the flat, whose light is averaged.
 _AVERAGED = 64
@@ -237,7 +237,7 @@ class GainMap(Frozen):
     def profiles(self) -> Floats:
         """(t, k) profile of each type of lens; (1, k) where they do not differ."""
         profiles = self.profile * self.type_light if self.type_light.size else self.profile[None]
-        # As the profile itself: for writable arrays, kernels are compiled anew.
+        # Read-only like the profile: for writable arrays, kernels would be compiled anew.
         profiles.flags.writeable = False
         return profiles
 

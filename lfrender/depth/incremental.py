@@ -17,12 +17,12 @@ from lfcal import Calibration, FlatError, Lattice
 from ..data.depth_map import DepthMap
 from ..data.frame_state import FrameState, LocalMatch
 from ..data.surface import Surface
-from ..flat.changed_lenses import find_changed_lenses
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_connected, dilate_mask
 from ..flat.neighbours import neighbours_of
 from ..flat.texture import LensStatistics, classify_texture, sample_statistics
 from ..flat.validation import check_flat
+from .changed_lenses import find_changed_lenses
 from .edges.locate_edges import locate_edges, places_of_lenses, refine_grid
 from .matching.matcher import Matcher
 from .pipeline import estimate_depth_map, estimate_lens_by_lens, prepare_flat

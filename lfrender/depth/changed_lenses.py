@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import FAST, kernel
 
-from .gray_flat import GrayFlat
-from .texture import LensStatistics
+from ..flat.gray_flat import GrayFlat
+from ..flat.texture import LensStatistics
 
 __all__ = ["find_changed_lenses"]
 
