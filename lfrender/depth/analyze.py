@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 from lfcal.runtime.progress import Progress, show_progress
 
-from ..data.depth_map import DepthMap, sample_flat
+from ..data.depth_map import DepthMap
+from ..data.flat_samples import sample_flat
 from ..flat.lens_blur import find_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from ..runtime.choices import Preset, Shortcut, check_choice
