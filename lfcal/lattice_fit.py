@@ -74,7 +74,8 @@ def fit_lattice_to_white_image(
     except ValueError as error:
         # A distortion that no lattice can have.
         raise CalibrationError(
-            "the microimages do not keep to one lattice; give a white image with more of them or with less noise"
+            "the microimages do not keep to one lattice; give a white image with more of them or "
+            "with less noise"
         ) from error
     crops = StackedCrops.of(picture)
     index = found.indices() if crops.size == found.image_size else crops.lenses(found, 0.0)[0]

@@ -125,7 +125,7 @@ class DetectedBoard(NamedTuple):
 
 
 def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
-    """Find all points of a board, or at least six of a ChArUco board; None if they are not found."""
+    """Find all points of a board, or at least six of a ChArUco board; else None."""
     best: DetectedBoard | None = None
     lit = picture.image[picture.image > 0]
     if not lit.size:

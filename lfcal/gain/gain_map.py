@@ -199,7 +199,7 @@ class GainMap(Frozen):
         return np.where(self.lens_gain == 0, 0, least) if len(self.lens_gain) else least
 
     def lit_cell(self, lattice: Lattice) -> float:
-        """Factor 0..1 by which the cell of a lens is scaled so that it holds at least half the light.
+        """Factor 0..1 by which the cell of a lens is scaled so that it holds half the light.
 
         It is 1 if microimages fill their cells, and below 1 / sqrt(2) for discs in square cells.
         """

@@ -116,13 +116,15 @@ class Lattice(Frozen):
         size = check_numbers(self.image_size, "image_size")
         if size.shape != (2,) or not (size == np.rint(size)).all() or size.min() < 1:
             raise ValueError(
-                f"image_size must be a whole number of px in width and height, got {self.image_size!r}"
+                "image_size must be a whole number of px in width and height, "
+                f"got {self.image_size!r}"
             )
         width, height = map(int, size)
         across = np.abs(np.linalg.inv(basis)).max() * (width + height)
         if across > 1e7 or width * height > min(1 << 31, (1 << 27) * abs(np.linalg.det(basis))):
             raise ValueError(
-                f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart"
+                f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px "
+                "apart"
             )
         radius = check_number(self.radius, "radius")
         if not 0 < radius < np.inf:

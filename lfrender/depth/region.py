@@ -63,7 +63,8 @@ def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> N
     inside = np.asarray(((centres >= roi[:2]) & (centres <= roi[2:])).all(1), bool)
     if not inside.any():
         raise ValueError(
-            f"no microlens has its centre in roi {_text(roi)}: make it larger than {lattice.pitch:.1f} px"
+            f"no microlens has its centre in roi {_text(roi)}: make it larger than "
+            f"{lattice.pitch:.1f} px"
         )
     return inside
 

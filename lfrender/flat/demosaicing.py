@@ -218,7 +218,8 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
 
     Returns
     -------
-    (H, W, 3) array of the type of `flat`, or `flat` itself if it has channels or the camera no mosaic
+    (H, W, 3) array of the type of `flat`
+        Or `flat` itself if it has channels or the camera has no mosaic.
 
     Examples
     --------

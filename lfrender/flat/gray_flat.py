@@ -239,7 +239,7 @@ def _own_radius(lattice: Lattice, radius: float) -> np.float32:
 
 
 def _correction_image(calibration: Calibration, factor: int) -> NDArray[np.float32]:
-    """(H, W) correction of every pixel of the downsampled flat, 1 where no microimage is trusted."""
+    """(H, W) correction of every pixel of the downsampled flat, 1 beyond trusted microimages."""
     lattice = calibration.lattice.downscaled(factor)
     image = np.ones(lattice.image_size[::-1], np.float32)
     radius = trusted_radius(calibration)
@@ -256,7 +256,7 @@ def _correction_image(calibration: Calibration, factor: int) -> NDArray[np.float
 def _uneven_light(
     calibration: Calibration, factor: int, part: NDArray[np.float32] | None
 ) -> NDArray[np.float32]:
-    """(h, w) light of blocks of `factor` x `factor` pixels, of the whole flat if no `part` is given."""
+    """(h, w) light of blocks of `factor` x `factor` pixels, of a `part` or of the whole flat."""
     if part is not None:
         return _average_light(part, factor)
     return calibration.derived(_whole_light, factor)

@@ -47,8 +47,8 @@ class Strips:
     """
 
     means: NDArray[np.float32]  # (n,) of the lenses
-    # One strip after the other, minus the mean of its lens. Values off the flat are arbitrary, those
-    # after the last strip are 0.
+    # One strip after the other, minus the mean of its lens. Values off the flat are arbitrary,
+    # values after the last strip are 0.
     values: NDArray[np.float32]
     centre_pixels: NDArray[np.int32]  # (n, 2) pixel `x, y` in the middle of each microimage
     complete: NDArray[np.bool_]  # (n,) microimages that lie within the flat
@@ -86,7 +86,7 @@ def _offsets(
 class OverlapMasks(NamedTuple):
     """Masks of the pixels that two microimages share, one mask for each shift by whole pixels."""
 
-    # (2 k + 1, 2 k + 1) number of the mask of the shift `x, y`, at `[y + k, x + k]`; -1 without one.
+    # (2 k + 1, 2 k + 1) number of the mask of the shift `x, y` at `[y + k, x + k]`; -1 if none.
     slots: NDArray[np.int32]
     # (slots, rows * width + spare) 1 or 0 for the pixels of the first part of a strip.
     masks: NDArray[np.float32]
@@ -119,7 +119,7 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def row_of_disc(y, x, radius, low, high):
-    """First column of a disc about column `x` in row `y` [px from the centre], and the number of its
+    """First column of a disc about column `x` in row `y` [px from the centre], and number of its
     columns from `low` to `high`.
     """
     half = radius * radius - y * y

@@ -35,7 +35,7 @@ def _follow(following, before, order, starts):
 
 @kernel(error_model="numpy", share=lambda neighbours, out: len(out))
 def _find_two_rings(begin, end, neighbours, out):
-    """Write the neighbours of each lens and their neighbours into `out` (n, m), each once, then -1."""
+    """Write the neighbours of each lens and their neighbours, each once, into `out` (n, m)."""
     for lens in range(begin, end):
         count = 0
         for k in range(neighbours.shape[1]):
@@ -114,7 +114,7 @@ class Neighbours:
 
     @cached_property
     def chains(self) -> list[tuple[NDArray[np.int32], NDArray[np.int64]]]:
-        """Straight rows of lenses, one after the other, and where each starts, in all directions."""
+        """Straight rows of lenses in all directions, and where each of them starts."""
         found = []
         opposite = np.hstack([self.backward, self.forward])
         for ahead, behind in zip(self.all.T, opposite.T, strict=True):

@@ -58,8 +58,8 @@ def _check_floats(array: NDArray) -> None:
         )
     if array.size and float(array.max()) > _BRIGHTEST:
         raise FlatError(
-            f"flat holds floats up to {array.max():.4g}, but floats are 1 at white; divide it by the largest value of "
-            "its sensor, such as 255 or 4095"
+            f"flat holds floats up to {array.max():.4g}, but floats are 1 at white; divide it by "
+            "the largest value of its sensor, such as 255 or 4095"
         )
 
 

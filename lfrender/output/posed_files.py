@@ -264,8 +264,8 @@ def _normals(view: _Posed) -> Floats:
 
 
 def _tracks(views: list[_Posed]) -> tuple[Floats, NDArray[np.uint8], Floats]:
-    """Points (n, 3) of one of 4 x 4 pixels of the middle view, their colours (n, 3), and where views
-    see them.
+    """Points (n, 3) of one of 4 x 4 pixels of the middle view, colours (n, 3), and where views see
+    them.
 
     The last, (views, n, 2) [px], is NaN where the depth of a view tells that something else is
     seen, or nothing.
