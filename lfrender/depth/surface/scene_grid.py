@@ -22,7 +22,7 @@ class LensArray(NamedTuple):
 
     centres: Any  # (n, 2) float64 [px]
     indices: Any  # (n, 2) int64
-    rows: Any  # (nj, ni) int32, this and the next as `lens_grid`
+    rows: Any  # (nj, ni) int32, this and the next as `Neighbours.grid` and `low`
     low: Any  # (2,) int64
     # (k, 2) int64 steps to the lenses within 2.2 pitches of one, the nearest first, itself
     # included: they see a point
