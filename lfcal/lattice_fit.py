@@ -74,7 +74,8 @@ def fit_lattice_to_white_image(
     except ValueError as error:
         # A distortion that no lattice can have.
         raise CalibrationError(
-            "the microimages do not keep to one lattice; give a white image with more of them or with less noise"
+            "the microimages do not keep to one lattice; give a white image with more of them or "
+            "with less noise"
         ) from error
     crops = StackedCrops.of(picture)
     index = found.indices() if crops.size == found.image_size else crops.lenses(found, 0.0)[0]
@@ -108,12 +109,12 @@ def _count_lit_pixels(picture: NDArray[np.float32], lattice: Lattice) -> float:
     return float(abs(np.linalg.det(lattice.basis)) * light.mean() ** 2 / np.mean(light**2))
 
 
-def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) -> LatticeFit:
+def _fit_spots(picture: NDArray[np.float32], start: Lattice) -> LatticeFit:
     """Fit a lattice to the centroids of the light of spots of few pixels, as unfocused cameras make
     with a small pupil.
 
     So few pixels have no edge that a profile could follow, and the root of their light, `picture`
-    (h, w), has its centre elsewhere. In each of the `passes`, windows as wide as cells are put
+    (h, w), has its centre elsewhere. In each of three passes, windows as wide as cells are put
     about the fitted centres.
     """
     lattice = start
@@ -122,7 +123,7 @@ def _fit_spots(picture: NDArray[np.float32], start: Lattice, passes: int = 3) ->
     inside = np.hypot(x, y) <= reach
     x = x[inside]
     y = y[inside]
-    for _ in range(passes):
+    for _ in range(3):
         indices, centres = select_whole_lenses(lattice, reach + 1)
         corner = np.rint(centres).astype(np.int64)
         light = picture[corner[:, 1, None] + y, corner[:, 0, None] + x].astype(np.float64) ** 2

@@ -118,8 +118,8 @@ def find_lattice(
 
 def describe_doubt(candidates: list[Candidate], best: FittedLattice) -> str:
     """What repeats on a flat, and what speaks against it being the lattice of microimages."""
-    text = f"a pattern repeats every {best.fit.lattice.pitch:.1f} px, but {best.evidence.describe_doubt()}"
     pitch = best.fit.lattice.pitch
+    text = f"a pattern repeats every {pitch:.1f} px, but {best.evidence.describe_doubt()}"
     others = [one for one in candidates if abs(one.lattice.pitch / pitch - 1) > 0.02]
     if others:
         other = others[0]
@@ -132,7 +132,7 @@ def describe_doubt(candidates: list[Candidate], best: FittedLattice) -> str:
 def _search(
     lights: list[NDArray[np.float32]], has_mosaic: bool, hint: LatticeHint | None
 ) -> list[Candidate]:
-    """Candidates on the mean of the lights, or, where none is certain there, on each of them too."""
+    """Candidates on the mean of the lights, and on each light if none is certain on the mean."""
     found: list[Candidate] = []
     error: CalibrationError | None = None
     for picture in _pictures(lights, has_mosaic):

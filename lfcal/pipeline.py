@@ -44,11 +44,11 @@ def calibrate(
 
     Parameters
     ----------
-    image : (h, w) or (h, w, 3) array_like of any integer or float type, path-like, or a sequence of such
-        Raw sensor picture: a white image or any scene; a path is read with `read_flat`. Several are
-        combined: white images are added, weighted by their exposure and without clipped pixels; of
-        scenes the edges between microimages are averaged. Flats without contrast, such as dark or
-        saturated ones, are left out.
+    image : (h, w) or (h, w, 3) array_like, path-like, or a sequence of such
+        Raw sensor picture of any integer or float type: a white image or any scene; a path is read
+        with `read_flat`. Several are combined: white images are added, weighted by their exposure
+        and without clipped pixels; of scenes the edges between microimages are averaged. Flats
+        without contrast, such as dark or saturated ones, are left out.
     kind : {"auto", "white", "scene"}
         What the flats show; `"auto"` decides by whether microimages are evenly lit inside. Where
         some of several are white images, only these are used.
@@ -86,7 +86,8 @@ def calibrate(
     >>> import numpy as np
     >>> y, x = np.mgrid[:240, :300]
     >>> distance = np.hypot((x - 9) % 20 - 10, (y - 6) % 20 - 10)
-    >>> white = 200 * np.clip(9.5 - distance, 0, 1) + np.random.default_rng(0).normal(20, 2, x.shape)
+    >>> noise = np.random.default_rng(0).normal(20, 2, x.shape)
+    >>> white = 200 * np.clip(9.5 - distance, 0, 1) + noise
     >>> camera = calibrate(white)
     >>> camera.source, round(camera.lattice.pitch, 2)
     ('white', 20.0)
@@ -132,7 +133,10 @@ def _combine(
             f"{error} ({clipped:.0%} of the pixels are over-exposed: expose less)"
         ) from error
     if camera.source == "white" and clipped > _CLIPPED:
-        warning = f"the white image is over-exposed ({clipped:.0%} of its pixels are clipped): expose less, by a half or more"
+        warning = (
+            f"the white image is over-exposed ({clipped:.0%} of its pixels are clipped): expose "
+            "less, by a half or more"
+        )
         camera = replace(camera, warnings=(*camera.warnings, warning))
     camera = replace(camera, white_level=estimate_white_level(flats), mosaic=mosaic)
     for flat in flats:
@@ -217,14 +221,15 @@ def _measure(found: FittedLattice) -> Calibration:
         confidence = min(confidence, _DARK_CONFIDENCE)
     if confidence < SURE_CONFIDENCE:
         warnings.append(
-            f"the lattice is uncertain (probability {confidence:.2f}): {found.evidence.describe_doubt()}; check the "
-            "circles on the flat ('lfcal show') or calibrate on a white image"
+            f"the lattice is uncertain (probability {confidence:.2f}): "
+            f"{found.evidence.describe_doubt()}; check the circles on the flat ('lfcal show') or "
+            "calibrate on a white image"
         )
     types = light.lens_types
     if types and not types.ordered:
         warnings.append(
-            f"{types.count} lens types were found, but not which is focused at which depth; calibrate on a scene with "
-            "detail at several depths"
+            f"{types.count} lens types were found, but not which is focused at which depth; "
+            "calibrate on a scene with detail at several depths"
         )
     return Calibration(
         fit.lattice.with_radius(light.radius),
@@ -244,7 +249,7 @@ def _measure(found: FittedLattice) -> Calibration:
 
 
 def _find_dark_rest(picture: NDArray[np.float32], pitch: float) -> str | None:
-    """A warning where the convex hull of what is lit of a scene (h, w) leaves much of the flat out."""
+    """A warning if the convex hull of the light of a scene (h, w) leaves out much of the flat."""
     import cv2
 
     side = int(np.ceil(pitch))

@@ -12,7 +12,7 @@ from starlette.responses import PlainTextResponse
 
 from lfcal.images.pixels import MAX_PIXELS
 from lfcal.runtime import arrays, input_file
-from lfrender.data import depth_map
+from lfrender.data import depth_file
 from lfrender.web import server as web
 
 ROOT = Path(__file__).parents[1]
@@ -34,7 +34,7 @@ SOURCES = [
         f"{MAX_PIXELS / 1e6:,.0f} megapixels in memory",
         f"{input_file.LARGEST_TEXT / 1e6:.0f} MB of text",
         f"a packed array in it {arrays.LARGEST_BLOCK / 1e6:.0f} MB",
-        f"at most {depth_map.LARGEST_RATIO} times its size, or {depth_map.SMALL / 1e6:.0f} MB",
+        f"at most {depth_file.LARGEST_RATIO} times its size, or {depth_file.SMALL / 1e6:.0f} MB",
     ],
 )
 def test_limits_are_those_of_the_code(sentence):

@@ -21,8 +21,8 @@ near, far = lfrender.focal_stack(
     capture.flat, calibration, [-0.3 * lattice.pitch, 0.3 * lattice.pitch], scale=6.0
 )
 
-# From aside, no lens may see the border of the picture and places behind near objects. So the offset
-# is moderate, and only the part that both eyes see is shown.
+# From aside, no lens may see the border of the picture and places behind near objects. So the
+# offset is moderate, and only the part that both eyes see is shown.
 offset = 0.3 * lattice.radius
 left, right = lfrender.views(
     capture.flat, calibration, depth, offsets=[(-offset, 0), (offset, 0)], scale=6.0

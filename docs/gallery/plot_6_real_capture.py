@@ -2,8 +2,8 @@
 A real capture
 ==============
 
-Fujita2 is a frame of a Raytrix R5 from the MPEG lenslet sequences. Only its pixels are given. If the
-captures (folder ``shared`` beside the sources) are missing, a simulated capture is used.
+Fujita2 is a frame of a Raytrix R5 from the MPEG lenslet sequences. Only its pixels are given. If
+the captures (folder ``shared`` beside the sources) are missing, a simulated capture is used.
 """
 
 from pathlib import Path

@@ -125,7 +125,7 @@ class DetectedBoard(NamedTuple):
 
 
 def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
-    """Find the points of a board; None if it is not found: whole, or of ChArUco six points."""
+    """Find all points of a board, or at least six of a ChArUco board; else None."""
     best: DetectedBoard | None = None
     lit = picture.image[picture.image > 0]
     if not lit.size:
@@ -158,7 +158,7 @@ def _to_grey(image: Singles, white: float) -> NDArray[np.uint8]:
 def other_size(image: Singles, board: Board, larger: bool) -> str:
     """Numbers of corners of a checkerboard of another size on an image, such as "9 x 6".
 
-    Empty if there is none, or with `larger` none that has more corners.
+    Empty if there is none. With `larger`, only boards with more corners count.
     """
     if board.pattern != "checkerboard":
         return ""
@@ -207,8 +207,7 @@ def _is_mirrored(points: Floats, pixels: Floats) -> bool:
 
 
 def _ordered(image: Singles, board: Board, pixels: Floats) -> Floats:
-    """Corners (k, 2) of a checkerboard in either order, such that the square up-left of the first
-    one is dark.
+    """Corners (k, 2) of a checkerboard, reversed if the square up-left of the first one is light.
 
     A board that looks the same if it is turned by 180 degrees starts at its upper left end.
     """
@@ -231,7 +230,7 @@ def _plane(picture: FocusedPicture, pixels: Floats) -> Floats:
     x, y = np.rint(pixels).astype(int).T
     height, width = picture.ratio.shape
     ratio = picture.ratio[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float64)
-    # Smaller ones are interpolated between places of either sign.
+    # Smaller ratios come from interpolation between places of opposite sign.
     inverse = 1 / np.where(np.abs(ratio) < _RATIOS[0], np.nan, ratio)
     kept = np.isfinite(inverse) & (np.sign(inverse) == np.sign(np.nanmedian(inverse)))
     design = np.column_stack([np.ones(len(x)), pixels - pixels.mean(0)])

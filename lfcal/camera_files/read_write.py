@@ -50,13 +50,12 @@ class CameraFormat(NamedTuple):
         [Calibration, Mode | None], str
     ]  # the text of a file, of captures of that mode
     recognise: str  # regular expression of the first line that is neither empty nor a comment
-    has_size: bool  # whether files have the image size; readers of others are given it
-    is_exact: bool = (
-        False  # any lattice can be written; else what was written is read again and compared
-    )
+    has_size: bool  # whether files hold the image size; else the reader is given it
+    # Any lattice can be written; else the text is read again and compared with the lattice.
+    is_exact: bool = False
 
 
-# Of tables: a line of numbers, or names of columns.
+# First line of a table of centres: numbers, or names of columns.
 _TABLE = r"[-+.\d]+(e[-+]?\d+)?[,;\s]+[-+.\d]|(?=[^:{<]*$)(?=.*x)(?=.*y)"
 #: Every camera file format by its suffix. A new one is a line here and a module with its two
 #: functions.
@@ -84,11 +83,15 @@ def load(
         table of centres with the columns x, y, and radius, type, i, j where known; recognised by
         its content.
     image_size : (int, int) or None [px]
-        Width and height of the flats; needed for XML and tables, which lack it. CameraFileError if
-        the file has another one, is missing, or wrong.
+        Width and height of the flats; XML and tables need it, because they do not hold it.
     y_up : bool
-        Whether y of a table of centres counts from the middle of the lowest row of pixels up, as
-        makers do.
+        Whether y in a table of centres grows upwards, from 0 in the middle of the lowest row of
+        pixels, as in the tables of makers.
+
+    Raises
+    ------
+    CameraFileError
+        If the file is missing or damaged, or is for flats of another size.
 
     Examples
     --------
@@ -142,11 +145,11 @@ def convert(
     `.json` is our own format and keeps everything. `.xml` (`RayCalibData`) keeps lattice, radius
     and the three lens types of a hexagonal array, `.cfg` (key : value, with four corner centres) a
     hexagonal lattice, `.csv` the columns `i, j, x, y, radius, type` of all centres. A `.cfg` file
-    also states the `mode` of the captures; without one it is that in which the lens types are
-    focused, or binocular where they do not tell.
+    also states the `mode` of the captures. Without `mode`, it is the mode in which the lens types
+    are focused, and binocular if the types do not show it.
 
-    OutputError if the suffix is of no known format or the file cannot be written, CameraFileError
-    if the format cannot hold this lattice.
+    OutputError if no known format has the suffix or the file cannot be written, CameraFileError if
+    the format cannot hold this lattice.
 
     Examples
     --------
@@ -162,7 +165,8 @@ def convert(
     form = FORMATS[Path(path).suffix.lower()]
     text = form.format(calibration, mode)
     if not form.is_exact:
-        # Indices may be others: the same cell, and whole indices, are the same centres.
+        # The file may count indices from another lens: centres are the same if the cells are, and
+        # if all indices are whole numbers.
         lattice = calibration.lattice
         again = form.parse(text, calibration.image_size).lattice
         index = again.to_index(lattice.centres())

@@ -8,10 +8,11 @@ import click
 
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
+from .inputs import INPUT
 
 __all__ = ["assess"]
 
-_INPUT = cl.InputPath()
+
 _MM = cl.Quantity(after="mm")
 _UM = cl.Quantity(after="[uµ]m")
 
@@ -20,11 +21,9 @@ _UM = cl.Quantity(after="[uµ]m")
     "lfcal assess white.png",
     "lfcal assess white.png scene.png --f-number 4 --pixel 5.5 -o page.html",
 )
-@click.argument("white", type=_INPUT)
-@click.argument("scene", type=_INPUT, required=False)
-@cl.option(
-    "-c --camera", _INPUT, "Camera file made from WHITE, which is not calibrated again then."
-)
+@click.argument("white", type=INPUT)
+@click.argument("scene", type=INPUT, required=False)
+@cl.option("-c --camera", INPUT, "Camera file made from WHITE, which is not calibrated again then.")
 @cl.option(
     "--f-number",
     cl.Quantity("f *[/=]"),

@@ -3,8 +3,8 @@
 Elemental images of an array of square lenses touch each other, so that nothing but these lines
 repeats. Each family of parallel lines is a comb in the spectrum of the steps, on a ray through zero
 frequency (projection-slice theorem). Its direction is that of the ray with most energy, its period
-that of the comb. A profile of the steps across the lines then tells borders from content, which
-repeats as well where neighbours show nearly the same.
+that of the comb. A profile of the steps across the lines then tells borders from content: content
+repeats too if neighbours show nearly the same.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _WINDOW = 1024
 _SHORTEST = 6.0
 #: [bins] side of the square whose mean is the background of a spectrum.
 _BACKGROUND = 33
-#: [robust standard deviations] energy of a ray above that of all rays, from which on it may be a
-#: comb: random content has 4 at most, 24 arrays without gaps 7.6 and more.
+#: [robust standard deviations] a ray may be a comb if its energy exceeds the median of all rays by
+#: this: random content reaches 4, and 24 arrays without gaps have 7.6 and more.
 _CLEAR_RAY = 6.0
 #: [degrees] least angle between the two families of lines.
 _LEAST_ANGLE = 30.0
@@ -53,9 +53,9 @@ _CELLS = 6
 _NEAR = 1.6
 #: [pitch] distance from the border up to which a narrow gap may reach.
 _GAP = 0.06
-#: [local deviations] steps on lines above those between them that are no chance.
+#: [local deviations] least excess of the steps on lines over those between lines; less is chance.
 _LEAST_STEP = 0.03
-#: [robust standard deviations] the same, against the scatter of the profile between the lines.
+#: [robust standard deviations] least excess relative to the scatter of the profile between lines.
 _LEAST_PROMINENCE = 5.0
 
 
@@ -163,7 +163,7 @@ class LineProfile:
 
 
 def measure_borders(steps: Singles, origin: Floats, basis: Floats) -> float:
-    """How coherent the lines midway between lenses at `origin` (2,) + whole numbers @ `basis` [px] are.
+    """Coherence of the lines midway between the lenses of a lattice (`origin`, `basis` [px]).
 
     The mean over both families of the height of the lines times the standard deviation of the
     profile, which falls as soon as lines are smeared over several pixels.

@@ -44,10 +44,10 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     """Draw the centres and usable circles of a calibration over five crops of a flat.
 
     The crops show the centre, three corners and the place that should be checked first. Circles of
-    lens types 0 to 3 are blue, orange, green and violet; square microimages have squares. Unlit lenses are crossed out, defect
-    pixels circled. White circles were found without the lattice (Hough vote). Beside the crops are
-    the offsets of nine regions of the flat from the lattice, the residuals of the calibration, the
-    gain map, and the light falloff inside a microimage.
+    lens types 0 to 3 are blue, orange, green and violet; square microimages have squares. Unlit
+    lenses are crossed out, defect pixels circled. White circles were found without the lattice
+    (Hough vote). Beside the crops are the offsets of nine regions of the flat from the lattice, the
+    residuals of the calibration, the gain map, and the light falloff inside a microimage.
 
     `image` (h, w) or (h, w, 3) is a white image or scene capture of this camera; FlatError if it is
     of another size. The picture is (h, w, 3) uint8, RGB.

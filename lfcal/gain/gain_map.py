@@ -32,7 +32,7 @@ __all__ = [
 
 # Lenses that are sampled together, so that memory does not grow with the flat.
 _PART = 500
-# Relative light down to which rings lie before the middle of the rim.
+# Rings with more relative light than this lie inside the middle of the rim.
 _BEFORE_RIM = 0.75
 # Number of lenses, spread over the flat, whose light is averaged.
 _AVERAGED = 64
@@ -199,7 +199,7 @@ class GainMap(Frozen):
         return np.where(self.lens_gain == 0, 0, least) if len(self.lens_gain) else least
 
     def lit_cell(self, lattice: Lattice) -> float:
-        """Factor 0..1 by which the cell of a lens is scaled so that it holds at least half the light.
+        """Factor 0..1 by which the cell of a lens is scaled so that it holds half the light.
 
         It is 1 if microimages fill their cells, and below 1 / sqrt(2) for discs in square cells.
         """
@@ -237,7 +237,7 @@ class GainMap(Frozen):
     def profiles(self) -> Floats:
         """(t, k) profile of each type of lens; (1, k) where they do not differ."""
         profiles = self.profile * self.type_light if self.type_light.size else self.profile[None]
-        # As the profile itself: for writable arrays, kernels are compiled anew.
+        # Read-only like the profile: for writable arrays, kernels would be compiled anew.
         profiles.flags.writeable = False
         return profiles
 

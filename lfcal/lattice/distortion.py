@@ -69,7 +69,8 @@ class Distortion(Frozen):
             or self.reach <= 0
         ):
             raise ValueError(
-                f"distortion must be finite numbers with reach > 0, got {self.centre!r}, {self.reach!r}"
+                f"distortion must be finite numbers with reach > 0, got {self.centre!r}, "
+                f"{self.reach!r}"
             )
         if abs(self.k1) + abs(self.k2) > _LARGEST:
             raise ValueError(
@@ -95,7 +96,7 @@ class Distortion(Frozen):
 
     @classmethod
     def zero(cls, image_size: tuple[int, int]) -> Distortion:
-        """A distortion of zero strength about the middle of a flat of this width and height [px]."""
+        """A distortion of zero strength about the middle of a flat of this size [px]."""
         return cls((np.array(image_size) - 1) / 2, 0.0, 0.0, float(np.hypot(*image_size) / 2))
 
     def apply(self, points: ArrayLike) -> Floats:

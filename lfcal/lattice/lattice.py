@@ -116,13 +116,15 @@ class Lattice(Frozen):
         size = check_numbers(self.image_size, "image_size")
         if size.shape != (2,) or not (size == np.rint(size)).all() or size.min() < 1:
             raise ValueError(
-                f"image_size must be a whole number of px in width and height, got {self.image_size!r}"
+                "image_size must be a whole number of px in width and height, "
+                f"got {self.image_size!r}"
             )
         width, height = map(int, size)
         across = np.abs(np.linalg.inv(basis)).max() * (width + height)
         if across > 1e7 or width * height > min(1 << 31, (1 << 27) * abs(np.linalg.det(basis))):
             raise ValueError(
-                f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart"
+                f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px "
+                "apart"
             )
         radius = check_number(self.radius, "radius")
         if not 0 < radius < np.inf:
@@ -227,11 +229,7 @@ class Lattice(Frozen):
 
     def downscaled(self, factor: int) -> Lattice:
         """The lattice of the flat after averaging blocks of `factor` x `factor` pixels."""
-        width, height = self.image_size
-        small = self.scaled(1 / factor, (max(1, width // factor), max(1, height // factor)))
-        # Rounding must not add or remove lenses at the border.
-        small.__dict__["_indices"] = self._indices
-        return small
+        return self if factor == 1 else self.derived(_downscaled, factor)
 
     def scaled(self, scale: float, image_size: tuple[int, int]) -> Lattice:
         """The lattice in pixels smaller by `scale`, on a flat of `image_size` of them."""
@@ -271,6 +269,14 @@ class Lattice(Frozen):
         if self.distortion is not None:
             straight = self.distortion.remove(straight)
         return (straight - self.origin) @ np.linalg.inv(self.basis)
+
+
+def _downscaled(lattice: Lattice, factor: int) -> Lattice:
+    width, height = lattice.image_size
+    small = lattice.scaled(1 / factor, (max(1, width // factor), max(1, height // factor)))
+    # Rounding must not add or remove lenses at the border.
+    small.__dict__["_indices"] = lattice._indices
+    return small
 
 
 def describe_orientation(lattice: Lattice) -> tuple[str, str, float]:

@@ -30,7 +30,7 @@ __all__ = [
 
 #: Residuals beyond this [standard deviations] have no weight; normal ones keep 95 % efficiency.
 TUKEY_CUTOFF = 4.685
-#: Standard errors from which on an effect is significant: chance reaches 5.5 in the pixels of a flat.
+#: An effect of more standard errors is significant: chance reaches 5.5 in the pixels of a flat.
 SIGNIFICANT = 6
 #: Standard deviation of normal values over their median absolute deviation.
 MAD_TO_SIGMA = 1.4826
@@ -45,11 +45,11 @@ class LatticeFit:
     origin: Floats  # (2,) [px]
     basis: Floats  # (2, 2) [px]
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
-    uncertainty: float  # [px] standard error of a centre, RMS over the flat, from the scatter of the microimages
+    # [px] standard error of a centre, RMS over the flat, from the scatter of the microimages
+    uncertainty: float
     lenses_used: int  # microimages of positive weight
-    half_difference: (
-        float  # [px] RMS distance over the flat of the lattices of two halves of the microimages
-    )
+    # [px] RMS distance over the flat of the lattices of two halves of the microimages
+    half_difference: float
     distortion: Distortion | None = None
 
 

@@ -72,7 +72,7 @@ class LatticeHint:
 
 
 def turned_basis(arrangement: str, pitch: float, rotation: float) -> Floats:
-    """Basis (2, 2) [px] of an arrangement, turned clockwise on the screen by `rotation` [degrees]."""
+    """Basis (2, 2) [px] of an arrangement, turned clockwise by `rotation` [degrees]."""
     angle = np.radians(rotation)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     basis: Floats = pitch * np.array(ARRANGEMENTS[arrangement]) @ turn

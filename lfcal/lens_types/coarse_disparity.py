@@ -111,8 +111,8 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
 def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:
     """(n,) `s / D` of the inner lenses of a sample, in steps of `STEP`.
 
-    NaN where the highest correlation is low, ambiguous, or that of the first or last step. `picture`
-    (h, w) is as made by `images.preprocessing.sqrt_luminance`.
+    NaN if the highest correlation is low, ambiguous, or that of the first or last step. `picture`
+    (h, w) is made by `images.preprocessing.sqrt_luminance`.
     """
     lattice = sample.lattice
     radius = _RADIUS * lattice.radius

@@ -1,4 +1,4 @@
-"""Uncertainty of the optics: errors that poses share, and parameters that hardly separate."""
+"""Uncertainty of the optics: errors that all poses share, and parameters that a fit confuses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["describe_degeneracies", "internal_camera", "optics_of", "pose_factor
 # Error of corners at the rim of a microimage [px], outwards or inwards: 0.002 to 0.005 on
 # ray-traced boards of others.
 _RIM_ERROR = 0.003
-# Correlation above which two parameters hardly separate.
+# Correlation above which a fit hardly separates two parameters.
 _CORRELATED = 0.98
 # Relative standard error above which a length is not known well.
 _UNCERTAIN = 0.01
@@ -38,7 +38,7 @@ def pose_factor(found: Adjusted) -> float:
     chosen = np.setdiff1d(unknowns(found.free, 1), POSE)
     if len(found.normal) <= 3 or not len(chosen):
         return 1.0
-    # A part of the information of the camera is used up by the pose.
+    # Each pose takes up a part of the information about the camera.
     left = [
         eliminate(*equations, chosen, POSE)
         for equations in zip(found.normal, found.right, strict=True)
@@ -97,7 +97,7 @@ def internal_camera(optics: Optics) -> tuple[Array, Array]:
 
 
 def describe_degeneracies(optics: Optics) -> tuple[str, ...]:
-    """Parameters that hardly separate, and combinations of F, L and b that are well known."""
+    """Messages about parameters that the fit hardly separates, and what is known well instead."""
     errors = optics.standard_errors
     values = optics.parameters
     covariance = optics.covariance
@@ -114,16 +114,16 @@ def describe_degeneracies(optics: Optics) -> tuple[str, ...]:
         internal, derivatives = to_internal(values[:3], optics.pixel)
         sure = np.sqrt(np.maximum(np.diag(derivatives @ covariance[:3, :3] @ derivatives.T), 0))
         notes.append(
-            f"F, L and b hardly separate ({stated}); well known are (L + b) / pixel = "
-            f"{internal[0]:.6g} +- {sure[0]:.2g} px and D / s = A + B / Z with A = "
-            f"{internal[1]:.5g} +- {sure[1]:.2g}, B = {internal[2]:.6g} +- {sure[2]:.2g} mm, on "
-            "which distances rest; boards at very different distances part them"
+            f"F, L and b hardly separate ({stated}). Distances depend on (L + b) / pixel = "
+            f"{internal[0]:.6g} +- {sure[0]:.2g} px and on D / s = A + B / Z with A = "
+            f"{internal[1]:.5g} +- {sure[1]:.2g}, B = {internal[2]:.6g} +- {sure[2]:.2g} mm, which "
+            "are known better. Boards at very different distances separate F, L and b"
         )
     names = [name.replace("principal_", "principal point ") for name in OPTICS_PARAMETERS]
     pairs = np.argwhere(np.tril(close, -1))
     notes += [
         f"{names[j]} and {names[k]} hardly separate (correlation {correlation[k, j]:+.3f}); "
-        "boards in all corners of the field part them"
+        "boards in all corners of the field separate them"
         for k, j in pairs[pairs[:, 1] > 2]
     ]
     return tuple(notes)

@@ -43,11 +43,13 @@ _BEYOND = 1.1
 _TILT = 30
 # [usable radius] Corners are found so far from the centre of a lens; boards show more of them.
 _SEEN = 0.7
+# Number of poses that are suggested.
+_POSES = 3
 _FEWEST_CORNERS = 20
 
 
-def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float, str, str]]:
-    """Distance [mm], place in the field and tilt of the best further poses, each given those
+def suggest_poses(found: MetricCalibration) -> list[tuple[float, str, str]]:
+    """Distance [mm], place in the field and tilt of the three best further poses, each given those
     before.
     """
     optics = found.optics
@@ -74,7 +76,7 @@ def suggest_poses(found: MetricCalibration, count: int = 3) -> list[tuple[float,
                 candidates[float(distance), where, how] = (change.T @ brought @ change)[fitted]
     information: Array = inverse(optics.covariance[fitted])
     chosen: list[tuple[float, str, str]] = []
-    while candidates and len(chosen) < count:
+    while candidates and len(chosen) < _POSES:
         best = min(candidates, key=lambda name: spread(information + candidates[name]))
         chosen.append(best)
         information = information + candidates.pop(best)

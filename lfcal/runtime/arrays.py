@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Callable, Hashable
 from dataclasses import fields
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
+_Value = TypeVar("_Value")
 
 
 class Frozen:
@@ -56,6 +58,19 @@ class Frozen:
             return NotImplemented
         compared = (field.name for field in fields(self) if field.compare)  # type: ignore[arg-type]
         return all(_equal(getattr(self, name), getattr(other, name)) for name in compared)
+
+    def derived(self, make: Callable[..., _Value], *key: Hashable) -> _Value:
+        """The result of `make(record, *key)`, which is kept until it is made for another key.
+
+        It must not be changed, and must not refer to the record, so that both are freed at once.
+        Copies of the record make their own.
+        """
+        kept: dict[Any, tuple[Any, _Value]] = self.__dict__.setdefault("_derived", {})
+        found = kept.get(make)
+        if found is None or found[0] != key:
+            # Another thread may replace the entry meanwhile.
+            found = kept[make] = key, make(self, *key)
+        return found[1]
 
     def _set(self, **values: Any) -> None:
         """Set fields in `__post_init__`, arrays as read-only ones."""

@@ -218,7 +218,7 @@ class Acceleration:
     changes: list[Floats]
 
     def leap(self, lattice: Lattice, change: Floats, design: Floats) -> Floats:
-        """Change (3, 2) after which no more should be needed, if changes are linear in the lattice."""
+        """Change (3, 2) after which no other is needed if changes are linear in the lattice."""
         self.lattices.append(np.vstack([lattice.origin, lattice.basis]).ravel())
         self.changes.append(change.ravel())
         if len(self.changes) == 1:
@@ -245,8 +245,8 @@ def select_lenses(lattice: Lattice, most: int) -> Integers:
     indices = indices[sample_mask(len(indices), most / max(len(indices), 1))]
     if len(indices) < _FEWEST_LENSES:
         raise CalibrationError(
-            f"only {len(indices)} whole microimages of {lattice.pitch:.1f} px pitch fit on the flat, "
-            f"at least {_FEWEST_LENSES} are needed; give the whole sensor"
+            f"only {len(indices)} whole microimages of {lattice.pitch:.1f} px pitch fit on the "
+            f"flat, at least {_FEWEST_LENSES} are needed; give the whole sensor"
         )
     return indices
 

@@ -64,7 +64,7 @@ def _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, v
 
 @kernel(share=lambda picture, centres, sides, room, inverse, stride, bins, chunks, *_: chunks)
 def _fold(begin, end, picture, centres, sides, room, inverse, stride, bins, chunks, sums):
-    """Sum pixels, their squares and their number in the bins of the cell, for each chunk of lenses."""
+    """Sum pixels, their squares and their number in the bins of the cell, for chunks of lenses."""
     lenses = centres.shape[0]
     one = np.float32(1)
     for chunk in range(begin, end):

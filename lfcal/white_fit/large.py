@@ -102,23 +102,21 @@ def find_white_lattice(
     size: tuple[int, int],
     sure: bool,
     tries: int,
-    first_side: int = _FIRST_SIDE,
-    piece_side: int = _PIECE_SIDE,
 ) -> Candidate | None:
     """First lattice of a white image, with its distortion; None if the flat is no white image, or
     no lattice is found.
 
     `read` gives the square root of the light in any scale, `size` is width and height of the flat
     [px]. `sure` if it is known to be a white image. The lattice is searched for in a piece of
-    `first_side` px in at most `tries` places, from the middle outwards, and extended on pieces of
-    14 pitches, `piece_side` px at least.
+    768 px in at most `tries` places, from the middle outwards, and extended on pieces of 14 pitches
+    and at least 256 px.
     """
-    found = _find_in_piece(read, size, sure, tries, min(first_side, *size))
+    found = _find_in_piece(read, size, sure, tries, min(_FIRST_SIDE, *size))
     if found is None:
         return None
     start, corner, first_side = found
     lattice = start.lattice
-    side = max(int(_PIECE_PITCHES * lattice.pitch), piece_side)
+    side = max(int(_PIECE_PITCHES * lattice.pitch), _PIECE_SIDE)
     pieces: list[tuple[int, int]] = []
     middle = np.array(corner) + first_side / 2
     distance = float(first_side)
@@ -139,7 +137,7 @@ def find_white_lattice(
         except CalibrationError:
             # Nothing is lit so near: the present lattice may reach farther.
             continue
-    if not sure and not _is_even(read, size, lattice, piece_side):
+    if not sure and not _is_even(read, size, lattice):
         return None
     return replace(start, lattice=lattice)
 
@@ -176,11 +174,11 @@ def _find_in_piece(
     return None
 
 
-def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice, piece_side: int) -> bool:
+def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice) -> bool:
     """Whether microimages are evenly lit all over the field, in parts of whole lenses and their
     neighbours.
     """
-    side = max(int(_PIECE_PITCHES * lattice.pitch), piece_side)
+    side = max(int(_PIECE_PITCHES * lattice.pitch), _PIECE_SIDE)
     parts = _sample_grid(read, size, side, _EVEN_PARTS * side**2)
     even = []
     for number, corner in enumerate(parts.corners):

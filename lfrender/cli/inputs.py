@@ -244,7 +244,8 @@ class CaptureInput:
 
         Flats of a colour filter mosaic are checked in colour.
         """
-        from ..data.depth_map import DepthFileError, DepthMap
+        from ..data.depth_file import DepthFileError
+        from ..data.depth_map import DepthMap
 
         path = self.depth_file
         assert path is not None

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Calibration, CalibrationError, FlatSource, LensBlur, LightFieldError, Optics
+from lfcal import Calibration, CalibrationError, FlatSource, LensBlur, Optics
 from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, Integers, Singles
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
-from lfcal.runtime.input_file import open_regular
-from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import html_card
 
-from ..runtime.messages import one_line
 from ..runtime.types import AnyPath, Size
-from .frame_state import FrameState, LocalMatch
+from .depth_file import DepthFileError, read_depth, write_depth
+from .flat_samples import is_same_flat, sample_flat
+from .frame_state import FrameState
 from .rendering import show_on_axes
 from .surface import Surface
 
@@ -42,48 +37,8 @@ __all__ = [
     "check_depth",
     "default_scale",
     "finite",
-    "is_same_flat",
     "magnification_range",
-    "sample_flat",
 ]
-
-
-# Rows and columns of a flat whose pixels tell it from other flats.
-_SAMPLED_ROWS = 16
-_SAMPLED_COLUMNS = 64
-# Largest RMS difference between samples of one flat, as a share of their standard deviation:
-# rounding to 8 bits makes 0.01.
-_ROUNDING = 0.02
-
-
-def sample_flat(flat: Array | FlatSource) -> Singles:
-    """Gray values (n,) of a flat (H, W) or (H, W, C) on a grid, divided by their mean."""
-    height, width = flat.shape[:2]
-    chosen = _spread(_SAMPLED_ROWS, height)
-    if isinstance(flat, FlatSource):
-        rows = np.concatenate([flat.read(0, row, width, row + 1) for row in chosen.tolist()])
-    else:
-        rows = np.asarray(flat[chosen])
-    gray = rows[:, _spread(_SAMPLED_COLUMNS, width)].astype(np.float64)
-    if gray.ndim > 2:
-        gray = gray.mean(-1)
-    gray = gray.ravel()
-    return (gray / max(float(gray.mean()), 1e-12)).astype(np.float32)
-
-
-def _spread(count: int, length: int) -> Integers:
-    """At most `count` numbers, evenly spread over those below a length."""
-    return np.unique((np.arange(count) + 0.5) / count * length).astype(int)
-
-
-def is_same_flat(one: Singles, other: Singles) -> bool:
-    """Whether samples of two flats differ by rounding only; type, bit depth and exposure may
-    differ.
-    """
-    if one.shape != other.shape:
-        return False
-    difference = np.sqrt(np.mean((one - other) ** 2))
-    return bool(difference <= _ROUNDING * one.std() + 1e-6)
 
 
 #: Codes of `DepthMap.mode`.
@@ -109,43 +64,11 @@ _FULL_RESOLUTION = 0.98
 _GREY = np.full(3, 150 / 255)
 # Least patch size whose magnification is shown [pitches].
 _LEAST_PATCH = 1e-3
-# Of the files; version 1 had the lenses of some arrays in another order.
-_VERSION = 2
 # Least ratio between the ends of a scale of magnifications.
 _NARROWEST_SCALE = 1.2
 # Distances of output pixels from one to its double: steps of 19 %, while noise moves the depth of a
 # static scene by 1 %.
 _SPACINGS_PER_OCTAVE = 4
-# Limits for files that somebody has compressed: unpacked bytes over those of the file, and unpacked
-# bytes that are always accepted.
-LARGEST_RATIO = 50
-SMALL = 1 << 26
-# Arrays and numbers of a file that bear the name of their field; derived ones are for other
-# programs.
-_SAVED = (
-    "patch_size",
-    "standard_error",
-    "confidence",
-    "reason",
-    "pitch",
-    "image_size",
-    "preset",
-    "mode",
-    "magnification",
-    "filled",
-)
-_OPTIONAL = ("flat_samples", "centres")
-
-
-class DepthFileError(LightFieldError, ValueError):
-    """A depth file is missing, damaged, or belongs to another camera.
-
-    Examples
-    --------
-    >>> DepthMap.load("no.npz")  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-    lfrender.data.depth_map.DepthFileError: no.npz: cannot be read as a depth file (No such file...
-    """
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -379,95 +302,12 @@ class DepthMap(Frozen):
 
     def save(self, path: AnyPath) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
-        surface = self.surface
-        reference = self.frame_state.reference
-        kept = self.frame_state.kept
-        values: dict[str, Any] = {"version": np.int64(_VERSION)}
-        values["surface_spacing"] = surface.spacing
-        values |= {name: getattr(self, name) for name in (*_SAVED, *_OPTIONAL)}
-        values |= {
-            "drawn": self.filled_patch_size,
-            "surface": surface.patch_size,
-            "surface_first": surface.first,
-            "saved_by": np.array(list(self.saved), str),
-            "saved": np.array(list(self.saved.values()), np.float64),
-            "lens_blur": self.lens_blur and json.dumps(self.lens_blur.to_dict()),
-        }
-        if reference is not None and kept is not None:
-            # Without it, many small changes would pass once the depth has been loaded again.
-            values["kept"] = kept
-            values |= {f"kept_{name}": value for name, value in reference._asdict().items()}
-        known = {name: value for name, value in values.items() if value is not None}
-        with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
-            np.savez(stream, **known)
+        write_depth(self, path)
 
     @classmethod
     def load(cls, path: AnyPath) -> DepthMap:
         """Read a file written by `save`; DepthFileError if it is missing or damaged."""
-        remedy = "make one with 'lfrender analyze'"
-        try:
-            # np.load leaves a damaged file open if it opened it itself.
-            with (
-                open(open_regular(path), "rb") as stream,
-                np.load(stream, allow_pickle=False) as file,
-            ):
-                _check_unpacked_size(stream)
-                data = dict(file)
-            version = int(data["version"])
-            if version != _VERSION:
-                raise DepthFileError(
-                    f"{path}: version {version} is not known (this is {_VERSION}); {remedy}"
-                )
-            return cls(**_fields_of(data))
-        except DepthFileError:
-            raise
-        except OSError as error:
-            raise DepthFileError(
-                f"{path}: cannot be read as a depth file ({error.strerror or error})"
-            ) from error
-        # Damaged bytes can raise nearly any error in the readers of ZIP files and array headers.
-        except Exception as error:
-            problem = f"not a whole depth file ({one_line(error)})"
-            raise DepthFileError(f"{path}: {problem}; {remedy}") from error
-
-
-def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
-    """The fields of a depth map from the arrays of its file."""
-    found: dict[str, Any] = {
-        name: data[name] for name in ("patch_size", "standard_error", "confidence")
-    }
-    place = (tuple(data["surface_first"].tolist()), float(data["surface_spacing"]))
-    found |= {
-        "filled_patch_size": data["drawn"],
-        "surface": Surface(np.ascontiguousarray(data["surface"], np.float32), *place),
-        "pitch": float(data["pitch"]),
-        "image_size": tuple(data["image_size"].tolist()),
-        "preset": str(data["preset"]),
-        "reason": data.get("reason"),
-    }
-    if "saved" in data:
-        pairs = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True)
-        found["saved"] = dict(pairs)
-    for name in _OPTIONAL:
-        if name in data and data[name].size:
-            found[name] = data[name].astype(np.float32)
-    if "lens_blur" in data:
-        found["lens_blur"] = LensBlur.from_dict(json.loads(str(data["lens_blur"])))
-    if "kept" in data:
-        reference = LocalMatch(*(data[f"kept_{name}"] for name in LocalMatch._fields))
-        found["frame_state"] = FrameState(reference, data["kept"])
-    return found
-
-
-def _check_unpacked_size(stream: Any) -> None:
-    """ValueError if an archive would unpack to far more than its own size: `save` does not
-    compress.
-    """
-    with ZipFile(stream) as archive:
-        unpacked = sum(entry.file_size for entry in archive.infolist())
-    size = os.fstat(stream.fileno()).st_size
-    if unpacked > max(LARGEST_RATIO * size, SMALL):
-        raise ValueError(f"its {size / 1e6:.1f} MB would unpack to {unpacked / 1e6:,.0f} MB")
+        return read_depth(path, cls)
 
 
 def finite(values: Array) -> Array:

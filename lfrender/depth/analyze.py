@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 from lfcal.runtime.progress import Progress, show_progress
 
-from ..data.depth_map import DepthMap, sample_flat
+from ..data.depth_map import DepthMap
+from ..data.flat_samples import sample_flat
 from ..flat.lens_blur import find_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from ..runtime.choices import Preset, Shortcut, check_choice
@@ -88,14 +89,16 @@ def analyze(
 
     Examples
     --------
-    A plane with a patch size of 6 px: a pixel at `delta` from the centre `c` of its lens shows `X = c - delta * D / s`.
+    A plane with a patch size of 6 px: a pixel at `delta` from the centre `c` of its lens shows
+    `X = c - delta * D / s`.
 
     >>> import numpy as np
     >>> from lfcal import Calibration, Lattice
     >>> camera = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (300, 240), 9.5))
     >>> y, x = np.mgrid[:240, :300]
     >>> u, v = (10 + p // 20 * 20 - (p % 20 - 10) * 20 / 6 for p in (x, y))
-    >>> flat = 0.5 + 0.2 * np.sin(u / 7 + 2 * np.sin(v / 31)) + 0.2 * np.sin(v / 8 + 3 * np.sin(u / 43))
+    >>> waves = np.sin(u / 7 + 2 * np.sin(v / 31)) + np.sin(v / 8 + 3 * np.sin(u / 43))
+    >>> flat = 0.5 + 0.2 * waves
     >>> depth = analyze(flat, camera, "fast")
     >>> round(float(np.nanmedian(depth.patch_size)), 1)
     6.0

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.depth_map import DepthMap
+from ..flat.neighbours import Neighbours
 from ..flat.texture import Texture
 from .matching.matcher import Matcher, MatchResult, match_lenses
-from .matching.neighbours import Neighbours
 from .presets import Preset
 from .refinement.lens_plane import LensFits, fit_lens_planes
 from .refinement.pair_fit import fit_pairs
@@ -77,7 +77,7 @@ class LensEstimates:
     def smooth(self, lenses: LensSet) -> LensEstimates:
         """Smooth over the lenses on the same surface; those that keep their depth stay."""
         wanted = self.resolved & lenses.updated
-        fits = smooth_fits(lenses.texture.flat, lenses.neighbours.all, self.own_fits, wanted)
+        fits = smooth_fits(lenses.texture.flat, lenses.neighbours, self.own_fits, wanted)
         known = wanted & np.isfinite(fits.standard_error)
         return replace(
             self,

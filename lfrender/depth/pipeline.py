@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 
 from ..data.depth_map import DepthMap
-from ..flat.gray_flat import GrayFlat, downsample_lattice, make_gray_flat
+from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.lens_graph import dilate_mask
+from ..flat.neighbours import neighbours_of
 from ..flat.texture import LensStatistics, find_texture, sample_statistics
 from .estimate import LensEstimates, LensSet, estimate_lenses
 from .matching.matcher import sample_lenses
-from .matching.neighbours import neighbours_of
 from .presets import PRESETS, Preset, Shortcuts
 from .same_surface import TOLERANCE
 from .surface.densify import densify
@@ -48,11 +48,8 @@ def prepare_flat(
     it has merged.
     """
     factor = PRESETS[preset].factor(calibration.lattice.pitch)
-    return (
-        make_gray_flat(flat, calibration, factor),
-        downsample_lattice(calibration.lattice, factor),
-        factor,
-    )
+    lattice = calibration.lattice.downscaled(factor)
+    return make_gray_flat(flat, calibration, factor), lattice, factor
 
 
 def estimate_depth_map(

@@ -1,4 +1,4 @@
-"""How much time each stage of an analysis spends: the presets `"fast"` and `"balanced"`; shortcuts."""
+"""How much time each stage of an analysis spends: presets `"fast"`, `"balanced"`; shortcuts."""
 
 from __future__ import annotations
 

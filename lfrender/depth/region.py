@@ -16,8 +16,7 @@ from lfcal import Lattice
 from ..data.depth_map import REASONS, DepthMap
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
-from ..flat.lens_graph import lens_grid
-from ..runtime.cache import cached_latest
+from ..flat.neighbours import neighbours_of
 
 __all__ = [
     "check_region",
@@ -64,7 +63,8 @@ def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> N
     inside = np.asarray(((centres >= roi[:2]) & (centres <= roi[2:])).all(1), bool)
     if not inside.any():
         raise ValueError(
-            f"no microlens has its centre in roi {_text(roi)}: make it larger than {lattice.pitch:.1f} px"
+            f"no microlens has its centre in roi {_text(roi)}: make it larger than "
+            f"{lattice.pitch:.1f} px"
         )
     return inside
 
@@ -81,14 +81,16 @@ def crop_flat(
     step = int(np.ceil(lattice.pitch))
     low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
     high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
-    sub = cached_latest(
-        lattice, "part", (*low.tolist(), *high.tolist()), lambda: crop_lattice(lattice, low, high)
-    )
+    sub = lattice.derived(_crop, *low.tolist(), *high.tolist())
     image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
     kinds = None if gray.lens_type is None else gray.lens_type[rows_of(sub, lattice)]
     return replace(
         gray, image=image, centres=sub.centres().astype(np.float32), lens_type=kinds
     ), sub
+
+
+def _crop(lattice: Lattice, left: int, top: int, right: int, bottom: int) -> Lattice:
+    return crop_lattice(lattice, np.array([left, top]), np.array([right, bottom]))
 
 
 def crop_lattice(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]) -> Lattice:
@@ -142,9 +144,9 @@ def empty_lenses(count: int, filled: float = 0.0, reason: int = 1) -> dict[str, 
 
 def rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
     """(m,) rows in `lattice` of the lenses of a part of it."""
-    grid, low = lens_grid(lattice)
-    i, j = (sub.indices() - low).T
-    return grid[j, i]
+    neighbours = neighbours_of(lattice)
+    i, j = (sub.indices() - neighbours.low).T
+    return neighbours.grid[j, i]
 
 
 def rescale_depth(

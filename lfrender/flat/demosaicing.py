@@ -6,7 +6,6 @@ E. Adams, US patent 5629734, 1997), from pixels of similar green.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 from lfcal.runtime.kernels import FAST, kernel
 
-from ..runtime.cache import cached_latest
 from .lens_graph import displacement_at, lens_displacements, nearest_index
 
 __all__ = ["SUPPORT", "demosaic"]
@@ -26,6 +24,8 @@ SUPPORT = 6
 _COLOURS = {"R": 0, "G": 1, "B": 2}
 # Smaller differences do not show the direction of an edge: noise and rounding [white].
 _EVEN = 0.01
+# [pixels] largest part of which the lens of each pixel is kept for the next flat.
+_MOST_KEPT = 1 << 24
 # A guide that differs by more belongs to another surface, more likely than not [white].
 _SIMILAR = 0.08
 
@@ -218,7 +218,8 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
 
     Returns
     -------
-    (H, W, 3) array of the type of `flat`, or `flat` itself if it has channels or the camera no mosaic
+    (H, W, 3) array of the type of `flat`
+        Or `flat` itself if it has channels or the camera has no mosaic.
 
     Examples
     --------
@@ -236,16 +237,12 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
         return pixels
     if corner[0] % 2 or corner[1] % 2:
         raise ValueError(f"corner must be two even numbers, or colours are exchanged; got {corner}")
-    place = calibration.lattice, corner, pixels.shape
     white = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
     # Frames of live cameras follow one another; 16 megapixels take 64 MB.
-    lens = (
-        cached_latest(
-            calibration, "lens of pixels", (corner, pixels.shape), partial(_lens_of_pixels, *place)
-        )
-        if pixels.size <= 1 << 24
-        else _lens_of_pixels(*place)
-    )
+    if pixels.size <= _MOST_KEPT:
+        lens = calibration.lattice.derived(_lens_of_pixels, corner, pixels.shape)
+    else:
+        lens = _lens_of_pixels(calibration.lattice, corner, pixels.shape)
     mosaic = _Mosaic(
         pixels,
         lens,

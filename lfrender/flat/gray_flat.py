@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -10,14 +11,10 @@ from numpy.typing import DTypeLike, NDArray
 from lfcal import Calibration, Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
 
-from ..runtime.cache import cached
-
 __all__ = [
     "GrayFlat",
     "correction_cell",
     "correction_tables",
-    "downsample",
-    "downsample_lattice",
     "grey_light",
     "has_uneven_lenses",
     "is_encoded",
@@ -43,6 +40,20 @@ class GrayFlat:
     pitch: float
     lens_type: NDArray[np.int8] | None = None  # (n,) if lenses are focused at different depths
     rounding: float = 0.0  # standard deviation that rounding to integers leaves at least
+    # Microimages that have been cut out, by the step between the rows that are read together.
+    strips: dict[int, Any] = field(default_factory=dict, init=False, repr=False)
+    # The flat at fractions of its resolution, by the factor.
+    _smaller: dict[int, GrayFlat] = field(default_factory=dict, init=False, repr=False)
+
+    def downsampled(self, factor: int) -> GrayFlat:
+        """The flat at a whole fraction of its resolution: each pixel is the mean of `factor` x
+        `factor`.
+        """
+        if factor == 1:
+            return self
+        if factor not in self._smaller:
+            self._smaller[factor] = _downsample(self, factor)
+        return self._smaller[factor]
 
 
 def correction_tables(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
@@ -192,16 +203,14 @@ def make_gray_flat(
 
     `light` (H, W) is the gain of its pixels; needed if the flat is part of a larger one.
     """
-    lattice = downsample_lattice(calibration.lattice, factor)
+    lattice = calibration.lattice.downscaled(factor)
     image = np.empty(lattice.image_size[::-1], np.float32)
     rows = np.ascontiguousarray(flat).reshape(len(flat), -1)
     radius = trusted_radius(calibration)
     uneven = has_uneven_lenses(calibration)
     gain = np.empty((0, 0), np.float32)
     if calibration.vignetting is not None and not uneven:
-        gain = cached(
-            calibration, ("gain", factor), lambda: _correction_image(calibration, lattice, factor)
-        )
+        gain = calibration.derived(_correction_image, factor)
     _average_channels(
         rows, flat.shape[2], factor, 1.0 / white_level(flat, calibration), gain, image
     )
@@ -209,31 +218,15 @@ def make_gray_flat(
         radius = radius / factor - _MIXED
     centres = lattice.centres().astype(np.float32)
     if uneven:
-        if light is None:
-            light = cached(
-                calibration, ("light", factor), lambda: _average_light(calibration.gain(), factor)
-            )
-        else:
-            light = _average_light(light, factor)
-        np.divide(image, light, out=image, where=np.isfinite(light))
-        _fill_unlit(centres, _own_radius(lattice, radius), light, image)
+        gain = _uneven_light(calibration, factor, light)
+        np.divide(image, gain, out=image, where=np.isfinite(gain))
+        _fill_unlit(centres, _own_radius(lattice, radius), gain, image)
     types = calibration.lens_types
     lens_type = None if types is None else types.of(calibration.lattice.indices())
     rounding = (
         12**-0.5 / (factor * white_level(flat, calibration)) if flat.dtype.kind in "ui" else 0.0
     )
     return GrayFlat(image, centres, radius, lattice.pitch, lens_type, rounding)
-
-
-def downsample_lattice(lattice: Lattice, factor: int) -> Lattice:
-    """The lattice of a flat whose blocks of `factor` x `factor` pixels have become one; the same
-    object every time.
-    """
-    return (
-        lattice
-        if factor == 1
-        else cached(lattice, ("downsampled", factor), lambda: lattice.downscaled(factor))
-    )
 
 
 def _own_radius(lattice: Lattice, radius: float) -> np.float32:
@@ -245,10 +238,9 @@ def _own_radius(lattice: Lattice, radius: float) -> np.float32:
     return np.float32(min(radius + 3.0, apart if lattice.distortion is None else 0.98 * apart))
 
 
-def _correction_image(
-    calibration: Calibration, lattice: Lattice, factor: int
-) -> NDArray[np.float32]:
-    """(H, W) correction of every pixel of the downsampled flat, 1 where no microimage is trusted."""
+def _correction_image(calibration: Calibration, factor: int) -> NDArray[np.float32]:
+    """(H, W) correction of every pixel of the downsampled flat, 1 beyond trusted microimages."""
+    lattice = calibration.lattice.downscaled(factor)
     image = np.ones(lattice.image_size[::-1], np.float32)
     radius = trusted_radius(calibration)
     radius = radius if factor == 1 else radius / factor - _MIXED
@@ -259,6 +251,19 @@ def _correction_image(
     per_step = np.float32(factor**2 / step)
     _fill_gains(centres, cell[i, j], _own_radius(lattice, radius), gains, per_step, image)
     return image
+
+
+def _uneven_light(
+    calibration: Calibration, factor: int, part: NDArray[np.float32] | None
+) -> NDArray[np.float32]:
+    """(h, w) light of blocks of `factor` x `factor` pixels, of a `part` or of the whole flat."""
+    if part is not None:
+        return _average_light(part, factor)
+    return calibration.derived(_whole_light, factor)
+
+
+def _whole_light(calibration: Calibration, factor: int) -> NDArray[np.float32]:
+    return _average_light(calibration.gain(), factor)
 
 
 def _average_light(light: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
@@ -307,22 +312,13 @@ def trusted_radius(calibration: Calibration) -> float:
     return radius
 
 
-def downsample(gray: GrayFlat, factor: int) -> GrayFlat:
-    """`gray` at a whole fraction of its resolution: each pixel is the mean of `factor` x `factor`;
-    cached.
-    """
+def _downsample(gray: GrayFlat, factor: int) -> GrayFlat:
+    import cv2
 
-    def make() -> GrayFlat:
-        import cv2
-
-        height, width = (n // factor for n in gray.image.shape)
-        whole = gray.image[: height * factor, : width * factor]
-        image = np.asarray(
-            cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32
-        )
-        centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
-        radius = gray.radius / factor - _MIXED
-        pitch = gray.pitch / factor
-        return GrayFlat(image, centres, radius, pitch, gray.lens_type, gray.rounding / factor)
-
-    return gray if factor == 1 else cached(gray, ("downsampled", factor), make)
+    height, width = (n // factor for n in gray.image.shape)
+    whole = gray.image[: height * factor, : width * factor]
+    image = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+    centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
+    radius = gray.radius / factor - _MIXED
+    pitch = gray.pitch / factor
+    return GrayFlat(image, centres, radius, pitch, gray.lens_type, gray.rounding / factor)

@@ -1,5 +1,5 @@
-"""Lenses by their place: neighbours of every lens, and the lens nearest to a place, on a lattice
-that may be bent.
+"""Lenses by their place: counts of neighbours, and the lens nearest to a place, on a lattice that
+may be bent.
 """
 
 from __future__ import annotations
@@ -11,57 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Lattice
 from lfcal.runtime.kernels import FAST, kernel
 
-from ..runtime.cache import cached
-
 __all__ = [
     "count_connected",
     "count_neighbours",
     "count_similar",
     "dilate_mask",
     "displacement_at",
-    "distant_rings",
     "lens_displacements",
-    "lens_grid",
     "lens_offsets",
     "nearest_index",
     "nearest_lens",
-    "neighbour_rows",
-    "two_rings",
 ]
-
-
-def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Rows (nj, ni) in `lattice.centres()` of lenses `(i, j)`, at `[j - low[1], i - low[0]]`, -1 if
-    there is none, and `low`; cached, not to be written into.
-    """
-
-    def make() -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-        ij = lattice.indices()
-        low = ij.min(0)
-        size = ij.max(0) - low + 1
-        grid = np.full((size[1], size[0]), -1, np.int32)
-        grid[ij[:, 1] - low[1], ij[:, 0] - low[0]] = np.arange(len(ij), dtype=np.int32)
-        return grid, low
-
-    return cached(lattice, "grid", make)
-
-
-def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int32]:
-    """(n, k) rows of the lenses `steps` (k, 2) index steps from each lens, -1 if there is none;
-    cached, not to be written into.
-    """
-
-    def make() -> NDArray[np.int32]:
-        grid, low = lens_grid(lattice)
-        ij = lattice.indices() - low
-        # With a border of -1 as wide as the longest step no look-up leaves the grid.
-        border = int(np.abs(steps).max(initial=0))
-        grid = np.pad(grid, border, constant_values=-1)
-        width = grid.shape[1]
-        here = ((ij[:, 1] + border) * width + ij[:, 0] + border).astype(np.int64)
-        return grid.ravel()[here[:, None] + (steps[:, 1] * width + steps[:, 0])]
-
-    return cached(lattice, ("neighbours", steps.tobytes()), make)
 
 
 @kernel(share=lambda mask, rows, *_: len(rows))
@@ -121,57 +81,6 @@ def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:
     return np.asarray(
         cKDTree(lattice.centres()).query(np.asarray(points, dtype=float))[1], dtype=np.int64
     )
-
-
-@kernel(error_model="numpy", share=lambda neighbours, out: len(out))
-def _find_two_rings(begin, end, neighbours, out):
-    """Write the neighbours of each lens and their neighbours into `out` (n, m), each once, then -1."""
-    for lens in range(begin, end):
-        count = 0
-        for k in range(neighbours.shape[1]):
-            if neighbours[lens, k] >= 0:
-                out[lens, count] = neighbours[lens, k]
-                count += 1
-        for n in range(count):
-            for k in range(neighbours.shape[1]):
-                other = neighbours[out[lens, n], k]
-                new = other >= 0 and other != lens and count < out.shape[1]
-                for seen in range(count):
-                    new &= out[lens, seen] != other
-                if new:
-                    out[lens, count] = other
-                    count += 1
-        out[lens, count:] = -1
-
-
-def two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(n, 3 k) int32 rows of the lenses in two rings about each, of its neighbours (n, k) and
-    theirs, then -1; cached.
-    """
-
-    def make() -> NDArray[np.int32]:
-        out = np.empty((len(neighbours), 3 * neighbours.shape[1]), np.int32)
-        _find_two_rings(neighbours, out)
-        return out
-
-    return cached(neighbours, "two rings", make)
-
-
-def distant_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
-    """`two_rings` of every third lens: their estimates are nearly independent of those of its own
-    two rings.
-    """
-
-    def make() -> NDArray[np.int32]:
-        # -1 leads to the last row, which leads nowhere.
-        beyond = np.vstack([neighbours, np.full((1, neighbours.shape[1]), -1, np.int32)])
-        each = np.arange(neighbours.shape[1])
-        far = neighbours
-        for _ in range(2):
-            far = beyond[far, each]
-        return two_rings(np.ascontiguousarray(far))
-
-    return cached(neighbours, "distant rings", make)
 
 
 def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

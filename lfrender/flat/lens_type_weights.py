@@ -1,4 +1,4 @@
-"""Weights of the lens types of a multi-focus array over depth, so that the type in focus dominates."""
+"""Weights of the lens types of a multi-focus array over depth: the type in focus dominates."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@ microimages share.
 
 A row of a microimage is too short for the vector instructions of a processor. Cut out with a common
 width, the rows of all lenses follow each other, so that a shift of one microimage against another
-is one offset along the strip, and one long loop compares them. Which pixels count depends on the
-whole pixels of the shift alone: a mask holds it.
+is one offset along the strip, and one long loop compares them. Which pixels two microimages share
+depends on the whole pixels of the shift only: a mask marks them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import FAST, kernel
 
-from ..runtime.cache import cached
 from .gray_flat import GrayFlat
 
 __all__ = [
@@ -33,8 +32,7 @@ __all__ = [
     "row_of_disc",
 ]
 
-#: Vector loops handle so many values at a time, the unwanted ones masked. Interpolation reads one
-#: beyond.
+#: Number of values that a vector loop handles at a time; a mask excludes values that do not count.
 VECTOR_LENGTH = 64
 # Mean error of centres rounded to pixels, over both directions [px].
 _ROUNDING = 0.25
@@ -42,21 +40,22 @@ _ROUNDING = 0.25
 
 @dataclass(frozen=True)
 class Strips:
-    """Microimages as strips of one length: row `r` of one is row `r // step` of part `r % step` of
-    its strip.
+    """Microimages as strips of equal length.
 
-    So every `step`-th row, which are read together, follow each other.
+    Row `r` of a microimage is row `r // step` of part `r % step` of its strip, so that the rows
+    that are read together follow each other.
     """
 
-    values: NDArray[
-        np.float32
-    ]  # one strip after the other, less the mean of its lens; any off the flat, 0 at the end
+    means: NDArray[np.float32]  # (n,) of the lenses
+    # One strip after the other, minus the mean of its lens. Values off the flat are arbitrary,
+    # values after the last strip are 0.
+    values: NDArray[np.float32]
     centre_pixels: NDArray[np.int32]  # (n, 2) pixel `x, y` in the middle of each microimage
     complete: NDArray[np.bool_]  # (n,) microimages that lie within the flat
     extracted: NDArray[np.bool_]  # (n,) microimages that have been cut out
-    half_width: int  # pixels from the middle to the sides
-    width: int  # and from row to row
-    rows: int  # of a part
+    half_width: int  # [px] from the middle to the sides
+    width: int  # [px] of a row
+    rows: int  # number of rows of a part
     step: int  # number of parts
 
     @property
@@ -85,18 +84,15 @@ def _offsets(
 
 
 class OverlapMasks(NamedTuple):
-    """Masks of the pixels of a microimage that another one also holds, by their shift in whole
-    pixels.
-    """
+    """Masks of the pixels that two microimages share, one mask for each shift by whole pixels."""
 
-    slots: NDArray[
-        np.int32
-    ]  # (2 k + 1, 2 k + 1) row of the shift `x, y` in the others at `[y + k, x + k]`, or -1
-    masks: NDArray[
-        np.float32
-    ]  # (slots, rows * width + spare) 1 or 0 for the pixels of the first part of a strip
-    # (slots, 4) position of the first 1; a multiple of `VECTOR_LENGTH` values that holds them all;
-    # how much later in a strip follow the pixel at this shift and the one below it
+    # (2 k + 1, 2 k + 1) number of the mask of the shift `x, y` at `[y + k, x + k]`; -1 if none.
+    slots: NDArray[np.int32]
+    # (slots, rows * width + spare) 1 or 0 for the pixels of the first part of a strip.
+    masks: NDArray[np.float32]
+    # (slots, 4) position of the first 1; number of values from there on that hold all ones, a
+    # multiple of `VECTOR_LENGTH`; distance in a strip to the pixel at this shift, and to the pixel
+    # below that one.
     ends: NDArray[np.int32]
     counts: NDArray[np.int32]  # (slots,) number of ones
 
@@ -106,8 +102,8 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
     """Copy every `step`-th row of a box from (left, top) on, one after the other, to `out` from
     `begin` on.
 
-    `pixels` are those of the flat in one line, `stride` its width. What lies off it gets the value
-    of any pixel.
+    `pixels` are those of the flat in one line, `stride` its width. Places off the flat get
+    the value of some pixel.
     """
     beyond = len(pixels) - wide
     for row in range(rows):
@@ -123,8 +119,8 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def row_of_disc(y, x, radius, low, high):
-    """First column of row `y` [px from the centre] of a disc about column `x`, between two others,
-    and how many.
+    """First column of a disc about column `x` in row `y` [px from the centre], and number of its
+    columns from `low` to `high`.
     """
     half = radius * radius - y * y
     if half < 0:
@@ -157,7 +153,7 @@ def _extract(begin, end, image, middle, means, half, width, rows, step, wanted, 
 
 @kernel
 def _clear_beyond(size, spare, wanted, done, values):
-    """Vector loops read on beyond a strip: what is there must be a number."""
+    """Set values after a strip to 0: vector loops read them, and they must not be NaN."""
     for lens in range(len(wanted)):
         if wanted[lens]:
             for k in range((lens + 1) * size, min((lens + 1) * size + spare, len(wanted) * size)):
@@ -173,10 +169,9 @@ def extract_strips(
 
     The strips are cached with the flat, for the same means and step.
     """
-    kept: dict[int, tuple[NDArray[np.float32], Strips]] = cached(gray, "strips", dict)
-    if step not in kept or kept[step][0] is not means:
-        kept[step] = means, _allocate_strips(gray, step)
-    strips = kept[step][1]
+    strips = gray.strips.get(step)
+    if strips is None or strips.means is not means:
+        strips = gray.strips[step] = _allocate_strips(gray, means, step)
     _extract(
         gray.image,
         strips.centre_pixels,
@@ -197,13 +192,11 @@ def extract_strips(
 
 
 def _spare_values(width: int) -> int:
-    """Values that vector loops may read beyond a strip, of pixels that another microimage shows up
-    to `width` away.
-    """
+    """Number of values after a strip that vector loops may read."""
     return VECTOR_LENGTH + width
 
 
-def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
+def _allocate_strips(gray: GrayFlat, means: NDArray[np.float32], step: int) -> Strips:
     # Interpolation between the outermost pixels reads one pixel beyond them, to all sides.
     half = max(1, int(gray.radius - _ROUNDING)) + 2
     width = 2 * half + 1
@@ -213,6 +206,7 @@ def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
     values = np.empty((len(middle) * rows * step * width + _spare_values(width),), np.float32)
     values[-_spare_values(width) :] = 0.0
     return Strips(
+        means,
         values,
         middle,
         inside[:, 0] & inside[:, 1],
@@ -226,8 +220,8 @@ def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
 
 @njit(inline="always")
 def overlap_range(dx, dy, half, width, step, bunch):
-    """First position in a strip that another microimage, shifted by `dx, dy` pixels, may hold too,
-    and the number of positions, as a multiple of `bunch`; not above 0 if there is none.
+    """First position in a strip that another microimage, shifted by `dx, dy` pixels, may show too,
+    and the number of positions, a multiple of `bunch`. It is 0 or less if there is none.
     """
     first = -(min(0, dy) // step) * width + max(0, -dx)
     number = ((2 * half - 1 - max(0, dy)) // step + 1) * width - first
@@ -268,8 +262,8 @@ def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, cou
 
 
 def make_shift_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> OverlapMasks:
-    """Masks of the pixels that two microimages of this `radius` [px] share at shifts `wanted` (m,
-    2), each read a fraction of a pixel farther; cached, not to be written into.
+    """Masks of the pixels that two microimages of this `radius` [px] share at each of the shifts
+    `wanted` (m, 2), and up to a pixel farther. They are cached and must not be changed.
     """
     return _masks_of(
         strips.half_width, strips.width, strips.rows, strips.step, radius, wanted.tobytes()

@@ -18,8 +18,9 @@ from lfcal import Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
 
 from .gray_flat import GrayFlat
-from .lens_graph import count_neighbours, neighbour_rows
+from .lens_graph import count_neighbours
 from .microimages import extract_strips, row_of_disc
+from .neighbours import neighbours_of
 
 __all__ = ["LARGEST_SHADING", "remove_shading"]
 
@@ -122,7 +123,7 @@ def remove_shading(
         return others
     # Lenses of less contrast than one per cent of white have equal weight.
     weights = (0.01**2 / (0.01**2 + contrast**2)).astype(np.float32)
-    near = neighbour_rows(lattice, _steps_to_same_type(lattice))
+    near = neighbours_of(lattice).rows(_steps_to_same_type(lattice))
     # The lenses to be read; for every step there is the opposite one.
     strips = extract_strips(
         gray, means, 1, None if wanted.all() else count_neighbours(wanted, near) > 0

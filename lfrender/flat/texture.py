@@ -8,6 +8,7 @@ exceeds the contrast that the fixed-pattern shading of microimages can have.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -16,9 +17,9 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.kernels import FAST, kernel
 
-from ..runtime.cache import cached
 from .gray_flat import GrayFlat
-from .lens_graph import dilate_mask, neighbour_rows
+from .lens_graph import dilate_mask
+from .neighbours import neighbours_of
 from .shading import remove_shading
 
 __all__ = [
@@ -49,6 +50,11 @@ class LensStatistics:
     # (n,) RMS of what neither a plane nor a straight edge explains: noise, rounding, and the finest
     # detail
     roughness: NDArray[np.float32]
+
+    @cached_property
+    def noise(self) -> float:
+        """Noise of the flat [white]."""
+        return estimate_noise(self.roughness)
 
 
 @dataclass(frozen=True)
@@ -185,23 +191,20 @@ def find_texture(
     found = measure_statistics(flattened, known=plain, wanted=first)
     if blank is not None:
         # Lenses with texture are matched with those beside them.
-        some = _has_any(
-            found, estimate_noise(found.roughness) if known_noise is None else known_noise
-        )
-        beside = wanted & ~first & dilate_mask(some & first, neighbour_rows(lattice, lattice.steps))
+        some = _has_any(found, found.noise if known_noise is None else known_noise)
+        beside = wanted & ~first & dilate_mask(some & first, neighbours_of(lattice).all)
         flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, beside, flattened)
         found = measure_statistics(flattened, found, beside)
-    noise = estimate_noise(found.roughness) if known_noise is None else known_noise
+    noise = found.noise if known_noise is None else known_noise
     clear = _is_clear(found, noise)
     faint = _has_any(found, noise) & ~clear
     return Texture(flattened, found, noise, clear, faint if blank is None else faint & ~blank)
 
 
-def classify_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None = None) -> Texture:
+def classify_texture(gray: GrayFlat, plain: LensStatistics, noise: float) -> Texture:
     """Classify texture with the common shading left in: faster, and correct if there is much
     texture.
     """
-    noise = estimate_noise(plain.roughness) if noise is None else noise
     clear = _is_clear(plain, noise)
     return Texture(gray, plain, noise, clear, _has_any(plain, noise) & ~clear)
 
@@ -210,7 +213,7 @@ def estimate_noise(roughness: NDArray[np.float32]) -> float:
     """Noise of a flat [white] from the roughness (n,) of its lenses: that of the smoothest
     fiftieth, a grey level of 8 bits at least, for rounding and compression.
     """
-    return cached(roughness, "noise", lambda: max(float(np.quantile(roughness, 0.02)), 1 / 255))
+    return max(float(np.quantile(roughness, 0.02)), 1 / 255)
 
 
 def _has_any(found: LensStatistics, noise: float) -> NDArray[np.bool_]:

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from lfcal import Calibration, CalibrationError, FlatError
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 
-from ..runtime.cache import cached
-
 __all__ = ["check_flat", "exposure_rows", "match_exposure"]
 
 # Largest float of a flat, where white is 1: noise and gain reach above white, but not beyond this.
@@ -60,8 +58,8 @@ def _check_floats(array: NDArray) -> None:
         )
     if array.size and float(array.max()) > _BRIGHTEST:
         raise FlatError(
-            f"flat holds floats up to {array.max():.4g}, but floats are 1 at white; divide it by the largest value of "
-            "its sensor, such as 255 or 4095"
+            f"flat holds floats up to {array.max():.4g}, but floats are 1 at white; divide it by "
+            "the largest value of its sensor, such as 255 or 4095"
         )
 
 
@@ -87,7 +85,8 @@ def match_exposure(rows: NDArray, calibration: Calibration) -> Calibration:
     power = np.floor(4 * np.log2(max(white / top, 1.0))) / 4
     if power < 1:
         return calibration
-    level = float(white / 2**power)
-    return cached(
-        calibration, ("white level", level), lambda: replace(calibration, white_level=level)
-    )
+    return calibration.derived(_with_white_level, float(white / 2**power))
+
+
+def _with_white_level(calibration: Calibration, level: float) -> Calibration:
+    return replace(calibration, white_level=level)

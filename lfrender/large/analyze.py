@@ -19,7 +19,8 @@ from lfcal import Calibration, FlatSource, Lattice, LensBlur
 from lfcal.runtime.arrays import Array, Singles
 from lfcal.runtime.progress import Progress, Step, show_progress
 
-from ..data.depth_map import DepthMap, sample_flat
+from ..data.depth_map import DepthMap
+from ..data.flat_samples import sample_flat
 from ..data.surface import Surface
 from ..depth.edges.locate_edges import FINER, locate_edges, refine_grid
 from ..depth.pipeline import SceneStatistics, estimate_lens_by_lens
@@ -153,8 +154,7 @@ class _Flat:
     @cached_property
     def lattice(self) -> Lattice:
         """The lattice in pixels of the flat as it is analysed."""
-        lattice = self.reader.calibration.lattice
-        return lattice if self.factor == 1 else lattice.downscaled(self.factor)
+        return self.reader.calibration.lattice.downscaled(self.factor)
 
     @cached_property
     def _gain(self) -> Any:

@@ -135,7 +135,7 @@ class LensTile:
         corner = np.array(list(low), np.int64)
         end = np.minimum(np.array(list(high), np.int64) * factor, whole.image_size)
         full = crop_lattice(whole, corner * factor, end)
-        small = full if factor == 1 else full.downscaled(factor)
+        small = full.downscaled(factor)
         centres = small.centres() + corner
         inside = ((centres >= core[0]) & (centres < core[1])).all(1)
         return cls(factor, corner, full, small, inside, tuple(core.ravel().tolist()))
@@ -186,8 +186,7 @@ def lens_tiles(
         np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist()
         for length in size
     ]
-    reduced = whole if factor == 1 else whole.downscaled(factor)
-    _, _, spacing = grid_shape(reduced, preset.surface_cells)
+    _, _, spacing = grid_shape(whole.downscaled(factor), preset.surface_cells)
     for top, bottom in zip(edges[1], edges[1][1:], strict=False):
         for left, right in zip(edges[0], edges[0][1:], strict=False):
             low = [_align(max(0, at - halo), spacing, block) for at in (left, top)]

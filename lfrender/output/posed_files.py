@@ -36,6 +36,8 @@ _VIEW_FILES = r"view_\d{3,}\..+"
 _RARE = 1e-3
 # Colour differences of no colour, of 16 bits.
 _GREY = 0x8000
+# Distance of the pixels of the middle view that become points [px].
+_TRACK_STEP = 4
 # Names of the masks, as each program looks for them.
 _MASK_NAMES = {"nerfstudio": "{}.png", "colmap": "{}.png.png"}
 
@@ -261,15 +263,15 @@ def _normals(view: _Posed) -> Floats:
     return np.moveaxis(found, -1, 0)
 
 
-def _tracks(views: list[_Posed], step: int = 4) -> tuple[Floats, NDArray[np.uint8], Floats]:
-    """Points (n, 3) of one of `step` x `step` pixels of the middle view, colours (n, 3), and where
-    views see them.
+def _tracks(views: list[_Posed]) -> tuple[Floats, NDArray[np.uint8], Floats]:
+    """Points (n, 3) of one of 4 x 4 pixels of the middle view, colours (n, 3), and where views see
+    them.
 
     The last, (views, n, 2) [px], is NaN where the depth of a view tells that something else is
     seen, or nothing.
     """
     middle = views[len(views) // 2]
-    v, u = (step * axis for axis in np.nonzero(middle.known[::step, ::step]))
+    v, u = (_TRACK_STEP * axis for axis in np.nonzero(middle.known[::_TRACK_STEP, ::_TRACK_STEP]))
     z = middle.depth[v, u].astype(float)[:, None]
     points = (
         np.hstack([middle.camera.slopes(np.column_stack([u, v])) * z, z]) + middle.camera.position

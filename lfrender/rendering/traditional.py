@@ -12,7 +12,7 @@ from ..data.depth_map import REASONS, DepthMap
 from ..data.rendering import PictureGrid, Rendering, finish_picture
 from ..depth.same_surface import TOLERANCE, same_surface
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
-from ..flat.lens_graph import lens_grid
+from ..flat.neighbours import neighbours_of
 from ..flat.validation import check_flat
 
 __all__ = ["TOO_LITTLE", "find_depth_problem", "traditional"]
@@ -121,8 +121,8 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
         + grid.first
     )
     # Linear between the lit lenses about a place, and the nearest ones at the border.
-    lenses, low = lens_grid(lattice)
-    index = (lattice.to_index(points) - low).T[::-1]
+    lenses = neighbours_of(lattice).grid
+    index = (lattice.to_index(points) - neighbours_of(lattice).low).T[::-1]
     shown = (lenses >= 0) & lit[lenses]
     weight = map_coordinates(shown.astype(np.float32), index, order=1, mode="nearest")
     planes = [np.where(shown, means[lenses, k], 0) for k in range(means.shape[1])]

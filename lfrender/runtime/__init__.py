@@ -1,1 +1,1 @@
-"""Tools below the mathematics: caches, words of options."""
+"""What all rooms share: words of options, types, texts of errors."""

@@ -21,7 +21,8 @@ from lfcal import Calibration, LightFieldError, OutputError, calibrate
 from lfcal.runtime.arrays import Array, exposure_gain
 from lfcal.runtime.errors import check_type
 
-from ..data.depth_map import DepthFileError, DepthMap, default_scale
+from ..data.depth_file import DepthFileError
+from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import PictureGrid, Rendering
 from ..depth.analyze import analyze
 from ..flat.demosaicing import demosaic

@@ -26,12 +26,14 @@ _MARGIN = 20  # around the flat on a panel, in the same units
 _LONGEST_ARROW = 0.11
 _SHORTEST = 1e-3
 _UNKNOWN = (214, 110, 160)  # colour of pixels without a gain: pink
+# Width of crops [pitches].
+_CROP = 6.0
 # Crops are brightened as by this gamma: microimages of dark scenes stay visible.
 _GAMMA = 1.4
 
 
-def calibration_panels(flat: NDArray, calibration: Calibration, pitches: float = 6.0) -> Any:
-    """HTML of the panels: crops of three places, `pitches` across, and what was measured.
+def calibration_panels(flat: NDArray, calibration: Calibration) -> Any:
+    """HTML of the panels: crops of three places, six pitches wide, and what was measured.
 
     FlatError if the flat is not of the size the calibration is for.
     """
@@ -42,7 +44,7 @@ def calibration_panels(flat: NDArray, calibration: Calibration, pitches: float =
         "Bottom right": (width, height),
     }
     crops = [
-        (name, _crop(flat, calibration, np.array(place, float), pitches))
+        (name, _crop(flat, calibration, np.array(place, float), _CROP))
         for name, place in places.items()
     ]
     fit = check_fit(calibration, flat)

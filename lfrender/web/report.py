@@ -24,14 +24,14 @@ from .templates import Markup, fill, read_asset
 
 __all__ = ["write_report"]
 
-# Bars of the histogram between its limits.
+# Number of bars of the histogram.
 _BINS = 40
-# Largest width of the maps [px], and their pixels per pitch at most: maps have one colour a lens.
+# Largest width of the maps [px], and largest number of pixels per pitch: each lens has one colour.
 _MAP_WIDTH = 1100
 _MAP_SCALE = 12.0
 # Largest width of the flat on the page [px], twice that of its column.
 _FLAT_WIDTH = 1120
-# Characters of a page: mail programs and browsers accept 15 MB, text takes the rest.
+# Characters for the pictures of a page: mail programs and browsers accept pages of 15 MB.
 _ROOM = 14_500_000
 # Side of the crop of the flat, and of the window in which detail is looked for [pitches].
 _CROP = 7
@@ -64,10 +64,10 @@ def write_report(
 ) -> None:
     """Write the report of a flat as one HTML file of at most 15 MB that opens offline.
 
-    `pictures` are drawn if they are not given; `seconds` are those of each stage, `compare` further
-    pictures by their names, on the grid of the all-in-focus one, `further` sections to add, as HTML
-    (`markupsafe.Markup`); `command` made the page, for its footer. OutputError if it cannot be
-    written; FlatError and CalibrationError as `render`.
+    `pictures` are drawn if they are not given. `seconds` holds the time of each stage, `compare`
+    other pictures by their names, on the grid of the all-in-focus picture, and `further` more
+    sections as HTML (`markupsafe.Markup`). The footer names the `command`. OutputError if the page
+    cannot be written; FlatError and CalibrationError as for `render`.
 
     Examples
     --------
@@ -147,13 +147,13 @@ def write_report(
 
 
 def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
-    """The place of the flat [px] about which lenses differ most, and none is dark."""
+    """Place on the flat [px] around which lenses differ most and no lens is dark."""
     import cv2
 
     image = np.atleast_3d(pictures.traditional.image).astype(np.float32)[..., :3].mean(2)
     window = (_CROP, _CROP)  # the traditional picture has a pixel per pitch
     spread = cv2.blur(image**2, window) - cv2.blur(image, window) ** 2
-    # Beyond the border all is dark.
+    # Lenses beyond the border count as dark.
     darkest = cv2.erode(image, np.ones(window), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     v, u = np.unravel_index(int((np.sqrt(np.maximum(spread, 0)) * darkest).argmax()), image.shape)
     place: NDArray[np.float64] = pictures.traditional.affine @ [u, v, 1]
@@ -163,8 +163,8 @@ def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
 def _histogram(depth: DepthMap) -> Any:
     """SVG: number of lenses over magnification, telescopic ones above the axis, binocular below.
 
-    Heights are square roots: a wall has thousands of lenses of one M, and single branches are seen
-    beside it. Pale bars at the ends are lenses beyond the scale, mostly errors.
+    Heights are square roots of the numbers, so that single branches can be seen beside a wall with
+    thousands of lenses of one M. Pale bars at the ends are lenses beyond the scale, mostly errors.
     """
     from matplotlib.figure import Figure
 
@@ -182,7 +182,7 @@ def _histogram(depth: DepthMap) -> Any:
             beyond.set_alpha(0.45)
     axes.axhline(0, color="0.5", linewidth=1)
     axes.set(xscale="log", xlim=edges[[0, -1]], facecolor="none")
-    # Grey is read on dark and on light pages.
+    # Grey can be read on dark and on light pages.
     axes.tick_params(which="both", colors="0.5")
     axes.spines[:].set_visible(False)
     axes.set_xticks(np.geomspace(low, high, 6))

@@ -62,8 +62,25 @@ def _is_kept(name, value):
     return not sweep.broken(value, sweep.run(value))
 
 
+# Calibrations of stress flats take seconds each; other tests calibrate such white images.
+_NIGHTLY = {
+    "calibration noise",
+    "calibration exposure",
+    "calibration rotation",
+    "calibration shear",
+    "calibration cell height",
+    "calibration bits",
+}
+
+
 @pytest.mark.filterwarnings("ignore:next to no lenses are resolved:UserWarning")
-@pytest.mark.parametrize(("name", "value"), [row[:2] for row in _RANGES])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        pytest.param(name, value, marks=[pytest.mark.nightly] * (name in _NIGHTLY))
+        for name, value, _ in _RANGES
+    ],
+)
 def test_promises_are_kept_where_they_are_hardest(name, value):
     assert _is_kept(name, value)
 

@@ -15,7 +15,8 @@ import lfrender
 from lfcal.camera_files.read_write import convert
 from lfcal.cli.main import main
 from lfcal.runtime.arrays import encode_array
-from lfrender.data.depth_map import DepthFileError, DepthMap
+from lfrender.data.depth_file import DepthFileError
+from lfrender.data.depth_map import DepthMap
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from lfcal import Lattice
 from ...data.depth_map import DepthMap
 from ...data.surface import Surface
 from ...flat.gray_flat import GrayFlat
-from ...flat.texture import estimate_noise, sample_statistics
+from ...flat.texture import sample_statistics
 from ..same_surface import TOLERANCE
 from ..surface.scene_grid import LensArray, PointGrid, lens_array
 from .candidates import mark_levels
@@ -52,7 +52,7 @@ def locate_edges(
         return depth
     # Compression and uneven light add to the noise: up to four times that is no mismatch of two
     # lenses.
-    noise2 = np.float32(16 * estimate_noise(sample_statistics(gray).roughness) ** 2)
+    noise2 = np.float32(16 * sample_statistics(gray).noise ** 2)
     lenses = lens_array(lattice, gap, float(lattice.radius) - 1.0)
     grid = PointGrid(float(surface.first[0]), float(spacing))
     # The nine lenses nearest to a scene point lie within 1.3 pitches of it.

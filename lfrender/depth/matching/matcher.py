@@ -13,18 +13,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flat.gray_flat import downsample
 from ...flat.lens_graph import dilate_mask
 from ...flat.microimages import OverlapMasks, Strips, extract_strips
+from ...flat.neighbours import Neighbours
 from ...flat.texture import Texture, measure_statistics
 from ..presets import Preset
 from ..same_surface import TOLERANCE
 from .ambiguity import LEAST_WEIGHT, measure_ambiguity
 from .cost_volume import compute_pair_costs, half_weight_area, overlap_area, overlap_masks
-from .neighbours import Neighbours
 from .sgm import aggregate_costs, average_pair_costs
 
-__all__ = ["MatchResult", "Matcher", "Neighbours", "fit_parabola", "match_lenses", "sample_lenses"]
+__all__ = ["MatchResult", "Matcher", "fit_parabola", "match_lenses", "sample_lenses"]
 
 # Cost above which a lens may match better at a shift that was not tried.
 _MISFIT = 0.4
@@ -59,7 +58,7 @@ class Matcher:
     ) -> None:
         self.neighbours = neighbours
         self.factor = max(1, round(texture.flat.pitch / preset.search_pitch))
-        self.gray = downsample(texture.flat, self.factor)
+        self.gray = texture.flat.downsampled(self.factor)
         self.statistics = texture.statistics
         if self.factor > 1:
             wanted = None if lenses is None else dilate_mask(lenses, neighbours.all)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import FAST, kernel
 
-from .neighbours import Neighbours
+from ...flat.neighbours import Neighbours
 
 __all__ = ["aggregate_costs", "average_pair_costs"]
 

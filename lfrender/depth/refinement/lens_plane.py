@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...flat.gray_flat import GrayFlat
-from ..matching.neighbours import Neighbours
+from ...flat.neighbours import Neighbours
 from ..same_surface import TOLERANCE, same_surface
 from .pair_fit import PairFits
 

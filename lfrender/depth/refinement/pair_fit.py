@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import FAST, kernel, square
 
-from ...flat.gray_flat import GrayFlat, downsample
+from ...flat.gray_flat import GrayFlat
 from ..same_surface import TOLERANCE, same_surface
 from .pair_pixels import (
     NO_STEP,
@@ -367,7 +367,7 @@ def fit_pairs(
     # Detail finer than a 25th of a pitch would show the difference of focus of two lenses instead
     # of the depth.
     factor = max(1, round(gray.pitch / 25)) if gray.lens_type is not None else 1
-    gray = downsample(gray, factor)
+    gray = gray.downsampled(factor)
     start = (start / factor).astype(np.float32)
     noise = noise / factor
     # At the rim smoothing and slopes read beyond the microimage.

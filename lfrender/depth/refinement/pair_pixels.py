@@ -40,10 +40,11 @@ NO_STEP = 2**40
 # float32.
 Raster = namedtuple("Raster", "side stride size columns rows")
 
-# Where both microimages show the scene: `number` places from `start` on, with some that only one
-# shows. Relative to the first pixel of the cutout: both centres, the middle between them, and the
-# first and last column and row that both show; besides the direction of the step between the
-# lenses, in pitches, and the squared radius.
+# The part of a cutout that both microimages show. It lies within `number` places from `start` on.
+# `ux, uy` is the step between the lenses [pitches] and `r2` the squared radius. Places are relative
+# to the first pixel of the cutout: the centre of the first microimage (`ax, ay`) and of the second
+# one at its shift (`qx, qy`), the middle between them (`mx, my`), and the first and last column and
+# row.
 Overlap = namedtuple("Overlap", "start number ux uy ax ay qx qy mx my r2 low_x high_x low_y high_y")
 
 
@@ -84,8 +85,8 @@ def pixel_raster(radius):
 
 @njit(inline="always")
 def first_pixel(centre, radius, side, size):
-    """First of `side` pixels that hold a microimage, so that these and those beside them lie on the
-    flat.
+    """First of the `side` pixels of a microimage along one axis; these pixels and one more on each
+    side lie on the flat.
     """
     return min(max(int(np.ceil(centre - radius)), 1), size - side - 1)
 
@@ -138,7 +139,7 @@ def cut_smoothed(
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
-    """Weighted sums of four values so far `apart`, for `number` places from `start` on."""
+    """Weighted sums of four values that lie `apart` from each other, for `count` places."""
     first = np.uint64(start)
     second = np.uint64(start + apart)
     third = np.uint64(start + 2 * apart)

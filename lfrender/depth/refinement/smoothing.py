@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lfcal.runtime.kernels import kernel
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.lens_graph import distant_rings, two_rings
+from ...flat.neighbours import Neighbours
 from .lens_plane import LensFits
 
 __all__ = ["smooth_fits"]
@@ -152,22 +152,21 @@ def _smooth(
 
 
 def smooth_fits(
-    gray: GrayFlat, neighbours: NDArray[np.int32], fits: LensFits, wanted: NDArray[np.bool_]
+    gray: GrayFlat, neighbours: Neighbours, fits: LensFits, wanted: NDArray[np.bool_]
 ) -> LensFits:
     """Patch sizes, slants and their errors of lenses combined with others, near and far, so that
     planes become planes.
 
     First with the lenses in two rings around each, then with those three and six times as far. Far
     off, lenses count less if few of their own neighbours are inliers: beside depth edges all err
-    towards the other side. Lenses that are not `wanted` (n,) keep their fits; `neighbours` (n, k)
-    are rows, -1 where there is none.
+    towards the other side. Lenses that are not `wanted` (n,) keep their fits.
     """
     trust = np.ones(len(wanted), np.float32)
-    fits, inliers = _smoothed(gray, two_rings(neighbours), fits, wanted, trust)
+    fits, inliers = _smoothed(gray, neighbours.two_rings, fits, wanted, trust)
     # Errors alone leave a mean weight of 0.83 to the neighbours on a plane.
     trust = np.minimum(inliers / np.float32(0.83), 1) ** 6
     for _ in range(2):
-        fits, _ = _smoothed(gray, distant_rings(neighbours), fits, wanted, trust)
+        fits, _ = _smoothed(gray, neighbours.distant_rings, fits, wanted, trust)
     return fits
 
 

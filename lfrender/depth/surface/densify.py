@@ -18,7 +18,7 @@ from lfcal.runtime.kernels import FAST, kernel
 
 from ...data.surface import Surface
 from ...flat.gray_flat import GrayFlat
-from ...flat.lens_graph import neighbour_rows
+from ...flat.neighbours import neighbours_of
 from ..same_surface import TOLERANCE, same_surface
 from .hypotheses import MAX_HYPOTHESES, propose_hypotheses
 from .scene_grid import PointGrid, grid_shape, lens_array
@@ -139,7 +139,7 @@ def densify(
     table = np.column_stack([gray.centres, np.maximum(trust, 1e-3), values, seconds]).astype(
         np.float32
     )
-    around = neighbour_rows(lattice, lenses.ring)
+    around = neighbours_of(lattice).rows(lenses.ring)
     agreeing = _agree(values, seconds, around, gap)
     old = None
     if (

@@ -11,7 +11,8 @@ from numba import njit
 
 from lfcal import Lattice
 
-from ...flat.lens_graph import lens_displacements, lens_grid
+from ...flat.lens_graph import lens_displacements
+from ...flat.neighbours import neighbours_of
 
 __all__ = ["LensArray", "PointGrid", "grid_shape", "lens_array", "lens_at"]
 
@@ -21,7 +22,7 @@ class LensArray(NamedTuple):
 
     centres: Any  # (n, 2) float64 [px]
     indices: Any  # (n, 2) int64
-    rows: Any  # (nj, ni) int32, this and the next as `lens_grid`
+    rows: Any  # (nj, ni) int32, this and the next as `Neighbours.grid` and `low`
     low: Any  # (2,) int64
     # (k, 2) int64 steps to the lenses within 2.2 pitches of one, the nearest first, itself
     # included: they see a point
@@ -49,12 +50,12 @@ def lens_array(lattice: Lattice, gap: float, radius: float) -> LensArray:
     distance = np.linalg.norm(steps @ lattice.basis, axis=1)
     order = np.argsort(distance, kind="stable")
     ring = np.ascontiguousarray(steps[order][distance[order] < 2.2 * lattice.pitch])
-    rows, low = lens_grid(lattice)
+    neighbours = neighbours_of(lattice)
     return LensArray(
         lattice.centres(),
         lattice.indices().astype(np.int64),
-        rows,
-        np.asarray(low, np.int64),
+        neighbours.grid,
+        neighbours.low,
         ring,
         np.asarray(lattice.origin, float),
         np.linalg.inv(lattice.basis).astype(float),

@@ -19,9 +19,10 @@ from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...flat.lens_graph import dilate_mask
 from ...flat.microimages import copy_box, row_of_disc
+from ...flat.neighbours import Neighbours
 from ...flat.texture import Texture
 from ..matching.cost_volume import match_cost
-from ..matching.matcher import Matcher, Neighbours, fit_parabola
+from ..matching.matcher import Matcher, fit_parabola
 from ..matching.sgm import aggregate_costs
 from ..presets import Preset
 from ..same_surface import TOLERANCE, same_surface

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.texture import LensStatistics, classify_texture, estimate_noise, find_noise_only
+from ...flat.neighbours import neighbours_of
+from ...flat.texture import LensStatistics, classify_texture, find_noise_only
 from ..matching.matcher import Matcher, sample_lenses
-from ..matching.neighbours import neighbours_of
 from ..presets import Preset
 from .classify import LEAST_CORRELATION, SHADING_REACH
 
@@ -33,7 +33,7 @@ def find_textureless(
     A sample of those lenses is matched, since faint texture all over passes for noise. If none of
     the lenses that are `asked` (n,) is textureless, the others are not matched.
     """
-    noise = estimate_noise(plain.roughness) if noise is None else noise
+    noise = plain.noise if noise is None else noise
     blank = find_noise_only(plain, noise)
     if asked is not None and not (blank & asked).any():
         return blank

@@ -1,7 +1,7 @@
-"""What each microimage pixel sees: the surface projected into every lens, with a depth buffer.
+"""Surface that each pixel of a microimage shows, by projection with a depth buffer.
 
-Only lenses with a depth edge in reach are projected; in all others each pixel sees the one surface
-that is there.
+The surface is projected only into lenses with a depth edge in reach. All pixels of any other lens
+show one surface.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def _squares_in_reach(centre, first, side, reach, count):
 def _find_edged(
     begin, end, lows, highs, place, centres, radius, reach, edge, corner, farthest, out
 ):
-    """Nearness of the farthest surface in reach of each lens with a depth edge there, NaN for the
-    others; pixels of the former are unset in `out`.
+    """Write the nearness of the farthest surface in reach of each lens with a depth edge there, NaN
+    for other lenses, and set the pixels of the lenses with an edge to NaN in `out`.
     """
     first_x = place[0]
     first_y = place[1]
@@ -170,12 +170,12 @@ def project_surface(
     part: tuple[int, int, int, int] | None = None,
     everywhere: bool = True,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Patch size (H, W) that each pixel of a part of the flat sees, and (n,) bool: lenses with a
+    """Patch size (H, W) that each pixel of a part of the flat shows, and (n,) bool: lenses with a
     depth edge in reach.
 
-    NaN around lenses without one, set if `everywhere`, and on the farthest surface that a lens
-    shows. Scene points up to `reach` [px] from a lens are projected; patch sizes that differ by
-    less than `edge` [px] belong to one surface.
+    Pixels on the farthest surface that a lens shows are NaN. Pixels of lenses without an edge are
+    NaN too if `everywhere`, else they are not set. Scene points up to `reach` [px] from a lens are
+    projected; patch sizes that differ by less than `edge` [px] belong to one surface.
     """
     left, top, right, bottom = part or (0, 0, *lattice.image_size)
     out = np.empty((bottom - top, right - left), np.float32)

@@ -42,7 +42,7 @@ def test_a_traced_bead_is_where_the_sine_condition_puts_it(depth):
         assert along == pytest.approx(_expected_offset(depth, column), abs=0.25)
 
 
-@pytest.mark.parametrize("depth", [-4.0, 4.0])
+@pytest.mark.parametrize("depth", [4.0, pytest.param(-4.0, marks=pytest.mark.nightly)])
 def test_waves_put_a_point_where_rays_do(depth):
     specimen = Specimen.beads([[0.4, -0.3, depth]], 0.2)
 

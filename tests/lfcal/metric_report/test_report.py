@@ -77,6 +77,6 @@ def test_the_page_shows_errors_poses_residuals_and_advice_without_network(found,
 
 
 def test_boards_far_away_ask_for_a_near_one(found):
-    first, *_ = suggested = suggest_poses(found, 3)
+    first, *_ = suggested = suggest_poses(found)
     assert len(set(suggested)) == 3
     assert first[0] < min(pose.translation[2] for pose in found.poses)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import weakref
 from dataclasses import fields, replace
 
 import numpy as np
@@ -66,3 +67,22 @@ def test_cameras_and_depth_maps_compare_by_value(house):
 )
 def test_black_middle_and_white_of_all_types_with_8_bits(pixels, white):
     np.testing.assert_array_equal(to_eight_bits(pixels, white), np.array([0, 128, 255], np.uint8))
+
+
+def test_a_derived_value_is_made_once_for_a_key_and_freed_with_its_record():
+    lattice = lfcal.Lattice((0, 0), np.eye(2) * 9, (50, 50), 4.0)
+    made = []
+
+    def make(_, key):
+        made.append(key)
+        return np.zeros(3)
+
+    first = lattice.derived(make, "a")
+    assert lattice.derived(make, "a") is first
+    assert lattice.derived(make, "b") is not first
+    assert made == ["a", "b"]
+    copy.deepcopy(lattice).derived(make, "b")
+    assert made == ["a", "b", "b"]
+    value = weakref.ref(lattice.derived(make, "b"))
+    del lattice
+    assert value() is None

@@ -24,9 +24,11 @@ def found_lattices(monkeypatch, set_downscale):
     original = large.find_white_lattice
 
     def seen(*args, **options):
-        found.append(original(*args, **options, first_side=300, piece_side=100))
+        found.append(original(*args, **options))
         return found[-1]
 
+    monkeypatch.setattr(large, "_FIRST_SIDE", 300)
+    monkeypatch.setattr(large, "_PIECE_SIDE", 100)
     monkeypatch.setattr(large, "find_white_lattice", seen)
     return found
 

@@ -19,7 +19,7 @@ from lfcal.white_fit.fit import converge
 from lfcal.white_fit.microimages import cut_out
 from lfcal.white_fit.two_discs import choose_lens, fit_two_discs
 
-SIZE = (800, 600)
+SIZE = (640, 480)
 
 
 def test_distorted_cut_lenses_are_located_where_their_overlap_is_blurred():
@@ -56,7 +56,7 @@ def test_two_equal_discs_without_shading_are_doubtful_and_said_so():
 
 def test_centres_of_blurred_cut_microimages_are_right_to_0_004_px_and_pass_the_check():
     truth = WhiteImage(
-        "hexagonal", 18.9, 5.0, strength=0.3, ratio=1.04, soft=1.1, gap=0.03, size=(860, 640)
+        "hexagonal", 18.9, 5.0, strength=0.3, ratio=1.04, soft=1.1, gap=0.03, size=(700, 520)
     )
     image = truth.image()
     camera = lfcal.calibrate(image)

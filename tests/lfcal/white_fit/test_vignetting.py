@@ -14,7 +14,7 @@ def _error(camera, truth):
 
 
 def test_faint_cut_is_found_in_strong_noise(drawn):
-    truth = drawn("hexagonal", 13.8, 10.7, 18.0, 8, 0.14, fill=0.85, soft=1.0, size=(860, 640))
+    truth = drawn("hexagonal", 13.8, 10.7, 18.0, 8, 0.14, fill=0.85, soft=1.0, size=(640, 480))
     assert _error(lfcal.calibrate(truth.image()), truth) < 0.05
 
 
@@ -29,7 +29,7 @@ def test_faint_shading_decides_which_of_two_equal_discs_is_the_microimage(drawn)
         outer=0.4,
         fill=0.975,
         soft=0.3,
-        size=(640, 480),
+        size=(520, 400),
     )
     # Light of neighbours spills over narrow gaps.
     light = cv2.GaussianBlur(truth.light(), (0, 0), 0.8)

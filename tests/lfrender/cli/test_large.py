@@ -2,36 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 
 import pytest
 import tifffile
-from click.testing import CliRunner
 
 import lfcal
 import lfrender
-from lfrender.cli.main import main
 from lfrender.output.tiled_picture import TileWriter
-
-
-def run(*arguments):
-    return CliRunner().invoke(
-        main, [str(argument) for argument in arguments], catch_exceptions=False
-    )
-
-
-def figures_of(*arguments):
-    result = run(*arguments, "--json")
-    assert result.exit_code == 0, result.output
-    return json.loads(result.stdout)
-
-
-def assert_refused(result, *words):
-    assert result.exit_code == 2, result.output
-    assert result.stderr.count("\n") == 1
-    for word in words:
-        assert word in result.stderr
 
 
 @pytest.fixture
@@ -47,7 +25,7 @@ def as_tiff(house_files, tmp_path):
 
 
 def test_a_large_flat_is_rendered_in_tiles_to_the_same_picture(
-    house_files, tmp_path, everything_is_large
+    house_files, tmp_path, everything_is_large, figures_of
 ):
     flat = as_tiff(house_files, tmp_path)
     camera = house_files / "camera.json"
@@ -63,7 +41,7 @@ def test_a_large_flat_is_rendered_in_tiles_to_the_same_picture(
 
 
 def test_a_large_flat_is_calibrated_analysed_and_rendered_and_an_interrupted_run_is_continued(
-    house_files, tmp_path, everything_is_large, monkeypatch
+    house_files, tmp_path, everything_is_large, monkeypatch, run, figures_of, assert_refused
 ):
     flat = as_tiff(house_files, tmp_path)
     camera = house_files / "camera.json"
@@ -100,7 +78,7 @@ def test_a_large_flat_is_calibrated_analysed_and_rendered_and_an_interrupted_run
 
 
 def test_depth_of_a_large_flat_needs_nothing_but_the_flat(
-    house_files, tmp_path, everything_is_large
+    house_files, tmp_path, everything_is_large, figures_of
 ):
     flat = as_tiff(house_files, tmp_path)
     found = figures_of("analyze", flat, "-o", tmp_path / "depth.npz", "--preset", "fast")
@@ -108,7 +86,7 @@ def test_depth_of_a_large_flat_needs_nothing_but_the_flat(
     assert found["modes"]["telescopic"] > 0.3
 
 
-def test_refusals_in_tiles_leave_nothing_behind(house_files, tmp_path):
+def test_refusals_in_tiles_leave_nothing_behind(house_files, tmp_path, run, assert_refused):
     flat = as_tiff(house_files, tmp_path)
     camera = house_files / "camera.json"
     ask = ("render", flat, "-c", camera, "--tile", "60", "--patch-size")

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from lfrender import DepthMap
-from lfrender.data.depth_map import DepthFileError, default_scale
+from lfrender.data.depth_file import DepthFileError
+from lfrender.data.depth_map import default_scale
 from lfrender.data.rendering import PictureGrid
 from lfrender.data.surface import Surface
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lfrender.depth.incremental import find_changed_lenses
+from lfrender.depth.changed_lenses import find_changed_lenses
 from lfrender.depth.pipeline import prepare_flat
 from lfrender.flat.texture import sample_statistics
 

@@ -12,7 +12,6 @@ import pytest
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfcal import Calibration, FlatError
-from lfrender.runtime.cache import cached
 
 # The part of the second flat that differs, order x0, y0, x1, y1.
 PART = (60, 50, 210, 170)
@@ -107,19 +106,19 @@ def test_the_next_frame_is_the_same_on_one_thread(house, first, second):
     np.testing.assert_array_equal(drawn.image, picture.image)
 
 
-def test_a_chain_of_frames_is_the_same_with_and_without_the_cached_grey_flat(house, first, second):
+def test_a_chain_of_frames_is_the_same_for_a_depth_map_that_was_stored(
+    house, first, second, tmp_path
+):
     calibration = house.truth.calibration
     third = second[::-1, ::-1].copy()
     third[100:] = second[100:]
-
-    def chain(forget):
-        after, _ = update(house, first, second)
-        if forget:
-            cached(calibration, "latest frame", list).clear()
-        return lfrender.analyze(third, calibration, "fast", previous=(second, after))
-
-    quick = chain(forget=False)
-    slow = chain(forget=True)
+    after, _ = update(house, first, second)
+    after.save(tmp_path / "depth.npz")
+    stored = lfrender.DepthMap.load(tmp_path / "depth.npz")
+    quick, slow = (
+        lfrender.analyze(third, calibration, "fast", previous=(second, depth))
+        for depth in (after, stored)
+    )
     assert 0 < quick.saved["steady"] < 1
     np.testing.assert_array_equal(quick.patch_size, slow.patch_size)
     np.testing.assert_array_equal(quick.surface.patch_size, slow.surface.patch_size)

@@ -7,7 +7,7 @@ import pytest
 
 from lfcal import Calibration, Lattice
 from lfcal.gain.gain_map import Vignetting
-from lfrender.flat.gray_flat import GrayFlat, correction_tables, downsample, make_gray_flat
+from lfrender.flat.gray_flat import GrayFlat, correction_tables, make_gray_flat
 
 BASES = [
     ((20, 0), (0, 20)),
@@ -45,7 +45,8 @@ def test_brightness_is_the_mean_of_the_channels(channels):
 @pytest.mark.parametrize("factor", [2, 3, 4])
 def test_a_downsampled_flat_holds_the_means_of_blocks_and_the_centres_in_its_own_pixels(factor):
     image = np.random.default_rng(4).random((319, 401)).astype(np.float32)
-    small = downsample(GrayFlat(image, np.array([[31.3, 28.7]], np.float32), 18.0, 40.0), factor)
+    gray = GrayFlat(image, np.array([[31.3, 28.7]], np.float32), 18.0, 40.0)
+    small = gray.downsampled(factor)
     height = 319 // factor
     width = 401 // factor
     wanted = (

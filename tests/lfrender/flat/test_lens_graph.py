@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 
 from data_synth import Camera
-from lfrender.flat.lens_graph import distant_rings, nearest_lens, neighbour_rows, two_rings
+from lfrender.flat.lens_graph import nearest_lens
+from lfrender.flat.neighbours import neighbours_of
 
 
 def cameras(kind):
     lattice = Camera.design((600, 450), 20.0, kind).lattice
-    return lattice, lattice.centres().astype(np.float32), neighbour_rows(lattice, lattice.steps)
+    return lattice, lattice.centres().astype(np.float32), neighbours_of(lattice)
 
 
 @pytest.mark.parametrize("kind, count", [("hex", 18), ("square", 12)])
 def test_two_rings_hold_every_lens_once(kind, count):
     lattice, centres, neighbours = cameras(kind)
-    rings = two_rings(neighbours)
-    assert rings.shape[1] == neighbours.shape[1] * 3
+    rings = neighbours.two_rings
+    assert rings.shape[1] == neighbours.all.shape[1] * 3
     apart = np.hypot(*(centres[:, None] - centres[None]).transpose(2, 0, 1)) / lattice.pitch
     for lens, rows in enumerate(rings):
         found = rows[rows >= 0]
@@ -26,14 +27,15 @@ def test_two_rings_hold_every_lens_once(kind, count):
         # All lenses that near, except at corners of the flat, where no neighbour leads to them.
         near = np.flatnonzero((apart[lens] < 2.1) & (apart[lens] > 0))
         assert set(found) <= set(near)
-    inner = (neighbours >= 0).all(1) & (neighbours >= 0).all(1)[neighbours].all(1)
+    complete = (neighbours.all >= 0).all(1)
+    inner = complete & complete[neighbours.all].all(1)
     assert ((rings[inner] >= 0).sum(1) == count).all()
 
 
 @pytest.mark.parametrize("kind", ["hex", "square"])
 def test_distant_rings_are_those_of_every_third_lens(kind):
     lattice, centres, neighbours = cameras(kind)
-    far = distant_rings(neighbours)
+    far = neighbours.distant_rings
     indices = lattice.indices()
 
     def steps(lens, rows):
@@ -42,7 +44,7 @@ def test_distant_rings_are_those_of_every_third_lens(kind):
         }
 
     middle = int(np.hypot(*(centres - (300, 225)).T).argmin())
-    third = {(3 * i, 3 * j) for i, j in steps(middle, two_rings(neighbours))}
+    third = {(3 * i, 3 * j) for i, j in steps(middle, neighbours.two_rings)}
     assert steps(middle, far) == third
     assert all(steps(lens, far) <= third for lens in range(len(far)))
 

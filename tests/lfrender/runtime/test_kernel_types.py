@@ -10,7 +10,7 @@ import sys
 import lfcal
 import lfrender
 from benchmarks.first_run import cached_kernels
-from lfrender.depth.matching.neighbours import neighbours_of
+from lfrender.flat.neighbours import neighbours_of
 
 
 def compiled():

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from lfrender.depth.matching.neighbours import neighbours_of
 from lfrender.depth.refinement.lens_plane import fit_lens_planes
 from lfrender.depth.refinement.pair_fit import PairFits, fit_pairs
+from lfrender.flat.neighbours import neighbours_of
 
 
 def test_scatter_of_pairs_raises_the_error_in_proportion(drawn_flat):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from data_synth import SCENES, Camera, simulate
-from lfrender.depth.matching.neighbours import neighbours_of
 from lfrender.depth.refinement.lens_plane import fit_lens_planes
 from lfrender.depth.refinement.pair_fit import fit_pairs
 from lfrender.flat.gray_flat import make_gray_flat
+from lfrender.flat.neighbours import neighbours_of
 
 RATIO = -0.4
 FOCUS = (-0.1, 0.04, 0.18)

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from lfrender.depth.matching.neighbours import neighbours_of
 from lfrender.depth.refinement.lens_plane import fit_lens_planes
 from lfrender.depth.refinement.pair_fit import fit_pairs
+from lfrender.flat.neighbours import neighbours_of
 
 
 def measure(gray, lattice, start, noise=0.005, iterations=8, scale=0.1):

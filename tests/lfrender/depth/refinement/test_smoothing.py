@@ -9,7 +9,7 @@ from lfrender.depth.estimate import LensEstimates
 from lfrender.depth.refinement.lens_plane import LensFits
 from lfrender.depth.refinement.smoothing import smooth_fits
 from lfrender.flat.gray_flat import GrayFlat
-from lfrender.flat.lens_graph import neighbour_rows
+from lfrender.flat.neighbours import neighbours_of
 
 NOISE = 0.05
 RADIUS = 8.5
@@ -17,7 +17,7 @@ RADIUS = 8.5
 
 def cameras(kind="hex"):
     lattice = Camera.design((600, 450), 20.0, kind).lattice
-    return lattice, lattice.centres().astype(np.float32), neighbour_rows(lattice, lattice.steps)
+    return lattice, lattice.centres().astype(np.float32), neighbours_of(lattice)
 
 
 def flat(centres):

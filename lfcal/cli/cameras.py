@@ -1,0 +1,132 @@
+"""Commands on camera files: show what is in one, compare two, convert one."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any
+
+import click
+
+from ..runtime import command_line as cl
+from ..runtime.output_file import check_output
+from .figures import describe, summarise
+from .inputs import INPUT, SIZE_OPTIONS, output_option, read_camera, read_image, read_size
+
+__all__ = ["compare", "convert", "info"]
+
+
+@cl.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
+@click.argument("camera", type=INPUT)
+@cl.with_options(*SIZE_OPTIONS)
+@cl.report_options
+def info(report: cl.Report, given: Any) -> None:
+    """Show what is in the camera file CAMERA."""
+    report.finish(
+        {"camera": str(given.camera), **describe(read_camera(given.camera, read_size(given)))}
+    )
+
+
+@cl.command("lfcal compare monday.json friday.json")
+@click.argument("a", type=INPUT)
+@click.argument("b", type=INPUT)
+@cl.with_options(*SIZE_OPTIONS)
+@cl.report_options
+def compare(report: cl.Report, given: Any) -> None:
+    """Tell how the microimage centres of cameras A and B differ.
+
+    All differences are B minus A, in pixels.
+    """
+    from .. import CameraFileError, load
+    from .. import compare as run
+    from ..display.compare import REGIONS
+
+    paths = (given.a, given.b)
+    size = read_size(given)
+    for path in paths:
+        # A published file has none.
+        with suppress(CameraFileError):
+            size = size or load(path).image_size
+    cameras = [read_camera(path, size) for path in paths]
+    found = run(*cameras)
+    field = dict(zip(REGIONS, found.field.reshape(-1, 2).round(6), strict=True))
+    warnings = [
+        f"{path}: {text}"
+        for path, camera in zip(paths, cameras, strict=True)
+        for text in camera.warnings
+    ]
+    report.finish(
+        {
+            "a": str(given.a),
+            "b": str(given.b),
+            "rms": round(found.rms, 6),
+            "max": round(found.max, 6),
+            "mean_shift": found.mean_shift.round(6),
+            "scale": round(found.scale, 9),
+            "rotation_degrees": round(found.rotation_degrees, 7),
+            "field": field,
+            "warnings": warnings,
+        }
+    )
+
+
+@cl.command(
+    "lfcal convert camera.json -o calibration.xml",
+    "lfcal convert calibration.xml --image flat.png -o camera.json",
+    "lfcal convert camera.json --image flat.png -o camera.cfg",
+    "lfcal convert centres.csv --image white.png -o camera.json",
+)
+@click.argument("camera", type=INPUT)
+@output_option("FILE", ".xml, .cfg, .csv or .json to write.")
+@cl.option(
+    "--mode",
+    click.Choice(["telescopic", "binocular"]),
+    "Mode of the captures, for a .cfg file.  [default: that of --image or of the lens types]",
+)
+@cl.option(
+    "--y-up/--y-down",
+    None,
+    "Where y of a table of centres points.  [default: as --image shows, else down]",
+    default=None,
+)
+@cl.with_options(*SIZE_OPTIONS)
+@cl.report_options
+def convert(report: cl.Report, given: Any) -> None:
+    """Write CAMERA in the format of another program, or the reverse.
+
+    The suffix of the output chooses the format. CAMERA may be a maker's table of centres: lines of
+    x, y, radius and type, or with a header that names the columns.
+    """
+    from ..camera_files.read_write import FORMATS
+    from ..camera_files.read_write import convert as run
+
+    output = given.output
+    image = given.image
+    mode = given.mode
+    check_output(output, FORMATS, [given.camera, image])
+    pixels = given.image and read_image(given)
+    size = given.size if pixels is None else pixels.shape[1::-1]
+    camera = read_camera(given.camera, size)
+    up = read_camera(given.camera, size, True)
+    told = ""
+    if camera == up and given.y_up is not None:
+        raise click.UsageError("--y-up and --y-down are for tables of centres")
+    if camera != up and given.y_up is None and pixels is not None:
+        from ..display.camera_check import choose_orientation
+
+        camera = choose_orientation(camera, up, pixels)
+    elif camera != up and given.y_up is None:
+        told = "; y was taken to point down: --image shows whether it does"
+    elif given.y_up:
+        camera = up
+    if mode is None and pixels is not None and output.suffix.lower() == ".cfg":
+        from ..lens_types.coarse_disparity import find_scene_mode
+
+        mode = find_scene_mode(pixels, camera.lattice)
+    run(camera, output, mode=mode)
+    if camera.source == "published" and camera.lenses_used:
+        told = f", {camera.residual_rms:.3f} px (RMS) from the centres of the table{told}"
+    report.finish(
+        {"written": str(output), **describe(camera)},
+        *summarise(camera),
+        f"{output} is written{told}.",
+    )

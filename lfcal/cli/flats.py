@@ -1,0 +1,87 @@
+"""Commands that draw a flat with its camera: circles over it, or the flat evenly lit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import click
+
+from ..runtime import command_line as cl
+from ..runtime.image_formats import TIFF_SUFFIXES
+from ..runtime.output_file import atomic_write, check_output
+from .figures import describe, summarise
+from .inputs import INPUT, output_option, read_camera
+
+__all__ = ["flatten", "show"]
+
+
+@cl.command("lfcal show camera.json --image white.png -o show.png")
+@click.argument("camera", type=INPUT)
+@cl.option("--image", INPUT, "A white image or scene capture of that camera.", required=True)
+@output_option("SHOW.png", "Picture to write.")
+@cl.report_options
+def show(report: cl.Report, given: Any) -> None:
+    """Draw the circles of CAMERA over the centre and the corners of an image."""
+    output = given.output
+    check_output(output, {".png"}, [given.camera, given.image])
+    with report.stage("read"):
+        from .. import check_camera, read_flat
+        from .. import show as run
+        from ..display.overlay import find_places_to_check
+
+        flat = read_flat(given.image)
+        camera = read_camera(given.camera, (flat.shape[1], flat.shape[0]))
+    with report.stage("show"):
+        pixels = run(camera, flat)
+        look = [place.sentence for place in find_places_to_check(camera, flat)]
+        # What does not fit at all is drawn too: that is what to look for.
+        if (problem := check_camera(camera, flat).problem) is not None:
+            camera = replace(camera, warnings=(*camera.warnings, problem))
+    with report.stage("write"), atomic_write(output) as temporary:
+        from PIL import Image
+
+        Image.fromarray(pixels).save(temporary, compress_level=4)
+    lines = (
+        *(f"look: {words}" for words in look),
+        f"{output}: the circles should lie on the microimages.",
+    )
+    report.finish(
+        {"picture": str(output), **describe(camera), "look_at": look}, *summarise(camera), *lines
+    )
+
+
+@cl.command("lfcal flatten flat.png -c camera.json -o even.tif")
+@click.argument("flat", type=INPUT)
+@cl.option("-c --camera", INPUT, "Camera file with a gain map.", required=True)
+@output_option("FLAT.tif", "Flattened flat to write.")
+@cl.report_options
+def flatten(report: cl.Report, given: Any) -> None:
+    """Light the microimages of FLAT evenly, by the gain map of CAMERA.
+
+    Pixels are divided by their gain; those of unknown gain stay.
+    """
+    output = given.output
+    check_output(output, TIFF_SUFFIXES, [given.flat, given.camera])
+    with report.stage("read"):
+        from .. import check_camera, read_flat
+
+        pixels = read_flat(given.flat)
+        height, width = pixels.shape[:2]
+        camera = read_camera(given.camera, (width, height))
+    with report.stage("flatten"), cl.name_file_in_errors(given.flat):
+        even = camera.flatten(pixels)
+        warnings = check_camera(camera, pixels).warn(camera, given.camera).warnings
+    with report.stage("write"), atomic_write(output) as temporary:
+        import tifffile
+
+        tifffile.imwrite(temporary, even, photometric="rgb" if even.ndim == 3 else "minisblack")
+    figures = {
+        "written": str(output),
+        "size": [width, height],
+        "type": str(even.dtype),
+        "warnings": warnings,
+    }
+    report.finish(
+        figures, f"{output}: {width} x {height} px of {even.dtype}, evenly lit, in {report.took}."
+    )

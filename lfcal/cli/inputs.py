@@ -1,0 +1,68 @@
+"""Options that several commands of lfcal share, and the files that they read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..runtime import command_line as cl
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from ..camera.calibration import Calibration
+
+__all__ = [
+    "INPUT",
+    "SIZE",
+    "SIZE_OPTIONS",
+    "output_option",
+    "read_camera",
+    "read_image",
+    "read_size",
+]
+
+#: Type of an argument that names a file to read.
+INPUT = cl.InputPath()
+#: Type of an option that is the size of a flat.
+SIZE = cl.Pair("WxH", "2048x1536")
+#: Options for camera files that do not hold the size of the flats.
+SIZE_OPTIONS = (
+    cl.option("--size", SIZE, "Size of the flats [px], for files without it (.xml, .csv)."),
+    cl.option("--image", INPUT, "An image of that size, instead of --size."),
+)
+
+
+def output_option(metavar: str, text: str) -> Any:
+    return cl.option("-o --output", cl.OutputPath(), text, metavar, required=True)
+
+
+def read_image(given: Any) -> NDArray[Any]:
+    if given.size is not None:
+        raise click.UsageError("--size and --image exclude each other")
+    from .. import read_flat
+
+    return read_flat(given.image)
+
+
+def read_size(given: Any) -> tuple[int, int] | None:
+    size: tuple[int, int] | None = given.size
+    if given.image is not None:
+        size = read_image(given).shape[1::-1]
+    return size
+
+
+def read_camera(path: Path, size: tuple[int, int] | None, y_up: bool = False) -> Calibration:
+    """A camera file of any format; an error about its missing size names the options for it."""
+    from .. import CameraFileError, load
+
+    try:
+        return load(path, size, y_up=y_up)
+    except CameraFileError as error:
+        if size is None and "image_size" in str(error):
+            raise CameraFileError(
+                f"{path}: has no image size; add --size WxH or --image"
+            ) from error
+        raise

@@ -1,0 +1,156 @@
+"""Which lenses of a lattice are neighbours: tables that are built once for a lattice."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+from lfcal.runtime.kernels import kernel
+
+__all__ = ["Neighbours", "neighbours_of"]
+
+
+@kernel
+def _follow(following, before, order, starts):
+    """Fill `order` with all straight rows of lenses in turn, `starts` with the start of each;
+    return their number.
+    """
+    count = chains = 0
+    for first in range(len(following)):
+        if before[first] >= 0:
+            continue
+        starts[chains] = count
+        chains += 1
+        lens = first
+        while lens >= 0:
+            order[count] = lens
+            count += 1
+            lens = following[lens]
+    starts[chains] = count
+    return chains
+
+
+@kernel(error_model="numpy", share=lambda neighbours, out: len(out))
+def _find_two_rings(begin, end, neighbours, out):
+    """Write the neighbours of each lens and their neighbours, each once, into `out` (n, m)."""
+    for lens in range(begin, end):
+        count = 0
+        for k in range(neighbours.shape[1]):
+            if neighbours[lens, k] >= 0:
+                out[lens, count] = neighbours[lens, k]
+                count += 1
+        for n in range(count):
+            for k in range(neighbours.shape[1]):
+                other = neighbours[out[lens, n], k]
+                new = other >= 0 and other != lens and count < out.shape[1]
+                for seen in range(count):
+                    new &= out[lens, seen] != other
+                if new:
+                    out[lens, count] = other
+                    count += 1
+        out[lens, count:] = -1
+
+
+class Neighbours:
+    """Rows, in `lattice.centres()`, of the neighbours of each lens, -1 where there is none.
+
+    `indices` (n, 2) are those of the lenses on the lattice. `grid` (nj, ni) holds the row of lens
+    `(i, j)` at `[j - low[1], i - low[0]]`. No array may be written into.
+    """
+
+    def __init__(self, lattice: Lattice) -> None:
+        self.indices = lattice.indices()
+        self.low: NDArray[np.int64] = self.indices.min(0)
+        across, down = self.indices.max(0) - self.low + 1
+        self.grid = np.full((down, across), -1, np.int32)
+        i, j = (self.indices - self.low).T
+        self.grid[j, i] = np.arange(len(self.indices), dtype=np.int32)
+        self._nearest = lattice.steps
+        self._centres = lattice.centres()
+        self._pitch = lattice.pitch
+
+    def rows(self, steps: NDArray[np.int64]) -> NDArray[np.int32]:
+        """(n, k) rows of the lenses `steps` (k, 2) index steps from each lens."""
+        # With a border of -1 as wide as the longest step no look-up leaves the grid.
+        border = int(np.abs(steps).max(initial=0))
+        grid = np.pad(self.grid, border, constant_values=-1)
+        width = grid.shape[1]
+        i, j = (self.indices - self.low + border).T
+        here = j * width + i
+        return grid.ravel()[here[:, None] + (steps[:, 1] * width + steps[:, 0])]
+
+    @cached_property
+    def all(self) -> NDArray[np.int32]:
+        """(n, 2 d) the nearest neighbours in all directions."""
+        return self.rows(self._nearest)
+
+    @cached_property
+    def forward(self) -> NDArray[np.int32]:
+        """(n, d) the first half of `all`."""
+        return np.ascontiguousarray(self.all[:, : self.all.shape[1] // 2])
+
+    @cached_property
+    def backward(self) -> NDArray[np.int32]:
+        """(n, d) the second half of `all`, opposite to the first."""
+        return np.ascontiguousarray(self.all[:, self.all.shape[1] // 2 :])
+
+    @cached_property
+    def two_directions(self) -> NDArray[np.int32]:
+        """(n, 2) the first directions forward: a third adds little."""
+        return np.ascontiguousarray(self.forward[:, :2])
+
+    @cached_property
+    def steps(self) -> NDArray[np.float32]:
+        """(d, 2) mean steps forward, `x, y` [pitch]."""
+        mean = []
+        for rows in self.forward.T:
+            known = rows >= 0
+            steps = self._centres[rows[known]] - self._centres[known]
+            mean.append(steps.sum(0) / max(1, known.sum()))
+        return (np.array(mean) / self._pitch).astype(np.float32)
+
+    @cached_property
+    def chains(self) -> list[tuple[NDArray[np.int32], NDArray[np.int64]]]:
+        """Straight rows of lenses in all directions, and where each of them starts."""
+        found = []
+        opposite = np.hstack([self.backward, self.forward])
+        for ahead, behind in zip(self.all.T, opposite.T, strict=True):
+            order = np.empty(len(ahead), np.int32)
+            starts = np.empty(len(ahead) + 1, np.int64)
+            count = _follow(
+                np.ascontiguousarray(ahead), np.ascontiguousarray(behind), order, starts
+            )
+            found.append((order, starts[: count + 1].copy()))
+        return found
+
+    @cached_property
+    def two_rings(self) -> NDArray[np.int32]:
+        """(n, 6 d) the lenses in two rings about each: its neighbours and theirs, then -1."""
+        return _two_rings(self.all)
+
+    @cached_property
+    def distant_rings(self) -> NDArray[np.int32]:
+        """`two_rings` of every third lens, whose estimates are nearly independent of those of the
+        nearest two rings.
+        """
+        # -1 leads to the last row, which leads nowhere.
+        beyond = np.vstack([self.all, np.full((1, self.all.shape[1]), -1, np.int32)])
+        each = np.arange(self.all.shape[1])
+        far = self.all
+        for _ in range(2):
+            far = beyond[far, each]
+        return _two_rings(far)
+
+
+def _two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
+    out = np.empty((len(neighbours), 3 * neighbours.shape[1]), np.int32)
+    _find_two_rings(np.ascontiguousarray(neighbours), out)
+    return out
+
+
+def neighbours_of(lattice: Lattice) -> Neighbours:
+    """Those of a lattice, made once."""
+    return lattice.derived(Neighbours)
