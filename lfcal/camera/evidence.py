@@ -69,9 +69,12 @@ _OUTLINE = _Ramp(0.1, 0.6)
 _BORDERS = _Ramp(0.3, 0.6)
 # [ln] scatter of light inside cells and from cell to cell.
 _TEXTURED = _Ramp(-4.6, -3.7)
+_SOME_DETAIL = _Ramp(-4.8, -4.2)  # letters have -4.1, tiles of single tones -5.3
 _DETAILED = _Ramp(-3.5, -2.7)
 _UNLIKE_TONES = _Ramp(-3.4, -2.4)
 _UNLIKE_TONES_BORDERS = _Ramp(-3.2, -2.6)
+_UNEVEN = _Ramp(0.04, 0.12)  # share of lenses; white images have 0.01 at most, tiles 0.14 and more
+_BLACK_GAPS = _Ramp(1.0, 2.0)
 _TILE_TONES = _Ramp(-4.0, -2.5)
 # [ln] gain of neighbours that are shifted against each other.
 _SOME_MATCH = _Ramp(0.2, 0.35)
@@ -300,7 +303,9 @@ class Evidence:
             "proof": max(by_shape, by_content, self._border_proof()) * everywhere,
             "both_proofs": min(by_shape, by_content) * everywhere,
             "sound": self._edges() * (1 - self._is_mesh()),
-            "unmatched": max(self._unmatched_tones(), self._unmatched_content()),
+            "unmatched": max(
+                self._unmatched_tones(), self._unmatched_content(), self._uneven_white()
+            ),
         }
 
     def by_shape(self) -> float:
@@ -332,6 +337,14 @@ class Evidence:
         return (
             textured * self._is_angular_scene() * (1 - _SOME_MATCH(max(self.parallax, self.still)))
         )
+
+    def _uneven_white(self) -> float:
+        """How far evenly lit cells differ from their neighbours, as tiles do, 0 to 1.
+
+        Lenses of a white image do not, but spots on black may: those of a Shack-Hartmann sensor.
+        """
+        even = max(self.white_probability, 1 - _SOME_DETAIL(self.inside + self.detail))
+        return even * _UNEVEN(self.unlike) * (1 - _BLACK_GAPS(self.light))
 
     def _is_everywhere(self) -> float:
         """How far what repeats is that of the array, 0 to 1.

@@ -180,8 +180,9 @@ class Marks:
 
     @classmethod
     def of(cls, circles: Circles, picture: Singles, pitch: float) -> Marks:
-        """Marks on a picture (h, w); light is averaged over three pitches, so that gaps count as
-        lit.
+        """Marks on lit parts of a picture (h, w): noise shows circles on dark ones.
+
+        Light is averaged over three pitches, so that gaps count as lit.
         """
         import cv2
 
@@ -192,9 +193,11 @@ class Marks:
         high = np.ceil(centres.max(0)).astype(int) + 1
         side = int(3 * pitch) | 1
         mean = cv2.blur(picture[low[1] : high[1], low[0] : high[0]], (side, side))
-        bright = np.quantile(mean[::4, ::4], 0.95)
-        lit = float((mean > _LIT * bright).mean())
-        return cls(centres, lit * float((centres.max(0) - centres.min(0)).prod()))
+        lit = mean > _LIT * np.quantile(mean[::4, ::4], 0.95)
+        last = np.array(lit.shape[::-1]) - 1
+        column, row = np.clip(np.rint(centres - low).astype(int), 0, last).T
+        area = float(lit.mean()) * float((centres.max(0) - centres.min(0)).prod())
+        return cls(centres[lit[row, column]], area)
 
 
 def _count_marks(marks: Marks, lattice: Lattice) -> tuple[float, float]:

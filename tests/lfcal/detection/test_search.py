@@ -124,6 +124,12 @@ def test_elemental_images_full_of_content_are_found():
     assert found.confidence > 0.8
 
 
+@pytest.mark.parametrize("seed", [300, 301])
+def test_tiles_of_single_tones_are_refused(seed):
+    with pytest.raises(lfcal.CalibrationError):
+        lfcal.calibrate(draw_no_flat(seed)[1])
+
+
 def test_half_a_cell_away_parallax_and_circles_are_fewer(house):
     found = find_candidates(sqrt_luminance(house.flat), thorough=True)
     pitch = house.camera.lattice.pitch
