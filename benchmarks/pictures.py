@@ -108,7 +108,8 @@ def _simulated_rows(name: str, how: _Simulated) -> str:
     true = with_true_surface(depth, size, truth.reference_affine)
     v, u = np.mgrid[: size.shape[0], : size.shape[1]] * spacing
     lens = nearest_lens(
-        truth.calibration.lattice, np.stack([u + first[0], v + first[1]], -1).reshape(-1, 2)
+        truth.calibration.lattice.centres(),
+        np.stack([u + first[0], v + first[1]], -1).reshape(-1, 2),
     )
     own = truth.patch_size[lens].reshape(size.shape).astype(np.float32)
     tiled = replace(

@@ -67,7 +67,7 @@ def _lens_depth(depth: lfrender.DepthMap, calibration: Calibration) -> lfrender.
     lattice = calibration.lattice
     v, u = np.mgrid[: surface.patch_size.shape[0], : surface.patch_size.shape[1]] * surface.spacing
     rows = nearest_lens(
-        lattice, np.stack([u + surface.first[0], v + surface.first[1]], -1).reshape(-1, 2)
+        lattice.centres(), np.stack([u + surface.first[0], v + surface.first[1]], -1).reshape(-1, 2)
     )
     values = depth.filled_patch_size[rows].reshape(u.shape).astype(np.float32)
     return replace(depth, surface=Surface(values, surface.first, surface.spacing))

@@ -57,7 +57,7 @@ def _tiled(
     v, u = np.mgrid[:height, :width]
     moved = np.asarray(offset) * lattice.pitch / still
     drawn = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], -1) @ picture.affine.T + moved
-    centre = lattice.centres()[nearest_lens(lattice, drawn)]
+    centre = lattice.centres()[nearest_lens(lattice.centres(), drawn)]
     read = centre + offset - (drawn - centre) * size / lattice.pitch
     channels = [
         map_coordinates(flat[..., c].astype(float), read.T[::-1], order=1, mode="nearest")

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from ..lattice.lattice import reduce_basis
-from ..lattice.robust_fit import field_rms
+from ..lattice.robust_fit import field_rms, robust_sigma
 from ..runtime.arrays import Booleans, Floats, Singles
 from ..runtime.kernels import kernel
 from .tile_lattice import HarmonicFit
@@ -143,7 +143,7 @@ class LineProfile:
             return 0.0
         whole = self.mean.mean(0)
         usual = float(np.median(whole[between]))
-        scatter = 1.4826 * float(np.median(np.abs(whole[between] - usual)))
+        scatter = robust_sigma(whole[between] - usual)
         height = float(whole[near].max()) - usual
         if height < max(_LEAST_STEP, _LEAST_PROMINENCE * scatter):
             return 0.0

@@ -15,6 +15,7 @@ from ..camera.calibration import Calibration
 from ..camera.lens_types import LensBlur
 from ..images.mosaic import equalise_mosaic, find_mosaic
 from ..images.preprocessing import luminance
+from ..lattice.robust_fit import robust_sigma
 from ..lens_blur.boards import Edges, fit_discs
 from ..runtime.arrays import Array, Integers, Singles
 from .bundle_adjustment import Observations, Poses
@@ -180,7 +181,7 @@ def _fit_edges(
             own = kept & (sample.kind == kind)
             blur = fits.blur[own]
             width = np.median(blur)
-            spread = 1.4826 * np.median(np.abs(blur - width))
+            spread = robust_sigma(blur - width)
             rows.append((kind, np.median(sample.ratio[own]), width, spread))
     kinds, ratios, widths, spreads = np.array(rows, np.float64).reshape(-1, 4).T
     error = float(np.median(np.concatenate(errors))) if rows else np.inf

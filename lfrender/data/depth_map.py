@@ -14,6 +14,7 @@ from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, Integers, Sing
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 from lfcal.runtime.page import html_card
 
+from ..flat.lens_graph import nearest_lens
 from ..runtime.types import AnyPath, Size
 from .depth_file import DepthFileError, read_depth, write_depth
 from .flat_samples import is_same_flat, sample_flat
@@ -193,13 +194,11 @@ class DepthMap(Frozen):
 
         Pixels lie `spacing` [px] apart; `first` is the place of the first.
         """
-        from scipy.spatial import cKDTree
-
         if self.centres is None:
             return None
         v, u = np.indices(shape, np.float32)
         places = np.asarray(first) + spacing * np.stack([u, v], -1).reshape(-1, 2)
-        return np.asarray(cKDTree(self.centres).query(places)[1]).reshape(shape)
+        return nearest_lens(self.centres, places).reshape(shape)
 
     def is_of(self, flat: Array | FlatSource) -> bool:
         """Whether it was made from this flat (H, W) or (H, W, C); True if that is unknown.

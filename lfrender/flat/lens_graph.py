@@ -74,13 +74,11 @@ def dilate_mask(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArr
     return mask | (count_neighbours(mask, neighbours) > 0)
 
 
-def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:
-    """Row in `lattice.centres()` of the centre nearest to each of the `points` (n, 2) [px]."""
+def nearest_lens(centres: NDArray[np.floating], points: ArrayLike) -> NDArray[np.int64]:
+    """Row of the centre (n, 2) [px] that is nearest to each of the `points` (m, 2) [px]."""
     from scipy.spatial import cKDTree
 
-    return np.asarray(
-        cKDTree(lattice.centres()).query(np.asarray(points, dtype=float))[1], dtype=np.int64
-    )
+    return np.asarray(cKDTree(centres).query(points)[1], np.int64)
 
 
 def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

@@ -68,7 +68,7 @@ def lens_maps(
     scene coordinates.
     """
     points = scene_points(shape, np.asarray(affine, np.float64))
-    lens = nearest_lens(lattice, points.reshape(-1, 2)).reshape(shape)
+    lens = nearest_lens(lattice.centres(), points.reshape(-1, 2)).reshape(shape)
     limits = magnification_limits(depth.magnification)
     confidence = np.rint(255 * np.clip(np.nan_to_num(depth.confidence), 0, 1)).astype(np.uint8)
     return {

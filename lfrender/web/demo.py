@@ -123,7 +123,7 @@ def _measure(
     true_lattice = truth.calibration.lattice
     resolvable = truth.mode != 0
     selections = {"all": resolvable, "one_depth": resolvable & ~truth.mixed}
-    lens = nearest_lens(cameras["scene"].lattice, true_lattice.centres())
+    lens = nearest_lens(cameras["scene"].lattice.centres(), true_lattice.centres())
     mode = np.asarray(depth.mode)[lens]
     size = np.asarray(depth.patch_size)[lens]
     errors = {

@@ -116,7 +116,7 @@ def viewer_scene(
     known = np.where(depth.filled, 0, sure)
     yield (
         "confidence.u8",
-        known.astype(np.uint8)[nearest_lens(calibration.lattice, points)].tobytes(),
+        known.astype(np.uint8)[nearest_lens(calibration.lattice.centres(), points)].tobytes(),
     )
     if calibration.optics is not None:
         # Where scene points lie in front of the main lens [m]; NaN at infinity.

@@ -53,4 +53,4 @@ def test_nearest_lens_of_each_centre_is_itself():
     lattice = cameras("hex")[0]
     centres = lattice.centres()
     offset = np.random.default_rng(0).uniform(-5, 5, centres.shape)
-    np.testing.assert_array_equal(nearest_lens(lattice, centres + offset), np.arange(len(centres)))
+    np.testing.assert_array_equal(nearest_lens(centres, centres + offset), np.arange(len(centres)))
