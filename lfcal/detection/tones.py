@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..camera.evidence import white_probability
+from ..camera.lattice_figures import white_probability
 from ..images.preprocessing import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
