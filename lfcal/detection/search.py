@@ -44,6 +44,8 @@ _HALVED = 11.0
 #: taken then.
 _CLEAR = 16.0
 _LIKELY = 0.5
+#: Probability from which on lines and circles propose no better lattice: not on the shared flats.
+_SURE = 0.96
 #: Contrast of lines between lenses from which on these may touch each other: lines place them then.
 _TOUCHING = 0.5
 
@@ -156,8 +158,7 @@ def _search(
         map(refine, islice(found_periods, 1)),
         map(refine, _find_finer_periods(features, tried)),
         map(refine, found_periods),
-        find_line_periods(features.steps),
-        map(refine, _find_more_periods(features, tried)),
+        _find_other_periods(features, tried, found),
         map(refine, hint.bases() if hint else ()),
     )
     for basis in bases:
@@ -193,6 +194,17 @@ def _find_finer_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator
         finer = [reduce_basis(np.array(pair)) for pair in (*halves, *thirds)]
         finer = [basis for basis in finer if np.hypot(*basis.T).min() >= _SHORTEST]
         yield from sorted(finer, key=lambda basis: -estimate_explained(features, basis))[:2]
+
+
+def _find_other_periods(
+    features: FlatFeatures, tried: list[Floats], found: list[Candidate]
+) -> Iterator[Floats]:
+    """Periods of lines and of circles, unless the spectrum has shown a lattice that is sure."""
+    if any(one.evidence.probability > _SURE for one in found):
+        return
+    yield from find_line_periods(features.steps)
+    for basis in _find_more_periods(features, tried):
+        yield _refine_period(features, basis)
 
 
 def _find_more_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[Floats]:
