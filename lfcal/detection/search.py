@@ -65,8 +65,8 @@ class Candidate:
         return self.evidence.halves * self.lattice.pitch
 
     def explained(self, origin: Floats, basis: Floats) -> float:
-        """How well a lattice [px] explains the flat: by its lines where lenses touch each other, else
-        as `CellMaps.explained`.
+        """How well a lattice [px] explains the flat: by its lines where lenses touch, else as
+        `CellMaps.explained`.
         """
         scale = self.features.picture.shape[1] / self.lattice.image_size[0]
         if self.evidence.borders > _TOUCHING:
@@ -114,7 +114,8 @@ def find_candidates(
     if hint is not None:
         turned = "" if hint.rotation is None else f", turned by about {hint.rotation:g} degrees"
         raise CalibrationError(
-            f"no microimages repeat about every {hint.pitch:g} px{turned}; give other figures, or a white image"
+            f"no microimages repeat about every {hint.pitch:g} px{turned}; "
+            "give other figures, or a white image"
         )
     raise CalibrationError(
         "no pattern repeats in two directions all over the image; "
@@ -314,7 +315,7 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
 
 
 def _propose_centres(maps: CellMaps, lines: list[LineProfile]) -> list[Floats]:
-    """Centres (2,) in fractional coordinates: round places, cells between steps, half-cell shifts."""
+    """Centres (2,) in fractional coordinates: round places, cells between steps, half cells."""
     guesses = [
         guess.position for guess in find_round_centres([maps.brightness, maps.edges], maps.basis)
     ]
