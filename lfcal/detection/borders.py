@@ -41,8 +41,8 @@ _BACKGROUND = 33
 _CLEAR_RAY = 6.0
 #: [degrees] least angle between the two families of lines.
 _LEAST_ANGLE = 30.0
-#: Periods of a ray that are compared by their profiles, and least contrast of such a profile: borders
-#: of 24 arrays have 0.46 and more, multiples and fractions of their periods 0.17 at most.
+#: Periods of a ray that are compared by their profiles, and least contrast of such a profile:
+#: borders of 24 arrays have 0.46 and more, multiples and fractions of their periods 0.17 at most.
 _PERIODS = 6
 _LEAST_CONTRAST = 0.3
 #: Parts of each side of a flat in which lines are compared.
@@ -113,8 +113,8 @@ class LineProfile:
         return int(self.mean.mean(0).argmax()) / bins
 
     def find_line(self, border: float) -> tuple[float, float]:
-        """How far [cells] the strongest line within a quarter of a cell of `border` lies from it, and
-        its steps less the median of all.
+        """Distance [cells] of the strongest line within a quarter of a cell of `border`; its steps
+        less the median of all.
         """
         whole = self.mean.mean(0) - np.median(self.mean.mean(0))
         bins = len(whole)
@@ -272,8 +272,9 @@ def _fit_plane(design: Floats, values: Floats, weight: Floats) -> Floats:
 
 
 def _whitened_log_power(steps: Singles, size: int) -> Singles:
-    """(size, size // 2 + 1) log power over its local mean, of windows in the middle and the corners;
-    row size // 2 is zero frequency.
+    """(size, size // 2 + 1) log power over its local mean, of windows in the middle and corners.
+
+    Row size // 2 is zero frequency.
     """
     height, width = steps.shape
     taper = np.hanning(size).astype(np.float32)

@@ -18,7 +18,7 @@ class CentreGuess(NamedTuple):
     """A possible microimage centre."""
 
     position: Floats  # (2,) fractional lattice coordinates, 0..1
-    roundness: float  # share of the variance of the average cell explained by the distance to this point, 0..1
+    roundness: float  # share of the variance of the cell that the distance to it explains, 0..1
 
 
 def find_round_centres(cells: list[Floats], basis: Floats) -> list[CentreGuess]:

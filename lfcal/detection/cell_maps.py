@@ -44,7 +44,7 @@ class CellParts:
 
 @dataclass(frozen=True)
 class CellMaps:
-    """Maps (bins, bins) of the average cell, and the tiles of the flat that they are averages of."""
+    """Maps (bins, bins) of the average cell, and the tiles of the flat that they average."""
 
     basis: Floats  # (2, 2) [px]
     brightness: Floats  # mean of the normalised brightness

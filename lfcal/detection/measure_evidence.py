@@ -87,7 +87,7 @@ def add_overlap(evidence: Evidence, wide: Marks, lattice: Lattice) -> Evidence:
 
 
 def add_parallax(evidence: Evidence, picture: Singles, lattice: Lattice) -> Evidence:
-    """The evidence with parallax between neighbours on a picture (h, w), the root of the luminance."""
+    """The evidence with parallax between neighbours on a picture (h, w), the root of the light."""
     likeness = measure_likeness(picture, lattice)
     tones = measure_tones(picture, lattice)
     if likeness is None or tones is None:
@@ -103,7 +103,7 @@ def add_parallax(evidence: Evidence, picture: Singles, lattice: Lattice) -> Evid
 
 
 def _roundness(cell: Floats, parts: CellParts) -> float:
-    """Share of the variance of a map (bins, bins) that its mean in rings about the centre explains."""
+    """Share of the variance of a map (bins, bins) that its mean in rings explains."""
     ring = np.minimum(
         (parts.distance / parts.distance.max() * _RINGS).astype(int), _RINGS - 1
     ).ravel()

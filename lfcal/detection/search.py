@@ -44,6 +44,8 @@ _HALVED = 11.0
 #: taken then.
 _CLEAR = 16.0
 _LIKELY = 0.5
+#: Probability from which on lines and circles propose no better lattice: not on the shared flats.
+_SURE = 0.96
 #: Contrast of lines between lenses from which on these may touch each other: lines place them then.
 _TOUCHING = 0.5
 
@@ -63,8 +65,8 @@ class Candidate:
         return self.evidence.halves * self.lattice.pitch
 
     def explained(self, origin: Floats, basis: Floats) -> float:
-        """How well a lattice [px] explains the flat: by its lines where lenses touch each other, else
-        as `CellMaps.explained`.
+        """How well a lattice [px] explains the flat: by its lines where lenses touch, else as
+        `CellMaps.explained`.
         """
         scale = self.features.picture.shape[1] / self.lattice.image_size[0]
         if self.evidence.borders > _TOUCHING:
@@ -112,7 +114,8 @@ def find_candidates(
     if hint is not None:
         turned = "" if hint.rotation is None else f", turned by about {hint.rotation:g} degrees"
         raise CalibrationError(
-            f"no microimages repeat about every {hint.pitch:g} px{turned}; give other figures, or a white image"
+            f"no microimages repeat about every {hint.pitch:g} px{turned}; "
+            "give other figures, or a white image"
         )
     raise CalibrationError(
         "no pattern repeats in two directions all over the image; "
@@ -156,8 +159,7 @@ def _search(
         map(refine, islice(found_periods, 1)),
         map(refine, _find_finer_periods(features, tried)),
         map(refine, found_periods),
-        find_line_periods(features.steps),
-        map(refine, _find_more_periods(features, tried)),
+        _find_other_periods(features, tried, found),
         map(refine, hint.bases() if hint else ()),
     )
     for basis in bases:
@@ -193,6 +195,17 @@ def _find_finer_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator
         finer = [reduce_basis(np.array(pair)) for pair in (*halves, *thirds)]
         finer = [basis for basis in finer if np.hypot(*basis.T).min() >= _SHORTEST]
         yield from sorted(finer, key=lambda basis: -estimate_explained(features, basis))[:2]
+
+
+def _find_other_periods(
+    features: FlatFeatures, tried: list[Floats], found: list[Candidate]
+) -> Iterator[Floats]:
+    """Periods of lines and of circles, unless the spectrum has shown a lattice that is sure."""
+    if any(one.evidence.probability > _SURE for one in found):
+        return
+    yield from find_line_periods(features.steps)
+    for basis in _find_more_periods(features, tried):
+        yield _refine_period(features, basis)
 
 
 def _find_more_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[Floats]:
@@ -302,7 +315,7 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
 
 
 def _propose_centres(maps: CellMaps, lines: list[LineProfile]) -> list[Floats]:
-    """Centres (2,) in fractional coordinates: round places, cells between steps, half-cell shifts."""
+    """Centres (2,) in fractional coordinates: round places, cells between steps, half cells."""
     guesses = [
         guess.position for guess in find_round_centres([maps.brightness, maps.edges], maps.basis)
     ]

@@ -27,7 +27,7 @@ _PERIOD = 6
 class Tones(NamedTuple):
     """Scatter of the light of microimages, relative to the light."""
 
-    inside: float  # standard deviation inside the typical lit microimage, without what all have in common
+    inside: float  # standard deviation inside the typical lit microimage, without what all share
     between: float  # robust standard deviation from what the neighbours on both sides have
     detail: float  # the same in lenses with much detail (95 %), over that in typical ones
     unlike: float  # share of lenses that differ from their neighbours by a tenth or more

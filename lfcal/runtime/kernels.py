@@ -4,13 +4,13 @@ floating-point options.
 With `FAST`, sums may be reordered, but NaN keeps its meaning. Results must not depend on what a
 process has compiled before:
 
-- A kernel with `FAST` that other kernels call is inlined (`forceinline`): else it may be linked to another copy of
-  itself with sums in another order, depending on whether it is just compiled or comes from the
-  cache.
-- Kernels with `FAST` use products instead of `x ** 2`, which Numba compiles only once, with the options of the first
-  kernel that needs it (checked by a test).
-- A kernel without options of its own takes those of its first caller; one with callers of both kinds states
-  `fastmath=False` (checked by a test).
+- A kernel with `FAST` that other kernels call is inlined (`forceinline`): else it may be linked to
+  another copy of itself with sums in another order, depending on whether it is just compiled or
+  comes from the cache.
+- Kernels with `FAST` use products instead of `x ** 2`, which Numba compiles only once, with the
+  options of the first kernel that needs it (checked by a test).
+- A kernel without options of its own takes those of its first caller; one with callers of both
+  kinds states `fastmath=False` (checked by a test).
 """
 
 from __future__ import annotations
