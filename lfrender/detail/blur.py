@@ -3,7 +3,7 @@ between them.
 
 A flat alone does not tell a soft scene from a blurred one, and undoing a blur that is not there
 makes rings: what is undone is the smallest disc that the camera file allows, what is left out of
-averages is the likeliest one.
+averages is the expected one.
 """
 
 from __future__ import annotations
@@ -35,8 +35,6 @@ TYPICAL_APERTURE = 0.2
 _TYPICAL_DISTANCE = 0.13
 #: [s / D] Microlenses are focused no farther from `s = 0`; wider rims mean wider apertures.
 _FARTHEST_FOCUS = 0.5
-#: [px] Discs that are known to this, or to half of themselves, are taken as measured.
-_KNOWN = 0.5
 #: [px^2] What interpolation averages, which `prefilter_flat` does not undo at high frequencies;
 #: discs hide it.
 READING = 0.35
@@ -88,10 +86,10 @@ def likely_discs(
         aperture = max(aperture, widest / _FARTHEST_FOCUS)
         # Scenes lie on the side of `s = 0` where the microlenses are in focus.
         typical = np.where(known, np.abs(aperture * np.abs(ratios) - edge), typical)
-    if blur is None:
+    # Rims alone tell the disc at `s = 0` only.
+    if blur is None or not blur.ratios.any():
         return np.asarray(typical)
-    discs, errors = blur.at(ratios)
-    return np.where(errors < np.maximum(discs / 2, _KNOWN), discs, typical)
+    return blur.at(ratios)[0]
 
 
 def squares_to_average(
