@@ -17,11 +17,9 @@ from ..data.depth_map import DepthMap
 from ..flat.lens_type_weights import type_shares
 
 __all__ = [
-    "READING",
-    "TYPICAL_APERTURE",
+    "averaged_squares",
     "choose_blur",
     "interpolation_transfer",
-    "likely_discs",
     "squares_to_average",
     "sure_discs",
 ]
@@ -29,7 +27,7 @@ __all__ = [
 #: [pitch] Aperture of the microlenses where nothing tells it; ray-traced cameras have 0.14 to 0.5.
 #: Of nine random scenes with true depth, coarse pictures lose 0.06 dB in the mean against the true
 #: discs with 0.2, 0.07 with 0.22, 0.08 with 0.18.
-TYPICAL_APERTURE = 0.2
+_TYPICAL_APERTURE = 0.2
 #: [s / D] Distance from focus of the types of a multi-focus array whose foci are not known: the
 #: mean distance of a depth from three foci that are 0.11 to 0.17 apart.
 _TYPICAL_DISTANCE = 0.13
@@ -37,7 +35,7 @@ _TYPICAL_DISTANCE = 0.13
 _FARTHEST_FOCUS = 0.5
 #: [px^2] What interpolation averages, which `prefilter_flat` does not undo at high frequencies;
 #: discs hide it.
-READING = 0.35
+_READING = 0.35
 # Area of the square that blurs as a disc does, over the square of its diameter.
 _OF_DISCS = 0.7
 
@@ -64,7 +62,7 @@ def sure_discs(blur: LensBlur | None, ratios: NDArray[np.float64]) -> NDArray[np
     return np.maximum(discs - errors, 0)
 
 
-def likely_discs(
+def _likely_discs(
     calibration: Calibration, blur: LensBlur | None, ratios: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(types, n) diameters [px of the flat] of the discs at these `s / D`, typical ones where
@@ -76,7 +74,7 @@ def likely_discs(
         assert types.focus is not None
         away = np.abs(ratios - types.focus[:, None])
         away[np.isnan(away)] = _TYPICAL_DISTANCE
-    aperture = TYPICAL_APERTURE * calibration.lattice.pitch
+    aperture = _TYPICAL_APERTURE * calibration.lattice.pitch
     typical = aperture * away
     rims = calibration.lens_blur
     if rims is not None and len(rims.focus) == len(typical):
@@ -92,6 +90,15 @@ def likely_discs(
     return blur.at(ratios)[0]
 
 
+def averaged_squares(
+    calibration: Calibration, blur: LensBlur | None, ratios: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Areas (n,) [px^2] of the squares that blur as discs and reading do, at these `s / D`."""
+    discs = _likely_discs(calibration, blur, ratios)
+    shares = type_shares(calibration.lens_types, ratios, len(discs))
+    return np.asarray(np.maximum(_OF_DISCS * (shares * discs**2).sum(0), _READING))
+
+
 def squares_to_average(
     calibration: Calibration, blur: LensBlur | None, ratios: NDArray[np.float64], scale: float
 ) -> NDArray[np.float64]:
@@ -101,14 +108,11 @@ def squares_to_average(
 
     Pixels, discs and reading have averaged the rest already. By least squares for scenes whose
     power falls with the third power of frequency, the square is `(L - v) (1 + v / 3 L)`: `L` is the
-    pixel's own area less that of a pixel of the flat, and `v` the area of the square that blurs as
-    the discs do. That was found for pixels of 1.2 to 8 px and discs up to 4 px.
+    pixel's own area less that of a pixel of the flat, and `v` that of `averaged_squares`. That was
+    found for pixels of 1.2 to 8 px and discs up to 4 px.
     """
-    pitch = calibration.lattice.pitch
-    discs = likely_discs(calibration, blur, ratios)
-    shares = type_shares(calibration.lens_types, ratios, len(discs))
-    averaged = np.maximum(_OF_DISCS * (shares * discs**2).sum(0), READING)
-    left = np.maximum((ratios * pitch / scale) ** 2 - 1, 1e-9)
+    averaged = averaged_squares(calibration, blur, ratios)
+    left = np.maximum((ratios * calibration.lattice.pitch / scale) ** 2 - 1, 1e-9)
     return np.asarray(np.maximum(left - averaged, 0) * (1 + averaged / (3 * left)))
 
 
