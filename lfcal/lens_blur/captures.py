@@ -48,9 +48,11 @@ _USUAL_SOFTNESS = 0.25
 #: cameras have 0.14 to 0.5. With 0.3 or 0.6 instead of 0.45, the error is 0.45 or 0.49 px.
 _USUAL_APERTURE = 0.2
 _APERTURE_SPREAD = 0.45
-#: [s / D] Standard deviation of the foci of microlenses from 0. With 0.17 or 0.35, the error is
-#: 0.46 or 0.48 px.
-_FOCUS_SPREAD = 0.25
+#: [s / D] Microlenses are in focus so far from 0 in the mean, on the side of the scene, with this
+#: standard deviation. The discs of 16 random captures have an RMS error of 0.93 px; 1.31 px with 0
+#: and 0.25, where those of clutter are twice too wide.
+_USUAL_FOCUS = 0.05
+_FOCUS_SPREAD = 0.15
 #: [px] Error of the discs of the one aperture and focus that stand for the mean of all.
 _GRID_ERROR = 0.1
 #: Pairs that are read at most of each type, of all ranges of depth.
@@ -313,7 +315,8 @@ def measure_lens_blur(
     best = cost.min(3)
     cost += (best.sum(1, keepdims=True) - best)[..., None]
     cost[1] += (np.log(apertures / pitch / _USUAL_APERTURE) / _APERTURE_SPREAD) ** 2
-    cost[1] += (foci / _FOCUS_SPREAD) ** 2
+    side = np.sign(pairs.size).mean()
+    cost[1] += ((foci - side * _USUAL_FOCUS) / _FOCUS_SPREAD) ** 2
     ratios = np.unique(np.quantile(pairs.size / pitch, np.linspace(0.02, 0.98, 9)).round(3))
     return _summarise(cost, apertures, foci, ratios)
 

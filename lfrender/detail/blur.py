@@ -2,8 +2,8 @@
 between them.
 
 A flat alone does not tell a soft scene from a blurred one, and undoing a blur that is not there
-makes rings: what is undone is the smallest disc that the camera file allows, what is left out of
-averages is the expected one.
+makes rings: detail is restored for both the smallest possible disc and the expected one. What is
+left out of averages is the expected one.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ __all__ = [
     "averaged_squares",
     "choose_blur",
     "interpolation_transfer",
+    "possible_discs",
     "squares_to_average",
-    "sure_discs",
 ]
 
 #: [pitch] Aperture of the microlenses where nothing tells it; ray-traced cameras have 0.14 to 0.5.
@@ -42,32 +42,36 @@ _OF_DISCS = 0.7
 
 def choose_blur(calibration: Calibration, depth: DepthMap) -> LensBlur | None:
     """That of the camera file if it tells the aperture, else that of the depth map; None if it is
-    not that of as many lens types.
+    not that of as many lens types, or of rims alone, which tell the discs at `s = 0` only.
     """
     types = calibration.lens_types
     known = calibration.lens_blur
     if known is None or (depth.lens_blur is not None and not known.tells_aperture):
         known = depth.lens_blur
     count = 1 if types is None else types.count
-    return known if known is not None and len(known.focus) == count else None
+    if known is None or not known.ratios.any() or len(known.focus) != count:
+        return None
+    return known
 
 
-def sure_discs(blur: LensBlur | None, ratios: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(types, n) diameters [px of the flat] of the discs of defocus at these `s / D`, less their
-    standard errors.
+def possible_discs(blur: LensBlur | None, ratios: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(2, types, n) diameters [px of the flat] of the smallest possible discs of defocus and of the
+    expected ones, at these `s / D`; zero without any measurement.
     """
     if blur is None:
-        return np.zeros((1, len(ratios)))
+        return np.zeros((2, 1, len(ratios)))
     discs, errors = blur.at(ratios)
-    return np.maximum(discs - errors, 0)
+    return np.stack([np.maximum(discs - errors, 0), discs])
 
 
 def _likely_discs(
     calibration: Calibration, blur: LensBlur | None, ratios: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(types, n) diameters [px of the flat] of the discs at these `s / D`, typical ones where
-    nothing tells them.
+    """(types, n) expected diameters [px of the flat] of the discs at these `s / D`, typical ones
+    where nothing tells them.
     """
+    if blur is not None:
+        return blur.at(ratios)[0]
     types = calibration.lens_types
     away = np.abs(ratios)[None]
     if types is not None and types.count > 1:
@@ -84,10 +88,7 @@ def _likely_discs(
         aperture = max(aperture, widest / _FARTHEST_FOCUS)
         # Scenes lie on the side of `s = 0` where the microlenses are in focus.
         typical = np.where(known, np.abs(aperture * np.abs(ratios) - edge), typical)
-    # Rims alone tell the disc at `s = 0` only.
-    if blur is None or not blur.ratios.any():
-        return np.asarray(typical)
-    return blur.at(ratios)[0]
+    return np.asarray(typical)
 
 
 def averaged_squares(
