@@ -4,7 +4,7 @@ The table shows, at 0.15 D, 0.3 D and the default scale, the PSNR of the picture
 `detail="off"` and the gain [dB] of `detail="natural"`: in the whole picture, beside depth edges,
 on blank places and in the border (a pitch wide). Three methods of scikit-image, applied to the
 picture, follow: Wiener, Richardson-Lucy and total variation. They are given the disc of defocus
-that `natural` removes at the median patch size. Without a folder, the scenes of
+that is expected at the median patch size. Without a folder, the scenes of
 `benchmarks.pictures` are simulated; `python -m benchmarks.detail 200 221` simulates random cameras
 before random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or
 75; with a third number all of those of 8 bits are JPEG of this quality.
@@ -27,7 +27,7 @@ import lfrender
 from data_synth import SCENES, Camera, Capture, simulate
 from data_synth.metrics import resample
 from lfrender.data.depth_map import default_scale
-from lfrender.detail.blur import choose_blur, sure_discs
+from lfrender.detail.blur import choose_blur, possible_discs
 
 from .pictures import _SCENES, _SIZE
 from .truth_flats import _REFERENCE, SCALES
@@ -210,7 +210,8 @@ def _rows(case: Case) -> Iterator[str]:
             for mask, before in zip(masks, plain, strict=True)
         ]
         ratio = float(np.nanmedian(depth.patch_size)) / pitch
-        disc = float(sure_discs(choose_blur(case.camera, depth), np.array([ratio])).mean())
+        blur = choose_blur(case.camera, depth)
+        disc = float(possible_discs(blur, np.array([ratio]))[1].mean())
         others = _baselines(images[0], disc * scale / (abs(ratio) * pitch))
         gained += [_psnr(other, wanted, masks[0]) - plain[0] for other in others]
         cells = ["" if np.isnan(gain) else f"{gain:+.2f}" for gain in gained]

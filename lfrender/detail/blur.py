@@ -2,8 +2,8 @@
 between them.
 
 A flat alone does not tell a soft scene from a blurred one, and undoing a blur that is not there
-makes rings: what is undone is the smallest disc that the camera file allows, what is left out of
-averages is the likeliest one.
+makes rings: detail is restored for both the smallest possible disc and the expected one. What is
+left out of averages is the expected one.
 """
 
 from __future__ import annotations
@@ -17,68 +17,68 @@ from ..data.depth_map import DepthMap
 from ..flat.lens_type_weights import type_shares
 
 __all__ = [
-    "READING",
-    "TYPICAL_APERTURE",
+    "averaged_squares",
     "choose_blur",
     "interpolation_transfer",
-    "likely_discs",
+    "possible_discs",
     "squares_to_average",
-    "sure_discs",
 ]
 
 #: [pitch] Aperture of the microlenses where nothing tells it; ray-traced cameras have 0.14 to 0.5.
 #: Of nine random scenes with true depth, coarse pictures lose 0.06 dB in the mean against the true
 #: discs with 0.2, 0.07 with 0.22, 0.08 with 0.18.
-TYPICAL_APERTURE = 0.2
+_TYPICAL_APERTURE = 0.2
 #: [s / D] Distance from focus of the types of a multi-focus array whose foci are not known: the
 #: mean distance of a depth from three foci that are 0.11 to 0.17 apart.
 _TYPICAL_DISTANCE = 0.13
 #: [s / D] Microlenses are focused no farther from `s = 0`; wider rims mean wider apertures.
 _FARTHEST_FOCUS = 0.5
-#: [px] Discs that are known to this, or to half of themselves, are taken as measured.
-_KNOWN = 0.5
 #: [px^2] What interpolation averages, which `prefilter_flat` does not undo at high frequencies;
 #: discs hide it.
-READING = 0.35
+_READING = 0.35
 # Area of the square that blurs as a disc does, over the square of its diameter.
 _OF_DISCS = 0.7
 
 
 def choose_blur(calibration: Calibration, depth: DepthMap) -> LensBlur | None:
     """That of the camera file if it tells the aperture, else that of the depth map; None if it is
-    not that of as many lens types.
+    not that of as many lens types, or of rims alone, which tell the discs at `s = 0` only.
     """
     types = calibration.lens_types
     known = calibration.lens_blur
     if known is None or (depth.lens_blur is not None and not known.tells_aperture):
         known = depth.lens_blur
     count = 1 if types is None else types.count
-    return known if known is not None and len(known.focus) == count else None
+    if known is None or not known.ratios.any() or len(known.focus) != count:
+        return None
+    return known
 
 
-def sure_discs(blur: LensBlur | None, ratios: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(types, n) diameters [px of the flat] of the discs of defocus at these `s / D`, less their
-    standard errors.
+def possible_discs(blur: LensBlur | None, ratios: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(2, types, n) diameters [px of the flat] of the smallest possible discs of defocus and of the
+    expected ones, at these `s / D`; zero without any measurement.
     """
     if blur is None:
-        return np.zeros((1, len(ratios)))
+        return np.zeros((2, 1, len(ratios)))
     discs, errors = blur.at(ratios)
-    return np.maximum(discs - errors, 0)
+    return np.stack([np.maximum(discs - errors, 0), discs])
 
 
-def likely_discs(
+def _likely_discs(
     calibration: Calibration, blur: LensBlur | None, ratios: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(types, n) diameters [px of the flat] of the discs at these `s / D`, typical ones where
-    nothing tells them.
+    """(types, n) expected diameters [px of the flat] of the discs at these `s / D`, typical ones
+    where nothing tells them.
     """
+    if blur is not None:
+        return blur.at(ratios)[0]
     types = calibration.lens_types
     away = np.abs(ratios)[None]
     if types is not None and types.count > 1:
         assert types.focus is not None
         away = np.abs(ratios - types.focus[:, None])
         away[np.isnan(away)] = _TYPICAL_DISTANCE
-    aperture = TYPICAL_APERTURE * calibration.lattice.pitch
+    aperture = _TYPICAL_APERTURE * calibration.lattice.pitch
     typical = aperture * away
     rims = calibration.lens_blur
     if rims is not None and len(rims.focus) == len(typical):
@@ -88,10 +88,16 @@ def likely_discs(
         aperture = max(aperture, widest / _FARTHEST_FOCUS)
         # Scenes lie on the side of `s = 0` where the microlenses are in focus.
         typical = np.where(known, np.abs(aperture * np.abs(ratios) - edge), typical)
-    if blur is None:
-        return np.asarray(typical)
-    discs, errors = blur.at(ratios)
-    return np.where(errors < np.maximum(discs / 2, _KNOWN), discs, typical)
+    return np.asarray(typical)
+
+
+def averaged_squares(
+    calibration: Calibration, blur: LensBlur | None, ratios: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Areas (n,) [px^2] of the squares that blur as discs and reading do, at these `s / D`."""
+    discs = _likely_discs(calibration, blur, ratios)
+    shares = type_shares(calibration.lens_types, ratios, len(discs))
+    return np.asarray(np.maximum(_OF_DISCS * (shares * discs**2).sum(0), _READING))
 
 
 def squares_to_average(
@@ -103,14 +109,11 @@ def squares_to_average(
 
     Pixels, discs and reading have averaged the rest already. By least squares for scenes whose
     power falls with the third power of frequency, the square is `(L - v) (1 + v / 3 L)`: `L` is the
-    pixel's own area less that of a pixel of the flat, and `v` the area of the square that blurs as
-    the discs do. That was found for pixels of 1.2 to 8 px and discs up to 4 px.
+    pixel's own area less that of a pixel of the flat, and `v` that of `averaged_squares`. That was
+    found for pixels of 1.2 to 8 px and discs up to 4 px.
     """
-    pitch = calibration.lattice.pitch
-    discs = likely_discs(calibration, blur, ratios)
-    shares = type_shares(calibration.lens_types, ratios, len(discs))
-    averaged = np.maximum(_OF_DISCS * (shares * discs**2).sum(0), READING)
-    left = np.maximum((ratios * pitch / scale) ** 2 - 1, 1e-9)
+    averaged = averaged_squares(calibration, blur, ratios)
+    left = np.maximum((ratios * calibration.lattice.pitch / scale) ** 2 - 1, 1e-9)
     return np.asarray(np.maximum(left - averaged, 0) * (1 + averaged / (3 * left)))
 
 

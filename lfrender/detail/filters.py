@@ -3,8 +3,10 @@ detail.
 
 A Wiener filter makes the mean square error least: `T H S / (H^2 S + A + N)`, with the transfer
 function `H` of the picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, and
-noise `N` (N. Wiener 1949). It is fitted as a sum of four bands, the differences of smoothings (1,
-2, 1) / 4 with growing distances, as a wavelet transform "a trous" (M. Holschneider et al. 1989).
+noise `N` (N. Wiener 1949). Where the discs of the microlenses are not sure, `H` and `H^2` are the
+means over the smallest possible ones and the expected ones. It is fitted as a sum of four bands,
+the differences of smoothings (1, 2, 1) / 4 with growing distances, as a wavelet transform "a trous"
+(M. Holschneider et al. 1989).
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from lfcal import Calibration, LensBlur
 from lfcal.runtime.transfer import disc_transfer
 
 from ..flat.lens_type_weights import type_shares
-from .blur import interpolation_transfer, squares_to_average, sure_discs
+from .blur import interpolation_transfer, possible_discs, squares_to_average
 
 __all__ = ["SMOOTHING", "DetailFilters", "make_filters"]
 
@@ -93,7 +95,9 @@ def make_filters(
     logs = np.arange(int((last - first) * per_octave) + 1) / per_octave + first
     strengths = (logs * 2**23).astype(np.int32).view(np.float32)
     rows = np.log10(np.maximum(strengths, powers[0]) / powers[0]) / np.log10(powers[1] / powers[0])
-    trusted = _trusted_share(np.abs(of_level[some]), calibration, reach)
+    # Nothing is restored of two lenses averaged, all of four.
+    averaged = _averaged_views(np.abs(of_level[some]), calibration, reach)
+    trusted = np.clip(averaged / 2 - 1, 0, 1)
     gains = _between(spread(trusted[:, None] * _fit(powers, known, wanted, grain)), rows, 0)
     # Of the second band, and of the coarser ones.
     power, noises = (
@@ -116,13 +120,6 @@ def _averaged_views(ratio: _Table, calibration: Calibration, reach: float) -> _T
     return np.maximum(0.75 * np.pi * limit**2 / abs(float(np.linalg.det(lattice.basis))), 1.0)
 
 
-def _trusted_share(ratio: _Table, calibration: Calibration, reach: float) -> _Table:
-    """How much of the detail is restored at these `|s / D|`: nothing of two lenses averaged, all of
-    four.
-    """
-    return np.asarray(np.clip(_averaged_views(ratio, calibration, reach) / 2 - 1, 0, 1))
-
-
 def _is_near(ratios: _Table, step: float, depths: _Table) -> NDArray[np.bool_]:
     """Which of the `s / D` a picture with these ends of its depths needs; the last of either sign,
     for all beyond.
@@ -140,7 +137,8 @@ class _Levels:
     """
 
     grown: _Table  # (n, 1) side of a pixel of the flat [px of the picture]
-    discs: _Table  # (n, types) diameters [px of the picture]
+    # (2, n, types) smallest and expected diameters [px of the picture]
+    discs: _Table
     shares: _Table  # (n, types) weights of the types, whose sum is 1
     # (n, 1) side of the square over which an output pixel is averaged [px of the picture]
     apart: _Table
@@ -160,43 +158,40 @@ class _Levels:
         lattice = calibration.lattice
         size = np.abs(ratios)
         grown = scale / (size * lattice.pitch)
-        discs = sure_discs(blur, ratios).T * grown[:, None]
-        shares = type_shares(calibration.lens_types, ratios, discs.shape[1]).T
+        discs = possible_discs(blur, ratios).swapaxes(1, 2) * grown[:, None]
+        shares = type_shares(calibration.lens_types, ratios, discs.shape[2]).T
         averaged = _averaged_views(size, calibration, reach)
         apart = np.sqrt(squares_to_average(calibration, blur, ratios, scale)) * grown
-        even = np.maximum(averaged / (discs.shape[1] * (shares**2).sum(1)), 1.0)
+        even = np.maximum(averaged / (discs.shape[2] * (shares**2).sum(1)), 1.0)
         return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None])
 
     def _read(self, fx: _Table, fy: _Table) -> _Table:
         read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
-        return (
-            read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart) if self.apart.any() else read
-        )
+        return np.asarray(read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart))
 
-    def left(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
-        """(n, f) what is left of each frequency of a scene, and (f,) the power that is expected of
-        it.
+    def left(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table, _Table]:
+        """(n, f) what is left of each frequency of a scene, (f,) the power that is expected of it,
+        and (n, f) what is left of that.
         """
         frequency = np.hypot(fx, fy)
-        disc = (
-            self.shares[..., None]
-            * np.interp(
-                self.discs[..., None] * np.atleast_2d(frequency)[:, None], *_tabulated_disc()
-            )
-        ).sum(1)
-        pixel = np.sinc(fx * self.grown) * np.sinc(fy * self.grown)
+        disc = np.einsum(
+            "nt,entf->enf",
+            self.shares,
+            np.interp(self.discs[..., None] * frequency, *_tabulated_disc()),
+        )
+        pixel = np.sinc(fx * self.grown) * np.sinc(fy * self.grown) * self._read(fx, fy)
         # Detail is expected to fall with the third power of frequency.
-        return disc * pixel * self._read(fx, fy), np.maximum(frequency, 0.01) ** -3.0
+        scene = np.maximum(frequency, 0.01) ** -3.0
+        return disc.mean(0) * pixel, scene, (disc**2).mean(0) * pixel**2 * scene
 
     def sums(self) -> _Table:
         """(3, n, 23) of power of detail, of what is wanted of it, and of noise, weighted by
         `_basis`.
         """
         fx, fy, basis = _basis()
-        (left, scene), *folded = (self.left(fx + x, fy + y) for x, y in _FOLDS)
-        seen = left**2 * scene
-        alias = sum((one**2 * there for one, there in folded), np.zeros_like(seen))
-        known = seen + alias
+        parts = [self.left(fx + x, fy + y) for x, y in _FOLDS]
+        left, scene, _ = parts[0]
+        known = np.sum([power for *_, power in parts], 0)
         # Never blurrier than it is but by noise.
         wanted = np.maximum(np.maximum(np.sinc(fx) * np.sinc(fy), left) * left * scene, known)
         grain = self.variance * self.grown**2 * self._read(fx, fy) ** 2

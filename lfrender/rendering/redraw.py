@@ -83,8 +83,8 @@ def redraw(
     channels = picture.image.shape[2] if picture.image.ndim == 3 else 1
     if picture.image.dtype != pixels.dtype or channels != pixels.shape[2]:
         raise ValueError(
-            f"the earlier picture is {channels} x {picture.image.dtype}, the flat {pixels.shape[2]} x {pixels.dtype}; "
-            "draw without previous"
+            f"the earlier picture is {channels} x {picture.image.dtype}, the flat "
+            f"{pixels.shape[2]} x {pixels.dtype}; draw without previous"
         )
     earlier = check_flat(earlier, calibration)
     columns, rows = renderer.grid.size

@@ -126,7 +126,8 @@ def focal_stack(
     --------
     >>> import lfrender
     >>> flat, camera, depth = lfrender.data.example()
-    >>> [picture.image.shape for picture in lfrender.focal_stack(flat, camera, [-7.0, 7.0], scale=6)]
+    >>> stack = lfrender.focal_stack(flat, camera, [-7.0, 7.0], scale=6)
+    >>> [picture.image.shape for picture in stack]
     [(47, 62, 3), (47, 62, 3)]
     """
     check_type(

@@ -118,7 +118,8 @@ def render(
             raise ValueError("previous needs depth, and the whole picture without roi")
         if scale is not None and scale != previous[2].scale:
             raise ValueError(
-                f"the earlier picture has scale {previous[2].scale}, not {scale}; draw without previous"
+                f"the earlier picture has scale {previous[2].scale}, not {scale}; draw without "
+                "previous"
             )
         scale = previous[2].scale
     if patch_size is None and depth is None:

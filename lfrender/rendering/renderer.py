@@ -55,7 +55,8 @@ class Renderer:
     calibration: Calibration
     surface: Surface
     scale: float  # output pixels per pitch
-    blend: bool  # the mean over all lenses that agree on a point, or the lens alone whose centre is nearest
+    # the mean over all lenses that agree on a point, or the lens alone whose centre is nearest
+    blend: bool
     reach: float = REACH  # [pitch] lenses farther than this from a scene point are not read
     agreement: float = AGREEMENT
     aperture: float = 1.0  # part of the radius of microimages that is read
@@ -257,7 +258,7 @@ class Renderer:
         return output.image, output.valid
 
     def _is_packable(self, pixels: NDArray[Any]) -> bool:
-        """Whether `blend_rows` reads such pixels; its places in the flat are integers of 31 bits."""
+        """Whether `blend_rows` reads such pixels; places in the flat are integers of 31 bits."""
         return (
             pixels.dtype.kind == "u"
             and pixels.shape[2] <= 3

@@ -20,8 +20,8 @@ __all__ = ["TOO_LITTLE", "find_depth_problem", "traditional"]
 #: What is said where the traditional picture is drawn instead of one in focus; takes the name of
 #: the option.
 TOO_LITTLE = (
-    "next to no lenses are resolved that form a surface: drawn is the traditional picture, one pixel per microlens; "
-    "with {}, the picture in focus"
+    "next to no lenses are resolved that form a surface: drawn is the traditional picture, one "
+    "pixel per microlens; with {}, the picture in focus"
 )
 
 
@@ -82,8 +82,8 @@ def find_depth_problem(depth: DepthMap) -> str | None:
         None
         if not on_surface < max(0.02, 0.5 * share)
         else (
-            f"{1 - share:.0%} of the lenses have no depth, and the others form no surface; is this a capture of a scene, "
-            "and made with this camera?"
+            f"{1 - share:.0%} of the lenses have no depth, and the others form no surface; is this "
+            "a capture of a scene, and made with this camera?"
         )
     )
 

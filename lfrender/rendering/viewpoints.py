@@ -81,7 +81,8 @@ def views_with_depth(
     --------
     >>> import lfrender
     >>> flat, camera, depth = lfrender.data.example()
-    >>> (picture, size), = views_with_depth(flat, camera, depth, offsets=[(4, 0)], scale=6, still=-7.0)
+    >>> found = views_with_depth(flat, camera, depth, offsets=[(4, 0)], scale=6, still=-7.0)
+    >>> picture, size = next(found)
     >>> picture.image.shape, size.shape
     ((47, 62, 3), (47, 62))
     """
@@ -145,7 +146,8 @@ def _check_offset(offset: tuple[float, float], radius: float) -> tuple[float, fl
     place = np.array(offset, dtype=float)
     if place.shape != (2,) or not np.hypot(*place) <= radius:
         raise ValueError(
-            f"offsets must be x, y within the radius {radius:.2f} px of the microimages, got {offset!r}"
+            f"offsets must be x, y within the radius {radius:.2f} px of the microimages, got "
+            f"{offset!r}"
         )
     return float(place[0]), float(place[1])
 

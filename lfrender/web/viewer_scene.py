@@ -15,10 +15,10 @@ from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 
 from ..data.depth_map import MOST, DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
-from ..detail.blur import READING, choose_blur, likely_discs
+from ..detail.blur import averaged_squares, choose_blur
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
-from ..flat.lens_type_weights import focus_weights
+from ..flat.lens_type_weights import WEIGHT_RATIOS, focus_weights
 from ..flat.validation import check_flat
 from ..output.depth_picture import colour_scale, magnification_limits
 from ..rendering.blend.lit_flat import dilate_mask
@@ -187,6 +187,7 @@ def _tables(
     offsets, _ = lens_offsets(lattice, REFOCUS_REACH * lattice.pitch)
     displacements, low = lens_displacements(lattice)
     cell, shares = focus_weights(calibration.lens_types)
+    averaged = averaged_squares(calibration, choose_blur(calibration, depth), WEIGHT_RATIOS)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
     ends, middle = _planes(depth)
     moved = {
@@ -214,7 +215,8 @@ def _tables(
             "edge": edge,
             "virtual": [virtual.min(), virtual.max()],
         },
-        "blur": _blur_line(calibration, depth),
+        # Areas [px^2] over the same `s / D` as the shares of types.
+        "averaged": _base64(averaged, np.float32),
         "scale": default_scale(depth),
         "agreement": AGREEMENT,
         "planes": ends,
@@ -225,18 +227,6 @@ def _tables(
             "ramp": _base64(colour_scale("turbo"), np.uint8),
         },
     }
-
-
-def _blur_line(calibration: Calibration, depth: DepthMap) -> dict[str, Any]:
-    """Slope and offset [px] of the disc over the patch size, as a mean of the lens types."""
-    known = choose_blur(calibration, depth)
-    pitch = calibration.lattice.pitch
-    if known is not None and known.tells_aperture:
-        line = [known.aperture / pitch, -known.aperture * known.focus.mean()]
-    else:
-        at_zero, at_half = likely_discs(calibration, None, np.array([0.0, 0.5])).mean(0)
-        line = [(at_half - at_zero) / (0.5 * pitch), at_zero]
-    return {"line": line, "reading": READING}
 
 
 def _planes(depth: DepthMap) -> tuple[list[float], float]:

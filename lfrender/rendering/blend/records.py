@@ -56,7 +56,8 @@ class Lenses(NamedTuple):
     types: Any  # (n,) int64: row of `shares`
     tables: Any  # (n,) int64: light table of each
     edged: Any  # (n,) bool: `Flat.depth` is known on their pixels
-    rows: Any  # (nj, ni) int32: row of lens (i, j) in the arrays above at [j - low[1], i - low[0]], -1 if there is none
+    # (nj, ni) int32: row of lens (i, j) in the arrays above at [j - low[1], i - low[0]]; -1 if none
+    rows: Any
     low: Any  # (2,) int64
     origin: Any  # (2,) float64 [px]
     inverse: Any  # (2, 2) float64: of the basis
@@ -99,8 +100,11 @@ class Weighting(NamedTuple):
     widest: (
         Any  # float32 [px]: lenses are read up to so far from their centres, the viewpoint included
     )
-    viewpoint: Any  # (3,) float32: x, y [px] and squared radius [px^2] up to which lenses are read about it
-    tolerance: Any  # float32: difference from the mean colour at which a lens counts a quarter; 0: nearest lens alone
+    # (3,) float32: x, y [px] and squared radius [px^2] up to which lenses are read about it
+    viewpoint: Any
+    # float32: difference from the mean colour at which a lens counts a quarter; 0: nearest lens
+    # alone
+    tolerance: Any
     squares: (
         Any  # (r,) float32 [px^2]: area of the flat that is left to average over s / D from -1 to 1
     )

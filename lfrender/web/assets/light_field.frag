@@ -57,7 +57,7 @@ void main() {
 #else
 
 uniform sampler2DArray flatTiles, occlusionTiles;
-uniform sampler2D rings, displacements, shares, ramp, traditional;
+uniform sampler2D rings, displacements, shares, averaged, ramp, traditional;
 uniform highp isampler2D types;
 uniform vec2 flatSize;
 uniform float tileStep, tileSide;
@@ -77,8 +77,6 @@ uniform float spacing;              // between pixels, in X
 uniform vec3 offsets[128];          // of lenses from the nearest one, and their least distance from X
 uniform int offsetCount;
 uniform vec2 moved;                 // what was added to X for the viewpoint
-uniform vec2 disc;                  // slope and offset of the disc of defocus over s
-uniform float reading;              // what interpolation averages, as an area of the flat
 uniform float reach, agreement;        // of places out of their own depth ...
 uniform float reachOwn, agreementOwn;  // ... and of those that are drawn at it
 uniform float rows;                 // of the picture
@@ -96,6 +94,12 @@ const float OCCLUDED_WEIGHT = 1e-4;
 bool own;
 // Whether lenses out of the usual reach take part.
 bool far = false;
+
+// Entry of a row of a table over s / D.
+float atRatio(sampler2D table, float ratio, int row) {
+  int end = textureSize(table, 0).x - 1;
+  return texelFetch(table, ivec2(clamp(int((ratio + 1.0) * 0.5 * float(end) + 0.5), 0, end), row), 0).r;
+}
 
 float sizeAt(vec2 X) {
   own = plane == 0.0;
@@ -171,8 +175,7 @@ LensSample sampleLens(vec2 X, vec2 base, ivec2 index, int o, float s, float limi
   ivec2 kinds = textureSize(types, 0);
   if (kinds.x > 1) {
     ivec2 at = ((index + steps) % kinds + kinds) % kinds;
-    int end = textureSize(shares, 0).x - 1, kind = texelFetch(types, at.yx, 0).r;
-    weight *= texelFetch(shares, ivec2(clamp(int((slope + 1.0) * 0.5 * float(end) + 0.5), 0, end), kind), 0).r;
+    weight *= atRatio(shares, slope, texelFetch(types, at.yx, 0).r);
   }
   if (hasOcclusion) {
     vec3 code = round(texelFetch(occlusionTiles, ivec3(inside, int(place.z)), 0).rgb * 255.0);
@@ -261,8 +264,8 @@ void main() {
   float s = sizeAt(X), side = abs(s) * spacing / pitch, left = 0.0;
   if (side > 1.0) {
     // As `count_samples` and `squares_to_average` of the renderer.
-    float own = side * side - 1.0, wide = disc.x * s + disc.y, averaged = max(0.7 * wide * wide, reading);
-    left = max(own - averaged, 0.0) * (1.0 + averaged / (3.0 * own));
+    float own = side * side - 1.0, blurred = atRatio(averaged, s / pitch, 0);
+    left = max(own - blurred, 0.0) * (1.0 + blurred / (3.0 * own));
     if (crossesEdge(X, s)) left = max(left, max(0.75 * side * side, own));
   }
   int across = left < 0.25 ? 1 : int(ceil(sqrt(left / 1.5 + 1.0)));

@@ -8,7 +8,7 @@ void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2
 const ANY_COLOUR = 1e3;
 // Sub-samples along a pixel's side: as many as any zoom needs.
 const MOST_SAMPLES = 1e3;
-const NAMES = ["surface", "flatTiles", "occlusionTiles", "rings", "displacements", "shares", "ramp", "types", "traditional"];
+const NAMES = ["surface", "flatTiles", "occlusionTiles", "rings", "displacements", "shares", "averaged", "ramp", "types", "traditional"];
 // Neighbouring lenses in the shader's array; it mixes at most 37, the nearest first.
 const MOST_OFFSETS = 128;
 
@@ -72,6 +72,7 @@ export class Renderer {
       rings: this.table(rings.length / 2, 1, two, rings),
       displacements: displacements.length ? this.table(scene.displacements.shape[1], scene.displacements.shape[0], two, displacements) : this.table(1, 1, two, new Float32Array(2)),
       shares: this.table(401, shares.length / 401, one, shares),
+      averaged: this.table(401, 1, one, floats(scene.averaged)),
       types: this.table(kinds, kinds, [gl.R8I, gl.RED_INTEGER, gl.BYTE], new Int8Array(scene.types.side ? scene.types.cell : [0])),
       ramp: this.table(256, 1, [gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE], ramp),
     };
@@ -171,7 +172,7 @@ export class Renderer {
       ringStep: scene.rings.step, origin: scene.origin,
       radius: scene.radius * (wide ? settings.aperture : 1), plane, between: range ? settings.range : [1, 0],
       corner: [x, y], exposure: 2 ** (settings.brightness ?? 0),
-      first: first.map((n, k) => n + moved[k]), moved, spacing, disc: scene.blur.line, reading: scene.blur.reading,
+      first: first.map((n, k) => n + moved[k]), moved, spacing,
       reach: pitch * (wide ? scene.reach.wide : scene.reach.sharp), reachOwn: pitch * (aside ? scene.reach.aside : scene.reach.sharp),
       agreement: tiles ? 0 : ANY_COLOUR, agreementOwn: scene.agreement, rows: height, overlay: settings.overlay,
       most: settings.most ?? MOST_SAMPLES,

@@ -58,6 +58,14 @@ def test_a_soft_scene_is_not_taken_for_a_wide_disc():
     assert discs[0, 0] - errors[0, 0] < 0.15 * 40.0 * 0.29 + 0.2
 
 
+def test_the_expected_disc_of_a_sharp_slope_is_near_the_truth_where_its_error_is_wide():
+    camera = design(fill=0.2, focus=0.0)
+    found = measure(camera, SCENES["slope"](camera, seed=3, left=0.2, right=0.35))
+    discs, errors = found.at([0.25, 0.3])
+    assert errors.min() > 1.0
+    np.testing.assert_allclose(discs[0], [2.0, 2.4], atol=0.4)
+
+
 def test_too_few_lenses_tell_nothing():
     camera = design()
     calibration = camera.calibration()

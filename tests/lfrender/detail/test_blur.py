@@ -1,5 +1,5 @@
-"""Discs that are undone are the smallest possible ones; output pixels are averaged over what is
-left of their area.
+"""Discs are possible between the smallest and the expected one; output pixels are averaged over
+what is left of their area.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import pytest
 
 from data_synth import Camera
 from lfcal import LensBlur, LensTypes
-from lfrender.detail.blur import choose_blur, squares_to_average, sure_discs
+from lfrender.detail.blur import choose_blur, possible_discs, squares_to_average
 
 RATIOS = np.array([-0.4, -0.2])
 BLUR = LensBlur(8.0, 1.0, [0.0], [0.1], [-0.2, -0.4], [[1.0, 3.0]], [[0.5, 0.5]])
@@ -21,16 +21,22 @@ def camera(types=None):
     return replace(Camera.design(size=(480, 400), pitch=30.0).calibration(), lens_types=types)
 
 
-def test_a_known_disc_counts_without_its_error():
-    np.testing.assert_allclose(sure_discs(BLUR, RATIOS), [[2.5, 0.5]])
-    assert not sure_discs(None, RATIOS).any()
+def test_a_measured_disc_is_at_least_what_its_error_leaves():
+    smallest, expected = possible_discs(BLUR, RATIOS)
+    np.testing.assert_allclose(smallest, [[2.5, 0.5]])
+    np.testing.assert_allclose(expected, [[3.0, 1.0]])
+    assert not possible_discs(None, RATIOS).any()
 
 
-def test_a_blur_of_another_number_of_types_is_not_taken():
+def test_a_blur_of_rims_alone_or_of_another_number_of_types_is_not_taken():
     class Depth:
         lens_blur = BLUR
 
     assert choose_blur(camera(), Depth) is BLUR
+    rims = LensBlur(9.0, 30.0, [-0.1], [0.1], [0.0], [[0.9]], [[0.2]])
+    Depth.lens_blur = rims
+    assert choose_blur(camera(), Depth) is None
+    Depth.lens_blur = BLUR
     i, j = np.mgrid[:3, :3]
     assert choose_blur(camera(LensTypes((i - j) % 3)), Depth) is None
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import lfrender
+from benchmarks.coarse import average_areas
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
 from lfcal import LensBlur
@@ -77,10 +78,13 @@ def test_a_scene_that_is_soft_itself_is_not_taken_for_a_blurred_one():
     found = []
     for detail in ("off", "natural"):
         made = lfrender.render(shot.flat, truth.calibration, depth, detail=detail, scale=8.0)
-        wanted, inside = resample(
+        # The mean of the reference over each pixel: interpolated values are softer or sharper.
+        wanted = average_areas(
             truth.reference, truth.reference_affine, made.image.shape[:2], made.affine
         )
-        found.append(compare_pictures(made.image / 255.0, wanted, inside & made.valid).psnr)
+        inside = made.valid.copy()
+        inside[[0, -1]] = inside[:, [0, -1]] = False
+        found.append(compare_pictures(made.image / 255.0, wanted, inside).psnr)
     assert found[1] > found[0] - 0.1
 
 

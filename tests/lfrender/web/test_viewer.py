@@ -53,8 +53,8 @@ def at_depth_edges(picture, sizes, depth):
 @pytest.mark.parametrize("aperture", [1.0, 0.4])
 @pytest.mark.parametrize(("plane", "scale"), [(FAR, None), (FAR, 4.0), (NEAR, None)])
 def test_a_plane_in_focus_is_that_of_the_renderer(page, captured, plane, aperture, scale):
-    flat, camera, _ = captured
-    picture = lfrender.refocus(flat, camera, plane, aperture=aperture, scale=scale)
+    flat, camera, depth = captured
+    picture = lfrender.refocus(flat, camera, plane, depth=depth, aperture=aperture, scale=scale)
     difference = off(page, picture, mode="focus", plane=plane, aperture=aperture)
     # At the rim of the aperture rounding decides whether a lens takes part at all.
     assert np.mean(difference <= 2) > 0.9995
@@ -63,12 +63,13 @@ def test_a_plane_in_focus_is_that_of_the_renderer(page, captured, plane, apertur
 
 def test_everything_in_focus_and_tiles_are_those_of_the_renderer(page, captured):
     flat, camera, depth = captured
-    # At depth edges of coarse pictures a few pixels differ by up to 13 levels.
-    for scale, least in ((None, 0.9995), (4.0, 0.99)):
+    # At a scale of 4 or 4.1, some samples lie halfway between the values of the surface, where
+    # rounding decides on which side of a depth edge they are.
+    for scale in (None, 4.17):
         picture = lfrender.render(flat, camera, depth, scale=scale, detail="off")
         difference = off(page, picture, mode="sharp")
-        assert np.mean(difference <= 2) > least
-        assert difference.max() <= 15
+        assert np.mean(difference <= 2) > 0.9995
+        assert difference.max() <= 5
     page.execute_script("lightField.set({ mode: 'tiles' })")
     wait_for(page, "lightField.renderer.textures.plainTiles")
     crisp = lfrender.render(flat, camera, patch_size=FAR)
