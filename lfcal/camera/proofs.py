@@ -213,7 +213,9 @@ def proof_by_borders(figures: LatticeFigures) -> float:
 
 
 def _shows_scene(figures: LatticeFigures) -> float:
-    """How far cells show a scene, 0 to 1: neighbours have about one tone, and more than noise."""
+    """How far cells show a scene, 0 to 1: neighbours have about one tone, or match well, and more
+    than noise.
+    """
     textured = _TEXTURED(figures.inside)
-    alike = 1 - _UNLIKE_TONES(figures.between)
-    return textured * alike
+    differ = _UNLIKE_TONES(figures.between) * (1 - _STRONG_MATCH(figures.parallax))
+    return textured * (1 - differ)

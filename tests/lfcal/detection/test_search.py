@@ -28,6 +28,7 @@ from lfcal.images.preprocessing import sqrt_luminance
         23,
         231,
         607,
+        1018,
         *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 14, 26, 705, 910)),
     ],
 )
