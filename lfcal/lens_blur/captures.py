@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from ..camera.calibration import Calibration
 from ..camera.lens_types import LensBlur
@@ -246,6 +247,8 @@ def _misfit(seen: _Spectrum) -> _Array:
     return np.stack([misfit.min(0), (misfit + unlikely).min(0)])
 
 
+# The matrices are too small for more threads to pay off: they would wait for each other.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def measure_lens_blur(
     light: _Light, calibration: Calibration, patch_size: NDArray[Any], radius: float
 ) -> LensBlur | None:
