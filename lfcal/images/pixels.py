@@ -105,8 +105,10 @@ def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
     native = pixels.dtype.newbyteorder("=")
     if native == np.bool_:
         pixels = pixels.astype(np.uint8) * np.uint8(255)
-    elif native in (np.int8, np.int16, np.float16, np.float64):
-        # Signed values are left after a dark frame was subtracted.
+    elif native in (np.int8, np.int16):
+        # They are left after a dark frame was subtracted: less than no light is noise.
+        pixels = np.maximum(pixels, 0).astype(f"u{native.itemsize}")
+    elif native in (np.float16, np.float64):
         with np.errstate(over="ignore"):
             pixels = pixels.astype(np.float32)
     elif native not in (np.uint8, np.uint16, np.float32):

@@ -261,7 +261,9 @@ def test_truncated_files_of_every_container_are_refused(tmp_path):
                 lfcal.read_flat(path, 1 if path.suffix == ".yuv" else 0)
 
 
-def test_signed_flats_after_a_dark_frame_keep_their_negative_values(tmp_path):
+def test_signed_flats_after_a_dark_frame_are_unsigned_without_negative_light(tmp_path):
     pixels = RNG.integers(-50, 2500, (20, 40), np.int16)
     tifffile.imwrite(tmp_path / "flat.tif", pixels)
-    np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "flat.tif"), pixels.astype(np.float32))
+    flat = lfcal.read_flat(tmp_path / "flat.tif")
+    assert flat.dtype == np.uint16
+    np.testing.assert_array_equal(flat, np.maximum(pixels, 0))
