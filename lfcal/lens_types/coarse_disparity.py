@@ -33,8 +33,8 @@ _OTHER_MODE = 0.2
 
 
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
-def _sum_products(pixels, width, cx, cy, places, across, down):
-    """Sums over the places of a lens: its pixels, those of the other lens, and their products."""
+def _covariance(pixels, width, cx, cy, places, across, down):
+    """Covariance of the pixels of a lens and another one over some places, and mean variance."""
     a = b = aa = bb = ab = np.float32(0)
     for place in range(places.shape[1]):
         x = cx + places[0, place]
@@ -46,7 +46,8 @@ def _sum_products(pixels, width, cx, cy, places, across, down):
         aa += own * own
         bb += other * other
         ab += own * other
-    return a, b, aa, bb, ab
+    count = places.shape[1]
+    return (ab - a * b / count) / count, 0.5 * (aa + bb - (a * a + b * b) / count) / count
 
 
 @kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres), fastmath=FAST)
@@ -95,7 +96,7 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
                 if count <= 4:
                     continue
                 # With half a pixel added, truncation rounds.
-                a, b, aa, bb, ab = _sum_products(
+                together, alone = _covariance(
                     pixels,
                     np.int32(width),
                     np.float32(cx + 0.5),
@@ -104,8 +105,8 @@ def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, cov
                     np.float32((1 + ratios[k]) * steps[step, 0]),
                     np.float32((1 + ratios[k]) * steps[step, 1]),
                 )
-                covariance[lens, k] += (ab - a * b / count) / count
-                variance[lens, k] += 0.5 * (aa + bb - (a * a + b * b) / count) / count
+                covariance[lens, k] += together
+                variance[lens, k] += alone
 
 
 def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:
