@@ -100,7 +100,7 @@ def proof_terms(figures: LatticeFigures) -> dict[str, float]:
         "both_proofs": min(by_shape, by_content) * everywhere,
         "sound": edges(figures) * (1 - is_mesh(figures)),
         "unmatched": max(
-            _unmatched_tones(figures), _unmatched_content(figures), _uneven_white(figures)
+            _unmatched_tones(figures), _unmatched_content(figures), _uneven_cells(figures)
         ),
     }
 
@@ -141,7 +141,7 @@ def _unmatched_content(figures: LatticeFigures) -> float:
     )
 
 
-def _uneven_white(figures: LatticeFigures) -> float:
+def _uneven_cells(figures: LatticeFigures) -> float:
     """How far evenly lit cells differ from their neighbours, as tiles do, 0 to 1.
 
     Lenses of a white image do not, but spots on black may: those of a Shack-Hartmann sensor.

@@ -41,7 +41,8 @@ def widen_microimages(calibration: Calibration, flat: ArrayLike) -> Calibration:
     Returns
     -------
     Calibration
-        The same object unless the microimages of the flat have a radius larger by a tenth or more.
+        The same object unless the microimages of the flat have a radius larger by a tenth or more;
+        also if too little light is on the flat to measure it.
 
     Raises
     ------
