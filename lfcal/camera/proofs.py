@@ -56,6 +56,8 @@ _OVERLAP = _Ramp(0.3, 0.6)  # overlapping discs of white images have 0.65 and mo
 # [local deviations] steps on outlines, and contrast of the lines between cells that touch.
 _OUTLINE = _Ramp(0.1, 0.6)
 _BORDERS = _Ramp(0.3, 0.6)
+_PLAIN_BORDERS = _Ramp(0.6, 0.85)  # ray-traced square lenses have 0.92 and more, content 0.5
+_CLOSED = _Ramp(0.1, 0.2)  # content has 0.09 at most
 # [ln] scatter of light inside cells and from cell to cell.
 _TEXTURED = _Ramp(-4.6, -3.7)
 _SOME_DETAIL = _Ramp(-4.8, -4.2)  # letters have -4.1, tiles of single tones -5.3
@@ -63,6 +65,7 @@ _DETAILED = _Ramp(-3.5, -2.7)
 _UNLIKE_TONES = _Ramp(-3.4, -2.4)
 _UNLIKE_TONES_BORDERS = _Ramp(-3.2, -2.6)
 _UNEVEN = _Ramp(0.04, 0.12)  # share of lenses; white images have 0.01 at most, tiles 0.14 and more
+_DARK_GAPS = _Ramp(0.5, 1.2)  # [ln] light; black gaps of ray-traced scenes have 1.2 and more
 _BLACK_GAPS = _Ramp(1.0, 2.0)
 _TILE_TONES = _Ramp(-4.0, -2.5)
 # [ln] gain of neighbours that are shifted against each other.
@@ -154,10 +157,12 @@ def is_everywhere(figures: LatticeFigures) -> float:
     """How far what repeats is that of the array, 0 to 1.
 
     Content that repeats with next to no parallax has a lattice of its own, slightly larger or
-    smaller: it matches without a shift, and changes across the flat.
+    smaller: it matches without a shift, and changes across the flat. Rims and straight borders
+    that show on all sides of the cells are no content.
     """
     moved = figures.parallax - figures.still
-    content = _STILL(figures.still) * (1 - _MOVED(moved))
+    rims = max(_PLAIN_BORDERS(figures.borders), _CLOSED(figures.closed))
+    content = _STILL(figures.still) * (1 - _MOVED(moved)) * (1 - rims)
     return 1 - content * (1 - _REPEATS(figures.repeats))
 
 
@@ -200,7 +205,8 @@ def proof_by_borders(figures: LatticeFigures) -> float:
 
     Tiles, meshes and boards have borders, too; what lies between those does not match (0.12 at
     most on pictures that are no flats; 0.32 and more on arrays without gaps). Letters on a
-    screen match now and then, but their cells differ in tone.
+    screen and threads of a cloth match now and then, but their cells differ in tone, and have no
+    dark gaps on straight lines.
     """
     touching = _BORDERS(figures.borders) * _SOME_MATCH(figures.parallax)
     # Without gaps there is little else in the average cell than content. Parts of cells and
@@ -208,6 +214,7 @@ def proof_by_borders(figures: LatticeFigures) -> float:
     doubtful = 1 - _STRONG_MATCH(figures.parallax)
     touching *= 1 - _ALTERNATING_BORDERS(figures.classes) * doubtful
     differ = _UNLIKE_TONES_BORDERS(figures.between) * doubtful
+    differ *= 1 - _PLAIN_BORDERS(figures.borders) * _DARK_GAPS(figures.light)
     scene = _TEXTURED(figures.inside) * (1 - differ)
     return touching * scene * (1 - _HALVES_BORDERS(figures.halves))
 

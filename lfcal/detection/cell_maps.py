@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,8 +98,15 @@ def _explained(mean: Floats, variance: Floats) -> float:
     return float(0.5 * (np.log(whole) - np.log(variance + 0.001 * whole).mean()))
 
 
-def measure_classes(features: FlatFeatures, basis: Floats) -> float:
-    """How much the average cells of two or three classes of rows or diagonals differ, 0..1.
+class CellClasses(NamedTuple):
+    """The two or three classes of rows or diagonals of cells that differ most."""
+
+    share: float  # of the variance of the average cell that lies between the classes, 0..1
+    basis: Floats  # (2, 2) [px] of the cells of one class
+
+
+def measure_classes(features: FlatFeatures, basis: Floats) -> CellClasses:
+    """How much the average cells of two or three classes of rows or diagonals differ.
 
     Half or a third of the cell of an array shows lenses and gaps in turn. The share of the variance
     of the average cell that lies between the classes is measured on two halves of the flat; lens
@@ -107,7 +115,8 @@ def measure_classes(features: FlatFeatures, basis: Floats) -> float:
     """
     pitch = float(np.sqrt(abs(np.linalg.det(basis))))
     brightness = features.levelled(pitch)[0]
-    shares = []
+    a, b = basis
+    found = []
     for count in (2, 3):
         side = tile_side(features, count * pitch)
         fold = fold_tiles([brightness], count * basis, side, BINS, CELL_TILES)[0]
@@ -115,7 +124,8 @@ def measure_classes(features: FlatFeatures, basis: Floats) -> float:
         halves = [half.reshape(count, bins, count, bins) for half in fold.half_means()]
         cells = [np.fft.fft2(half.swapaxes(1, 2)) for half in halves]
         down, along = np.indices((count, count))
-        for row in (down, along, down + along, down - along):
+        rows = ((down, a, b), (along, b, a), (down + along, a - b, a), (down - along, a + b, a))
+        for row, within, across in rows:
             classes = [
                 np.array([cell[row % count == kind].mean(0) for kind in range(count)])
                 for cell in cells
@@ -125,8 +135,9 @@ def measure_classes(features: FlatFeatures, basis: Floats) -> float:
             whole = np.mean([_shared_power(one, one) for one in classes])
             low = np.ix_(range(count), (-1, 0, 1), (-1, 0, 1))
             differ = _shared_power(*((one - one.mean(0))[low] for one in classes))
-            shares.append(differ / max(float(whole), 1e-30))
-    return max(shares)
+            share = differ / max(float(whole), 1e-30)
+            found.append(CellClasses(share, np.array([within, count * across])))
+    return max(found, key=lambda one: one.share)
 
 
 def _shared_power(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> float:

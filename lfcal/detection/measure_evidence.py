@@ -33,6 +33,8 @@ _LIT = 0.4
 _FEWEST_MARKS = 20
 #: Share of the points beside a lattice with circles, from which on these are the lenses.
 _RIMS_BESIDE = 0.3
+#: Cosine of the angle between the lattice directions from which on an array is hexagonal.
+_SLANTED = 0.35
 #: Shifts [cells] that a wrong lattice may have against the right one.
 _SHIFTS = ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3))
 
@@ -59,6 +61,7 @@ def measure_evidence(
     # Bright gaps have peaks of their own; only lenses have round rims.
     rims_beside = counts[0][1] > max(counts[0][0], _RIMS_BESIDE)
     own, beside = counts[0] if rims_beside else max(counts)
+    outline, closed = _measure_outline(maps.steps, parts)
     return Evidence(
         repeats=maps.repeats,
         halves=_UNKNOWN_HALVES,
@@ -67,17 +70,26 @@ def measure_evidence(
             np.log((maps.light[middle].mean() + 1e-3) / (maps.light[border].mean() + 1e-3))
         ),
         content=float(np.log(content / content_beside)),
-        outline=_outline_strength(maps.steps, parts),
+        outline=outline,
+        closed=closed,
         circles=own,
         circles_beside=beside,
         fine=_fine_share(maps.brightness),
         inverted=_inverted_likeness(maps.brightness),
         explained=maps.explained(),
         shape=_shape_share(maps, parts, centre),
-        borders=min(
-            line.contrast((along + 0.5) % 1) for line, along in zip(lines, centre, strict=True)
-        ),
+        borders=_measure_borders(lattice.basis, centre, lines),
     )
+
+
+def _measure_borders(basis: Floats, centre: Floats, lines: Sequence[LineProfile]) -> float:
+    """Contrast of the fainter of two families of lines between lenses; 0 for hexagonal arrays,
+    whose cells have no straight borders through the flat.
+    """
+    a, b = basis
+    if abs(a @ b) > _SLANTED * np.hypot(*a) * np.hypot(*b):
+        return 0.0
+    return min(line.contrast((along + 0.5) % 1) for line, along in zip(lines, centre, strict=True))
 
 
 def add_overlap(evidence: Evidence, wide: Marks, lattice: Lattice) -> Evidence:
@@ -140,11 +152,10 @@ def _smooth(cell: Floats) -> Floats:
     return cell
 
 
-def _outline_strength(steps: Floats, parts: CellParts) -> float:
-    """Mean of the steps on the strongest outline of a lens, round or along the border, less that in
-    the middle.
+def _measure_outline(steps: Floats, parts: CellParts) -> tuple[float, float]:
+    """Steps on the strongest outline of a lens, round or along the border, less those in the
+    middle: their mean, and what nine tenths of the outline exceed.
     """
-    inner = float(steps[parts.middle].mean())
     bands = [
         (parts.distance >= low) & (parts.distance < low + _BAND)
         for low in np.arange(0.6, 1.05, _BAND)
@@ -153,7 +164,9 @@ def _outline_strength(steps: Floats, parts: CellParts) -> float:
         (parts.to_border >= low) & (parts.to_border < low + _BAND)
         for low in np.arange(0.0, 0.4, _BAND)
     ]
-    return max(float(steps[band].mean()) for band in bands if band.any()) - inner
+    outline = max((steps[band] for band in bands if band.any()), key=np.mean)
+    inner = float(steps[parts.middle].mean())
+    return float(outline.mean()) - inner, float(np.quantile(outline, 0.1)) - inner
 
 
 def _fine_share(cell: Floats) -> float:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from ..camera.evidence import Evidence
+from ..camera.proofs import is_one_lens
 from ..hough.circle_vote import OVERLAPPING, find_circles, find_peaks, propose_basis
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
@@ -58,6 +59,7 @@ class Candidate:
     evidence: Evidence
     features: FlatFeatures  # of the picture, or of that at half its size
     maps: CellMaps  # of the same
+    coarser: Floats | None = None  # (2, 2) [px] every second or third row of cells, if these differ
 
     @property
     def half_difference(self) -> float:
@@ -142,7 +144,7 @@ def _search(
     features: FlatFeatures,
     hint: LatticeHint | None,
     thorough: bool = False,
-    least: float = _SHORTEST,
+    least: float = 0.0,
 ) -> list[Candidate]:
     """Candidates of all periods, or of those up to a certain one, the most probable first; none if
     the strongest period is shorter than `least` [px].
@@ -159,6 +161,7 @@ def _search(
         map(refine, islice(found_periods, 1)),
         map(refine, _find_finer_periods(features, tried)),
         map(refine, found_periods),
+        map(refine, _find_coarser_periods(found)),
         _find_other_periods(features, tried, found),
         map(refine, hint.bases() if hint else ()),
     )
@@ -195,6 +198,16 @@ def _find_finer_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator
         finer = [reduce_basis(np.array(pair)) for pair in (*halves, *thirds)]
         finer = [basis for basis in finer if np.hypot(*basis.T).min() >= _SHORTEST]
         yield from sorted(finer, key=lambda basis: -estimate_explained(features, basis))[:2]
+
+
+def _find_coarser_periods(found: list[Candidate]) -> Iterator[Floats]:
+    """The period of every second or third row of the best candidate, if its rows differ by turns.
+
+    Bright gaps between hexagonal lenses have a period of their own: the root of a third.
+    """
+    best = max(found, key=lambda one: one.evidence.rank, default=None)
+    if best is not None and best.coarser is not None:
+        yield best.coarser
 
 
 def _find_other_periods(
@@ -302,7 +315,8 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
     fitted = Lattice(_nearest_point(middle, fit.origin, basis), basis, lattice.image_size, radius)
     classes = measure_classes(rough.features, basis)
     halves = fit.half_difference / fitted.pitch
-    evidence = replace(rough.evidence, halves=halves, classes=classes)
+    evidence = replace(rough.evidence, halves=halves, classes=classes.share)
+    coarser = None if is_one_lens(evidence) > 0.5 else reduce_basis(classes.basis)
     picture = rough.features.picture
     if np.isfinite(halves):
         evidence = add_parallax(evidence, picture, fitted)
@@ -311,7 +325,7 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
     if bright_gaps or dubious_white:
         wide = find_circles(picture, fitted.pitch, OVERLAPPING)
         evidence = add_overlap(evidence, Marks.of(wide, picture, fitted.pitch), fitted)
-    return [replace(rough, lattice=fitted, evidence=evidence)]
+    return [replace(rough, lattice=fitted, evidence=evidence, coarser=coarser)]
 
 
 def _propose_centres(maps: CellMaps, lines: list[LineProfile]) -> list[Floats]:

@@ -22,6 +22,8 @@ __all__ = ["Tones", "is_white_image", "measure_tones"]
 #: direction.
 _LENSES = 500
 _PERIOD = 6
+#: Share of the radius that is measured, within which a spot is in the middle.
+_CENTRAL = 0.4
 
 
 class Tones(NamedTuple):
@@ -83,13 +85,17 @@ def _scatter_inside(shape: Floats, core: Floats) -> Floats:
     common, and planes.
 
     Vignetting is about a plane in each lens. Where all are darker, as around spots, nothing is
-    compared; spots of a few pixels show nothing at all.
+    compared; spots of a few pixels in the middle show nothing at all.
     """
     common = np.median(shape, axis=0)
     bright = common > 0.9 * common.max()
-    plane = np.column_stack([np.ones(len(core)), core])[bright]
+    plane = np.column_stack([np.ones(len(core)), core])
     if bright.sum() <= plane.shape[1]:
-        return np.zeros(len(shape))
+        far = np.hypot(*core[bright].mean(0))
+        if far < _CENTRAL * np.hypot(*core.T).max():
+            return np.zeros(len(shape))
+        bright[:] = True
+    plane = plane[bright]
     rest = (shape - common)[:, bright].T
     rest = rest - plane @ np.linalg.lstsq(plane, rest, rcond=None)[0]
     scatter: Floats = np.sqrt((rest**2).mean(0))
