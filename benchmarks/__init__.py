@@ -1,5 +1,5 @@
 """Commands that measure the figures of the documentation."""
 
-from .outdated_kernels import discard_outdated
+from .kernels import discard_outdated
 
 discard_outdated()

@@ -1,18 +1,17 @@
 """Times of the first minute after installation.
 
-`python -m benchmarks.first_run [--runs N] [--install] [--only NAME ...] [--record]`.
+`python -m benchmarks.first_run [--runs N] [--install] [--only NAME ...]`.
 
 Processes run as users start them, with a fresh cache: the start-up of commands and their imports,
 commands with compiled kernels, the first demo, the first picture of a capture, and the first flat
 of another kind. The table shows wall and processor seconds; compiling is the processor time of a
 first run minus that of a second run. `--install` adds `pip install` into a fresh virtual
-environment. `--record` writes the list of kernels that are compiled ahead instead.
+environment.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import resource
@@ -27,10 +26,10 @@ from typing import Any
 import numpy as np
 
 _ROOT = Path(__file__).parents[1]
-_CAPTURES = _ROOT.parent / "shared" / "captures"
+CAPTURES = _ROOT.parent / "shared" / "captures"
 _LFRENDER = ("-m", "lfrender.cli.main")
 _LFCAL = ("-m", "lfcal.cli.main")
-_KINDS: dict[str, dict[str, Any]] = {
+KINDS: dict[str, dict[str, Any]] = {
     "gray": {"channels": 1},
     "16 bit": {"bits": 16},
     "gray, 16 bit": {"channels": 1, "bits": 16},
@@ -95,7 +94,7 @@ def _start_up(runs: int, cache: Path) -> None:
 
 
 def _warm(runs: int, cache: Path, folder: Path) -> None:
-    flat = str(_CAPTURES / "Fujita2.png")
+    flat = str(CAPTURES / "Fujita2.png")
     camera = str(folder / "camera.json")
     _run(*_LFCAL, "calibrate", flat, "-o", camera, "--quiet", cache=cache)
     picture = ("-o", str(folder / "picture.tif"), "--quiet")
@@ -120,7 +119,7 @@ def _first_picture(cache: Path, folder: Path) -> None:
     arguments = (
         *_LFRENDER,
         "render",
-        str(_CAPTURES / "Boys2.webp"),
+        str(CAPTURES / "Boys2.webp"),
         "-o",
         str(folder / "boys.tif"),
         "--quiet",
@@ -133,7 +132,7 @@ def _first_picture(cache: Path, folder: Path) -> None:
 def _other_kinds(cache: Path, folder: Path) -> None:
     import tifffile
 
-    for kind, options in _KINDS.items():
+    for kind, options in KINDS.items():
         flat = folder / f"{kind.replace(' ', '')}.tif"
         pixels = make_flat(**options)
         tifffile.imwrite(flat, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
@@ -161,10 +160,10 @@ def make_flat(
     size: tuple[int, int] = (700, 560),
 ) -> Any:
     """A simulated flat of the scene `house`."""
-    return _simulate(lattice, focus, size, channels, bits).flat
+    return simulate_kind(lattice, focus, size, channels, bits).flat
 
 
-def _simulate(
+def simulate_kind(
     lattice: str, focus: Any, size: tuple[int, int], channels: int = 3, bits: int = 8
 ) -> Any:
     from dataclasses import replace
@@ -187,89 +186,15 @@ def _simulate(
     return replace(capture, flat=convert(capture.flat), white=convert(capture.white))
 
 
-def _record() -> None:
-    """Compile the kernels for flats of each kind in an empty cache, and write their list."""
-    import lfcal
-    import lfrender
-    from lfcal.runtime.compile_ahead import SIGNATURE_FILE
-    from lfrender.web.report_pictures import draw_pictures
-
-    for options in ({}, *_KINDS.values()):
-        settings: dict[str, Any] = {"lattice": "hex", "focus": 0.04, "size": (700, 560), **options}
-        capture = _simulate(**settings)
-        camera = lfcal.calibrate(capture.flat)
-        lfcal.calibrate(capture.white, kind="white")
-        for preset in ("fast", "balanced"):
-            depth = lfrender.analyze(capture.flat, camera, preset)
-        lfrender.render(capture.flat, camera, depth)
-        draw_pictures(capture.flat, camera, depth)
-    if _CAPTURES.exists():
-        # A real capture has noise and three types of lenses.
-        flat = lfcal.read_flat(_CAPTURES / "Fujita2.png")
-        camera = lfcal.calibrate(flat)
-        lfrender.render(flat, camera, lfrender.analyze(flat, camera))
-    found = []
-    for name, module in list(sys.modules.items()):
-        if name.partition(".")[0] in ("data_synth", "lfcal", "lfrender"):
-            for kernel in cached_kernels(module):
-                code = kernel.inspect_asm()
-                found += [
-                    (len(code[types]), (name, kernel.__name__, list(types)))
-                    for types in kernel.signatures
-                ]
-    # The longest are the dearest.
-    found.sort(key=lambda entry: -entry[0])
-    rows = [
-        json.dumps([f"{module}.{name}", *map(encode_type, types)])
-        for _, (module, name, types) in found
-    ]
-    SIGNATURE_FILE.write_text("[\n " + ",\n ".join(rows) + "\n]\n", encoding="utf-8")
-    print(f"{len(found)} kernels")
-
-
-def encode_type(kind: Any) -> Any:
-    """A type of Numba as text or list, in the form that `compile_ahead.example_of` reads."""
-    from numba import types
-
-    if isinstance(kind, types.Array):
-        return ["array", str(kind.dtype), kind.ndim, kind.layout, kind.mutable]
-    if isinstance(kind, types.BaseTuple):
-        made_by = getattr(kind, "instance_class", None)
-        members = getattr(kind, "types", ())
-        return [
-            "tuple",
-            f"{made_by.__module__}:{made_by.__qualname__}" if made_by else "",
-            *map(encode_type, members),
-        ]
-    return str(kind)
-
-
-def cached_kernels(module: Any) -> list[Any]:
-    """The kernels of a module that Numba caches: those that Python calls."""
-    kernels = [getattr(value, "kernel", value) for value in vars(module).values()]
-    return [
-        kernel
-        for kernel in kernels
-        if hasattr(kernel, "py_func")
-        and kernel.__module__ == module.__name__
-        and kernel.stats.cache_path
-    ]
-
-
 def main() -> None:
-    """Print the figures, or record the list of kernels."""
+    """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--install", action="store_true")
-    parser.add_argument("--record", action="store_true")
     parser.add_argument("--only", nargs="*", default=["start", "demo", "picture", "kinds", "warm"])
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        if options.record:
-            os.environ["NUMBA_CACHE_DIR"] = str(folder)
-            _record()
-            return
         print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
         if options.install:
             _install(folder)

@@ -31,7 +31,7 @@ def pytest_sessionstart(session):
         or config.option.collectonly
     ):
         return
-    from benchmarks.outdated_kernels import discard_outdated
+    from benchmarks.kernels import discard_outdated
     from lfcal.runtime.compile_ahead import compile_ahead
 
     discard_outdated()

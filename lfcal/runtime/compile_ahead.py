@@ -1,7 +1,7 @@
 """Compile kernels ahead, in one process per core, which leave them in Numba's cache.
 
 `signatures.json` lists kernels with the types of their arguments, the dearest first (written by
-`python -m benchmarks.first_run --record`). A kernel that is missing there is compiled when it is
+`python -m benchmarks.kernels --record`). A kernel that is missing there is compiled when it is
 first called.
 """
 
@@ -25,7 +25,13 @@ try:
 except ImportError:  # Windows: processes compile side by side
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["SIGNATURE_FILE", "compile_ahead", "compile_once", "example_of", "is_compiled"]
+__all__ = [
+    "SIGNATURE_FILE",
+    "compile_ahead",
+    "compile_once",
+    "decode_type",
+    "is_compiled",
+]
 
 SIGNATURE_FILE = Path(__file__).with_name("signatures.json")
 _Progress = Callable[[int, int], None]
@@ -46,9 +52,8 @@ def compile_once(processes: int | None = None, progress: _Progress | None = None
         lock = _record().with_suffix(".lock").open("w")
     with lock as file:
         if file is not None and fcntl is not None:
-            fcntl.flock(
-                file, fcntl.LOCK_EX
-            )  # the system frees it when this process ends, in any way
+            # The system frees the lock when this process ends, in any way.
+            fcntl.flock(file, fcntl.LOCK_EX)
         if is_compiled():
             return 0
         failed = compile_ahead(processes, progress)
@@ -66,9 +71,9 @@ def compile_ahead(processes: int | None = None, progress: _Progress | None = Non
     kernels: dict[str, list[list[Any]]] = {}
     for name, *types in json.loads(SIGNATURE_FILE.read_text(encoding="utf-8")):
         kernels.setdefault(name, []).append(types)
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
+    import numba
+
+    cores = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     pool = ProcessPoolExecutor(processes or cores, get_context("spawn"), _silence)
     compiled = 0
     try:
@@ -85,24 +90,21 @@ def compile_ahead(processes: int | None = None, progress: _Progress | None = Non
     return len(kernels) - compiled
 
 
-def example_of(entry: Any) -> Any:
-    """A value of the type that an entry of the list names: the name of a number, an array, or a
-    (named) tuple.
-    """
-    import numpy as np
+def decode_type(entry: Any) -> Any:
+    """A type of Numba from its entry: the name of a number, an array, or a (named) tuple."""
+    from numba import types
 
     if isinstance(entry, str):
-        return None if entry == "none" else np.dtype(entry).type()
+        return getattr(types, entry)
     if entry[0] == "array":
-        _, kind, axes, layout, writable = entry
-        array = np.zeros((4,) * axes, kind, order="F" if layout == "F" else "C")
-        array = array[(slice(None, None, 2),) * axes] if layout == "A" else array
-        array.flags.writeable = writable
-        return array
+        _, number, axes, layout, writable = entry
+        return types.Array(getattr(types, number), axes, layout, readonly=not writable)
     _, name, *members = entry
-    module, _, made_by = name.partition(":")
-    make: Any = getattr(import_module(module), made_by) if name else lambda *values: values
-    return make(*map(example_of, members))
+    made_by = None
+    if name:
+        module, _, kind = name.partition(":")
+        made_by = getattr(import_module(module), kind)
+    return types.BaseTuple.from_types([decode_type(member) for member in members], made_by)
 
 
 def _silence() -> None:
@@ -113,16 +115,12 @@ def _compile(name: str, types: list[list[Any]]) -> bool:
     """Compile a kernel for each list of types, or load it from the cache; whether that could be
     done.
     """
-    import numba
-
     module, _, function = name.rpartition(".")
-    # What cannot be compiled here is when it is called, or says then why not.
+    # A kernel that cannot be compiled here is compiled when it is called, or raises its error then.
     with suppress(Exception):
         kernel = getattr(import_module(module), function)
         for entries in types:
-            getattr(kernel, "kernel", kernel).compile(
-                tuple(numba.typeof(example_of(entry)) for entry in entries)
-            )
+            getattr(kernel, "kernel", kernel).compile(tuple(map(decode_type, entries)))
         return True
     return False
 

@@ -140,21 +140,19 @@ def _find_depth_in_tiles(
 ) -> DepthMap:
     """The depth of the file, or of the flat; kept beside the output until that is complete."""
     from ..data.depth_map import DepthMap
-    from ..output.resume import Checkpoint, file_identity, fingerprint
+    from ..output.resume import Checkpoint
 
     if capture.depth_file is not None:
         raw = calibration.mosaic is not None and len(source.shape) == 2
         return capture.read_depth(None if raw else source)
-    files = [file_identity(capture.flat), file_identity(capture.dark)]
-    settings = [capture.page, capture.chosen_preset]
-    key = fingerprint(files, settings, calibration.to_dict())
-    checkpoint = Checkpoint(output)
+    about = [capture.page, capture.chosen_preset, calibration.to_dict()]
+    checkpoint = Checkpoint(output, "depth", capture.flat, capture.dark, about)
     file = checkpoint.folder / "depth.npz"
-    if not (checkpoint.find("depth", key) and file.exists()):
+    if not (checkpoint.found and file.exists()):
         found = capture.analyze_parts(source, calibration, cluster)
         checkpoint.open()
         found.save(file)
-        checkpoint.keep("depth", key)
+        checkpoint.keep()
     # Always from the file: later results do not depend on whether a run was interrupted.
     return DepthMap.load(file)
 

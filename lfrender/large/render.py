@@ -18,7 +18,7 @@ from ..data.rendering import Part, Rendering
 from ..flat.validation import match_exposure
 from ..output.formats import FORMATS, PictureError, check_format, check_package, read_metadata
 from ..output.picture import describe, with_alpha, write_picture
-from ..output.resume import Checkpoint, file_identity, fingerprint
+from ..output.resume import Checkpoint
 from ..output.tiled_picture import TileWriter, move_into_place
 from ..rendering.render import make_renderer
 from ..rendering.renderer import Renderer
@@ -148,15 +148,16 @@ def render_large(
     text = describe(grid.affine(), chosen.settings)
     # Tiles of an earlier run are used if all that the picture depends on is the same.
     known = {"tile": side, "scale": grid.scale, "blend": renderer.blend, "settings": text}
-    key = fingerprint(
-        file_identity(source.path),
-        file_identity(source.dark),
+    checkpoint = Checkpoint(
+        output,
+        "picture",
+        source.path,
+        source.dark,
         [source.page, str(source.dtype), renderer.noise, output.suffix.lower()],
         calibration.to_dict(),
         vars(replace(chosen, settings=None)) | known,
         *([] if depth is None else [depth.patch_size, depth.surface.patch_size]),
     )
-    checkpoint = Checkpoint(output)
     direct = FORMATS[output.suffix.lower()].tiles
     channels = reader.channels + alpha
     writer = TileWriter(
@@ -170,10 +171,10 @@ def render_large(
         compress=chosen.compress and direct,
     )
     # Number of valid pixels of each finished tile. A killed run may have left it without the tiles.
-    done: dict[str, int] = checkpoint.find("picture", key) or {}
+    done: dict[str, int] = checkpoint.found or {}
     if not writer.open(fresh=not done):
         done = {}
-        checkpoint.keep("picture", key, done)
+        checkpoint.keep(done)
     kept = len(done)
     parts = dict(enumerate(grid.tiles(side)))
     missing = {number: part for number, part in parts.items() if str(number) not in done}
@@ -189,7 +190,7 @@ def render_large(
             pixels = with_alpha(pixels, valid)
         writer.write(parts[number], pixels)
         done[str(number)] = int(np.count_nonzero(valid))
-        checkpoint.keep("picture", key, done)
+        checkpoint.keep(done)
 
     # Each tile is stored while the next one is drawn.
     with show_progress(progress, "tiles") as step:

@@ -19,15 +19,26 @@ __all__ = ["Checkpoint", "file_identity", "fingerprint"]
 
 
 class Checkpoint:
-    """A hidden folder with the finished parts of a run, removed when the output is there."""
+    """What one stage of a run has finished, in a hidden folder that goes when the output is there.
 
-    def __init__(self, output: Path) -> None:
+    Results are found again if `inputs` are the same; `fingerprint` says what they may be.
+    """
+
+    def __init__(self, output: Path, stage: str, *inputs: Any) -> None:
         self.folder = output.absolute().parent / f".{output.name}.unfinished"
-        self._state, self._output = self.folder / "state.json", output
-        try:
-            self._kept: dict[str, Any] = dict(json.loads(self._state.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError):
-            self._kept = {}
+        self._output = output
+        self._stage = stage
+        self._key = fingerprint(*inputs)
+        self._state = self.folder / "state.json"
+        self._kept: dict[str, dict[str, Any]] = {}
+        with suppress(OSError, ValueError, TypeError):
+            self._kept = dict(json.loads(self._state.read_text(encoding="utf-8")))
+
+    @property
+    def found(self) -> Any:
+        """The value that an earlier run has kept, else None."""
+        kept = self._kept.get(self._stage, {})
+        return kept["value"] if kept.get("key") == self._key else None
 
     def open(self) -> Path:
         """The folder, made where it does not exist."""
@@ -39,15 +50,10 @@ class Checkpoint:
             ) from error
         return self.folder
 
-    def find(self, name: str, key: str) -> Any:
-        """The value kept under a name, if it was made from the same inputs (`key`); else None."""
-        found = self._kept.get(name)
-        return found["value"] if isinstance(found, dict) and found.get("key") == key else None
-
-    def keep(self, name: str, key: str, value: Any = True) -> None:
+    def keep(self, value: Any = True) -> None:
         """Keep a value that JSON can hold; files that belong to it must be complete."""
         self.open()
-        self._kept[name] = {"key": key, "value": value}
+        self._kept[self._stage] = {"key": self._key, "value": value}
         with atomic_write(self._state) as temporary:
             temporary.write_text(json.dumps(self._kept), encoding="utf-8")
 
@@ -61,22 +67,21 @@ class Checkpoint:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def file_identity(path: Path | None) -> list[Any]:
+def file_identity(path: Path) -> list[Any]:
     """Path, size and time of an input file or Zarr folder, which tell it from others."""
-    if path is None:
-        return []
     names = ("zarr.json", ".zarray", ".zgroup") if path.is_dir() else ()
     about = os.stat(next((path / name for name in names if (path / name).exists()), path))
     return [str(path.absolute()), about.st_size, about.st_mtime_ns]
 
 
 def fingerprint(*values: Any) -> str:
-    """SHA-256 of numbers, texts, lists of such, and arrays."""
+    """SHA-256 of numbers, texts, lists of such, arrays, and the identities of files (paths)."""
     digest = hashlib.sha256()
     for value in values:
         if isinstance(value, np.ndarray):
             digest.update(f"{value.dtype}{value.shape}".encode())
             digest.update(np.ascontiguousarray(value).tobytes())
-        else:
-            digest.update(json.dumps(value, sort_keys=True).encode())
+            continue
+        plain = file_identity(value) if isinstance(value, Path) else value
+        digest.update(json.dumps(plain, sort_keys=True).encode())
     return digest.hexdigest()

@@ -17,7 +17,7 @@ from lfcal.runtime.progress import Progress, show_progress
 
 from ..output.formats import check_format
 from ..output.picture import default_exposure
-from ..output.resume import Checkpoint, file_identity, fingerprint
+from ..output.resume import Checkpoint
 from ..runtime.types import AnyPath, Size
 from .film_file import Results, film_results
 from .frames import Frame, Frames, is_video
@@ -210,16 +210,15 @@ def render_film(
     options = replace(options or FrameOptions(), **given)
     if options.exposure is None:
         options = replace(options, exposure=default_exposure(output))
-    checkpoint = Checkpoint(output)
     camera = calibration and calibration.to_dict()
-    files = [file_identity(file) for file in (*frames.files, frames.dark)]
     drawn = (options.preset, options.scale, options.exposure)
-    key = fingerprint(files, str(frames.chosen), camera, *drawn)
+    inputs = (*frames.files, frames.dark, str(frames.chosen), camera, drawn)
+    checkpoint = Checkpoint(output, "film", *inputs)
     # A film that was begun with `overwrite` may be finished without it.
-    if overwrite or checkpoint.find("film", key) is None:
+    if overwrite or checkpoint.found is None:
         _refuse_existing(output, overwrite)
         checkpoint.remove()
-        checkpoint.keep("film", key)
+        checkpoint.keep()
     folder = checkpoint.folder
     run: dict[str, Any] = {"announce": announce, "client": client, "threads": threads}
     results = film_results(

@@ -9,7 +9,7 @@ import sys
 
 import lfcal
 import lfrender
-from benchmarks.first_run import cached_kernels
+from benchmarks.kernels import cached_kernels
 from lfrender.flat.neighbours import neighbours_of
 
 

@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from benchmarks import outdated_kernels
-from benchmarks.outdated_kernels import discard_outdated
+from benchmarks import kernels
+from benchmarks.kernels import discard_outdated
 
 SOURCES = {
     "lfcal/inner.py": "",
@@ -19,7 +19,7 @@ SOURCES = {
 @pytest.fixture
 def indices(tmp_path, monkeypatch):
     """Indices of two modules with kernels, the first of which imports another module."""
-    monkeypatch.setattr(outdated_kernels, "_ROOT", tmp_path)
+    monkeypatch.setattr(kernels, "_ROOT", tmp_path)
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     for name, text in SOURCES.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
